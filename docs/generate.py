@@ -22,7 +22,7 @@ import griffe
 
 from pipelines.cli import make_parser
 from pipelines.recording.channels import channels_table, fields_table
-from pipelines.report.keys import counters_table, keys_tables
+from pipelines.report.keys import counts_table, keys_tables
 from pipelines.report.model import LinkReport, SessionReport
 from pipelines.report.result import Headline
 from pipelines.session.setup.setup_file import load_setup
@@ -260,7 +260,7 @@ def topology_blocks() -> dict[str, str]:
         "report": keys_tables(SessionReport),
         "link report": keys_tables(LinkReport, without=SessionReport),
         "headlines": keys_tables(Headline),
-        "counts": counters_table(),
+        "counts": counts_table(),
     }
 
 

@@ -46,7 +46,7 @@ def receive(udp: socket.socket, results: Connection) -> None:
             pictures = decoder.decode(unit.data, unit.timestamp)
             now_ns = clock.now_ns()
             seen += [(p.timestamp, received_ns[p.timestamp], now_ns) for p in pictures]
-    results.send((seen, receiver.counts.rtp.lost))
+    results.send((seen, receiver.counts.rtp.rtp_lost))
 
 
 def send(

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from telepresence.link.radio import RadioPath, RadioProfile, load_radio
     from telepresence.link.receiver import LinkReceiver
     from telepresence.link.sender import LinkSender
-    from telepresence.tmtc import TelecommandReceiver, TelecommandSender
+    from telepresence.tmtc.pus.application import PusApplication
+    from telepresence.tmtc.pus.user import PusUser
 
 __all__ = [
     "Command",
@@ -30,11 +31,11 @@ __all__ = [
     "LinkProfile",
     "LinkReceiver",
     "LinkSender",
+    "PusApplication",
+    "PusUser",
     "RadioPath",
     "RadioProfile",
     "RobotSide",
-    "TelecommandReceiver",
-    "TelecommandSender",
     "load_radio",
     "packet_flow",
     "video_flow",
@@ -51,6 +52,7 @@ _HOMES = {
     "link.radio": ("RadioPath", "RadioProfile", "load_radio"),
     "link.receiver": ("LinkReceiver",),
     "link.sender": ("LinkSender",),
-    "tmtc": ("TelecommandReceiver", "TelecommandSender"),
+    "tmtc.pus.application": ("PusApplication",),
+    "tmtc.pus.user": ("PusUser",),
 }
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)

@@ -1,6 +1,5 @@
 """Real footage and real speech, read as files; a test that lacks them is skipped with a line."""
 
-import os
 from collections.abc import Callable
 from functools import lru_cache
 from importlib import metadata
@@ -10,43 +9,15 @@ import av
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
-from xdist.remote import Producer
-from xdist.scheduler import LoadScopeScheduling
 
 # The speed of the machine is no property of the code.
 settings.register_profile("unhurried", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("unhurried")
 
-#: Tests in these rooms start processes that need the machine.
-_ALONE = ("tests/browser/", "tests/interop/", "tests/realtime/")
+# What needs the machine runs last.
+pytest_plugins = ("serial_tests",)
 
 SPEECH = Path("/usr/share/sounds/alsa")
-
-
-class MachineScheduling(LoadScopeScheduling):
-    """Any test to any process, but those that need the machine to one, one after the other.
-
-    `--dist loadgroup` does not do it: pytest-xdist 3.8 names its groups in an attribute of the
-    tests that pytest 9.2 no longer has.
-    """
-
-    def _split_scope(self, nodeid: str) -> str:
-        return "machine" if nodeid.startswith(_ALONE) else nodeid
-
-
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> MachineScheduling:
-    return MachineScheduling(config, log)
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What needs the machine begins first, because it takes longest."""
-    items.sort(key=lambda item: not item.nodeid.startswith(_ALONE))
-
-
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """With `-n 2`, leave the machine to the process whose tests need it."""
-    if "PYTEST_XDIST_WORKER" in os.environ and not item.nodeid.startswith(_ALONE):
-        os.nice(max(0, 19 - os.nice(0)))
 
 
 def find_footage(name: str) -> Path | None:

@@ -1,8 +1,10 @@
 """Make small faults in modules, one at a time, and count those that the nearest tests notice.
 
     python tests/mutate.py kontur_av/streams/budget.py --mutations 12 --seed 1
+    python tests/mutate.py telepresence/link pipelines/mission --nearest --total 40 --seed 1
 
 Not part of CI. Without a module: all modules of NEAR. The tests run on a copy of the tree.
+With `--nearest` only the nearest folder of tests/unit runs, whatever NEAR says.
 """
 
 import argparse
@@ -17,12 +19,13 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 UNIT = "tests/unit"
 LINK = f"{UNIT}/telepresence/link"
-PRIORITIES = "tests/sim/test_link_priorities.py"
+PRIORITIES = "tests/unit/telepresence/link/test_link_priorities.py"
 
 #: The tests of a module that its folder in tests/unit does not hold, or those of the folder that
 #: suffice. Quick ones first, because the first failure ends a run.
@@ -62,7 +65,7 @@ NEAR: dict[str, tuple[str, ...]] = {
         f"{LINK}/test_link_bucket.py",
         f"{LINK}/test_link_gateway.py",
         f"{LINK}/test_link_backlog.py",
-        "tests/sim/test_link_ages.py",
+        "tests/unit/telepresence/link/test_link_ages.py",
         "tests/fuzz/test_link_reader.py",
         PRIORITIES,
     ),
@@ -81,34 +84,34 @@ NEAR: dict[str, tuple[str, ...]] = {
         f"{LINK}/test_link_gateway.py",
         "tests/fuzz/test_link_fuzz.py",
         "tests/fuzz/test_link_loss.py",
-        "tests/sim/test_link_strangers.py",
+        "tests/unit/telepresence/link/test_link_strangers.py",
         PRIORITIES,
     ),
     "telepresence/link/compression/header_compression.py": (
         f"{LINK}/compression",
         "tests/vectors/test_link_header_forms.py",
-        "tests/sim/test_link_headers.py",
+        "tests/unit/telepresence/link/compression/test_link_headers.py",
     ),
     "telepresence/link/supervision/supervisor.py": (
-        "tests/sim/test_link_supervision_counts.py",
+        "tests/unit/telepresence/link/supervision/test_link_supervision_counts.py",
         f"{LINK}/test_link_gateway.py",
         "tests/vectors/test_supervision_messages.py",
         "tests/fuzz/test_link_supervision_fuzz.py",
-        "tests/sim/test_link_supervision.py",
-        "tests/sim/test_link_supervision_loss.py",
-        "tests/sim/test_link_supervision_application.py",
-        "tests/sim/test_link_strangers.py",
+        "tests/unit/telepresence/link/supervision/test_link_supervision.py",
+        "tests/unit/telepresence/link/supervision/test_link_supervision_loss.py",
+        "tests/unit/telepresence/link/supervision/test_link_supervision_application.py",
+        "tests/unit/telepresence/link/test_link_strangers.py",
     ),
     "telepresence/haptics/passivity.py": (
         f"{UNIT}/telepresence/haptics/test_haptics_ends.py",
         f"{UNIT}/telepresence/haptics/test_passivity.py",
-        "tests/sim/test_haptics_passivity.py",
-        "tests/sim/test_haptics_replay.py",
+        "tests/unit/telepresence/haptics/test_haptics_passivity.py",
+        "tests/unit/telepresence/haptics/test_haptics_replay.py",
     ),
     "telepresence/haptics/robot_controller.py": (
         f"{UNIT}/telepresence/haptics/test_haptics_ends.py",
-        "tests/sim/test_haptics_direction.py",
-        "tests/sim/test_haptics_passivity.py",
+        "tests/unit/telepresence/haptics/test_haptics_direction.py",
+        "tests/unit/telepresence/haptics/test_haptics_passivity.py",
     ),
     "pipelines/report/collector.py": (f"{UNIT}/pipelines/report",),
     "pipelines/report/journeys.py": (f"{UNIT}/pipelines/report",),
@@ -223,6 +226,12 @@ def _expressions(node: ast.AST) -> Iterator[_Place]:
         swapped_name = {"min": "max", "max": "min"}.get(node.func.id)
         if swapped_name:
             yield _Place(node, _setting(node.func, "id", swapped_name))
+    if isinstance(node, ast.Call) and not _takes_any_order(node):
+        for index, (one, other) in enumerate(pairwise(node.args)):
+            if ast.unparse(one) != ast.unparse(other):
+                swapped_arguments = [*node.args]
+                swapped_arguments[index : index + 2] = other, one
+                yield _Place(node, _setting(node, "args", swapped_arguments))
     elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
         # One more of a nanosecond or of a rate changes nothing: a large number is doubled.
         by = 1 if abs(node.value) <= 100 else node.value
@@ -233,6 +242,13 @@ def _expressions(node: ast.AST) -> Iterator[_Place]:
     ):
         negated = ast.UnaryOp(ast.Not(), node.test)
         yield _Place(node, _setting(node, "test", negated))
+
+
+def _takes_any_order(call: ast.Call) -> bool:
+    """Whether swapped arguments change nothing, or raise at once."""
+    return ast.unparse(call.func) in {"min", "max", "isinstance", "range"} or any(
+        isinstance(argument, ast.Starred) for argument in call.args
+    )
 
 
 def _setting(node: ast.AST, field: str, value: object) -> Callable[[], Callable[[], None]]:
@@ -263,10 +279,44 @@ def _is_removable(statement: ast.stmt) -> bool:
     return isinstance(statement, (ast.AugAssign, ast.Continue, ast.Break, ast.Delete))
 
 
-def tests_near(module: str) -> list[str]:
-    """Return the test files and folders for a module, those that exist."""
-    mirror = f"{UNIT}/{Path(module).parent.as_posix()}"
+def tests_near(module: str, *, nearest: bool) -> list[str]:
+    """Return the test files and folders for a module, those that exist.
+
+    nearest: only the folder that mirrors the module's, or the next one above it.
+    """
+    mirrors = [f"{UNIT}/{folder.as_posix()}" for folder in Path(module).parents]
+    mirror = next(place for place in mirrors if (ROOT / place).exists())
+    if nearest:
+        return [mirror]
     return [place for place in NEAR.get(module, (mirror,)) if (ROOT / place).exists()]
+
+
+def _modules(places: list[str]) -> list[str]:
+    """Return the modules of `places`: files, and folders with all that is in them."""
+    found = []
+    for place in places:
+        path = ROOT / place
+        files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
+        found += [file.relative_to(ROOT).as_posix() for file in files]
+    return found
+
+
+def _chosen(options: argparse.Namespace) -> dict[str, list[Mutation]]:
+    """Return the mutations by module."""
+    modules = _modules(options.modules) or list(NEAR)
+    found = {m: mutations((ROOT / m).read_text(encoding="utf-8")) for m in modules}
+    if options.line is not None:
+        return {m: [each for each in found[m] if each.line == options.line] for m in modules}
+    if options.total is not None:
+        every = [(m, each) for m in modules for each in found[m]]
+        drawn = random.Random(options.seed).sample(every, min(options.total, len(every)))
+        return {m: [each for of, each in drawn if of == m] for m in modules}
+    return {
+        m: random.Random(f"{options.seed} {m}").sample(
+            found[m], min(options.mutations, len(found[m]))
+        )
+        for m in modules
+    }
 
 
 def _run_tests(tree: str, places: list[str]) -> None:
@@ -313,9 +363,13 @@ def _copy_tree(to: Path) -> Path:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("modules", nargs="*", help="paths from the root; none: all of NEAR")
+    parser.add_argument("modules", nargs="*", help="files or folders; none: all of NEAR")
     parser.add_argument("--mutations", type=int, default=12, help="of each module (12)")
     parser.add_argument("--seed", type=int, default=1, help="which mutations (1)")
+    parser.add_argument("--total", type=int, help="mutations of all modules together")
+    parser.add_argument(
+        "--nearest", action="store_true", help="run the nearest folder of tests/unit only"
+    )
     parser.add_argument("--line", type=int, help="only mutations of this line, all of them")
     options = parser.parse_args()
     # Loaded once, for all runs; nothing of the project itself.
@@ -326,20 +380,19 @@ def main() -> int:
     total = missed = 0
     with tempfile.TemporaryDirectory(prefix="mutate-") as folder:
         tree = _copy_tree(Path(folder))
-        for module in options.modules or NEAR:
+        limits_s: dict[tuple[str, ...], float] = {}
+        for module, found in _chosen(options).items():
+            if not found:
+                continue
             source = (ROOT / module).read_text(encoding="utf-8")
-            places = tests_near(module)
-            begun = time.monotonic()
-            if wrong := noticed(tree, places, 3600.0):
-                print(f"{module}: its tests fail without a fault ({wrong})")
-                return 1
-            limit_s = PATIENCE[0] * (time.monotonic() - begun) + PATIENCE[1]
-            found = mutations(source)
-            if options.line is None:
-                rng = random.Random(f"{options.seed} {module}")
-                found = rng.sample(found, min(options.mutations, len(found)))
-            else:
-                found = [mutation for mutation in found if mutation.line == options.line]
+            places = tests_near(module, nearest=options.nearest)
+            if tuple(places) not in limits_s:
+                begun = time.monotonic()
+                if wrong := noticed(tree, places, 3600.0):
+                    print(f"{module}: its tests fail without a fault ({wrong})")
+                    return 1
+                limits_s[*places,] = PATIENCE[0] * (time.monotonic() - begun) + PATIENCE[1]
+            limit_s = limits_s[*places,]
             seen = endless = 0
             for mutation in sorted(found, key=lambda mutation: mutation.line):
                 (tree / module).write_text(mutation.source, encoding="utf-8")

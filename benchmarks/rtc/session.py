@@ -58,7 +58,7 @@ def read_session(leg: str, report: JsonReader) -> SessionRun:
         slot_us=report.number("link", "uplink", "lateness_us", "p99"),
         lost=sum(row.count("rtp_lost") for row in streams.values()),
         cores=report.number("cpu", "cores_used"),
-        partner_bps=None if video is None else video.count("rtc_video", "mean_bps"),
+        partner_bps=None if video is None else report.count("rtc", "mean_bps", "rtc_video"),
         partner_lost=None if video is None else video.count("rtc_video", "lost"),
         failures=tuple(str(one.value) for one in report.elements("failures")),
     )

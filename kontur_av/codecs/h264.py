@@ -418,6 +418,19 @@ class DecodedPicture:
         return picture
 
 
+@dataclass(slots=True)
+class DecoderCounts:
+    """A decoder of pictures."""
+
+    frames_decoded: int = 0
+    #: Access units that could not be decoded, or whose picture no `I420` can hold.
+    frames_corrupt: int = 0
+    #: Access units before the first one at which a decoder can start; these are not corrupt.
+    frames_before_start: int = 0
+    #: How often the decoder was opened anew, because it held pictures back.
+    decoder_restarts: int = 0
+
+
 class H264Decoder:
     """Access units to pictures, one for one and without delay. It counts garbage and never raises.
 
@@ -433,13 +446,7 @@ class H264Decoder:
     """
 
     def __init__(self, *, reordered: bool = False) -> None:
-        #: Access units that could not be decoded, or whose picture no `I420` can hold.
-        self.corrupt_units = 0
-        #: Access units before the first one at which a decoder can start; these are not corrupt.
-        self.units_before_start = 0
-        self.decoded = 0
-        #: How often the decoder was opened anew, because it held pictures back.
-        self.restarts = 0
+        self.counts = DecoderCounts()
         self._reordered = reordered
         self._codec = _open_decoder()
 
@@ -459,14 +466,14 @@ class H264Decoder:
             frames = self._codec.decode(packet)
         except (av.FFmpegError, ValueError):
             # FFmpeg has many errors for garbage, and goes on with the next unit after each.
-            if self.decoded:
-                self.corrupt_units += 1
+            if self.counts.frames_decoded:
+                self.counts.frames_corrupt += 1
             else:
-                self.units_before_start += 1
+                self.counts.frames_before_start += 1
             return []
         if not self._reordered and any(frame.pts != timestamp for frame in frames):
             self._codec = _open_decoder()
-            self.restarts += 1
+            self.counts.decoder_restarts += 1
         return [picture for frame in frames if (picture := self._picture(frame)) is not None]
 
     def _picture(self, frame: av.VideoFrame) -> DecodedPicture | None:
@@ -476,9 +483,9 @@ class H264Decoder:
             if frame.format.name not in ("yuv420p", "yuvj420p"):
                 frame = frame.reformat(format="yuv420p")
         except (ConfigError, av.FFmpegError, ValueError):
-            self.corrupt_units += 1
+            self.counts.frames_corrupt += 1
             return None
-        self.decoded += 1
+        self.counts.frames_decoded += 1
         timestamp = frame.pts if frame.pts is not None else 0
         return DecodedPicture(timestamp, bool(frame.is_corrupt), width, height, frame)
 

@@ -233,7 +233,7 @@ class H264Depacketizer:
         #: Packets lost in units that were dropped whole: the next unit has them before it.
         self._lost_whole = 0
         self._begin(0, 0, 0)
-        #: Payloads that were no H.264, and access units of more than `max_unit_octets`.
+        #: Payloads that were not H.264, and access units of more than `max_unit_octets`.
         self.garbage = 0
         #: Access units returned, those of them that were damaged, and those dropped because no
         #: whole NAL unit of them came.

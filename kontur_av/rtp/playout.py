@@ -57,7 +57,7 @@ class PlayoutCounts:
     played: with their own packet. recovered: from a copy in the next packet. concealed: without
     either. inserted: added while the delay grew. stretched, shortened: played longer, shorter.
     late: came after their time. dropped: pushed out of a full buffer, or left out after a silence
-    or a stall so that later blocks are not late. garbage: packets that were no Opus. resyncs: new
+    or a stall so that later blocks are not late. garbage: packets that were not Opus. resyncs: new
     time lines.
     """
 

@@ -59,29 +59,27 @@ class RtpReceived:
 
 @dataclass(slots=True)
 class ReceiverCounts:
-    """Counts of a receiver since it was made, over all restarts of the sender.
+    """RTP packets of a receiver since it was made, over all restarts of the sender."""
 
-    received: packets of the accepted source, without duplicates and late ones.
-    payload_octets: of those.
-    lost: given up and never received. A packet that came late counts as late instead.
-    reordered: came after a packet of a higher sequence number.
-    duplicates: came twice.
-    late: came after they were given up; dropped.
-    garbage: datagrams that are no RTP, or of a foreign payload type or source. Of the RTCP port:
-        malformed, of a foreign source, or neither report nor goodbye.
-    sources: how often a source was accepted: 1 + restarts.
-    reports: sender reports of the accepted source.
-    """
-
-    received: int = 0
-    payload_octets: int = 0
-    lost: int = 0
-    reordered: int = 0
-    duplicates: int = 0
-    late: int = 0
+    #: Packets of the accepted source, without duplicates and late ones.
+    rtp_packets: int = 0
+    #: Their payload.
+    rtp_payload_octets: int = 0
+    #: Packets that were given up. One that comes late after all counts as late instead.
+    rtp_lost: int = 0
+    #: Packets that came after one of a higher sequence number.
+    rtp_reordered: int = 0
+    #: Packets that came twice.
+    rtp_duplicates: int = 0
+    #: Packets that came after they were given up; dropped.
+    rtp_late: int = 0
+    #: Datagrams that are not RTP, or of a foreign payload type or source. Of the RTCP port:
+    #: malformed, of a foreign source, or neither report nor goodbye.
     garbage: int = 0
+    #: How often a source was accepted: 1 and the restarts.
     sources: int = 0
-    reports: int = 0
+    #: Sender reports of the accepted source.
+    rtcp_reports: int = 0
 
 
 @dataclass(slots=True)
@@ -189,13 +187,13 @@ class RtpReceiver:
             self._take_old(packet, extended, now_ns)
             return
         if extended in self._waiting:
-            counts.duplicates += 1
+            counts.rtp_duplicates += 1
             return
         if extended < self._highest:
-            counts.reordered += 1
+            counts.rtp_reordered += 1
         self._highest = max(self._highest, extended)
-        counts.received += 1
-        counts.payload_octets += len(packet.payload)
+        counts.rtp_packets += 1
+        counts.rtp_payload_octets += len(packet.payload)
         self._update_jitter(packet.timestamp, now_ns)
         if extended == self._next:
             self._deliver(packet, extended, now_ns, lost_before=0)
@@ -211,16 +209,16 @@ class RtpReceiver:
         counts = self.counts
         if extended in self._given_up:
             self._given_up.discard(extended)
-            counts.lost -= 1
+            counts.rtp_lost -= 1
         elif extended >= self._first:
-            counts.duplicates += 1
+            counts.rtp_duplicates += 1
             return
-        counts.reordered += 1
+        counts.rtp_reordered += 1
         if self._ordered or extended < self._first:
-            counts.late += 1
+            counts.rtp_late += 1
             return
-        counts.received += 1
-        counts.payload_octets += len(packet.payload)
+        counts.rtp_packets += 1
+        counts.rtp_payload_octets += len(packet.payload)
         self._update_jitter(packet.timestamp, now_ns)
         self._emit(packet, extended, now_ns, lost_before=0)
 
@@ -260,7 +258,7 @@ class RtpReceiver:
     def _give_up_gap(self) -> None:
         extended = min(self._waiting)
         lost = extended - self._next
-        self.counts.lost += lost
+        self.counts.rtp_lost += lost
         self._given_up.update(range(self._next, extended))
         oldest = extended - MAX_DROPOUT
         self._given_up = {number for number in self._given_up if number >= oldest}
@@ -329,7 +327,7 @@ class RtpReceiver:
         self._reports = {
             ssrc: report for ssrc, report in self._reports.items() if ssrc == self.ssrc
         }
-        self.counts.reports += len(self._reports)
+        self.counts.rtcp_reports += len(self._reports)
 
     def _update_jitter(self, timestamp: int, now_ns: int) -> None:
         transit = now_ns * self.clock_rate_hz // NS_PER_S - timestamp
@@ -376,7 +374,7 @@ class RtpReceiver:
 
     def _take_report(self, report: RtcpSrPacket) -> None:
         if report.ssrc == self.ssrc:
-            self.counts.reports += 1
+            self.counts.rtcp_reports += 1
         elif self.ssrc is not None:
             # The report of a restarted sender may overtake its second packet: keep one.
             self._reports = {

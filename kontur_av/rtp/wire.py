@@ -60,7 +60,7 @@ _RTP_VERSION = 2 << 6
 
 
 def parse_rtp(datagram: bytes) -> RtpPacket:
-    """Parse an RTP packet (RFC 3550 section 5.1). Raises ProtocolError if it is none."""
+    """Parse an RTP packet (RFC 3550 section 5.1). Raises ProtocolError for anything else."""
     try:
         return RtpPacket.parse(datagram)
     except _MALFORMED as error:
@@ -81,7 +81,7 @@ def pack_rtp(
 def parse_rtcp(datagram: bytes) -> list[AnyRtcpPacket]:
     """Return the packets of a compound RTCP packet (RFC 3550 section 6.1), without unknown types.
 
-    Raises ProtocolError if `datagram` is none.
+    Raises ProtocolError if `datagram` is not RTCP.
     """
     if not datagram:
         raise ProtocolError("an empty datagram is no RTCP packet")

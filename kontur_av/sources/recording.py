@@ -196,7 +196,7 @@ class RecordedVideo(LoopedVideo):
         first_ns: int | None = None
         time_ns = 0
         for unit in read_units(self._path, self._channel):
-            corrupt = decoder.corrupt_units
+            corrupt = decoder.counts.frames_corrupt
             for picture in decoder.decode(unit.data, 0):
                 first_ns = unit.log_ns if first_ns is None else first_ns
                 # Instants of capture of a damaged stream can step back.
@@ -204,7 +204,7 @@ class RecordedVideo(LoopedVideo):
                 frame = picture.frame
                 aspect = scaled_aspect(*self._size, frame.width, frame.height)
                 yield PlayedPicture(frame, time_ns, aspect)
-            if decoder.corrupt_units > corrupt:
+            if decoder.counts.frames_corrupt > corrupt:
                 self._fault(ValueError("an access unit cannot be decoded"))
 
 

@@ -102,7 +102,7 @@ def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str]
 
     scenes: the names that `scene:NAME` may use for this kind of input.
     Raises ConfigError with the mend. Causes: an unreadable file, one without pictures (or sound), a
-    path that is no FIFO, a device that cannot be opened, or an unknown scene.
+    path that is not a FIFO, a device that cannot be opened, or an unknown scene.
     """
     family, rest = _split(spec)
     if family == PAGE:

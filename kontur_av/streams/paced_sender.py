@@ -1,6 +1,7 @@
 """The common part of video and voice senders: budget, RTP and counts."""
 
 from collections import deque
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from kontur_av.meters import RateMeter
@@ -21,6 +22,19 @@ class UnitSent(NamedTuple):
     capture_ns: int
     encoded_ns: int
     sent_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SenderCounts:
+    """The sender of a stream, in pictures or blocks of sound."""
+
+    #: Pictures or blocks of sound that came to the sender.
+    frames_captured: int = 0
+    frames_encoded: int = 0
+    frames_sent: int = 0
+    #: Pictures or blocks that were never encoded: the channel was busy, or they were too old.
+    frames_refused: int = 0
+    rtp_packets_sent: int = 0
 
 
 class _UnderWay:
@@ -68,6 +82,15 @@ class PacedSender:
     def oldest_age_ns(self, now_ns: int) -> int:
         """Return how long the oldest packet has waited for release; 0 while none waits."""
         return self._pacer.oldest_age_ns(now_ns)
+
+    def _counts(self, *, captured: int, refused: int) -> SenderCounts:
+        return SenderCounts(
+            frames_captured=captured,
+            frames_encoded=self._encoded,
+            frames_sent=self._sent,
+            frames_refused=refused,
+            rtp_packets_sent=self._rtp.packets_sent,
+        )
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """Return the next RTP packet if it may leave now. Send it; call until None."""

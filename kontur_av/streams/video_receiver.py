@@ -1,10 +1,11 @@
 """The receiver of a video stream: access units to decode, stamps of pictures, and feedback."""
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.healing import Healing
+from kontur_av.figures import Flat, Newest
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality
 from kontur_av.rtp.feedback import PictureLossReporter
 from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
@@ -19,20 +20,21 @@ _REMEMBERED = 256
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoReceiverCounts:
-    """Counts of a `VideoReceiver`.
+    """The receiver of a picture, without its decoder."""
 
-    rtp: of packets. jitter_ns: of their arrival (RFC 3550 appendix A.8). units: access units.
-    damaged: of these, with packets missing. undated: pictures before the first sender report, whose
-    capture time is unknown. oversized: pictures larger than wanted. asked: key pictures asked for.
-    """
-
-    rtp: ReceiverCounts
-    jitter_ns: int
-    units: int
-    damaged: int
-    undated: int
-    oversized: int
-    asked: int
+    rtp: Flat[ReceiverCounts] = field(default_factory=ReceiverCounts)
+    #: Interarrival jitter (RFC 3550, appendix A.8).
+    jitter_ns: Newest[int] = 0
+    #: Access units received.
+    frames_received: int = 0
+    #: Access units with gaps.
+    frames_damaged: int = 0
+    #: Pictures that came before a sender report gave their capture time.
+    frames_undated: int = 0
+    #: Pictures larger than wanted.
+    frames_oversized: int = 0
+    #: Key pictures asked for.
+    pictures_asked_for: int = 0
 
 
 class VideoReceiver:
@@ -188,11 +190,11 @@ class VideoReceiver:
     def counts(self) -> VideoReceiverCounts:
         """The counts so far."""
         return VideoReceiverCounts(
-            rtp=self._receiver.counts,
+            rtp=replace(self._receiver.counts),
             jitter_ns=self._receiver.jitter_ns,
-            units=self._depacketizer.units,
-            damaged=self._depacketizer.units_damaged,
-            undated=self._undated,
-            oversized=self._oversized,
-            asked=self._losses.sent,
+            frames_received=self._depacketizer.units,
+            frames_damaged=self._depacketizer.units_damaged,
+            frames_undated=self._undated,
+            frames_oversized=self._oversized,
+            pictures_asked_for=self._losses.sent,
         )

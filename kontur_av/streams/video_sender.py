@@ -12,7 +12,7 @@ from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.streams.budget import Pacer
 from kontur_av.streams.encode_scheduler import EncodeScheduler
-from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, UnitSent
+from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, SenderCounts, UnitSent
 
 #: A receiver with feedback sends some every second. After this long without, it is gone.
 _FEEDBACK_SILENCE_NS = 3 * NS_PER_S
@@ -40,21 +40,13 @@ class PictureCoded(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VideoSenderCounts:
-    """Counts of a `VideoSender`.
+class FeedbackCounts:
+    """What the receiver of a picture told its sender."""
 
-    captured: pictures that came. refused: of these, never encoded, because the channel was busy.
-    encoded, sent: pictures. rtp_packets: made so far. losses_told: picture loss indications
-    received. feedback_garbage: datagrams that were no RTCP.
-    """
-
-    captured: int
-    refused: int
-    encoded: int
-    sent: int
-    rtp_packets: int
-    losses_told: int
-    feedback_garbage: int
+    #: Messages of losses and requests for key pictures.
+    feedback_received: int = 0
+    #: Datagrams that are not feedback.
+    feedback_garbage: int = 0
 
 
 class VideoSender(PacedSender):
@@ -238,16 +230,16 @@ class VideoSender(PacedSender):
         return self._events.popleft() if self._events else None
 
     @property
-    def counts(self) -> VideoSenderCounts:
-        """The counts so far."""
-        return VideoSenderCounts(
-            captured=self._scheduler.captured + self._coded,
-            refused=self._scheduler.refused,
-            encoded=self._encoded,
-            sent=self._sent,
-            rtp_packets=self._rtp.packets_sent,
-            losses_told=self._losses.received,
-            feedback_garbage=self._losses.garbage,
+    def counts(self) -> SenderCounts:
+        """The pictures so far."""
+        captured = self._scheduler.captured + self._coded
+        return self._counts(captured=captured, refused=self._scheduler.refused)
+
+    @property
+    def feedback(self) -> FeedbackCounts:
+        """What the receiver has told so far."""
+        return FeedbackCounts(
+            feedback_received=self._losses.received, feedback_garbage=self._losses.garbage
         )
 
     def _can_be_asked(self, now_ns: int) -> bool:

@@ -1,12 +1,13 @@
 """The receiver of a voice stream: blocks of sound, each at the instant at which to play it."""
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.figures import Flat, Newest
 from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, CaptureStamp, Quality
-from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer, PlayoutCounts
+from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.streams.lipsync import LipSync
 
@@ -23,21 +24,33 @@ class VoicePacketArrival(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VoiceReceiverCounts:
-    """Counts of a `VoiceReceiver`.
+    """The receiver of a voice, in blocks of sound."""
 
-    rtp: of packets. jitter_ns: of their arrival (RFC 3550 appendix A.8). playout: of blocks.
-    corrupt: blocks that were no Opus. undated: blocks before the first sender report, whose capture
-    time is unknown. inserted_ns: concealment added while the delay grew. delay_ns: the present
-    playout delay.
-    """
-
-    rtp: ReceiverCounts
-    jitter_ns: int
-    playout: PlayoutCounts
-    corrupt: int
-    undated: int
-    inserted_ns: int
-    delay_ns: int
+    rtp: Flat[ReceiverCounts] = field(default_factory=ReceiverCounts)
+    #: Interarrival jitter (RFC 3550, appendix A.8).
+    jitter_ns: Newest[int] = 0
+    #: How long the playout holds sound back at present.
+    playout_delay_ns: Newest[int] = 0
+    #: Blocks whose own packet came.
+    frames_received: int = 0
+    #: Blocks that were played, from their own packet or restored.
+    frames_decoded: int = 0
+    #: Blocks that the decoder had to make up.
+    frames_concealed: int = 0
+    #: Blocks that were restored from forward error correction.
+    frames_recovered: int = 0
+    #: Packets that were not Opus.
+    frames_corrupt: int = 0
+    #: Blocks that came before a sender report gave their capture time.
+    frames_undated: int = 0
+    #: Blocks that came too late to be played.
+    frames_late: int = 0
+    #: Blocks that were dropped to play sooner.
+    frames_left_out: int = 0
+    frames_stretched: int = 0
+    frames_shortened: int = 0
+    #: Silence that was inserted to play later.
+    inserted_ns: int = 0
 
 
 class VoiceReceiver:
@@ -150,14 +163,22 @@ class VoiceReceiver:
     @property
     def counts(self) -> VoiceReceiverCounts:
         """The counts so far."""
+        playout = self._playout.counts
         return VoiceReceiverCounts(
-            rtp=self._receiver.counts,
+            rtp=replace(self._receiver.counts),
             jitter_ns=self._receiver.jitter_ns,
-            playout=self._playout.counts,
-            corrupt=self._corrupt,
-            undated=self._undated,
+            playout_delay_ns=self._playout.delay_ns,
+            frames_received=playout.played + playout.late + playout.dropped,
+            frames_decoded=playout.played + playout.recovered - self._corrupt,
+            frames_concealed=playout.concealed + self._corrupt,
+            frames_recovered=playout.recovered,
+            frames_corrupt=self._corrupt + playout.garbage,
+            frames_undated=self._undated,
+            frames_late=playout.late,
+            frames_left_out=playout.dropped,
+            frames_stretched=playout.stretched,
+            frames_shortened=playout.shortened,
             inserted_ns=self._inserted_ns,
-            delay_ns=self._playout.delay_ns,
         )
 
     def _take_packets(self, now_ns: int) -> None:

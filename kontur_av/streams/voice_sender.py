@@ -1,32 +1,16 @@
 """The sender of a voice stream: which blocks of sound to encode, and which packets may leave."""
 
 from collections import deque
-from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.opus import bitrate_under_cap, heard_stamp
 from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, BLOCK_NS, CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.streams.budget import Pacer
-from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, UnitSent
+from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, SenderCounts, UnitSent
 
 #: An older block is not sent, because it would delay those after it.
 _TOO_OLD_NS = 5 * BLOCK_NS
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VoiceSenderCounts:
-    """Counts of a `VoiceSender`.
-
-    captured: blocks that came. refused: of these, never encoded, because they or packets before
-    them were too old. encoded, sent: blocks. rtp_packets: made so far.
-    """
-
-    captured: int
-    refused: int
-    encoded: int
-    sent: int
-    rtp_packets: int
 
 
 class VoiceSender(PacedSender):
@@ -92,15 +76,9 @@ class VoiceSender(PacedSender):
         return self._events.popleft() if self._events else None
 
     @property
-    def counts(self) -> VoiceSenderCounts:
-        """The counts so far."""
-        return VoiceSenderCounts(
-            captured=self._captured,
-            refused=self._refused,
-            encoded=self._encoded,
-            sent=self._sent,
-            rtp_packets=self._rtp.packets_sent,
-        )
+    def counts(self) -> SenderCounts:
+        """The blocks so far."""
+        return self._counts(captured=self._captured, refused=self._refused)
 
     def _note(self, event: UnitSent) -> None:
         self._events.append(event)

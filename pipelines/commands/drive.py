@@ -73,7 +73,7 @@ def drive(args: argparse.Namespace) -> int:
             side = _run(device, udp, to_robot, seconds)
     finally:
         device.close()
-    figures = side.link.report()
+    figures = side.link
     with output_that_may_fail():
         print(
             f"{figures.sent} samples to the robot, {figures.received} from it, "

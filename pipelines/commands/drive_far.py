@@ -31,7 +31,7 @@ class Far:
 
     udp: on which its samples come. to_robot: where samples for it go.
     url: `https://HOST:PORT`. token: of the address. servers: for the way through NAT.
-    Raises ConfigError for an address that is none.
+    Raises ConfigError for a malformed address.
     """
 
     def __init__(self, url: str, token: str, servers: Callable[[], IceServers]) -> None:

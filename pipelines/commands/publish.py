@@ -13,7 +13,7 @@ from pipelines.commands.rtc_options import (
     ice_servers_of,
     token_of,
 )
-from pipelines.commands.rtc_reports import RtcReport, connection_report
+from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
 from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.ice_servers import IceServers
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     return closing_lines(args, asyncio.run(_publish(args)))
 
 
-async def _publish(args: argparse.Namespace) -> RtcReport:
+async def _publish(args: argparse.Namespace) -> RtcCommandReport:
     clock, sends = MonotonicClock(), sends_of(args)
     token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
 
@@ -82,7 +82,7 @@ async def _publish(args: argparse.Namespace) -> RtcReport:
             failed.append(f"no connection to {args.whip}: {keeper.fault or 'none was made'}")
         if sources.fault:
             failed.append(sources.fault)
-        return RtcReport(
+        return RtcCommandReport(
             seconds=time.monotonic() - begin_s,
             connections=keeper.attempts.stood,
             ice_restarts=keeper.attempts.restarts,

@@ -181,7 +181,7 @@ class _ReceiveShell:
 
     def _note(self, now_ns: int) -> None:
         """Count the payload that has come since the last call."""
-        octets = self._receiver.counts.rtp.payload_octets
+        octets = self._receiver.counts.rtp.rtp_payload_octets
         if octets > self._payload_octets:
             self._last_packet_ns = now_ns
             self._rate.add(now_ns, octets - self._payload_octets)
@@ -191,7 +191,7 @@ class _ReceiveShell:
         counts = self._receiver.counts.rtp
         latency = self._output.decoded_ns
         print(
-            f"{passed_ns / NS_PER_S:6.0f} s  {counts.received} packets, {counts.lost} lost, "
+            f"{passed_ns / NS_PER_S:6.0f} s  {counts.rtp_packets} packets, {counts.rtp_lost} lost, "
             f"{self._output.decoded} decoded, {self._rate.mean_bps() / 1000:.1f} kbit/s"
             + (
                 f", latency {latency.percentile(95) / NS_PER_MS:.1f} ms (95 %)"
@@ -210,14 +210,14 @@ class _ReceiveShell:
             payload_bps_mean=rate.mean_bps(),
             payload_bps_max_1s=rate.max_bps(NS_PER_S),
             payload_bps_max_100ms=rate.max_bps(100 * NS_PER_MS),
-            rtp_packets=counts.received,
-            rtp_lost=counts.lost,
-            rtp_reordered=counts.reordered,
-            rtp_duplicates=counts.duplicates,
-            rtp_late=counts.late,
+            rtp_packets=counts.rtp_packets,
+            rtp_lost=counts.rtp_lost,
+            rtp_reordered=counts.rtp_reordered,
+            rtp_duplicates=counts.rtp_duplicates,
+            rtp_late=counts.rtp_late,
             rtp_garbage=counts.garbage,
             rtp_restarts=max(counts.sources - 1, 0),
-            rtcp_reports=counts.reports,
+            rtcp_reports=counts.rtcp_reports,
             jitter_ms=self._receiver.counts.jitter_ns / NS_PER_MS,
         )
         latency = None
@@ -228,10 +228,10 @@ class _ReceiveShell:
                 clock="the wall clocks of both hosts",
             )
         failed = []
-        if not counts.received:
+        if not counts.rtp_packets:
             failed.append(f"no packet came to UDP port {self._stream.port}: is the sender running?")
         elif not output.decoded:
-            failed.append(f"{counts.received} packets came, but nothing could be decoded")
+            failed.append(f"{counts.rtp_packets} packets came, but nothing could be decoded")
         return ReceiveReport(
             rtp, output.report(), latency_ms=latency, cpu_s=time.process_time(), failed=failed
         )

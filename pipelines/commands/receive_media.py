@@ -64,7 +64,7 @@ class PictureOutput:
 
     @property
     def decoded(self) -> int:
-        return self._decoder.decoded
+        return self._decoder.counts.frames_decoded
 
     def drain(self) -> None:
         """Decode, count and write what the receiver has ready."""
@@ -91,12 +91,12 @@ class PictureOutput:
         counts = self.receiver.counts
         return PicturesReport(
             size=self._size,
-            frames_received=counts.units,
-            frames_damaged=counts.damaged,
-            frames_decoded=self._decoder.decoded,
-            frames_corrupt=self._decoder.corrupt_units,
-            frames_before_start=self._decoder.units_before_start,
-            pictures_asked_for=counts.asked,
+            frames_received=counts.frames_received,
+            frames_damaged=counts.frames_damaged,
+            frames_decoded=self._decoder.counts.frames_decoded,
+            frames_corrupt=self._decoder.counts.frames_corrupt,
+            frames_before_start=self._decoder.counts.frames_before_start,
+            pictures_asked_for=counts.pictures_asked_for,
         )
 
 
@@ -141,14 +141,13 @@ class SoundOutput:
 
     def report(self) -> SoundReport:
         counts = self.receiver.counts
-        playout = counts.playout
         return SoundReport(
-            frames_received=playout.played + playout.late + playout.dropped,
+            frames_received=counts.frames_received,
             frames_decoded=self.decoded,
-            frames_corrupt=counts.corrupt + playout.garbage,
+            frames_corrupt=counts.frames_corrupt,
             frames_concealed=self._concealed,
-            frames_recovered=playout.recovered,
-            frames_late=playout.late,
-            frames_dropped=playout.dropped,
-            playout_delay_ms=counts.delay_ns / NS_PER_MS,
+            frames_recovered=counts.frames_recovered,
+            frames_late=counts.frames_late,
+            frames_dropped=counts.frames_left_out,
+            playout_delay_ms=counts.playout_delay_ns / NS_PER_MS,
         )

@@ -20,7 +20,7 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
-from pipelines.commands.rtc_reports import RtcReport, connection_report
+from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
 from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.programme import Programme
@@ -92,7 +92,7 @@ def _listening(args: argparse.Namespace) -> Iterator[PageListener]:
             yield listener
 
 
-async def _serve(args: argparse.Namespace) -> RtcReport:
+async def _serve(args: argparse.Namespace) -> RtcCommandReport:
     clock, sends, servers = MonotonicClock(), sends_of(args), ice_servers_of(args)
     begin_s = time.monotonic()
     with _listening(args) as listener, closing(PartnerOutput(args, clock)) as output:
@@ -117,7 +117,7 @@ async def _serve(args: argparse.Namespace) -> RtcReport:
                 for peer in server.peers:
                     newest = connection_report(peer) or newest
             await server.close()
-            return RtcReport(
+            return RtcCommandReport(
                 seconds=time.monotonic() - begin_s,
                 connections=server.made,
                 ice_restarts=sum(peer.restarts for peer in server.peers),

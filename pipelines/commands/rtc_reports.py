@@ -38,7 +38,7 @@ class RtcConnection(Report, frozen=True, kw_only=True):
     garbage: int
 
 
-class RtcReport(Report, frozen=True, kw_only=True):
+class RtcCommandReport(Report, frozen=True, kw_only=True):
     """The report of a command that speaks WebRTC; `failed` says what went wrong."""
 
     seconds: float

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from contextlib import suppress
 
 from pipelines.commands.common import output_that_may_fail, write_text
-from pipelines.commands.rtc_reports import RtcReport
+from pipelines.commands.rtc_reports import RtcCommandReport
 from pipelines.report.model import to_json
 
 _LOOK_S = 0.2
@@ -51,7 +51,7 @@ async def driven(
             loop.remove_signal_handler(number)
 
 
-def closing_lines(args: argparse.Namespace, report: RtcReport) -> int:
+def closing_lines(args: argparse.Namespace, report: RtcCommandReport) -> int:
     """Write the report and say what failed; the exit code."""
     if args.report:
         write_text(args.report, to_json(report), "--report")

@@ -179,8 +179,8 @@ class _SendShell:
     def _line(self, now_ns: int, start_ns: int) -> None:
         counts, released = self._sender.counts, self._sender.released
         print(
-            f"{(now_ns - start_ns) / NS_PER_S:6.0f} s  {counts.captured} captured, "
-            f"{counts.sent} sent in {released.events} packets, "
+            f"{(now_ns - start_ns) / NS_PER_S:6.0f} s  {counts.frames_captured} captured, "
+            f"{counts.frames_sent} sent in {released.events} packets, "
             f"{released.mean_bps(now_ns) / 1000:.1f} of {self._sender.cap_bps / 1000:g} kbit/s, "
             f"capture to sent {self._sent_ns.percentile(95) / NS_PER_MS:.1f} ms (95 %)",
             flush=True,
@@ -191,7 +191,7 @@ class _SendShell:
         counts, released = sender.counts, sender.released
         largest_bps = released.max_bps(NS_PER_S)
         failed = []
-        if not counts.sent:
+        if not counts.frames_sent:
             failed.append(f"nothing was captured: {feed.source.last_fault or 'the source is mute'}")
         if largest_bps > sender.cap_bps:
             failed.append("the cap was broken")
@@ -204,10 +204,10 @@ class _SendShell:
             payload_bps_mean=released.mean_bps(),
             payload_bps_max_1s=largest_bps,
             payload_bps_max_100ms=released.max_bps(100 * NS_PER_MS),
-            frames_captured=counts.captured,
-            frames_encoded=counts.encoded,
-            frames_sent=counts.sent,
-            pictures_refused=counts.refused,
+            frames_captured=counts.frames_captured,
+            frames_encoded=counts.frames_encoded,
+            frames_sent=counts.frames_sent,
+            pictures_refused=counts.frames_refused,
             rtp_packets=released.events,
             rtp_payload_octets=released.octets,
             send_errors=self._udp.failed,

@@ -12,7 +12,7 @@ from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.telecommand import Sending
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import tmtc_socket_name
-from pipelines.session.control import running_sessions
+from pipelines.session.asking import running_sessions
 from pipelines.session.mission_messages import ExperimentShown, unpack
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import MISSION_GROUND_TOPIC, TASKS, TMTC_TOPICS

@@ -12,7 +12,7 @@ from pipelines.mission.tmtc_words import (
     SHORT_VERBS,
     command_from_words,
 )
-from pipelines.session.control import running_sessions
+from pipelines.session.asking import running_sessions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import TMTC_TOPICS
 from telepresence.tmtc.pus.dictionary import Application

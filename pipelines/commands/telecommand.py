@@ -1,7 +1,8 @@
-"""Sends a telecommand to a running session, and prints what becomes of it."""
+"""Sends a telecommand to a running session, and tells what becomes of it."""
 
 import sys
 import time
+from collections.abc import Iterator
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.topics.bus import Reader
@@ -28,7 +29,7 @@ _REPORTS = {"report": "housekeeping", "parameters": "parameters"}
 
 
 class Sending:
-    """Sends a request until the end has taken it, then prints what is said of it."""
+    """Sends a request until the end has taken it, then follows what is said of it."""
 
     def __init__(
         self,
@@ -49,41 +50,53 @@ class Sending:
         self._done: CommandUpdate | None = None
 
     def follow(self) -> int:
-        """Return the exit code."""
+        """Print what becomes of it; return the exit code."""
+        for news in self.news():
+            if isinstance(news, Reported):
+                print(report_words(news, self._application), flush=True)
+            else:
+                failed = news.done and not news.ok
+                print(update_words(news), file=sys.stderr if failed else sys.stdout, flush=True)
+        if self._done is None:
+            print("kontur-av: the session has not answered", file=sys.stderr)
+        return 0 if self._done is not None and self._done.ok else 1
+
+    def news(self) -> Iterator[CommandUpdate | Reported]:
+        """Yield what becomes of it, last its end; and the report that it asked for."""
         begun_ns = time.monotonic_ns()
         again_ns = end_ns = begun_ns
         while True:
             now_ns = time.monotonic_ns()
             if self._done is not None and (self._reported or now_ns >= end_ns):
-                return 0 if self._done.ok else 1
+                return
             if not self._taken and now_ns >= again_ns:
                 again_ns = now_ns + _AGAIN_NS
                 send_to_tmtc(self._session, self._origin, self._request)
             if now_ns - begun_ns > (_PATIENCE_NS if self._taken else _TAKEN_NS):
-                print("kontur-av: the session has not answered", file=sys.stderr)
-                return 1
+                return
             self._reader.wait(_LOOK_NS)
             while (lease := self._reader.next()) is not None:
                 with lease:
                     news = unpack_news(lease.octets())
-                if news is not None:
-                    self._take(news)
+                fresh = self._take(news)
+                if fresh is not None:
+                    yield fresh
             if self._done is not None and end_ns == begun_ns:
                 end_ns = time.monotonic_ns() + _AGAIN_NS if self._done.ok else now_ns
 
-    def _take(self, news: TmtcNews) -> None:
+    def _take(self, news: TmtcNews | None) -> CommandUpdate | Reported | None:
+        """Return news of this telecommand that were not told yet."""
         request = self._request
         if isinstance(news, CommandUpdate):
             if (news.client, news.id) != (request.client, request.id):
-                return
+                return None
             self._taken = True
-            if news.stage != self._stage:
-                self._stage = news.stage
-                failed = news.done and not news.ok
-                print(update_words(news), file=sys.stderr if failed else sys.stdout, flush=True)
+            known, self._stage = self._stage, news.stage
             self._done = news if news.done else None
-        elif isinstance(news, Reported) and not self._reported:
+            return None if news.stage == known else news
+        if isinstance(news, Reported) and not self._reported:
             wanted = news.kind == _REPORTS[request.verb] and news.application == request.application
             if wanted and request.name in ("", news.name):
                 self._reported = True
-                print(report_words(news, self._application), flush=True)
+                return news
+        return None

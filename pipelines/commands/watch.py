@@ -14,7 +14,7 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
-from pipelines.commands.rtc_reports import RtcReport, connection_report
+from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
 from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.keeper import Keeper
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     return closing_lines(args, asyncio.run(_watch(args)))
 
 
-async def _watch(args: argparse.Namespace) -> RtcReport:
+async def _watch(args: argparse.Namespace) -> RtcCommandReport:
     clock = MonotonicClock()
     token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
     begin_s, newest = time.monotonic(), None
@@ -75,7 +75,7 @@ async def _watch(args: argparse.Namespace) -> RtcReport:
             failed.append(f"no connection to {args.whep}: {keeper.fault or 'none was made'}")
         elif not pictures.decoded and not voice.decoded:
             failed.append("nothing could be decoded: does anybody send?")
-        return RtcReport(
+        return RtcCommandReport(
             seconds=time.monotonic() - begin_s,
             connections=keeper.attempts.stood,
             ice_restarts=keeper.attempts.restarts,

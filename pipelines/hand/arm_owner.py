@@ -118,7 +118,7 @@ def pack_line(content: OwnerRequest | OwnerAnswer) -> bytes:
 
 
 def parse_owner_answer(line: bytes) -> OwnerAnswer | None:
-    """Return the answer in a line, or None if it is none."""
+    """Return the answer in a line, or None for anything else."""
     try:
         return msgspec.json.decode(line, type=OwnerAnswer)
     except msgspec.DecodeError:

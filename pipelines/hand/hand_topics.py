@@ -102,7 +102,7 @@ def unpack_status(data: bytes) -> JoystickStatus | None:
     """Return what `pack_status` packed, or None for anything else."""
     try:
         return _DECODER.decode(data)
-    except (msgspec.MsgspecError, UnicodeDecodeError):  # text that is no UTF-8
+    except (msgspec.MsgspecError, UnicodeDecodeError):  # text that is not UTF-8
         return None
 
 

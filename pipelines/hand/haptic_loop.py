@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pipelines.hand.haptic_trace import BLOCK_ROWS
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.hand.replaying import ReplayedEnd
-from pipelines.session.figures import LoopCounters
+from pipelines.session.figures import LoopFigures
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.rows import LatenessRow
 from pipelines.session.topology import Topology
@@ -80,7 +80,7 @@ def run_loop(
         end.tell()
         lateness_rows.extend_column(lateness)
         lateness.clear()
-        probe.count(LoopCounters(slips=schedule.slips, cycles=schedule.cycles))
+        probe.tell(LoopFigures(slips=schedule.slips, cycles=schedule.cycles))
 
     context.on_flush(fill)
     tick_ns = 0

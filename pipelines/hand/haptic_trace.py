@@ -1,4 +1,4 @@
-"""The haptic samples of one end as they were, 1000 a second, for whoever draws or keeps them.
+"""The haptic samples of one end as they were, 1000 a second, for drawing and recording.
 
 The 1 kHz loop appends a row in each cycle, but only while the topic has a reader. A block of rows
 is packed at once, because packing row by row would cost several times as much.

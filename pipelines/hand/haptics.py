@@ -1,22 +1,14 @@
 """The two haptic endpoints, one cycle at a time: robot on the ground, joystick in space."""
 
-from dataclasses import replace
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
+from pipelines.hand.figures import WallFigures
 from pipelines.hand.haptic_trace import HapticTrace, flags_of
-from pipelines.session.figures import (
-    HapticCounters,
-    JoystickGauges,
-    OwnerGauges,
-    PortGauges,
-    WallCounters,
-)
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.figures import HapticLinkFigures
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.ownership import HapticOwnership, Owner
@@ -30,22 +22,6 @@ Side = TypeVar("Side", bound=JoystickSide | RobotSide)
 _PUBLISH_EVERY = 10
 #: Once a millisecond.
 CYCLE_NS = NS_PER_MS
-
-
-def sample_counters(samples: HapticLinkFigures) -> HapticCounters:
-    """Return the counters of an end's samples, without those of its controller."""
-    return HapticCounters(
-        sent=samples.sent,
-        received=samples.received,
-        lost=samples.lost,
-        late=samples.late,
-        repeated=samples.repeated,
-        strays=samples.strays,
-        greetings=samples.greetings,
-        garbage=samples.garbage,
-        sessions=samples.sessions,
-        restarts=samples.restarts,
-    )
 
 
 class _End(Generic[Side]):
@@ -80,18 +56,9 @@ class _End(Generic[Side]):
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
-        samples, port = link.report(), self.side.report()
-        self._probe.count(
-            replace(
-                sample_counters(samples),
-                left_out=samples.left_out,
-                energy_in_uj=port.energy_in_uj,
-                energy_out_uj=port.energy_out_uj,
-                passivity_acted=port.passivity_acted,
-                totals_refused=port.totals_refused,
-            )
-        )
-        self._probe.gauge(PortGauges(credit_uj=port.credit_uj, least_uj=port.least_uj))
+        self._probe.tell(link.sent_figures())
+        self._probe.tell(link.received_figures())
+        self._probe.tell(self.side.report())
         self._sent.extend_plain(link.take_sent_stamps())
         self._received.extend_plain(link.take_received_stamps())
         while link.next_event() is not None:
@@ -146,7 +113,7 @@ class RobotEnd(_End[RobotSide]):
         """Put the counters and stamps into the probe."""
         super().tell()
         if self._ownership is not None:
-            self._probe.gauge(OwnerGauges(arm=self._ownership.report()))
+            self._probe.tell(self._ownership.report())
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """One cycle, which moves the robot on by `advance_ns`."""
@@ -199,7 +166,7 @@ class JoystickEnd(_End[JoystickSide]):
     """Reads the position of the handle, and applies the robot's force to it.
 
     handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
-        is reported in `JoystickGauges`.
+        is reported, too.
     life: as in `RobotEnd`.
     mediated: the hand feels the wall that `handle_wall` takes.
     """
@@ -238,15 +205,15 @@ class JoystickEnd(_End[JoystickSide]):
         controller = self.side.controller
         if isinstance(controller, MediatedController):
             renderer = controller.renderer
-            self._probe.count(
-                WallCounters(
+            self._probe.tell(
+                WallFigures(
                     walls=renderer.used,
                     walls_stale=renderer.stale,
                     walls_garbage=controller.garbage,
                 )
             )
         if self._operated is not None:
-            self._probe.gauge(JoystickGauges(joystick=self._operated.report()))
+            self._probe.tell(self._operated.report())
         while (step := self._steps.next_event()) is not None:
             self._felt.add(StepRow(step.instant_ns))
 

@@ -31,7 +31,7 @@ class JoystickStatusTeller(WatchedTopic):
         self._command_refusal = ""
 
     def handle_request(self, data: bytes) -> None:
-        """Carry out the command in `data`; octets that are none change nothing."""
+        """Carry out the command in `data`; malformed input is ignored."""
         request = unpack_request(data)
         if request is not None:
             self._refusal = self._handle.handle_command(request.event)[:MOST_CHARACTERS]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipelines.hand.haptic_trace import CONTACT, DEAD_MAN, lit_of, state_of
-from pipelines.hand.haptics import CYCLE_NS, sample_counters
+from pipelines.hand.haptics import CYCLE_NS
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.loop import joystick_link, robot_link
@@ -136,7 +136,8 @@ class ReplayedEnd:
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
-        self._probe.count(sample_counters(link.report()))
+        self._probe.tell(link.sent_figures())
+        self._probe.tell(link.received_figures())
         self._sent.extend_plain(link.take_sent_stamps())
         self._received.extend_plain(link.take_received_stamps())
         while (step := self._steps.next_event()) is not None:

@@ -1,7 +1,8 @@
 """One end of the link, live and simulated: gateway, slots, radio and figures. A core."""
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.session.figures import GatewayGauges, LoopCounters, PeerGauges
+from pipelines.link.figures import WayInFigures
+from pipelines.session.figures import LoopFigures
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ClockRow
 from pipelines.session.setup.table import Setup
@@ -96,13 +97,14 @@ class GatewayEnd:
         peer: the path to the other machine.
         """
         probe, schedule = self._probe, self.slots.schedule
-        probe.count(LoopCounters(slips=schedule.slips, cycles=schedule.cycles))
+        probe.tell(LoopFigures(slips=schedule.slips, cycles=schedule.cycles))
         figures = self.gateway.report(now_ns)
-        probe.gauge(GatewayGauges(link=figures))
+        probe.tell(figures)
         _note_clock(probe, figures)
         if peer is not None:
-            back = None if self._radio_in is None else self._radio_in.report()
-            probe.gauge(PeerGauges(peer=peer, back=back))
+            probe.tell(peer)
+        if self._radio_in is not None:
+            probe.tell(WayInFigures(radio_back=self._radio_in.report()))
         return figures
 
 

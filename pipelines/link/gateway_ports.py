@@ -105,6 +105,10 @@ class GatewayPorts:
             yield self._fetch_haptic(self._haptic_octets)
 
     def strangers(self) -> dict[str, int]:
-        """Return the number of strangers' datagrams by port."""
+        """Return the number of strangers' datagrams by port, if there were any.
+
+        A port is named by what it receives: "radio", "haptic", or the name of a flow.
+        """
         counts = {"radio": self._radio_strangers, "haptic": self._haptic.strangers}
-        return counts | {name: inlet.strangers for name, inlet in self._entries.items()}
+        counts |= {name: inlet.strangers for name, inlet in self._entries.items()}
+        return {name: count for name, count in sorted(counts.items()) if count}

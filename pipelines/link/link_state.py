@@ -19,7 +19,7 @@ def link_values(figures: GatewayFigures) -> LinkValues:
     return {
         "state": supervision.state,
         "signal": supervision.signal,
-        "frames": receive.frames,
+        "frames": receive.frames_received,
         "frames_lost": receive.frames_lost,
         "haptic_received": receive.haptic_received,
         "waiting": sum(queue.octets for queue in queues),

@@ -30,7 +30,7 @@ class PeerPath(Protocol):
         """Take one step of what waits for the rest of a slot; whether there was one."""
 
     def poll_transmit(self) -> tuple[bytes, Address] | None:
-        """Return a datagram that is no frame, and where it goes."""
+        """Return a datagram other than a frame, and where it goes."""
 
     def report(self, now_ns: int) -> PeerFigures:
         """What is known of the path."""

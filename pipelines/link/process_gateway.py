@@ -12,13 +12,13 @@ from contextlib import ExitStack
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
+from pipelines.link.figures import SocketFigures
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.link.gateway_ports import GatewayPorts
 from pipelines.link.link_topics import LinkTopics
 from pipelines.link.peer_socket import PeerPlan, PeerSocket, make_path
 from pipelines.session.datagrams import EndAddresses
 from pipelines.session.exercises import new_exercises
-from pipelines.session.figures import GatewayCounters
 from pipelines.session.process import Context
 from pipelines.session.rows import LatenessRow, SendingRow
 from pipelines.session.topology import TRAINER_TOPIC, Segment
@@ -190,7 +190,7 @@ class _GatewayLoop:
             probe.series(kind).extend_column(instants)
             instants.clear()
         ports = self._ports
-        probe.count(GatewayCounters(unsent=ports.to_peer.failed, strangers=ports.strangers()))
+        probe.tell(SocketFigures(unsent=ports.to_peer.failed, strangers=ports.strangers()))
         figures = self._end.tell(now_ns, None if self._path is None else self._path.report())
         if self.topics is not None:
             self.topics.handle_figures(figures, now_ns)

@@ -1,8 +1,8 @@
 """The figures of an input."""
 
 from kontur_av.media import CaptureStamp
+from pipelines.media.figures import CaptureFigures
 from pipelines.media.taking_over import Takeover
-from pipelines.session.figures import CaptureCounters, CaptureGauges
 from pipelines.session.probe import Probe
 
 
@@ -24,16 +24,12 @@ class Capturing:
 
         takeover: of the input, if pages can take it over.
         """
-        self._probe.count(
-            CaptureCounters(
+        self._probe.tell(
+            CaptureFigures(
                 captured=self._captured,
                 source_faults=faults,
                 from_page=None if takeover is None else takeover.from_page,
                 page_refused=None if takeover is None else takeover.refused,
-            )
-        )
-        self._probe.gauge(
-            CaptureGauges(
                 captured_ns=self._last_ns,
                 source_fault=last_fault or None,
                 live_source=None if takeover is None else takeover.live_source,

@@ -5,10 +5,13 @@ from dataclasses import replace
 from itertools import count
 from typing import NamedTuple
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
 
+#: A choice and its confirmation are told again after this time.
+AGAIN_NS = 100 * NS_PER_MS
 _NUMBER = struct.Struct("=q")
-#: A choice with the longest name of a camera (`telepresence.tmtc.check_name`), and a confirmation.
+#: A choice with the longest name of a camera (`pipelines.session.setup.table`), and a confirmation.
 CHOICE_OCTETS = _NUMBER.size + 255
 CONFIRMED_OCTETS = _NUMBER.size
 
@@ -46,7 +49,7 @@ class CameraFollower:
 
     When `handle_choice` returns True, read pictures of `camera` only, and drop a picture that waits
     to be coded. Code no picture while `leaving`. Report with `handle_sender` when no picture of the
-    previous camera is being coded or waits to be sent. Then `confirmed` is the choice's number.
+    previous camera is being coded or waits to be sent. Then tell the selector `poll_confirmed`.
 
     A restarted sender begins without a camera and can send nothing of an earlier one. So it
     confirms the first choice that it receives.
@@ -56,6 +59,7 @@ class CameraFollower:
         self.camera: str | None = None
         self.leaving = False
         self._number: int | None = None
+        self._told: tuple[int, int] | None = None
         self._pictures = count()
 
     def handle_choice(self, choice: Choice) -> bool:
@@ -83,6 +87,20 @@ class CameraFollower:
     def confirmed(self) -> int | None:
         """The last choice's number; None until nothing is left of the previous camera."""
         return None if self.leaving else self._number
+
+    def poll_confirmed(self, now_ns: int) -> int | None:
+        """The number to tell the selector now, or None.
+
+        It is told repeatedly, for a selector that has started since.
+        """
+        number = self.confirmed
+        if number is None:
+            return None
+        told = self._told
+        if told is not None and told[0] == number and now_ns - told[1] < AGAIN_NS:
+            return None
+        self._told = number, now_ns
+        return number
 
     def restamp(self, stamp: CaptureStamp) -> CaptureStamp:
         """`stamp` with a sequence number that counts the pictures of all cameras."""

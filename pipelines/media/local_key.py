@@ -1,20 +1,23 @@
-"""Key pictures that are made here, for decoders that begin in the middle of a stream."""
+"""Key pictures that are made here, for decoders that begin in the middle of a stream.
 
+All take longer than an event loop may wait: see `KeyPictureMaker`.
+"""
+
+from collections.abc import Iterable
 from fractions import Fraction
-from functools import lru_cache
 
 import av
 from av.video.frame import PictureType
 
-from kontur_av.codecs.h264 import without_user_data
+from kontur_av.codecs.h264 import H264Decoder, without_user_data
 from kontur_av.codecs.scaling import shrink
-from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, empty_picture
+from kontur_av.media import I420, empty_picture
 
 #: libx264's quantizer: measured 50 dB and more on the built-in scenes.
-_QUANTIZER = 8
+QUANTIZER = 8
 
 
-def key_of(picture: I420, quantizer: int = _QUANTIZER) -> bytes:
+def key_of(picture: I420, quantizer: int = QUANTIZER) -> bytes:
     """Return an access unit with one IDR picture, with SPS and PPS (Annex B).
 
     quantizer: libx264's; by default of high quality.
@@ -41,10 +44,13 @@ def filmed_key(picture: I420, width: int, height: int) -> bytes:
     return key_of(small)
 
 
-@lru_cache(maxsize=8)
-def black_key(width: int, height: int) -> bytes:
-    """Return the key of a black picture; a whole refresh wave behind it makes all right."""
-    picture = empty_picture(width, height)
-    picture[:height] = BLACK_LUMA
-    picture[height:] = NEUTRAL_CHROMA
-    return key_of(picture)
+def last_key(units: Iterable[bytes], width: int, height: int) -> bytes | None:
+    """Return `key_of` the last picture of these access units; None if it has another size."""
+    decoder = H264Decoder()
+    newest = None
+    for unit in units:
+        for picture in decoder.decode(unit, 0):
+            newest = picture
+    if newest is None or (newest.width, newest.height) != (width, height):
+        return None
+    return key_of(newest.to_i420())

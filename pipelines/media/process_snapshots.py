@@ -6,8 +6,8 @@ import cv2
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
+from pipelines.media.figures import SnapshotFigures
 from pipelines.media.snapshots import SnapshotSchedule
-from pipelines.session.figures import SnapshotCounters
 from pipelines.session.process import PATIENCE_NS, Context
 
 
@@ -21,7 +21,7 @@ def run_snapshots(context: Context) -> None:
     written = failed = 0
 
     def fill() -> None:
-        probe.count(SnapshotCounters(snapshots=written, snapshots_failed=failed))
+        probe.tell(SnapshotFigures(snapshots=written, snapshots_failed=failed))
 
     context.on_flush(fill)
     with context.open_bus() as bus:

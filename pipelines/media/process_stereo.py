@@ -3,7 +3,7 @@
 from kontur_av.clock import NS_PER_S
 from kontur_av.sources.stereo import StereoPairer, merge
 from kontur_av.topics.bus import Lease
-from pipelines.session.figures import StereoCounters
+from pipelines.media.figures import StereoFigures
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
 
@@ -17,7 +17,7 @@ def run_stereo(context: Context) -> None:
     pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
 
     def fill() -> None:
-        context.probe.count(StereoCounters(paired=pairer.paired, single=pairer.single))
+        context.probe.tell(StereoFigures(paired=pairer.paired, single=pairer.single))
 
     context.on_flush(fill)
     with context.open_bus() as bus:

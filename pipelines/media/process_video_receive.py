@@ -5,7 +5,7 @@ import secrets
 from kontur_av.codecs.h264 import H264Decoder
 from pipelines.media.coded_topics import ReceivedTopics
 from pipelines.media.session_streams import video_receiver
-from pipelines.media.stream_figures import note_unit, tell_video_receiver
+from pipelines.media.stream_figures import note_unit
 from pipelines.session.process import Context
 from pipelines.session.reception import Incoming
 from pipelines.session.rows import DecodedRow
@@ -24,8 +24,8 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     decoded = probe.series(DecodedRow)
 
     def tell() -> None:
-        counts = decoder.decoded, decoder.corrupt_units, decoder.restarts
-        tell_video_receiver(probe, receiver, *counts)
+        probe.tell(receiver.counts)
+        probe.tell(decoder.counts)
 
     context.on_flush(tell)
     with context.open_bus() as bus:

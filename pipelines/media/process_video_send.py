@@ -149,8 +149,6 @@ class SelectionTopics:
         self._follower = CameraFollower()
         self.reader = bus.reader(SELECTED_TOPIC)
         self._writer = bus.writer(FOLLOWED_TOPIC, max_octets=CONFIRMED_OCTETS)
-        self._told: int | None = None
-        self._told_ns = 0
         #: No picture has come since another camera was selected.
         self._new = False
         self.restamp = self._follower.restamp
@@ -192,14 +190,11 @@ class SelectionTopics:
 
     def handle_sender(self, *, idle: bool, now_ns: int) -> None:
         """Confirm the choice if possible. idle: nothing is being encoded or waits to be sent."""
-        follower = self._follower
-        follower.handle_sender(idle=idle)
-        number = follower.confirmed
-        if number is None or (number == self._told and now_ns - self._told_ns < PATIENCE_NS):
-            return
-        # Repeatedly, for a selector that has started since.
-        self._told, self._told_ns = number, now_ns
-        self._writer.publish_octets(pack_confirmed(number), CaptureStamp(now_ns, number, "sender"))
+        self._follower.handle_sender(idle=idle)
+        number = self._follower.poll_confirmed(now_ns)
+        if number is not None:
+            stamp = CaptureStamp(now_ns, number, "sender")
+            self._writer.publish_octets(pack_confirmed(number), stamp)
 
 
 def read_tip(robot: Reader, tip: TipRegion) -> None:

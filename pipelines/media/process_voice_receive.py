@@ -5,7 +5,7 @@ from kontur_av.media import AudioFrame
 from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.media.session_streams import voice_receiver
-from pipelines.media.stream_figures import note_arrivals, tell_voice_receiver
+from pipelines.media.stream_figures import note_arrivals
 from pipelines.session.process import Context
 from pipelines.session.reception import Incoming
 from pipelines.session.sample_topic import SampleTopic
@@ -17,7 +17,7 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     clock, probe = context.clock, context.probe
     receiver = voice_receiver(context.topology, stream, wall_offset_ns=clock.wall_offset_ns)
     player = VoicePlayer()
-    context.on_flush(lambda: tell_voice_receiver(probe, receiver))
+    context.on_flush(lambda: probe.tell(receiver.counts))
     with context.open_bus() as bus:
         incoming = Incoming(context, stream, receiver)
         writer = bus.writer(

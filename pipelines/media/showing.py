@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import BLOCK_NS, CaptureStamp, Quality
 from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
+from pipelines.media.figures import DisplayFigures
 from pipelines.media.screen import Drawing, Screen
-from pipelines.session.figures import DisplayCounters, DisplayGauges
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ShownRow
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
@@ -76,7 +76,7 @@ class Showing:
         for stream, staleness in self.staleness.items():
             staleness.handle_time(now_ns)
             stale, frozen, damaged = staleness.stale, staleness.frozen, staleness.damaged
-            counters = DisplayCounters(
+            told = DisplayFigures(
                 frames_displayed=self._shown[stream],
                 stale_ns=stale.total_ns,
                 stale_episodes=stale.episodes,
@@ -84,12 +84,10 @@ class Showing:
                 frozen_episodes=frozen.episodes,
                 damaged_ns=damaged.total_ns,
                 damaged_episodes=damaged.episodes,
+                age_ns=staleness.age_ns(now_ns),
+                state=staleness.state(now_ns),
             )
-            probe.count(counters, stream)
-            age_ns = staleness.age_ns(now_ns)
-            if age_ns is not None:
-                state = staleness.state(now_ns)
-                probe.gauge(DisplayGauges(age_ns=age_ns, state=state), stream)
+            probe.tell(told, stream)
 
 
 def _staleness(setup: Setup, stream: VideoStream | VoiceStream) -> Staleness:

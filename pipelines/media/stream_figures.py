@@ -6,21 +6,12 @@ Only this module knows both the events of `kontur_av.streams` and the figures of
 from collections.abc import Callable
 
 from kontur_av.rtp.payload_h264 import ReceivedUnit
-from kontur_av.rtp.receiver import ReceiverCounts
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS
-from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import PictureCoded, VideoSender
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
+from pipelines.media.figures import GainFigures
 from pipelines.media.gain import CapGain
-from pipelines.session.figures import (
-    ReceptionCounters,
-    ReceptionGauges,
-    SendingCounters,
-    VideoReceptionCounters,
-    VideoSendingCounters,
-    VoiceReceptionCounters,
-)
 from pipelines.session.probe import Probe
 from pipelines.session.rows import CodingRow, OutRow, RxRow, TxRow
 
@@ -70,81 +61,12 @@ class Outgoing:
 def tell_sender(
     probe: Probe, sender: VideoSender | VoiceSender, gain: CapGain | None = None
 ) -> None:
-    """Put a sender's counters into the probe; gain: of its cap."""
-    counts = sender.counts
-    probe.count(
-        SendingCounters(
-            frames_captured=counts.captured,
-            frames_encoded=counts.encoded,
-            frames_sent=counts.sent,
-            frames_refused=counts.refused,
-            rtp_packets_sent=counts.rtp_packets,
-        )
-    )
-    if not isinstance(sender, VideoSender):
-        return
-    video = sender.counts
-    probe.count(
-        VideoSendingCounters(
-            feedback_received=video.losses_told,
-            feedback_garbage=video.feedback_garbage,
-            gained_bits=None if gain is None else gain.gained_bits,
-            gain_changes=None if gain is None else gain.changes,
-        )
-    )
-
-
-def tell_video_receiver(
-    probe: Probe, receiver: VideoReceiver, decoded: int, corrupt: int, restarts: int
-) -> None:
-    """Put a receiver's counters into the probe, with those of the decoder."""
-    counts = receiver.counts
-    probe.count(_reception(counts.rtp, counts.undated))
-    probe.count(
-        VideoReceptionCounters(
-            frames_received=counts.units,
-            frames_damaged=counts.damaged,
-            frames_decoded=decoded,
-            frames_corrupt=corrupt,
-            decoder_restarts=restarts,
-            frames_oversized=counts.oversized,
-            pictures_asked_for=counts.asked,
-        )
-    )
-    probe.gauge(ReceptionGauges(jitter_ns=counts.jitter_ns))
-
-
-def tell_voice_receiver(probe: Probe, receiver: VoiceReceiver) -> None:
-    """Put a receiver's counters into the probe."""
-    counts = receiver.counts
-    playout = counts.playout
-    probe.count(_reception(counts.rtp, counts.undated))
-    probe.count(
-        VoiceReceptionCounters(
-            frames_decoded=playout.played + playout.recovered - counts.corrupt,
-            frames_concealed=playout.concealed + counts.corrupt,
-            frames_recovered=playout.recovered,
-            frames_late=playout.late,
-            frames_left_out=playout.dropped,
-            inserted_ns=counts.inserted_ns,
-            frames_stretched=playout.stretched,
-            frames_shortened=playout.shortened,
-        )
-    )
-    probe.gauge(ReceptionGauges(jitter_ns=counts.jitter_ns, playout_delay_ns=counts.delay_ns))
-
-
-def _reception(rtp: ReceiverCounts, undated: int) -> ReceptionCounters:
-    return ReceptionCounters(
-        rtp_packets=rtp.received,
-        rtp_lost=rtp.lost,
-        rtp_reordered=rtp.reordered,
-        rtp_duplicates=rtp.duplicates,
-        rtp_late=rtp.late,
-        garbage=rtp.garbage,
-        sources=rtp.sources,
-        frames_undated=undated,
-    )
+    """Put a sender's counts into the probe; gain: of its cap."""
+    probe.tell(sender.counts)
+    if isinstance(sender, VideoSender):
+        probe.tell(sender.feedback)
+    if gain is not None:
+        probe.tell(GainFigures(gained_bits=gain.gained_bits, gain_changes=gain.changes))
 
 
 def note_unit(probe: Probe, unit: ReceivedUnit) -> None:

@@ -16,11 +16,11 @@ from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.codecs.black_key import black_key
 from kontur_av.codecs.healing import recovery_pictures
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.media.local_key import black_key
 from pipelines.session.messages import UNKNOWN_US
 
 #: What a page may have to decode before its first picture: 0.4 s or less in Chromium, measured.
@@ -162,7 +162,8 @@ class UnitHistory:
     def _begin(self, ahead: KeptUnit) -> None:
         """Begin with `ahead`, which has parameter sets of its own; the next unit has the stream's.
 
-        They are not sent alone, because that is no access unit: browsers close their decoder.
+        They are not sent alone: browsers do not take them for an access unit, and close their
+        decoder.
         """
         self._ahead, self._whole = ahead, True
         if self._units and not parameter_sets(self._units[0].data):

@@ -1,22 +1,21 @@
-"""The selector's process: it receives telecommands, and tells the sender which camera to follow.
+"""The selector's process: PUS of the ground, and which camera the sender is to follow.
 
-It reads no pictures. A choice is kept in a file, then published, and acknowledged when the sender
-has confirmed it. PUS of the ground is here, too: `TmtcDesk`.
+It reads no pictures. A choice is kept in a file, then published, and its telecommand is completed
+when the sender has confirmed it.
 """
 
-from contextlib import suppress
+from collections import deque
 from itertools import count
 
-from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.session_files import session_root
-from pipelines.media.choosing import CameraChoice
 from pipelines.media.following import CHOICE_OCTETS, unpack_confirmed
+from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.tmtc_desk import TmtcDesk
+from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.session.mission_messages import CameraWish, unpack
 from pipelines.session.process import LOOPBACK, PATIENCE_NS, Context
 from pipelines.session.reception import replace_file
-from pipelines.session.robot_state import newest_state
 from pipelines.session.sample_topic import SampleTopic
 from pipelines.session.topology import (
     FOLLOWED_TOPIC,
@@ -36,7 +35,9 @@ def run_selector(context: Context) -> None:
     # A selector that was killed goes on with its last choice.
     remembered = session_root(context.session) / "selected"
     known = remembered.read_text("ascii") if remembered.exists() else ""
-    choice = CameraChoice(context.setup, context.probe, now_ns=clock.now_ns(), selected=known)
+    choice = CameraChoice(
+        context.setup.cameras, context.probe, now_ns=clock.now_ns(), selected=known
+    )
     udp = context.listen(topology.exit_port(TELECOMMAND))
     gateway = (LOOPBACK, topology.entry_port(TELEMETRY))
     context.on_flush(choice.tell)
@@ -44,7 +45,6 @@ def run_selector(context: Context) -> None:
     with context.open_bus() as bus:
         writer = bus.writer(SELECTED_TOPIC, max_octets=CHOICE_OCTETS)
         reader = bus.reader(FOLLOWED_TOPIC)
-        state_at = newest_state(bus)
         received = SampleTopic(bus, packets_topic(TELECOMMAND, sent=False))
         sent = SampleTopic(bus, packets_topic(TELEMETRY, sent=True))
         wished = None
@@ -56,40 +56,37 @@ def run_selector(context: Context) -> None:
             udp.sendto(packet, gateway)
             sent.handle_sample(packet, now_ns)
 
-        desk = TmtcDesk(context, bus, Segment.GROUND, send)
+        asked: deque[FunctionAsked] = deque()
+        desk = TmtcDesk(context, bus, Segment.GROUND, send, asked.append)
         waiter = bus.waiter([reader], [udp.fileno(), desk.socket.fileno()])
-        publish_ns = 0
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             changed = False
             while (datagram := context.receive(udp)) is not None:
-                if not desk.handle_packet(datagram, now_ns):
-                    changed |= choice.handle_packet(datagram, now_ns)
+                desk.handle_packet(datagram, now_ns)
                 received.handle_sample(datagram, now_ns)
             if wished is not None and (lease := wished.latest()) is not None:
                 with lease:
                     wish = unpack(CameraWish, lease.octets())
                 if wish.number > newest_wish:
                     newest_wish = wish.number
-                    with suppress(ProtocolError):  # checked when the session began
-                        changed |= choice.select(wish.camera, now_ns)
+                    changed |= choice.select(wish.camera, now_ns)
+            while asked:
+                changed |= choice.handle_asked(asked.popleft(), now_ns)
             if changed:
                 replace_file(remembered, choice.selected.encode("ascii"))
-            if changed or now_ns >= publish_ns:
-                # Published repeatedly, for a sender that has started since.
-                publish_ns = now_ns + PATIENCE_NS
+            if (told := choice.poll_choice(now_ns)) is not None:
                 stamp = CaptureStamp(now_ns, next(numbers), "selector")
-                writer.publish_octets(choice.choice.pack(), stamp)
+                writer.publish_octets(told.pack(), stamp)
             confirmed = reader.latest()
             if confirmed is not None:
                 with confirmed:
-                    choice.handle_confirmed(unpack_confirmed(confirmed.octets()), now_ns)
-            if now_ns >= choice.poll_timeout():
-                choice.handle_state(state_at(now_ns), now_ns)
-            while (packet := choice.poll_transmit(now_ns)) is not None:
-                send(packet, now_ns)
+                    choice.handle_confirmed(unpack_confirmed(confirmed.octets()))
+            while (request := choice.next_event()) is not None:
+                desk.end.handle_request(request, now_ns)
             desk.work(now_ns)
-            waiter.wait(desk.wait_ns(now_ns, PATIENCE_NS))
+            wait_ns = 0 if asked else min(PATIENCE_NS, choice.poll_timeout() - now_ns)
+            waiter.wait(desk.wait_ns(now_ns, max(0, wait_ns)))
         del waiter
         desk.close()

@@ -14,11 +14,11 @@ from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root, session_root
 from pipelines.link.link_state import CONNECTED, unpack_link
 from pipelines.media.following import Choice
+from pipelines.mission.figures import TaskFigures
 from pipelines.mission.mission import MissionGround, MissionMemory, Seen, robot_order
 from pipelines.mission.run_files import RunFiles
 from pipelines.mission.tmtc_client import TmtcClient
 from pipelines.mission.tmtc_messages import FunctionAsked
-from pipelines.session.figures import TaskCounters, TaskGauges
 from pipelines.session.mission_messages import CameraWish, RobotStatus
 from pipelines.session.mission_topic import MissionReader, MissionWriter
 from pipelines.session.process import LOOPBACK, Context
@@ -183,8 +183,9 @@ class _Tasks:
 
     def _tell(self) -> None:
         rows, files, probe = self._ground.journal.newest(KEPT), self._files, self._context.probe
-        probe.gauge(TaskGauges(rows=tuple(rows), unrecorded_why=files.why))
-        probe.count(TaskCounters(unrecorded=files.unrecorded))
+        runs = {row.run: row for row in rows}
+        why = files.why or None
+        probe.tell(TaskFigures(unrecorded=files.unrecorded, unrecorded_why=why, runs=runs))
 
 
 def _read(path: Path) -> MissionMemory | None:

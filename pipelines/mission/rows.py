@@ -58,7 +58,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 packets_topic(TELECOMMAND, sent=False),
                 packets_topic(TELEMETRY, sent=True),
             ),
-            what="tells the sender which camera telecommands select; PUS of the ground",
+            what="PUS of the ground; tells the sender which camera telecommands select",
         ),
         ProcessRow(
             name=CONSOLE,
@@ -73,7 +73,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 packets_topic(TELECOMMAND, sent=True),
                 packets_topic(TELEMETRY, sent=False),
             ),
-            what="sends telecommands, answers `kontur-av select`; PUS of space",
+            what="PUS of space: sends telecommands",
         ),
         ProcessRow(
             name=TASKS,

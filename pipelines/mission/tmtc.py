@@ -4,6 +4,7 @@ from collections import OrderedDict, deque
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
+from pipelines.mission.figures import TmtcFigures
 from pipelines.mission.tmtc_messages import (
     CommandUpdate,
     FunctionAsked,
@@ -23,9 +24,9 @@ from pipelines.mission.tmtc_messages import (
     plain_fields,
     unpack_request,
 )
-from pipelines.session.figures import TmtcCounters
 from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.mediated.wall import is_wall
 from telepresence.tmtc.k2aci import Arrived, K2aciEndpoint
 from telepresence.tmtc.pus.application import FunctionRequest, PusApplication
 from telepresence.tmtc.pus.dictionary import Dictionary
@@ -41,7 +42,7 @@ from telepresence.tmtc.pus.user import (
     PusUser,
     UserEvent,
 )
-from telepresence.tmtc.pus.verification import Stage
+from telepresence.tmtc.pus.verification import VerificationStage
 
 #: What PUS may take of its direction of the link: half of what the level TMTC may.
 PUS_RATE_BPS = 4_000
@@ -115,8 +116,9 @@ class TmtcEnd:
         self._signal: bool | None = None
 
     def handle_packet(self, octets: bytes, now_ns: int) -> bool:
-        """A datagram of the flow; False, and nothing happens, if it is none of PUS."""
+        """A datagram of the flow; False if it is not one of PUS. Only walls may be beside them."""
         if not is_packet(octets):
+            self._garbage += not is_wall(octets)
             return False
         self._node.handle_packet(octets, now_ns)
         return True
@@ -217,8 +219,8 @@ class TmtcEnd:
         """Put the counters into the probe."""
         node, user = self._node, self._user
         applications = self.applications.values()
-        probe.count(
-            TmtcCounters(
+        probe.tell(
+            TmtcFigures(
                 pus_sent=node.sent,
                 pus_sent_octets=node.sent_octets,
                 pus_received=node.received,
@@ -261,11 +263,12 @@ class TmtcEnd:
         try:
             number = self._send(request, now_ns)
             reason = "too many telecommands are open" if number is None else ""
+            mistake = False
         except ConfigError as error:
-            number, reason = None, str(error)
+            number, reason, mistake = None, str(error), True
         if number is None:
             refused = CommandUpdate(
-                *asked, request.application, "refused", done=True, reason=reason
+                *asked, request.application, "refused", done=True, reason=reason, mistake=mistake
             )
             self._answer(asked, refused)
             return
@@ -311,7 +314,7 @@ class TmtcEnd:
         if isinstance(event, CommandProgress):
             asked = self._commands.get(event.number)
             if asked is not None:
-                stage = "accepted" if event.stage is Stage.ACCEPTED else "started"
+                stage = "accepted" if event.stage is VerificationStage.ACCEPTED else "started"
                 self._answer(asked, CommandUpdate(*asked, event.application, stage, verified=True))
         elif isinstance(event, CommandUnanswered):
             asked = self._commands.get(event.number)

@@ -14,10 +14,11 @@ from kontur_av.topics.bus import Reader, TopicBus
 from kontur_av.topics.session_files import make_session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
 from pipelines.link.link_state import unpack_link
+from pipelines.mission.choosing import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, FunctionAsked, pack_news
 from pipelines.mission.tmtc_socket import TmtcSocket
-from pipelines.mission.tmtc_sources import GatewaySource, JoystickDesk, RobotSource
+from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.mission_messages import MISSION_OCTETS, RobotStatus, pack, unpack
 from pipelines.session.process import Context
 from pipelines.session.robot_state import unpack_state
@@ -43,22 +44,29 @@ Take = Callable[[bytes, int], None]
 class TmtcDesk:
     """Call `handle_packet` for each datagram of the flow, and `work` at least every 100 ms.
 
-    send: gives a packet to the radio.
+    send: gives a packet to the radio. ask: takes functions of applications in this process.
     """
 
-    def __init__(self, context: Context, bus: TopicBus, segment: Segment, send: Take) -> None:
+    def __init__(
+        self,
+        context: Context,
+        bus: TopicBus,
+        segment: Segment,
+        send: Take,
+        ask: Callable[[FunctionAsked], object] = lambda _asked: None,
+    ) -> None:
         clock = context.clock
         now_ns = clock.now_ns()
         self.end = TmtcEnd(
             segment,
-            built_in_dictionary(),
+            session_dictionary(built_in_dictionary(), context.setup.cameras),
             now_ns=now_ns,
             first_count=secrets.randbelow(COUNT_MODULUS),
             life=(now_ns + clock.wall_offset_ns) // NS_PER_S,
             epoch_ns=clock.wall_offset_ns,
             delay_ns=context.setup.radio_profile.longest_delay_ns,
         )
-        self._send = send
+        self._send, self._ask = send, ask
         self._source = f"tmtc.{segment.value}"
         self._numbers = count()
         self._news = bus.writer(TMTC_TOPICS[segment], max_octets=MAX_NEWS_OCTETS)
@@ -73,7 +81,7 @@ class TmtcDesk:
         #: Turns what an application is asked for into a request to its process; None: not its.
         self._request: Callable[[FunctionAsked, int], bytes | None]
         if segment is Segment.SPACE:
-            joystick = JoystickDesk(self.end, first_number=now_ns)
+            joystick = JoystickSource(self.end, first_number=now_ns)
             self._request = joystick.handle_asked
             self._commands = bus.writer(JOYSTICK_COMMAND_TOPIC, max_octets=REQUEST_OCTETS)
 
@@ -110,7 +118,7 @@ class TmtcDesk:
         return self._requests.socket
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> bool:
-        """A datagram of the flow; False if it is none of PUS. Call `work` afterwards."""
+        """A datagram of the flow; False if it is not one of PUS. Call `work` afterwards."""
         return self.end.handle_packet(datagram, now_ns)
 
     def work(self, now_ns: int) -> None:
@@ -126,6 +134,7 @@ class TmtcDesk:
             self._send(packet, now_ns)
         while (news := end.next_event()) is not None:
             if isinstance(news, FunctionAsked):
+                self._ask(news)
                 asked = self._request(news, now_ns)
                 if asked is not None:
                     stamp = CaptureStamp(now_ns, next(self._numbers), self._source)

@@ -92,7 +92,7 @@ class CommandUpdate(msgspec.Struct, frozen=True, tag=True, omit_defaults=True):
     stage: "taken" (by this end), "unacknowledged" (sent `tries` times, and nothing came back),
     "accepted", "started", "completed", "failed", or "refused" here, before it was sent. done:
     nothing follows. verified: the other end said so; without it nobody knows whether it was carried
-    out.
+    out. mistake: it was refused because the request itself is wrong.
     """
 
     client: str
@@ -105,6 +105,7 @@ class CommandUpdate(msgspec.Struct, frozen=True, tag=True, omit_defaults=True):
     reason: str = ""
     round_trip_ms: float = 0.0
     tries: int = 0
+    mistake: bool = False
 
 
 class FunctionAsked(msgspec.Struct, frozen=True, tag=True):

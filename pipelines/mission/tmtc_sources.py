@@ -81,7 +81,7 @@ class _Asked:
 class RobotSource:
     """Takes the robot over, and hands it the functions that telecommands ask for.
 
-    first_number: as `JoystickDesk` has it.
+    first_number: as `JoystickSource` has it.
     """
 
     def __init__(self, end: TmtcEnd, *, first_number: int) -> None:
@@ -134,7 +134,7 @@ class RobotSource:
         self._asked.handle_answer(status.commanded, status.command_refusal, now_ns)
 
 
-class JoystickDesk:
+class JoystickSource:
     """Takes the state of the joystick over, and hands it the functions that telecommands ask for.
 
     first_number: above those of an earlier life, for example the instant at which this one began.

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from kontur_av.errors import ConfigError
 from pipelines.mission.tmtc_messages import CommandUpdate, Reported, SendCommand
 from telepresence.tmtc.pus.dictionary import Application
+from telepresence.tmtc.pus.user import SUPERSEDED
 from telepresence.tmtc.pus.values import Parameter, Value
 
 #: In place of a function; each with its verb in `SendCommand`.
@@ -24,8 +25,8 @@ def command_from_words(
 ) -> SendCommand:
     """Return the telecommand of words such as `halt`, `report state` or `set limit=3`.
 
-    A function that is called like a short verb goes before it. Raises ConfigError for words that
-    are none, and for names and values that the application does not have.
+    A function that is called like a short verb goes before it. Raises ConfigError for other
+    words, and for names and values that the application does not have.
     """
     word, *rest = words
     functions = {one.name: one for one in application.functions}
@@ -59,7 +60,7 @@ def command_from_words(
 
 def value_from_word(parameter: Parameter, word: str) -> Value:
     """Return the value that a word means; ConfigError."""
-    if parameter.type == "choice":
+    if parameter.type in ("choice", "text"):
         return word
     if parameter.type == "bool":
         if word not in ("true", "false"):
@@ -92,6 +93,15 @@ def update_words(update: CommandUpdate) -> str:
     if update.stage == "failed" and not update.verified:
         about = f"{update.application}: not verified"
     return f"{about}{_tries(update)}: {update.reason}"
+
+
+def selection_error(camera: str, update: CommandUpdate) -> str:
+    """Why a camera is not selected."""
+    if update.verified or update.stage == "refused":
+        return update.reason
+    if update.reason == SUPERSEDED:
+        return f"select {camera}: {SUPERSEDED}"
+    return f"select {camera}: no acknowledgement came"
 
 
 def _tries(update: CommandUpdate) -> str:

@@ -1,9 +1,9 @@
 """Who may send to us and watch by WHIP and WHEP, and how many. A core."""
 
-import hmac
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
+from pipelines.session.access import is_token
 
 #: Requests of strangers that are answered in a second; further ones are turned away unread.
 _STRANGERS_A_SECOND = 10
@@ -28,7 +28,7 @@ class Door:
     """
 
     def __init__(self, *, token: str, most_viewers: int = 8) -> None:
-        self._token = token.encode()
+        self._token = token
         self._most_viewers = most_viewers
         self._second_ns = 0
         self._strangers = self._offers = 0
@@ -42,10 +42,7 @@ class Door:
         """
         self._begin_second(now_ns)
         kind, _, given = (authorization or "").partition(" ")
-        known = kind.lower() == "bearer" and hmac.compare_digest(
-            given.strip().encode("utf-8", "surrogateescape"), self._token
-        )
-        if known:
+        if kind.lower() == "bearer" and is_token(given.strip(), self._token):
             return None
         self._strangers += 1
         if self._strangers > _STRANGERS_A_SECOND:

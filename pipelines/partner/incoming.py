@@ -46,7 +46,49 @@ class IncomingFigures:
     wish_bps: int | None = None
 
 
-class IncomingPicture:
+class _Incoming:
+    """What pictures and voice have in common.
+
+    receiver: of their packets. source: the SSRC of the newest packet; None before the first.
+    """
+
+    def __init__(
+        self, line: MediaLine, receiver: VideoReceiver | VoiceReceiver, clock_rate_hz: int
+    ) -> None:
+        self.line = line
+        self.source: int | None = None
+        self._receiver, self._clock_rate_hz = receiver, clock_rate_hz
+        self._log: ReceptionLog | None = None
+
+    def handle_packet(self, packet: bytes, now_ns: int) -> None:
+        """Handle an RTP packet of this stream. Drain the stream's units or blocks afterwards."""
+        source, sequence, timestamp = _numbers(packet)
+        if source != self.source or self._log is None:
+            self.source = source
+            self._log = ReceptionLog(ssrc=source, clock_rate_hz=self._clock_rate_hz)
+        self._log.handle_packet(sequence, timestamp, now_ns)
+        self._receiver.handle_packet(packet, now_ns)
+
+    def handle_report(self, report: RtcpSrPacket, datagram: bytes, now_ns: int) -> None:
+        """Handle a sender report, and the datagram that it came in."""
+        if report.ssrc == self.source and self._log is not None:
+            self._log.handle_sender_report(report, now_ns)
+        self._receiver.handle_report(datagram, now_ns)
+
+    def handle_timeout(self, now_ns: int) -> None:
+        """Handle what is due. Drain the stream's units or blocks afterwards."""
+        self._receiver.handle_timeout(now_ns)
+
+    def poll_timeout(self) -> int | None:
+        """Return when to call `handle_timeout`; None: not yet."""
+        return self._receiver.poll_timeout()
+
+    def block(self, now_ns: int) -> RtcpReceiverInfo | None:
+        """Return the report block of this stream, or None."""
+        return None if self._log is None else self._log.block(now_ns)
+
+
+class IncomingPicture(_Incoming):
     """Receives the partner's picture, and tells it what is missing and how much it may send.
 
     line: as agreed. ssrc: of this end. most_bps: the rate that the partner may send at most.
@@ -56,7 +98,6 @@ class IncomingPicture:
     def __init__(
         self, line: MediaLine, *, ssrc: int, most_bps: int, name: str, wall_offset_ns: int = 0
     ) -> None:
-        self.line = line
         self._ssrc, self._most_bps = ssrc, most_bps
         nack = "nack" in line.feedback
         self.receiver = VideoReceiver(
@@ -67,10 +108,8 @@ class IncomingPicture:
             payload_type=line.payload_type,
             reorder_depth_ns=_REPAIR_NS if nack else REORDER_DEPTH_NS,
         )
+        super().__init__(line, self.receiver, VIDEO_CLOCK_HZ)
         self._asker = LossAsker(ssrc=ssrc) if nack else None
-        self._log: ReceptionLog | None = None
-        #: The SSRC of the newest packet; None before the first.
-        self.source: int | None = None
         self._send_time = line.extensions.get(ABS_SEND_TIME)
         self._estimator = RemoteBitrateEstimator() if "goog-remb" in line.feedback else None
         self._wish: bytes | None = None
@@ -78,28 +117,13 @@ class IncomingPicture:
 
     def handle_packet(self, packet: bytes, now_ns: int) -> None:
         """Handle an RTP packet of this stream. Drain `next_unit` afterwards."""
-        source, sequence, timestamp = _numbers(packet)
-        if source != self.source:
-            self.source = source
-            self._log = ReceptionLog(ssrc=source, clock_rate_hz=VIDEO_CLOCK_HZ)
-            if self._estimator is not None:
-                self._estimator = RemoteBitrateEstimator()
-        assert self._log is not None
-        self._log.handle_packet(sequence, timestamp, now_ns)
+        source, sequence, _ = _numbers(packet)
+        if source != self.source and self._estimator is not None:
+            self._estimator = RemoteBitrateEstimator()
         if self._asker is not None:
             self._asker.handle_packet(source, sequence, now_ns)
         self._estimate(packet, source, now_ns)
-        self.receiver.handle_packet(packet, now_ns)
-
-    def handle_report(self, report: RtcpSrPacket, datagram: bytes, now_ns: int) -> None:
-        """Handle a sender report, and the datagram that it came in."""
-        if report.ssrc == self.source and self._log is not None:
-            self._log.handle_sender_report(report, now_ns)
-        self.receiver.handle_report(datagram, now_ns)
-
-    def handle_timeout(self, now_ns: int) -> None:
-        """Give up packets that are overdue. Drain `next_unit` afterwards."""
-        self.receiver.handle_timeout(now_ns)
+        super().handle_packet(packet, now_ns)
 
     def next_unit(self) -> ReceivedUnit | None:
         """Return the next access unit, or None."""
@@ -116,26 +140,22 @@ class IncomingPicture:
 
     def poll_timeout(self) -> int | None:
         """Return when to call `handle_timeout` and `poll_feedback`; None: not yet."""
-        due = [self.receiver.poll_timeout()]
+        due = [super().poll_timeout()]
         due += [] if self._asker is None else [self._asker.poll_timeout()]
         return min((one for one in due if one is not None), default=None)
-
-    def block(self, now_ns: int) -> RtcpReceiverInfo | None:
-        """Return the report block of this stream, or None."""
-        return None if self._log is None else self._log.block(now_ns)
 
     @property
     def figures(self) -> IncomingFigures:
         """The figures so far."""
         counts = self.receiver.counts
         return IncomingFigures(
-            packets=counts.rtp.received,
-            lost=counts.rtp.lost,
-            octets=counts.rtp.payload_octets,
+            packets=counts.rtp.rtp_packets,
+            lost=counts.rtp.rtp_lost,
+            octets=counts.rtp.rtp_payload_octets,
             jitter_ns=counts.jitter_ns,
-            units=counts.units,
-            damaged=counts.damaged,
-            keys_asked=counts.asked,
+            units=counts.frames_received,
+            damaged=counts.frames_damaged,
+            keys_asked=counts.pictures_asked_for,
             asked=0 if self._asker is None else self._asker.sent,
             mended=0 if self._asker is None else self._asker.mended,
             wish_bps=self._wish_bps,
@@ -161,61 +181,30 @@ class IncomingPicture:
             self._wish = rate_message(self._wish_bps, ssrc=self._ssrc, media_ssrcs=[source])
 
 
-class IncomingVoice:
+class IncomingVoice(_Incoming):
     """Receives the partner's voice. Arguments as of `IncomingPicture`."""
 
     def __init__(self, line: MediaLine, *, name: str, wall_offset_ns: int = 0) -> None:
-        self.line = line
         self.receiver = VoiceReceiver(
             name=name, wall_offset_ns=wall_offset_ns, payload_type=line.payload_type
         )
-        self._log: ReceptionLog | None = None
-        #: The SSRC of the newest packet; None before the first.
-        self.source: int | None = None
-
-    def handle_packet(self, packet: bytes, now_ns: int) -> None:
-        """Handle an RTP packet of this stream. Drain `next_block` afterwards."""
-        source, sequence, timestamp = _numbers(packet)
-        if source != self.source:
-            self.source = source
-            self._log = ReceptionLog(ssrc=source, clock_rate_hz=AUDIO_CLOCK_HZ)
-        assert self._log is not None
-        self._log.handle_packet(sequence, timestamp, now_ns)
-        self.receiver.handle_packet(packet, now_ns)
-
-    def handle_report(self, report: RtcpSrPacket, datagram: bytes, now_ns: int) -> None:
-        """Handle a sender report, and the datagram that it came in."""
-        if report.ssrc == self.source and self._log is not None:
-            self._log.handle_sender_report(report, now_ns)
-        self.receiver.handle_report(datagram, now_ns)
-
-    def handle_timeout(self, now_ns: int) -> None:
-        """Make blocks that are due. Drain `next_block` afterwards."""
-        self.receiver.handle_timeout(now_ns)
+        super().__init__(line, self.receiver, AUDIO_CLOCK_HZ)
 
     def next_block(self) -> PlayoutBlock | None:
         """Return the next block to play at once, or None."""
         return self.receiver.next_event()
-
-    def poll_timeout(self) -> int | None:
-        """Return when the next block is due; None during a silence."""
-        return self.receiver.poll_timeout()
-
-    def block(self, now_ns: int) -> RtcpReceiverInfo | None:
-        """Return the report block of this stream, or None."""
-        return None if self._log is None else self._log.block(now_ns)
 
     @property
     def figures(self) -> IncomingFigures:
         """The figures so far."""
         counts = self.receiver.counts
         return IncomingFigures(
-            packets=counts.rtp.received,
-            lost=counts.rtp.lost,
-            octets=counts.rtp.payload_octets,
+            packets=counts.rtp.rtp_packets,
+            lost=counts.rtp.rtp_lost,
+            octets=counts.rtp.rtp_payload_octets,
             jitter_ns=counts.jitter_ns,
-            units=counts.playout.played,
-            damaged=counts.playout.concealed,
+            units=counts.frames_decoded,
+            damaged=counts.frames_concealed,
         )
 
 

@@ -47,7 +47,7 @@ class SoundCame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MediaFigures:
-    """Figures of a connection. garbage: packets that were no RTP or RTCP of it."""
+    """Figures of a connection. garbage: packets that were not RTP or RTCP of it."""
 
     sent: dict[Kind, OutgoingFigures]
     received: dict[Kind, IncomingFigures]

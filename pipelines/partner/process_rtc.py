@@ -5,16 +5,17 @@ import asyncio
 from collections.abc import Callable
 from itertools import count
 
-from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.clock import NS_PER_US
 from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AccessUnit, AudioFrame, CaptureStamp, Quality
 from kontur_av.meters import RateMeter
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.streams.voice_player import VoicePlayer
 from kontur_av.topics.bus import Lease, TopicBus
-from pipelines.media.local_key import key_of
+from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.media.unit_history import KeptUnit, UnitHistory
 from pipelines.partner.description import Kind
+from pipelines.partner.figures import RtcFigures
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.partner.partner_time import PartnerTime
@@ -27,10 +28,10 @@ from pipelines.partner.server import RtcServer
 from pipelines.partner.tally import Tally
 from pipelines.partner.wish import WISH_OCTETS, Wish
 from pipelines.session.feeds import Feed
-from pipelines.session.figures import RtcCounters, RtcGauges
 from pipelines.session.messages import UNKNOWN_US
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import Context
 from pipelines.session.sample_topic import SampleTopic
+from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
 from pipelines.session.topology import (
     RTC,
@@ -78,9 +79,10 @@ class _Leg:
         leg = context.setup.rtc
         assert leg is not None
         self._context, self._clock = context, context.clock
-        self._loop = asyncio.get_running_loop()
-        self._uplink = _Uplink(context, bus, leg, self._loop)
-        self._downlink = _Downlink(context, bus, self._loop)
+        self._serving = ServingLoop(context, self._handle_time)
+        loop = self._serving.loop
+        self._uplink = _Uplink(context, bus, leg, loop)
+        self._downlink = _Downlink(context, bus, loop)
         self._partner = _Partner(context, bus)
         self._programmes = [self._uplink.programme]
         if self._downlink.programme.sends:
@@ -93,51 +95,30 @@ class _Leg:
             servers=servers,
             most_bps=leg.taken_bps,
             wall_offset_ns=context.clock.wall_offset_ns,
-            samples=None
-            if context.setup.partner_arm == "none"
-            else SamplePorts(context, self._loop),
+            samples=None if context.setup.partner_arm == "none" else SamplePorts(context, loop),
         )
         self._hands = SampleTally()
         self._tally = Tally()
         self._known: set[RtcPeer] = set()
         self._stood: set[RtcPeer] = set()
         self._connections = self._restarts = 0
-        self._ended: asyncio.Future[None] = self._loop.create_future()
 
     async def run(self) -> None:
         """Serve until the process shall end."""
-        self._loop.set_exception_handler(self._handle_bug)
         self._context.on_flush(self._tell)
         await self._server.start()
         self._uplink.open()
         self._downlink.open()
-        self._tick()
         try:
-            await self._ended
+            await self._serving.run()
         finally:
             self._uplink.close()
             self._downlink.close()
             await self._server.close()
 
-    def _tick(self) -> None:
-        self._context.tick(self._clock.now_ns())
-        if self._context.stopping:
-            if not self._ended.done():
-                self._ended.set_result(None)
-            return
-        self._loop.call_later(PATIENCE_NS / NS_PER_S, self._tick)
+    def _handle_time(self, _: int) -> None:
         self._uplink.handle_time()
         self._count()
-
-    def _handle_bug(self, loop: asyncio.AbstractEventLoop, told: dict[str, object]) -> None:
-        """End the process for our own mistakes; the launcher starts it again."""
-        error = told.get("exception")
-        if isinstance(error, ConnectionError | OSError | TimeoutError):
-            return
-        if isinstance(error, BaseException) and not self._ended.done():
-            self._ended.set_exception(error)
-        else:
-            loop.default_exception_handler(told)
 
     def _count(self) -> None:
         self._hands.handle_peer(self._server.hand)
@@ -165,18 +146,6 @@ class _Leg:
     def _tell(self) -> None:
         self._count()
         totals, server = self._tally.totals(), self._server
-        probe = self._context.probe
-        probe.count(
-            RtcCounters(
-                connections=self._connections,
-                ice_restarts=self._restarts + sum(peer.restarts for peer in self._known),
-                refused=dict(server.door.refused),
-                garbage=self._tally.garbage + server.garbage + self._hands.garbage,
-                samples=self._hands.totals(),
-                rate_lowered=self._uplink.rate.lowered,
-                **totals,
-            )
-        )
         standing = [peer for peer in server.peers if peer.connected]
         route = next((peer.route for peer in reversed(standing) if peer.route), None)
         trips = [
@@ -186,12 +155,19 @@ class _Leg:
             for one in peer.media.figures.sent.values()
             if one.reception is not None and one.reception.round_trip_ns is not None
         ]
-        probe.gauge(
-            RtcGauges(
+        self._context.probe.tell(
+            RtcFigures(
+                connections=self._connections,
+                ice_restarts=self._restarts + sum(peer.restarts for peer in self._known),
+                refused=dict(server.door.refused),
+                garbage=self._tally.garbage + server.garbage + self._hands.garbage,
+                samples=self._hands.totals(),
+                rate_lowered=self._uplink.rate.lowered,
                 partners=len(standing),
                 rate_bps=self._uplink.rate.bps,
                 route=None if route is None else f"{route.local} to {route.remote}",
                 round_trip_ns=trips[-1] if trips else None,
+                streams=totals,
             )
         )
 
@@ -278,6 +254,7 @@ class _Downlink:
         self._history = UnitHistory(pictures=True, most_pixels=_MOST_REPLAYED_PIXELS)
         self._waiting: set[RtcPeer] = set()
         self._pictures: Feed | None = None
+        self._maker = KeyPictureMaker()
         self._coding: asyncio.Future[bytes] | None = None
 
     def open(self) -> None:
@@ -288,6 +265,7 @@ class _Downlink:
         for feed in self._feeds:
             feed.close()
         self._forget_pictures()
+        self._maker.close()
 
     def _unit(self, lease: Lease) -> None:
         unit = CodedUnit.unpack(lease.octets())
@@ -325,12 +303,13 @@ class _Downlink:
         self._waiting.clear()
 
     def _picture(self, lease: Lease) -> None:
-        """A decoded picture has come: code it, in a thread, as a key picture."""
+        """A decoded picture has come: have it coded as a key picture."""
         timestamp = lease.stamp.rtp_timestamp
         if self._coding is not None or timestamp is None:
             return
         picture = lease.video().data.copy()
-        self._coding = self._loop.run_in_executor(None, key_of, picture, _QUANTIZER)
+        made = self._maker.of_picture(picture, _QUANTIZER)
+        self._coding = asyncio.wrap_future(made, loop=self._loop)
 
         def coded(done: asyncio.Future[bytes]) -> None:
             self._coding = None

@@ -33,7 +33,7 @@ class SampleTally:
 
     @property
     def garbage(self) -> int:
-        """Messages that are no samples."""
+        """Messages that are not samples."""
         return self._total("garbage")
 
     def totals(self) -> dict[str, int]:

@@ -10,11 +10,8 @@
 """
 
 import asyncio
-import logging
 import secrets
-import ssl
-from collections.abc import Callable, Iterable
-from pathlib import Path
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Protocol
 
 from aiohttp import web
@@ -28,21 +25,13 @@ from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.programme import Programme
 from pipelines.partner.samples import SamplePeer
-from pipelines.session.access import Access, AccessError
-from pipelines.session.access import Kind as Asked
-from pipelines.session.access import headers as page_headers
+from pipelines.session.access import AccessError
 from pipelines.session.page_listener import PageListener
+from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
 
 _SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
-_STATIC = Path(__file__).parents[1] / "seats" / "static"
-_TYPES = {
-    ".css": "text/css",
-    ".html": "text/html",
-    ".js": "text/javascript",
-    ".svg": "image/svg+xml",
-}
-#: In the HTML file: where the page's files are, what can be watched, whether anything is taken.
-_BASE, _PROGRAMMES, _TAKES = "__BASE__", "__PROGRAMMES__", "__TAKES__"
+#: In the HTML file: what can be watched, whether anything is taken.
+_PROGRAMMES, _TAKES = "__PROGRAMMES__", "__TAKES__"
 _SESSION = "/session/"
 _HAPTICS = "/haptics"
 #: A connection that does not come about is ended; the partner's own patience is as long.
@@ -51,10 +40,10 @@ _CLOSE_S = 0.5
 
 
 class _Session:
-    """A partner's connection, with the task that drives it."""
+    """A partner's connection, with the task that drives it. left: called when it has ended."""
 
-    def __init__(self, peer: RtcPeer, programme: Programme | None) -> None:
-        self.peer, self.programme = peer, programme
+    def __init__(self, peer: RtcPeer | SamplePeer, left: Callable[[], None]) -> None:
+        self.peer, self.left = peer, left
         self.etag = f'"{secrets.token_hex(4)}"'
         self.ufrag = ""
         self.task: asyncio.Task[None] | None = None
@@ -96,96 +85,61 @@ class RtcServer:
         samples: Samples | None = None,
     ) -> None:
         self._samples = samples
-        self._listener, self._clock, self._handle = listener, clock, handle
+        self._clock, self._handle = clock, handle
         self._servers, self._most_bps = servers, most_bps
         self._wall_offset_ns = wall_offset_ns
         self.programmes = {programme.name: programme for programme in programmes}
         self.door = Door(token=listener.operator_token)
-        self._access = Access(
-            seat="rtc",
-            scheme=listener.scheme,
-            port=listener.port,
-            names=listener.names,
-            operator_token=listener.operator_token,
-            viewer_token=listener.viewer_token,
-        )
+        self._site = WebSite(listener, seat="rtc")
         self._sessions: dict[str, _Session] = {}
         self._runner: web.AppRunner | None = None
         #: The connection by which the partner sends; None while there is none.
         self.partner: RtcPeer | None = None
         #: The connection by which it steers; None while there is none.
         self.hand: SamplePeer | None = None
-        self._hands: dict[str, tuple[SamplePeer, asyncio.Task[None]]] = {}
         #: Connections that were made; offers and fragments that could not be used.
         self.made = self.garbage = 0
 
     @property
     def peers(self) -> list[RtcPeer]:
         """All connections, also those that are being made."""
-        return [session.peer for session in self._sessions.values()]
+        peers = (session.peer for session in self._sessions.values())
+        return [peer for peer in peers if isinstance(peer, RtcPeer)]
 
     async def start(self) -> None:
         """Serve from now on."""
         application = web.Application(client_max_size=MOST_SDP_OCTETS)
         # One handler: the address tells a stranger nothing before the token is known.
         application.router.add_route("*", "/{path:.*}", self._answer)
-        quiet = logging.getLogger("pipelines.partner.http")
-        quiet.addHandler(logging.NullHandler())
-        quiet.propagate = False
         self._runner = web.AppRunner(
-            application, access_log=None, logger=quiet, shutdown_timeout=_CLOSE_S
+            application,
+            access_log=None,
+            logger=quiet_log("pipelines.partner.http"),
+            shutdown_timeout=SHUTDOWN_S,
         )
-        await self._runner.setup()
-        await web.SockSite(self._runner, self._listener.socket, ssl_context=self._tls()).start()
+        await self._site.start(self._runner)
 
     async def close(self) -> None:
         """End all connections, and serve no more."""
-        await asyncio.gather(
-            *(self._end(name) for name in list(self._sessions)),
-            *(self._end_hand(name) for name in list(self._hands)),
-        )
+        await asyncio.gather(*(self._end(name) for name in list(self._sessions)))
         if self._runner is not None:
             await self._runner.cleanup()
-
-    def _tls(self) -> ssl.SSLContext | None:
-        if self._listener.certificate is None:
-            return None
-        tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        tls.load_cert_chain(self._listener.certificate)
-        return tls
 
     async def _answer(self, request: web.Request) -> web.StreamResponse:
         path = request.raw_path.partition("?")[0]
         try:
             if path in ("/whip", _HAPTICS) or path.startswith(("/whep/", _SESSION)):
                 return await self._signal(request, path)
-            return self._file(request)
+            words = {
+                _PROGRAMMES: " ".join(self.programmes),
+                _TAKES: "false" if self._handle is None else "true",
+            }
+            return self._site.file(request, self._site.find(request), words)
         except AccessError as error:
-            return web.Response(status=error.status, text=f"{error}\n")
+            return self._site.refuse(error)
         except ProtocolError as error:
             self.garbage += 1
             return web.Response(status=400, text=f"{error}\n")
-
-    def _file(self, request: web.Request) -> web.Response:
-        """The page, or one of its files."""
-        found = self._access.find(
-            request.method, request.raw_path, request.host, request.headers.get("Origin")
-        )
-        page = found.kind is Asked.PAGE
-        if not page and found.kind is not Asked.FILE:
-            raise AccessError(404, "no such file")
-        name = "rtc.html" if page else found.name
-        file = _STATIC / name
-        if file.suffix not in _TYPES or not file.is_file():
-            raise AccessError(404, "no such file")
-        text = file.read_text(encoding="utf-8")
-        if page:
-            text = text.replace(_BASE, f"/{found.token}/static/")
-            text = text.replace(_PROGRAMMES, " ".join(self.programmes))
-            text = text.replace(_TAKES, "false" if self._handle is None else "true")
-        return web.Response(
-            text=text, content_type=_TYPES[file.suffix], headers=page_headers(request.host)
-        )
 
     async def _signal(self, request: web.Request, path: str) -> web.Response:
         now_ns = self._clock.now_ns()
@@ -220,32 +174,27 @@ class RtcServer:
         return answer
 
     async def _begin(self, offer: str, programme: Programme | None) -> web.Response:
+        """Take the partner's media, or send it a programme."""
         peer = self._peer(programme)
-        try:
-            answer = await peer.answer(offer)
-        except (ProtocolError, ConfigError) as error:
-            await peer.close()
-            self.garbage += isinstance(error, ProtocolError)
-            status = 400 if isinstance(error, ProtocolError) else 503
-            return web.Response(status=status, text=f"{error}\n")
-        if programme is None:
-            await self._replace_partner(peer)
-        else:
-            programme.peers.add(peer)
-        name = secrets.token_urlsafe(16)
-        session = _Session(peer, programme)
-        session.ufrag = peer.peer_ufrag
-        session.task = asyncio.create_task(self._drive(name, session))
-        self._sessions[name] = session
-        self.made += 1
-        response = web.Response(
-            status=201,
-            text=answer,
-            content_type=_SDP,
-            headers={"Location": _SESSION + name, "ETag": session.etag},
-        )
-        for link in self._servers().link_headers():
-            response.headers.add("Link", link)
+
+        async def join() -> None:
+            if programme is not None:
+                programme.peers.add(peer)
+                return
+            old, self.partner = self.partner, peer
+            if old is not None:
+                await old.close()
+
+        def leave() -> None:
+            if programme is not None:
+                programme.peers.discard(peer)
+            if self.partner is peer:
+                self.partner = None
+
+        response = await self._answer_offer(_Session(peer, leave), offer, join)
+        if response.status == 201:
+            for link in self._servers().link_headers():
+                response.headers.add("Link", link)
         return response
 
     def _peer(self, programme: Programme | None) -> RtcPeer:
@@ -265,53 +214,51 @@ class RtcServer:
         return peer
 
     async def _begin_hand(self, offer: str, samples: Samples) -> web.Response:
+        """Take the partner's joystick; a newer connection takes the place of the older."""
         peer = SamplePeer(self._servers(), samples.handle)
-        try:
-            answer = await peer.answer(offer)
-            # A newer connection takes the place of the older.
-            for other in list(self._hands):
-                await self._end_hand(other)
-            samples.join(peer)
-        except (ProtocolError, ConfigError) as error:
-            await peer.close()
-            self.garbage += isinstance(error, ProtocolError)
-            status = 400 if isinstance(error, ProtocolError) else 503
-            return web.Response(status=status, text=f"{error}\n")
-        name = secrets.token_urlsafe(16)
-        self.hand = peer
-        self._hands[name] = peer, asyncio.create_task(self._drive_hand(name, peer, samples))
-        self.made += 1
-        headers = {"Location": _SESSION + name}
-        return web.Response(status=201, text=answer, content_type=_SDP, headers=headers)
 
-    async def _drive_hand(self, name: str, peer: SamplePeer, samples: Samples) -> None:
-        try:
-            await peer.run()
-        finally:
-            self._hands.pop(name, None)
+        async def join() -> None:
+            for name, other in list(self._sessions.items()):
+                if isinstance(other.peer, SamplePeer):
+                    await self._end(name)
+            samples.join(peer)
+            self.hand = peer
+
+        def leave() -> None:
             if self.hand is peer:
                 self.hand = None
                 samples.leave()
 
-    async def _end_hand(self, name: str) -> None:
-        peer, task = self._hands[name]
-        await peer.close()
-        await asyncio.wait([task], timeout=_CLOSE_S)
+        return await self._answer_offer(_Session(peer, leave), offer, join)
 
-    async def _replace_partner(self, peer: RtcPeer) -> None:
-        old, self.partner = self.partner, peer
-        if old is not None:
-            await old.close()
+    async def _answer_offer(
+        self, session: _Session, offer: str, join: Callable[[], Awaitable[None]]
+    ) -> web.Response:
+        """Answer an offer; drive the session that comes of it. join: what is done before."""
+        try:
+            answer = await session.peer.answer(offer)
+            await join()
+        except (ProtocolError, ConfigError) as error:
+            await session.peer.close()
+            self.garbage += isinstance(error, ProtocolError)
+            status = 400 if isinstance(error, ProtocolError) else 503
+            return web.Response(status=status, text=f"{error}\n")
+        name = secrets.token_urlsafe(16)
+        headers = {"Location": _SESSION + name}
+        if isinstance(session.peer, RtcPeer):
+            session.ufrag = session.peer.peer_ufrag
+            headers["ETag"] = session.etag
+        session.task = asyncio.create_task(self._drive(name, session))
+        self._sessions[name] = session
+        self.made += 1
+        return web.Response(status=201, text=answer, content_type=_SDP, headers=headers)
 
     async def _drive(self, name: str, session: _Session) -> None:
         try:
             await session.peer.run()
         finally:
             self._sessions.pop(name, None)
-            if session.programme is not None:
-                session.programme.peers.discard(session.peer)
-            if self.partner is session.peer:
-                self.partner = None
+            session.left()
 
     async def _end(self, name: str) -> None:
         session = self._sessions.pop(name, None)
@@ -321,15 +268,15 @@ class RtcServer:
                 await asyncio.wait([session.task], timeout=_CLOSE_S)
 
     async def _change(self, request: web.Request, name: str) -> web.Response:
-        if name in self._hands and request.method == "DELETE":
-            await self._end_hand(name)
-            return web.Response(status=200)
         session = self._sessions.get(name)
         if session is None:
             return web.Response(status=404)
         if request.method == "DELETE":
             await self._end(name)
             return web.Response(status=200)
+        peer = session.peer
+        if not isinstance(peer, RtcPeer):
+            return web.Response(status=404)
         if request.method != "PATCH":
             return web.Response(status=405, headers={"Allow": "PATCH, DELETE"})
         if request.content_type != _FRAGMENT:
@@ -339,12 +286,12 @@ class RtcServer:
         if told.ufrag == session.ufrag:
             if match is not None and match not in ("*", session.etag):
                 return web.Response(status=412)
-            await session.peer.add_candidates(told)
+            await peer.add_candidates(told)
             return web.Response(status=204)
         # Other credentials: a restart of ICE, which must hold for any state of the session.
         if match != "*":
             return web.Response(status=428 if match is None else 412)
-        local = await session.peer.restart(told)
+        local = await peer.restart(told)
         session.ufrag = told.ufrag
         session.etag = f'"{secrets.token_hex(4)}"'
         return web.Response(

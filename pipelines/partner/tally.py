@@ -1,12 +1,11 @@
 """Counts of all connections of partners together, also of those that have ended. A core."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
+from kontur_av.figures import plus
 from pipelines.partner.description import Kind
+from pipelines.partner.figures import RtcStreamFigures
 from pipelines.partner.media import MediaFigures
-
-#: By count, its name in `pipelines.session.figures.RtcCounters`.
-COUNTS = ("packets", "octets", "packets_lost", "packets_asked", "packets_repeated", "keys_asked")
 
 
 class Tally:
@@ -16,51 +15,64 @@ class Tally:
     """
 
     def __init__(self) -> None:
-        self._ended: dict[str, dict[str, int]] = {count: {} for count in COUNTS}
-        self._newest: dict[object, tuple[dict[str, dict[str, int]], int]] = {}
+        self._ended: dict[str, RtcStreamFigures] = {}
+        self._newest: dict[object, tuple[dict[str, RtcStreamFigures], int]] = {}
         self._ended_garbage = 0
 
     def handle_figures(
         self, connection: object, figures: MediaFigures, streams: Mapping[Kind, str]
     ) -> None:
         """The newest figures of a connection. streams: by kind, what it carries."""
-        self._newest[connection] = _counts(figures, streams), figures.garbage
+        self._newest[connection] = dict(_counts(figures, streams)), figures.garbage
 
     def handle_end(self, connection: object) -> None:
         """A connection has ended."""
-        counts, garbage = self._newest.pop(connection, ({}, 0))
+        streams, garbage = self._newest.pop(connection, ({}, 0))
         self._ended_garbage += garbage
-        for count, streams in counts.items():
-            _add(self._ended[count], streams)
+        _add(self._ended, streams)
 
-    def totals(self) -> dict[str, dict[str, int]]:
-        """Return by count, and within by stream, the sums."""
-        total = {count: dict(streams) for count, streams in self._ended.items()}
-        for counts, _ in self._newest.values():
-            for count, streams in counts.items():
-                _add(total[count], streams)
+    def totals(self) -> dict[str, RtcStreamFigures]:
+        """Return the sums by stream."""
+        total = dict(self._ended)
+        for streams, _ in self._newest.values():
+            _add(total, streams)
         return total
 
     @property
     def garbage(self) -> int:
-        """Packets that were no RTP or RTCP."""
+        """Packets that were not RTP or RTCP."""
         return self._ended_garbage + sum(garbage for _, garbage in self._newest.values())
 
 
-def _add(into: dict[str, int], more: Mapping[str, int]) -> None:
-    for stream, count in more.items():
-        into[stream] = into.get(stream, 0) + count
+def _add(into: dict[str, RtcStreamFigures], more: Mapping[str, RtcStreamFigures]) -> None:
+    for stream, counts in more.items():
+        into[stream] = plus(into[stream], counts) if stream in into else counts
 
 
-def _counts(figures: MediaFigures, streams: Mapping[Kind, str]) -> dict[str, dict[str, int]]:
-    found: dict[str, dict[str, int]] = {count: {} for count in COUNTS}
+def _counts(
+    figures: MediaFigures, streams: Mapping[Kind, str]
+) -> Iterator[tuple[str, RtcStreamFigures]]:
     for kind, one in figures.sent.items():
-        lost = 0 if one.reception is None else max(one.reception.lost, 0)
-        values = (one.packets, one.octets, lost, one.asked, one.repeated, one.keys_asked)
-        for count, value in zip(COUNTS, values, strict=True):
-            found[count][streams[kind]] = value
+        yield (
+            streams[kind],
+            RtcStreamFigures(
+                packets=one.packets,
+                octets=one.octets,
+                lost=0 if one.reception is None else max(one.reception.lost, 0),
+                asked=one.asked,
+                repeated=one.repeated,
+                keys_asked=one.keys_asked,
+            ),
+        )
     for kind, came in figures.received.items():
-        values = (came.packets, came.octets, came.lost, came.asked, came.mended, came.keys_asked)
-        for count, value in zip(COUNTS, values, strict=True):
-            found[count][streams[kind]] = value
-    return found
+        yield (
+            streams[kind],
+            RtcStreamFigures(
+                packets=came.packets,
+                octets=came.octets,
+                lost=came.lost,
+                asked=came.asked,
+                repeated=came.mended,
+                keys_asked=came.keys_asked,
+            ),
+        )

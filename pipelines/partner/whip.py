@@ -31,7 +31,7 @@ class WhipClient:
     """One session at a media server. A context manager, which deletes the session in the end.
 
     url: the endpoint, http or https. token: the bearer token; "" for none.
-    Raises ConfigError for a url that is none.
+    Raises ConfigError for a malformed url.
     """
 
     def __init__(self, url: str, *, token: str = "") -> None:

@@ -13,6 +13,7 @@ from kontur_av.recorded_format import FORMAT, FORMAT_KEY
 from pipelines.recording.schemas import (
     AUDIO,
     EVENT,
+    FIGURES,
     HAPTIC_SAMPLES,
     LINK_RECEIVED,
     LINK_SENT,
@@ -41,6 +42,7 @@ from pipelines.session.topology.tables import Table
 
 PROTOBUF = "protobuf"
 EVENTS, LOG_LINES, RECORDER_LOSSES = "/events", "/log", "/recorder/losses"
+SESSION_FIGURES = "/figures"
 SENT, RECEIVED = "sent", "received"
 
 
@@ -120,6 +122,7 @@ def _channels(topology: Topology, *, link_frames: bool) -> Iterator[tuple[str, M
         if link_frames:
             for way in (SENT, RECEIVED):
                 yield f"{link}/frames/{way}", TRANSFER_FRAMES, f"frames as {way}, if asked for"
+    yield SESSION_FIGURES, FIGURES, "figures of the report that have changed, once a second"
     yield RECORDER_LOSSES, LOSSES, "what the recorder could not keep"
 
 

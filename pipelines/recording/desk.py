@@ -21,7 +21,7 @@ MOST_TERMINALS = 8
 HOLD_NS = 5 * NS_PER_S
 
 
-class Reply(NamedTuple):
+class DeskReply(NamedTuple):
     """Octets for a terminal. last: close the connection after them."""
 
     terminal: int
@@ -61,7 +61,7 @@ class RecorderDesk:
         self._lines: dict[int, bytes] = {}
         self._holders: set[int] = set()
         self._free_ns = now_ns
-        self._events: deque[Reply | Start | Stop | Ask] = deque()
+        self._events: deque[DeskReply | Start | Stop | Ask] = deque()
 
     @property
     def terminals(self) -> list[int]:
@@ -71,7 +71,7 @@ class RecorderDesk:
     def handle_terminal(self, terminal: int) -> None:
         """A terminal has connected."""
         if len(self._lines) >= MOST_TERMINALS:
-            self._events.append(Reply(terminal, b"", last=True))
+            self._events.append(DeskReply(terminal, b"", last=True))
         else:
             self._lines[terminal] = b""
 
@@ -115,7 +115,7 @@ class RecorderDesk:
             self._free_ns = now_ns
             self._events.append(Stop(None))
 
-    def next_event(self) -> Reply | Start | Stop | Ask | None:
+    def next_event(self) -> DeskReply | Start | Stop | Ask | None:
         """Return what is to be done next, or None."""
         return self._events.popleft() if self._events else None
 
@@ -146,10 +146,10 @@ class RecorderDesk:
 
     def _answer(self, terminal: int, answer: RecordAnswer) -> None:
         if terminal in self._lines:
-            self._events.append(Reply(terminal, pack_line(answer), last=False))
+            self._events.append(DeskReply(terminal, pack_line(answer), last=False))
 
     def _close(self, terminal: int, now_ns: int) -> None:
         del self._lines[terminal]
         self._holders.discard(terminal)
         self._free_ns = now_ns
-        self._events.append(Reply(terminal, b"", last=True))
+        self._events.append(DeskReply(terminal, b"", last=True))

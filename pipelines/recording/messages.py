@@ -8,6 +8,7 @@ the name of the schema's field; `wall_ns` is the schema's `timestamp`. Haptic sa
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from math import nan
 from types import MappingProxyType
 from typing import Any, ClassVar, Final, TypeVar
 
@@ -23,6 +24,7 @@ from pipelines.hand import haptic_trace
 from pipelines.recording.schemas import (
     AUDIO,
     EVENT,
+    FIGURES,
     HAPTIC_SAMPLES,
     LINK_RECEIVED,
     LINK_SENT,
@@ -43,7 +45,6 @@ from telepresence.link.figures import (
     SenderFigures,
     SupervisionFigures,
 )
-from telepresence.tmtc.packets import Housekeeping, SelectAck, SelectCamera, parse_packet
 from telepresence.tmtc.pus.head import apid_of, is_packet, is_telecommand, message_of
 
 H264, OPUS = "h264", "opus"
@@ -252,7 +253,7 @@ class LinkReceived(Recorded):
         """Return what a gateway counts of the direction that it receives."""
         return cls(
             session_ns=session_ns,
-            frames=receiver.frames,
+            frames=receiver.frames_received,
             frames_lost=receiver.frames_lost,
             frames_dropped=sum(receiver.frames_dropped.values()),
             haptic_received=receiver.haptic_received,
@@ -294,6 +295,32 @@ class RecorderLosses(Recorded):
     parts = MappingProxyType({"Loss": ChannelLoss})
     session_ns: int
     losses: Sequence[ChannelLoss]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedFigure:
+    """The value of a figure: a number, or a text."""
+
+    name: str
+    number: float
+    text: str
+
+    @classmethod
+    def of(cls, name: str, value: float | str | bool | None) -> "RecordedFigure":
+        """Return a figure of a report."""
+        if isinstance(value, str):
+            return cls(name=name, number=nan, text=value)
+        return cls(name=name, number=nan if value is None else float(value), text="")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedFigures(Recorded):
+    """Figures of the session that have changed."""
+
+    schema = FIGURES
+    parts = MappingProxyType({"Figure": RecordedFigure})
+    session_ns: int
+    figures: Sequence[RecordedFigure]
 
 
 Value = TypeVar("Value", bound=Recorded)
@@ -351,7 +378,7 @@ def parse_message(schema: MessageSchema, octets: bytes) -> Any:
 
 
 def _text(value: object) -> object:
-    """Protobuf refuses text that is no Unicode, such as a file's name on a foreign disk."""
+    """Protobuf refuses text that is not Unicode, such as a file's name on a foreign disk."""
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
 
 
@@ -408,27 +435,22 @@ def unpack_haptics(octets: bytes) -> NDArray[np.void]:
     return samples
 
 
+def _call_words(data: bytes) -> str:
+    """Which function a telecommand calls, with its argument if that is a text."""
+    octets = data[11:-2]  # between the headers and the check
+    text = octets[1:].rstrip(b"\0").decode("latin-1")
+    words = f" {text}" if text.isascii() and text.isprintable() else ""
+    return f"function {octets[0]}{words}".rstrip() if octets else ""
+
+
 def packet_words(data: bytes) -> str:
     """Return what a space packet of telecommands or telemetry says, in words."""
     if is_packet(data):
         service, subtype = message_of(data)
         way = "telecommand to" if is_telecommand(data) else "report of"
-        return f"PUS {service},{subtype}: {way} application {apid_of(data):#x}"
-    try:
-        message = parse_packet(data).message
-    except ProtocolError:
-        return _wall_words(data)
-    if isinstance(message, SelectCamera):
-        return f"select {message.name}, token {message.token}"
-    if isinstance(message, SelectAck):
-        done = "done" if message.ok else "refused"
-        return f"select {done}, token {message.token}: {message.name} is selected"
-    assert isinstance(message, Housekeeping)
-    touch = "contact" if message.contact else "no contact"
-    return f"housekeeping: {message.name} is selected, {touch}, {message.force_n:.3f} N"
-
-
-def _wall_words(data: bytes) -> str:
+        words = f"PUS {service},{subtype}: {way} application {apid_of(data):#x}"
+        called = _call_words(data) if is_telecommand(data) and (service, subtype) == (8, 1) else ""
+        return f"{words}: {called}" if called else words
     try:
         wall = parse_wall(data).wall
     except ProtocolError:

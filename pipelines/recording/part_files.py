@@ -1,6 +1,6 @@
 """The files of a recording's parts: written in one thread, handed to the disk in another. A shell.
 
-So neither a slow disk nor a full one holds up whoever reads the topics.
+So neither a slow disk nor a full one holds up the reader of the topics.
 """
 
 import os

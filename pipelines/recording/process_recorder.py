@@ -8,6 +8,8 @@ goes on, in a new part.
 """
 
 import select
+from concurrent.futures import Future, wait
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -15,15 +17,17 @@ import msgspec
 from kontur_av import __version__
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
+from kontur_av.figures import plus
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.following import Choice
-from pipelines.recording.desk import MOST_TERMINALS, Ask, RecorderDesk, Reply, Start, Stop
+from pipelines.media.key_picture_maker import KeyPictureMaker
+from pipelines.recording.desk import MOST_TERMINALS, Ask, DeskReply, RecorderDesk, Start, Stop
 from pipelines.recording.facts import RecordingFacts
+from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
 from pipelines.recording.recorder import Recorder
 from pipelines.recording.sources import Content, Source, sources_of
-from pipelines.session.figures import RecorderCounters, RecorderGauges
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.recorder_control import read_wish, recorder_path, remove_wish, write_wish
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
@@ -40,8 +44,6 @@ _IN_FLIGHT_OCTETS = 1 << 20
 _DRAIN_NS = 150 * NS_PER_MS
 #: How long a slow disk may take at the end.
 _CLOSE_S = 1.5
-#: A sample that took longer to handle has held up the others.
-_LONG_NS = 20 * NS_PER_MS
 #: Unread samples of a topic that are kept: the most that there can be.
 _DEPTH = 32
 
@@ -58,14 +60,16 @@ class _RecorderProcess:
         self._context, self._now_ns = context, context.clock.now_ns
         self._desk = RecorderDesk(read_wish(context.session), self._now_ns())
         self._recording: _Recording | None = None
+        # Before anything is recorded, so that the codecs are loaded then.
+        self._maker = KeyPictureMaker()
         #: Of all recordings that have ended in this life, and of the newest of them.
-        self._past = self._newest = RecorderCounters()
+        self._past = self._newest = RecorderFigures()
         context.on_flush(self._tell)
 
     def run(self) -> None:
         context, now_ns = self._context, self._now_ns
         if self._desk.wish is not None:
-            self._recording = _Recording(context, self._desk.wish)
+            self._recording = _Recording(context, self._desk.wish, self._maker)
         terminals = TerminalSockets(recorder_path(context.session), most=MOST_TERMINALS)
         while not context.stopping:
             wait_ns = PATIENCE_NS if self._recording is None else _WAKE_NS
@@ -83,6 +87,7 @@ class _RecorderProcess:
                 self._recording.handle_wake()
                 context.clock.sleep_until_ns(now_ns() + _WAKE_NS)
             self._end()
+        self._maker.close()
 
     def _serve(self, terminals: TerminalSockets, wait_ns: int) -> None:
         desk = self._desk
@@ -95,7 +100,7 @@ class _RecorderProcess:
         desk.handle_time(self._now_ns())
         while (event := desk.next_event()) is not None:
             match event:
-                case Reply():
+                case DeskReply():
                     terminals.send(event.terminal, event.octets, last=event.last)
                 case Start():
                     desk.handle_started(event, self._start(event))
@@ -117,42 +122,37 @@ class _RecorderProcess:
             return str(error)
         except OSError as error:
             return f"{path} cannot be written: {error.strerror}"
-        self._recording = _Recording(self._context, start.wish)
+        self._recording = _Recording(self._context, start.wish, self._maker)
         return ""
 
     def _end(self) -> None:
         if self._recording is not None:
             self._newest = self._recording.end()
-            self._past = self._past.plus(self._newest)
+            self._past = plus(self._past, self._newest)
             self._recording = None
 
     def _answer(self) -> RecordAnswer:
         recording = self._recording
-        counters = self._newest if recording is None else recording.counters
+        counters = self._newest if recording is None else recording.figures
         return RecordAnswer(
             ok=True,
             file="" if recording is None else str(recording.file),
             files=counters.parts,
-            messages=sum(counters.kept.values()),
-            lost=sum(counters.missed.values()) + sum(counters.dropped.values()),
+            messages=counters.messages,
+            lost=counters.lost,
             fault="" if recording is None else recording.fault,
         )
 
     def _tell(self) -> None:
         recording = self._recording
         probe = self._context.probe
-        if recording is None:
-            probe.count(self._past)
-            probe.gauge(RecorderGauges(file="", fault="", waiting_octets=0))
-        else:
-            probe.count(self._past.plus(recording.counters))
-            probe.gauge(recording.gauges)
+        probe.tell(self._past if recording is None else plus(self._past, recording.figures))
 
 
 class _Recording:
     """The topics and the files of one recording."""
 
-    def __init__(self, context: Context, wish: RecordingWish) -> None:
+    def __init__(self, context: Context, wish: RecordingWish, maker: KeyPictureMaker) -> None:
         self._now_ns = context.clock.now_ns
         topology, setup = context.topology, context.setup
         offset_ns = context.clock.wall_offset_ns
@@ -177,12 +177,12 @@ class _Recording:
             link_frames=wish.link_frames,
             limits=wish.limits,
         )
+        self._maker = maker
+        self._keys: dict[int, Future[bytes | None]] = {}
         self._files = PartFiles(Path(wish.file))
         self._open_part()
         self._bus = context.open_bus()
         sources = sources_of(topology, link_frames=wish.link_frames)
-        # Access units last; see `handle_wake`.
-        sources = tuple(sorted(sources, key=lambda source: source.content is Content.UNIT))
         self._readers = [
             (source, self._bus.reader(source.topic, depth=_DEPTH))
             for source in sources
@@ -206,16 +206,15 @@ class _Recording:
         return self._recorder.fault
 
     @property
-    def counters(self) -> RecorderCounters:
-        return self._recorder.counters()
-
-    @property
-    def gauges(self) -> RecorderGauges:
-        return self._recorder.gauges(str(self.file))
+    def figures(self) -> RecorderFigures:
+        return self._recorder.figures(str(self.file))
 
     def handle_events(self, told: bytes) -> None:
-        """The launcher tells what happened; it also knows of what was before the recording."""
-        for event in msgspec.json.decode(told, type=SessionEvents).events:
+        """The launcher tells the figures, and what happened, also before the recording."""
+        news = msgspec.json.decode(told, type=SessionEvents)
+        if news.figures:
+            self._recorder.handle_figures(news.figures, news.at_us * NS_PER_US, self._now_ns())
+        for event in news.events:
             if event.at_us * NS_PER_US < self._begun_ns:
                 continue
             recorded = RecordedEvent(
@@ -229,19 +228,12 @@ class _Recording:
     def handle_wake(self) -> None:
         """Read what has come, and write what can be written."""
         recorder = self._recorder
-        pending = list(self._readers)
-        while pending:
-            source, reader = pending.pop(0)
+        for source, reader in self._readers:
             while (lease := reader.next()) is not None:
                 with lease:
                     octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
-                begun_ns = self._now_ns()
-                recorder.handle_sample(source, octets, stamp, begun_ns, published_ns=at_ns)
-                if self._now_ns() - begun_ns > _LONG_NS:
-                    # At a new part, a key picture of each stream is coded. That takes up to 0.2 s
-                    # each, and topics keep 0.6 s. So all others are read in between.
-                    pending = list(self._readers)
-                    break
+                recorder.handle_sample(source, octets, stamp, self._now_ns(), published_ns=at_ns)
+        self._exchange_keys()
         chosen = self._selected.latest()
         if chosen is not None:
             with chosen:
@@ -251,17 +243,27 @@ class _Recording:
         recorder.handle_time(self._now_ns())
         self._pump()
 
-    def end(self) -> RecorderCounters:
+    def end(self) -> RecorderFigures:
         """End the recording, and return its counts."""
         for _, reader in self._readers:
             reader.close()
+        wait(self._keys.values(), _CLOSE_S)
+        self._exchange_keys()
         self._recorder.handle_end(self._now_ns())
         self._pump(most_octets=1 << 62)
         self._files.close(_CLOSE_S)
         self._take_results()
         self._recorder.handle_abandoned()
         self._bus.close()
-        return self._recorder.counters()
+        return replace(self._recorder.figures(None), fault=None, waiting_octets=0)
+
+    def _exchange_keys(self) -> None:
+        """Have the key pictures made that are wanted, and hand over those that are there."""
+        while (wanted := self._recorder.next_event()) is not None:
+            made = self._maker.of_units(wanted.units, wanted.width, wanted.height)
+            self._keys[wanted.number] = made
+        for number in [number for number, made in self._keys.items() if made.done()]:
+            self._recorder.handle_key_picture(number, self._keys.pop(number).result())
 
     def _follow(self, camera: str) -> None:
         carried = self._carried.get(camera, ())

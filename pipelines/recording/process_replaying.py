@@ -16,19 +16,21 @@ from kontur_av.sources.fit import Fitter, scaled_aspect
 from pipelines.hand.haptic_loop import new_life, run_loop, session_ports
 from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
 from pipelines.media.capturing import Capturing
-from pipelines.media.choosing import CameraChoice
 from pipelines.media.coded_topics import SentTopic
 from pipelines.media.gain import gain_of
 from pipelines.media.sending import to_gateway
 from pipelines.media.session_streams import video_sender, voice_sender
 from pipelines.media.stream_figures import tell_sender
 from pipelines.media.video_sending import LinkedVideoSender
-from pipelines.mission.console import Console
+from pipelines.mission.choosing import CameraChoice, session_dictionary
+from pipelines.mission.tmtc import TmtcEnd
+from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.recording.recorded_session import SentPacket, SentUnit
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topology import TELECOMMAND, TELEMETRY
+from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from telepresence.link.backlog import Backlog
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 #: From capture to encoder, and to sender: the medians of live sessions, as in a simulation.
 _CAPTURE_NS, _PICTURE_NS, _SOUND_NS = 4 * NS_PER_MS, 10 * NS_PER_MS, BLOCK_NS + 1_700_000
@@ -171,31 +173,55 @@ def run_telecommands_replay(
     context: Context, *, packets: Sequence[SentPacket], start: ReplayStart
 ) -> None:
     """Send the recorded telecommands, and count the telemetry that comes."""
-    console = Console(context.setup, context.probe, first_token=0)
-    context.on_flush(console.tell)
-
-    def take(datagram: bytes, now_ns: int) -> None:
-        console.handle_packet(datagram, now_ns)
-        while console.next_event() is not None:
-            pass  # no terminal waits for an answer
-
+    take = _listener(context, Segment.SPACE, None)
     _run_packets(context, TELECOMMAND, TELEMETRY, packets, start, take)
 
 
 def run_telemetry_replay(
     context: Context, *, packets: Sequence[SentPacket], start: ReplayStart
 ) -> None:
-    """Send the recorded telemetry, and count the telecommands that come."""
-    choice = CameraChoice(context.setup, context.probe, now_ns=context.clock.now_ns())
+    """Send the recorded telemetry, and count the telecommands that come.
+
+    Selections of a camera are confirmed at once: the pictures are those of the recording.
+    """
+    now_ns = context.clock.now_ns()
+    choice = CameraChoice(context.setup.cameras, context.probe, now_ns=now_ns)
     context.on_flush(choice.tell)
+    take = _listener(context, Segment.GROUND, choice)
+    _run_packets(context, TELEMETRY, TELECOMMAND, packets, start, take)
+
+
+def _listener(
+    context: Context, segment: Segment, choice: CameraChoice | None
+) -> Callable[[bytes, int], None]:
+    """A TM/TC end that takes packets, and sends none. choice: carries out selections."""
+    end = TmtcEnd(
+        segment,
+        session_dictionary(built_in_dictionary(), context.setup.cameras),
+        now_ns=context.clock.now_ns(),
+        first_count=0,
+        life=0,
+    )
+    context.on_flush(lambda: end.tell(context.probe))
+
+    def drain(now_ns: int) -> None:
+        while end.poll_transmit(now_ns) is not None:
+            pass  # what it would send is in the recording
 
     def take(datagram: bytes, now_ns: int) -> None:
-        choice.handle_packet(datagram, now_ns)
-        choice.handle_confirmed(choice.choice.number, now_ns)
-        while choice.poll_transmit(now_ns) is not None:
-            pass  # the acknowledgement is in the recording
+        end.handle_packet(datagram, now_ns)
+        drain(now_ns)
+        while (news := end.next_event()) is not None:
+            if choice is None or not isinstance(news, FunctionAsked):
+                continue
+            choice.handle_asked(news, now_ns)
+            if (chosen := choice.poll_choice(now_ns)) is not None:
+                choice.handle_confirmed(chosen.number)
+            while (done := choice.next_event()) is not None:
+                end.handle_request(done, now_ns)
+        drain(now_ns)
 
-    _run_packets(context, TELEMETRY, TELECOMMAND, packets, start, take)
+    return take
 
 
 def _run_packets(

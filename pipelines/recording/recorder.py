@@ -4,16 +4,20 @@ Every message that came is either in a part, or counted as lost, by channel:
 
 - missed: it was gone from its topic before it was read, by the sequence numbers of the topic;
 - dropped: it was read, but the disk was too slow or full.
+
+Where a part begins in the middle of a stream, a key picture may have to be made. Until it is there,
+the stream's messages are held, and written behind it in their order.
 """
 
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 import msgspec
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.codecs.black_key import black_key
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import rows_of
@@ -25,10 +29,12 @@ from pipelines.recording.channels import (
     RECEIVED,
     RECORDER_LOSSES,
     SENT,
+    SESSION_FIGURES,
     channels_of,
 )
 from pipelines.recording.contacts import ContactWatch
 from pipelines.recording.facts import FACTS, LIBRARY, RecordingFacts
+from pipelines.recording.figures import RecordedChannel, RecorderFigures
 from pipelines.recording.mcap_stream import McapStream, Piece
 from pipelines.recording.messages import (
     ChannelLoss,
@@ -37,6 +43,8 @@ from pipelines.recording.messages import (
     LogLevel,
     LogLine,
     RecordedEvent,
+    RecordedFigure,
+    RecordedFigures,
     RecordedFrames,
     RecordedPacket,
     RecordedPicture,
@@ -49,8 +57,12 @@ from pipelines.recording.messages import (
     packet_words,
 )
 from pipelines.recording.sources import Content, Source
-from pipelines.recording.stream_start import StreamStart
-from pipelines.session.figures import RecorderCounters, RecorderGauges
+from pipelines.recording.stream_start import (
+    KEY_PATIENCE_NS,
+    MOST_HELD_OCTETS,
+    KeyPictureWanted,
+    StreamStart,
+)
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.topology import Topology
 from telepresence.link.figures import GatewayFigures
@@ -61,8 +73,6 @@ RETRY_NS: Final = 2 * NS_PER_S
 _LOSSES_NS = NS_PER_S
 #: Octets that may wait for a slow disk: minutes of a session.
 MOST_WAITING_OCTETS: Final = 32 << 20
-#: A first sample that is older than this at the begin was published for another reader.
-_OLD_NS = NS_PER_S
 #: A key picture that the recorder adds comes this long before its unit.
 _AHEAD_NS = NS_PER_US
 #: Kinds of events that are warnings in the log.
@@ -85,12 +95,43 @@ class _Instants(NamedTuple):
     now_ns: int
 
 
+class _Message(NamedTuple):
+    """A message for the file."""
+
+    channel: str
+    data: bytes
+    log_ns: int
+    sequence: int
+    at: _Instants
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Held:
+    """Messages of a stream that wait for the key picture ahead of them.
+
+    facts, at: of the unit behind the key picture. log_ns, sequence: of the key picture.
+    """
+
+    wanted: KeyPictureWanted
+    source: Source
+    facts: UnitFacts
+    log_ns: int
+    sequence: int
+    at: _Instants
+    messages: list[_Message] = field(default_factory=list)
+
+    @property
+    def octets(self) -> int:
+        return sum(len(each.data) for each in self.messages)
+
+
 class Recorder:
     """One recording.
 
     While `wants_part` is True, open a new file, and report with `handle_opened` or `handle_fault`.
     Write what `poll_transmit` returns, each into the file of its part, and report each piece in
     order with `handle_written`, or with `handle_fault` that no more of this part can be written.
+    Make the key pictures that `next_event` returns, and hand them to `handle_key_picture`.
     After `handle_end` take what is left.
 
     facts: of the first part. wall_offset_ns: wall time less the session's clock.
@@ -114,6 +155,10 @@ class Recorder:
         self._numbers = {row.topic: row.number for row in rows}
         self._topics = {row.number: row.topic for row in rows}
         self._starts: dict[str, StreamStart] = {}
+        #: By channel of units: what waits for a key picture.
+        self._held: dict[str, _Held] = {}
+        self._wanted: deque[KeyPictureWanted] = deque()
+        self._keys_wanted = self._keys_late = 0
         self._coders: dict[str, CameraCoder] = {}
         self._coded: Counter[str] = Counter()
         self._contact = ContactWatch()
@@ -122,6 +167,9 @@ class Recorder:
         self._sequences: dict[str, int] = {}
         self._stream: McapStream | None = None
         self._part = 0
+        #: The figures that this part has, and how often any were told.
+        self._told_figures: dict[str, float | str | bool | None] = {}
+        self._figures = 0
         self._begun_ns = self._joined_ns = 0
         self._ended = False
         self._retry_ns: int | None = None
@@ -158,8 +206,10 @@ class Recorder:
     ) -> None:
         """A sample of a topic, other than a camera's. published_ns: when, if not just now."""
         at = _Instants(now_ns if published_ns is None else published_ns, now_ns)
-        if source.topic not in self._sequences and 0 < stamp.capture_ns < self._joined_ns - _OLD_NS:
-            return  # a topic gives a new reader its newest sample, however old that is
+        if source.topic not in self._sequences and at.published_ns < self._joined_ns:
+            # A topic gives a new reader its newest sample. That may be from the recording before:
+            # those since then were counted, and not published.
+            return
         self._handle_number(source, stamp)
         if source.content is Content.UNIT:
             self._handle_unit(source, CodedUnit.unpack(octets), stamp, at)
@@ -203,6 +253,25 @@ class Recorder:
         self._put(EVENTS, pack(event), wall_ns, self._events, at)
         self._put(LOG_LINES, pack(line), wall_ns, self._events, at)
 
+    def handle_figures(
+        self, figures: Mapping[str, float | str | bool | None], session_ns: int, now_ns: int
+    ) -> None:
+        """The figures of the session at `session_ns`, by name."""
+        if self._stream is None:
+            return
+        before = self._told_figures
+        fresh = {
+            name: value
+            for name, value in figures.items()
+            if name not in before or before[name] != value
+        }
+        self._told_figures = {**before, **fresh}
+        changed = [RecordedFigure.of(name, value) for name, value in fresh.items()]
+        told = RecordedFigures(session_ns=session_ns, figures=changed)
+        self._figures += 1
+        at = _Instants(now_ns, now_ns)
+        self._put(SESSION_FIGURES, pack(told), session_ns + self._offset_ns, self._figures, at)
+
     def _handle_unit(
         self, source: Source, unit: CodedUnit, stamp: CaptureStamp, at: _Instants
     ) -> None:
@@ -213,15 +282,62 @@ class Recorder:
         key, data = self._starts[channel].handle_unit(unit, stamp, at.now_ns)
         facts = UnitFacts.of(unit, stamp)
         if key is not None and self._stream is not None:
-            added = replace(facts, key=True, damaged=False, octets=len(key), added=True)
-            number = max(0, stamp.sequence - 1)
-            at_ns = wall_ns - _AHEAD_NS
-            picture = RecordedPicture(wall_ns=at_ns, frame_id=source.name, data=key)
-            self._put(channel, pack(picture), at_ns, number, at)
-            self._put(facts_channel, pack(added), at_ns, number, at)
+            self._keys_wanted += 1
+            units = key if isinstance(key, tuple) else ()
+            ahead = _Held(
+                wanted=KeyPictureWanted(self._keys_wanted, units, unit.width, unit.height),
+                source=source,
+                facts=facts,
+                log_ns=wall_ns - _AHEAD_NS,
+                sequence=max(0, stamp.sequence - 1),
+                at=at,
+            )
+            if isinstance(key, bytes):
+                self._release(ahead, key)
+            else:
+                self._held[channel] = ahead
+                self._wanted.append(ahead.wanted)
         picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=data)
-        self._put(channel, pack(picture), wall_ns, stamp.sequence, at)
-        self._put(facts_channel, pack(facts), wall_ns, stamp.sequence, at)
+        messages = (
+            _Message(channel, pack(picture), wall_ns, stamp.sequence, at),
+            _Message(facts_channel, pack(facts), wall_ns, stamp.sequence, at),
+        )
+        if (held := self._held.get(channel)) is None:
+            for message in messages:
+                self._put(*message)
+            return
+        held.messages.extend(messages)
+        if held.octets > MOST_HELD_OCTETS:
+            self._give_up(held)
+
+    def next_event(self) -> KeyPictureWanted | None:
+        """Return the next key picture that is wanted, or None."""
+        return self._wanted.popleft() if self._wanted else None
+
+    def handle_key_picture(self, number: int, key: bytes | None) -> None:
+        """The key picture of this number is there; one that comes too late is left out.
+
+        key: None if it could not be made; then a black one takes its place.
+        """
+        for held in list(self._held.values()):
+            if held.wanted.number == number:
+                del self._held[held.source.channels[0]]
+                self._release(held, key or black_key(held.wanted.width, held.wanted.height))
+
+    def _give_up(self, held: _Held) -> None:
+        """Write what is held behind a black key picture, because its own comes too late."""
+        self._keys_late += 1
+        self.handle_key_picture(held.wanted.number, None)
+
+    def _release(self, held: _Held, key: bytes) -> None:
+        """Write a key picture, and what has waited for it."""
+        channel, facts_channel = held.source.channels
+        picture = RecordedPicture(wall_ns=held.log_ns, frame_id=held.source.name, data=key)
+        added = replace(held.facts, key=True, damaged=False, octets=len(key), added=True)
+        self._put(channel, pack(picture), held.log_ns, held.sequence, held.at)
+        self._put(facts_channel, pack(added), held.log_ns, held.sequence, held.at)
+        for message in held.messages:
+            self._put(*message)
 
     def _handle_haptics(
         self, source: Source, octets: bytes, stamp: CaptureStamp, at: _Instants
@@ -314,6 +430,7 @@ class Recorder:
             coder.handle_part()
         self._losses_ns = now_ns
         self._told_losses = 0
+        self._told_figures = {}
 
     def handle_fault(self, part: int | None, why: str, now_ns: int) -> None:
         """A file cannot be opened, or no more of a part be written.
@@ -335,6 +452,9 @@ class Recorder:
         self._left = deque(each for each in self._left if each[0] != part)
         if part == self._part and self._stream is not None:
             stream, self._stream = self._stream, None
+            for held in self._held.values():
+                self._dropped.update(self._numbers[each.channel] for each in held.messages)
+            self._held.clear()
             stream.handle_end(now_ns)
             while (unwritten := stream.poll_piece(now_ns)) is not None:
                 self._dropped.update(unwritten.messages)
@@ -357,6 +477,9 @@ class Recorder:
 
     def handle_time(self, now_ns: int) -> None:
         """Write the losses if they have changed. Call it at least once a second."""
+        for held in list(self._held.values()):
+            if now_ns - held.at.now_ns >= KEY_PATIENCE_NS:
+                self._give_up(held)
         if self._stream is None or now_ns < self._losses_ns:
             return
         self._losses_ns = now_ns + _LOSSES_NS
@@ -398,6 +521,8 @@ class Recorder:
         return PartPiece(part, piece.octets, sum(piece.messages.values()), last)
 
     def _end_stream(self, now_ns: int) -> None:
+        for held in list(self._held.values()):
+            self._give_up(held)
         stream, self._stream = self._stream, None
         if stream is None:
             return
@@ -414,21 +539,24 @@ class Recorder:
         """Why nothing is written at present; "" if all is well."""
         return self._fault
 
-    def counters(self) -> RecorderCounters:
-        """Return what was kept and lost so far."""
-        return RecorderCounters(
-            kept=self._named(self._kept),
-            missed=self._named(self._missed),
-            dropped=self._named(self._dropped),
+    def figures(self, file: str | None) -> RecorderFigures:
+        """Return what was kept and lost so far. file: the newest; None after the end."""
+        waiting = 0 if self._stream is None else self._stream.waiting_octets
+        waiting += sum(held.octets for held in self._held.values())
+        return RecorderFigures(
             parts=self._parts,
             octets=self._octets,
             disk_faults=self._faults,
+            late_keys=self._keys_late,
+            file=file,
+            fault=self._fault or None,
+            waiting_octets=waiting,
+            channels={
+                self._topics[number]: RecordedChannel(
+                    kept=self._kept[number],
+                    missed=self._missed[number],
+                    dropped=self._dropped[number],
+                )
+                for number in sorted({*(+self._kept), *(+self._missed), *(+self._dropped)})
+            },
         )
-
-    def gauges(self, file: str) -> RecorderGauges:
-        """Return its present state. file: of the newest part."""
-        waiting = 0 if self._stream is None else self._stream.waiting_octets
-        return RecorderGauges(file=file, fault=self._fault, waiting_octets=waiting)
-
-    def _named(self, counts: Mapping[int, int]) -> dict[str, int]:
-        return {self._topics[number]: count for number, count in counts.items() if count}

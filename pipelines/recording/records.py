@@ -57,7 +57,7 @@ def octets_of(record: McapRecord) -> bytes:
 
 
 def parse_record(kind: type[Kind], content: bytes) -> Kind | None:
-    """Return the record in `content`, what follows opcode and length, or None if it is none.
+    """Return the record in `content`, what follows opcode and length, or None for anything else.
 
     It is read strictly: the record, written again, has the same octets. More may follow, because
     later versions of the format may add fields.

@@ -16,7 +16,7 @@ class Recovery:
 
     figures: what the scan of the torn file found. If they are `sound`, there is nothing to mend.
 
-    Raises ProtocolError for octets that are no MCAP file, and as `check_ours`.
+    Raises ProtocolError for octets that are not an MCAP file, and as `check_ours`.
     """
 
     def __init__(self, octets: memoryview) -> None:

@@ -38,7 +38,7 @@ from pipelines.recording.records import (
 
 #: A chunk that claims more is not unpacked, so that no file makes this process grow without bound.
 MOST_CHUNK_OCTETS: Final = 1 << 28
-#: A record that is longer is none.
+#: A longer record is damage.
 _MOST_RECORD_OCTETS = 1 << 40
 _DATA_END_OCTETS = len(octets_of(DataEnd(data_section_crc=0)))
 _FOOTER_OCTETS = len(octets_of(Footer(summary_start=0, summary_offset_start=0, summary_crc=0)))

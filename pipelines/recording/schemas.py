@@ -22,6 +22,7 @@ _Proto = descriptor_pb2.FieldDescriptorProto
 _SCALARS = {
     "bool": _Proto.TYPE_BOOL,
     "bytes": _Proto.TYPE_BYTES,
+    "double": _Proto.TYPE_DOUBLE,
     "fixed32": _Proto.TYPE_FIXED32,
     "float": _Proto.TYPE_FLOAT,
     "int64": _Proto.TYPE_INT64,
@@ -233,6 +234,21 @@ LOSSES = _own(
         ),
     ),
 )
+FIGURES = _own(
+    "Figures",
+    "figures of the session that have changed since the message before; at first all",
+    ("int64", "session_ns", "session clock"),
+    ("Figure[]", "figures", "one for each"),
+    nested=(
+        _own(
+            "Figure",
+            "",
+            ("string", "name", "as in the session's report, without `streams.`"),
+            ("double", "number", "its value; NaN for a text, or while it is not known"),
+            ("string", "text", "its value if it is a text"),
+        ),
+    ),
+)
 
 SCHEMAS = (
     VIDEO,
@@ -246,6 +262,7 @@ SCHEMAS = (
     LINK_RECEIVED,
     EVENT,
     LOSSES,
+    FIGURES,
 )
 
 

@@ -7,27 +7,47 @@ a key picture of its own ahead of the stream's first unit:
 1. the decoder's picture of the unit before, coded anew, if the units since a beginning are known;
 2. else a black one, as after a restart of the recorder. The next wave then makes all right.
 
+The first takes time, so it is made beside the recorder: see `KeyPictureWanted`. Meanwhile the
+stream's messages are held.
+
 That unit also gets the stream's parameter sets in front, if it has none, because those of the key
 picture differ. Nothing is withheld.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from kontur_av.codecs.h264 import H264Decoder
-from kontur_av.media import CaptureStamp, empty_picture
+from kontur_av.clock import NS_PER_S
+from kontur_av.codecs.black_key import black_key
+from kontur_av.media import CaptureStamp
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.media.local_key import black_key, key_of
-from pipelines.media.unit_history import KeptUnit, UnitHistory
+from pipelines.media.unit_history import UnitHistory
 
 #: What is decoded at most for a key picture: about 0.2 s of work, at each new part.
 _MOST_PIXELS = 50_000_000
+#: Messages of a stream wait for a key picture at most so long, and at most so many octets of them.
+#: Then a black key picture is written instead, so that none is dropped.
+KEY_PATIENCE_NS: Final = 5 * NS_PER_S
+MOST_HELD_OCTETS: Final = 1 << 20
+
+
+class KeyPictureWanted(NamedTuple):
+    """Make a key picture of the last picture of these access units, in this size."""
+
+    number: int
+    units: tuple[bytes, ...]
+    width: int
+    height: int
 
 
 class Begun(NamedTuple):
-    """What goes into the file. key: a key picture to write first; None: none is needed."""
+    """What goes into the file for a unit.
 
-    key: bytes | None
+    key: a key picture to write first, or the units whose last picture it is to show; None: none is
+    needed.
+    """
+
+    key: bytes | tuple[bytes, ...] | None
     data: bytes
 
 
@@ -58,25 +78,7 @@ class StreamStart:
             return Begun(None, unit.data)  # no decoder can begin with it
         self._fresh = False
         data = unit.data if parameter_sets(unit.data) else self._sets + unit.data
-        return Begun(self._key((unit.width, unit.height)), data)
-
-    def _key(self, size: tuple[int, int]) -> bytes:
         replay = self._history.replay()
         if replay and sum(each.pixels for each in replay) <= _MOST_PIXELS:
-            found = _last_picture(replay, size)
-            if found is not None:
-                return found
-        return black_key(*size)
-
-
-def _last_picture(units: list[KeptUnit], size: tuple[int, int]) -> bytes | None:
-    decoder = H264Decoder()
-    newest = None
-    for unit in units:
-        for picture in decoder.decode(unit.data, 0):
-            newest = picture
-    if newest is None or (newest.width, newest.height) != size:
-        return None
-    room = empty_picture(*size)
-    newest.copy_to(room)
-    return key_of(room)
+            return Begun(tuple(each.data for each in replay), data)
+        return Begun(black_key(unit.width, unit.height), data)

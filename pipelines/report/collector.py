@@ -9,14 +9,15 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.meters import Histogram
+from kontur_av.rtp.receiver import ReceiverCounts
+from kontur_av.streams.video_receiver import VideoReceiverCounts
+from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from pipelines.media.figures import DisplayFigures
 from pipelines.report.journeys import HapticFigures, StreamFigures
 from pipelines.report.process_figures import ProcessFigures
 from pipelines.report.skew import LipSyncShare, Skew
 from pipelines.report.sync.figures import PERCEIVED, SyncFigures
 from pipelines.report.trace import Trace
-from pipelines.session.figures import (
-    DisplayCounters,
-)
 from pipelines.session.probe import Message, Series
 from pipelines.session.rows import (
     ClickRow,
@@ -70,9 +71,15 @@ class Collector:
             figures = self.processes[name] = ProcessFigures()
         return figures
 
-    def shown(self, stream: str) -> DisplayCounters:
+    def shown(self, stream: str) -> DisplayFigures:
         """The counts of the display that shows a stream."""
-        return self.process(self.topology.media(stream).display).total(DisplayCounters, stream)
+        return self.process(self.topology.media(stream).display).total(DisplayFigures, stream)
+
+    def received(self, stream: str) -> ReceiverCounts:
+        """The packets that came of a stream."""
+        figures = self.process(self.topology.media(stream).receiver)
+        found = figures.find(VideoReceiverCounts) or figures.find(VoiceReceiverCounts)
+        return ReceiverCounts() if found is None else found.rtp
 
     def handle_message(self, process: str, message: Message, now_ns: int) -> None:
         """A process has reported."""

@@ -11,23 +11,21 @@ from dataclasses import dataclass
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
+from pipelines.mission.figures import TaskFigures
 from pipelines.report.collector import Collector
 from pipelines.report.present import shown_now
 from pipelines.report.silence import silences
-from pipelines.session.figures import (
-    JoystickGauges,
-    OwnerGauges,
-    PeerGauges,
-    TaskGauges,
-    TrainerGauges,
-)
+from pipelines.session.figures import TrainerFigures
 from pipelines.session.session_events import Event
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.setup.table import Setup
 from pipelines.session.task_journal import KEPT, OPEN
 from pipelines.session.topology import TASKS, TRAINER, Segment
+from telepresence.haptics.figures import JoystickFigures
+from telepresence.haptics.ownership import OwnershipFigures
 from telepresence.link.figures import SupervisionFigures
-from telepresence.tasks.experiment import Step
+from telepresence.link.peer.figures import PeerFigures
+from telepresence.tasks.experiment import RunStep
 
 #: How many events are kept.
 DEPTH = 200
@@ -132,47 +130,48 @@ class EventLog:
         """What happened on the paths to another machine."""
         for segment in Segment:
             process = self._collector.process(self._collector.topology.gateway(segment).name)
-            gauges = process.gauges(PeerGauges)
-            if gauges is None:
+            peer = process.find(PeerFigures)
+            if peer is None:
                 continue
             told_ns = self._peer_told_ns.get(segment, -1)
-            for event in gauges.peer.events:
-                at_ns = gauges.peer.begun_ns + event.at_ns
+            for event in peer.events:
+                at_ns = peer.begun_ns + event.at_ns
                 if at_ns > told_ns:
                     yield at_ns, "link", f"{segment.value}: {event.what}"
-            newest_ns = [gauges.peer.begun_ns + event.at_ns for event in gauges.peer.events]
+            newest_ns = [peer.begun_ns + event.at_ns for event in peer.events]
             self._peer_told_ns[segment] = max([told_ns, *newest_ns])
 
     def _exercises(self) -> Iterator[tuple[int, str, str]]:
         """What a trainer did."""
-        gauges = self._collector.process(TRAINER).gauges(TrainerGauges)
-        events = () if gauges is None else gauges.events
-        for event in events:
+        for event in self._collector.process(TRAINER).total(TrainerFigures).exercises:
             if event.at_ns > self._exercise_told_ns:
                 self._exercise_told_ns = event.at_ns
                 yield event.at_ns, "session", f"trainer: {event.what}"
 
     def _owners(self) -> Iterator[tuple[int, str, str]]:
         """Who drives the robot."""
-        gauges = self._collector.process("robot").gauges(OwnerGauges)
-        events = () if gauges is None else gauges.arm.events
-        for event in events:
+        arm = self._collector.process("robot").find(OwnershipFigures)
+        for event in () if arm is None else arm.events:
             if event.at_ns > self._owner_told_ns:
                 self._owner_told_ns = event.at_ns
                 yield event.at_ns, "session", f"robot: {event.what}"
 
     def _tasks(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
         """Selection, start and end of the runs of tasks."""
-        gauges = self._collector.process(TASKS).gauges(TaskGauges)
-        for row in () if gauges is None else gauges.rows[-KEPT:]:
+        runs = self._collector.process(TASKS).total(TaskFigures).runs
+        for _, row in sorted(runs.items())[-KEPT:]:
             at_ns = {one.step: one.at_ns for one in row.steps}
             result = f"{row.result}: {row.reason}" if row.reason else row.result
             ended = "" if row.result == OPEN else result
             for stage, (step, text) in enumerate(
-                ((Step.SELECTED, "selected"), (Step.STARTED, "started"), (Step.ENDED, ended))
+                (
+                    (RunStep.SELECTED, "selected"),
+                    (RunStep.STARTED, "started"),
+                    (RunStep.ENDED, ended),
+                )
             ):
                 # The end of a killed process's run has no instant.
-                came = step.value in at_ns or step is Step.ENDED
+                came = step.value in at_ns or step is RunStep.ENDED
                 if text and came and (row.run, stage) > self._task_told:
                     self._task_told = row.run, stage
                     words = f"task {row.name}, run {row.run}: {text}"
@@ -211,10 +210,10 @@ class EventLog:
             self._restarts[process.name] = process.restarts
 
     def _joysticks(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
-        gauges = self._collector.process("joystick").gauges(JoystickGauges)
-        if gauges is None:
+        joystick = self._collector.process("joystick").find(JoystickFigures)
+        if joystick is None:
             return
-        now = gauges.joystick.state, gauges.joystick.reason
+        now = joystick.state, joystick.reason
         before, self._joystick = self._joystick, now
         if now != before:
             state, reason = now

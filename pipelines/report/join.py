@@ -8,8 +8,8 @@ of space with their instants on the clock of the ground (`telepresence.link.cloc
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import msgspec
@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.figures import marks_of, plus
+from pipelines.recording.figures import RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.model import (
+    RECEIVED,
     CpuReport,
     DirectionReport,
     EndTrace,
-    ExerciseReport,
     HapticReport,
-    RecorderReport,
     SessionReport,
     StreamReport,
     TraceSeries,
@@ -35,6 +36,7 @@ from pipelines.report.spread import spread_ms
 from pipelines.report.sync.section import sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.trace import TRACED, rows_of
+from pipelines.session.figures import DatedEvent
 from pipelines.session.probe import FLUSH_NS, Message, Series
 from pipelines.session.rows import INSTANTS, ClockRow, Row
 from pipelines.session.setup.table import Setup
@@ -44,43 +46,6 @@ from telepresence.link.clock.history import ClockHistory
 #: A session lasts no longer.
 _LONGEST_NS = 7 * 24 * 3600 * NS_PER_S
 _NEEDS = "write both with `kontur-av stream --end … --report FILE` of one session"
-
-#: Of a stream's report: what the receiver knows. The rest is the sender's, or found anew.
-_RECEIVED = (
-    "frames_displayed",
-    "displayed_hz",
-    "rtp_packets",
-    "rtp_lost",
-    "rtp_reordered",
-    "rtp_duplicates",
-    "rtp_late",
-    "garbage",
-    "frames_damaged",
-    "frames_concealed",
-    "frames_recovered",
-    "frames_corrupt",
-    "frames_undated",
-    "frames_oversized",
-    "stale_after_ms",
-    "stale_ms",
-    "stale_episodes",
-    "frozen_ms",
-    "frozen_episodes",
-    "damaged_ms",
-    "damaged_episodes",
-)
-_FELT = (
-    "payload_bps_mean",
-    "received",
-    "lost",
-    "late",
-    "strays",
-    "greetings",
-    "sessions",
-    "garbage",
-)
-#: Of a direction of the link: what the gateway knows that receives.
-_LINK_RECEIVED = ("frames_lost", "frames_dropped", "packets", "packets_dropped")
 
 
 class JoinedEnd(NamedTuple):
@@ -299,8 +264,10 @@ def _both_ran(ground: EndTrace, space: EndTrace, collector: Collector) -> tuple[
     return began_ns, ended_ns
 
 
-def _picked(report: msgspec.Struct, names: Iterable[str]) -> Mapping[str, Any]:
-    return {name: getattr(report, name) for name in names}
+def _received(report: msgspec.Struct) -> Mapping[str, Any]:
+    """What the receiving end knows."""
+    marks = marks_of(type(report))
+    return {name: getattr(report, name) for name, one in marks.items() if RECEIVED in one}
 
 
 def _pauses_s(pauses_ns: Iterable[tuple[int, int]], began_ns: int) -> list[tuple[float, float]]:
@@ -325,7 +292,7 @@ def _stream(
     return msgspec.structs.replace(
         sent,
         side=None,
-        **_picked(received, _RECEIVED),
+        **_received(received),
         latency_ms=stream_latency_ms(figures),
         latency_error_ms=round(error_ns / NS_PER_MS, 3),
         pauses_s=_pauses_s(figures.pauses.within(began_ns, ended_ns), began_ns),
@@ -347,7 +314,7 @@ def _haptic(
     return msgspec.structs.replace(
         sent,
         side=None,
-        **_picked(received, _FELT),
+        **_received(received),
         latency_ms=spread_ms(figures.latency),
         pauses_s=_pauses_s(figures.pauses.within(began_ns, ended_ns), began_ns),
     )
@@ -358,9 +325,8 @@ def _direction(
 ) -> DirectionReport:
     (link,) = (row for row in topology.links if row.direction.value == name)
     received = reports[link.direction.receiver].link[name]
-    return msgspec.structs.replace(
-        reports[link.direction.sender].link[name], **_picked(received, _LINK_RECEIVED)
-    )
+    sent = reports[link.direction.sender].link[name]
+    return msgspec.structs.replace(sent, **_received(received))
 
 
 def _cpu(ground: CpuReport, space: CpuReport) -> CpuReport:
@@ -371,26 +337,25 @@ def _cpu(ground: CpuReport, space: CpuReport) -> CpuReport:
     )
 
 
-def _exercises(ends: Mapping[Segment, JoinedEnd]) -> list[ExerciseReport] | None:
+def _exercises(ends: Mapping[Segment, JoinedEnd]) -> list[DatedEvent] | None:
     found = [one for end in ends.values() for one in end.report.exercises or ()]
-    return sorted(found, key=lambda one: one.at_s) or None
+    return sorted(found, key=lambda one: one.at_ns) or None
 
 
-def _recorder(ground: RecorderReport | None, space: RecorderReport | None) -> RecorderReport | None:
+def _recorder(
+    ground: RecorderFigures | None, space: RecorderFigures | None
+) -> RecorderFigures | None:
     """Both recorders; the files of the two are named one after the other."""
     if ground is None or space is None:
         return ground or space
     files = [one.file for one in (ground, space) if one.file is not None]
-    return RecorderReport(
+    return replace(
+        plus(_named(ground, "ground"), _named(space, "space")),
         file="; ".join(files) or None,
-        parts=ground.parts + space.parts,
-        octets=ground.octets + space.octets,
-        disk_faults=ground.disk_faults + space.disk_faults,
         fault=ground.fault or space.fault,
-        channels=dict(_named(ground, "ground")) | dict(_named(space, "space")),
     )
 
 
-def _named(recorder: RecorderReport, end: str) -> Iterator[tuple[str, Any]]:
-    for name, channel in recorder.channels.items():
-        yield f"{end}: {name}", channel
+def _named(recorder: RecorderFigures, end: str) -> RecorderFigures:
+    channels = {f"{end}: {name}": channel for name, channel in recorder.channels.items()}
+    return replace(recorder, channels=channels)

@@ -10,59 +10,98 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import msgspec
 
-from pipelines.session import figures
+from kontur_av.codecs.h264 import DecoderCounts
+from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.streams.video_receiver import VideoReceiverCounts
+from kontur_av.streams.video_sender import FeedbackCounts
+from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from pipelines.hand.figures import WallFigures
+from pipelines.link.figures import SocketFigures, WayInFigures
+from pipelines.media.figures import (
+    CaptureFigures,
+    DisplayFigures,
+    GainFigures,
+    SelectorFigures,
+    SnapshotFigures,
+    StereoFigures,
+)
+from pipelines.mission.figures import TaskFigures, TmtcFigures
+from pipelines.partner.figures import RtcFigures
+from pipelines.recording.figures import RecorderFigures
+from pipelines.report.model import keys_of
+from pipelines.seats.figures import PageFigures
+from pipelines.session.figures import LoopFigures, ProbeFigures, TrainerFigures
+from telepresence.haptics.figures import JoystickFigures, PortFigures, SamplesReceived, SamplesSent
+from telepresence.haptics.ownership import OwnershipFigures
+from telepresence.link.figures import GatewayFigures
+from telepresence.link.peer.figures import PeerFigures
 
-#: By counter that is a table: what its keys are.
-_KEYS = {
-    "strangers": "_PORT",
-    "refused": "_REASON",
-    "samples": "_FATE",
-    **dict.fromkeys(("kept", "missed", "dropped"), "_CHANNEL"),
-    **dict.fromkeys(
-        (
-            "packets",
-            "octets",
-            "packets_lost",
-            "packets_asked",
-            "packets_repeated",
-            "keys_asked",
-        ),
-        "_STREAM",
-    ),
-}
+#: All records that processes tell.
+TOLD: tuple[type, ...] = (
+    ProbeFigures,
+    LoopFigures,
+    CaptureFigures,
+    StereoFigures,
+    SelectorFigures,
+    SenderCounts,
+    FeedbackCounts,
+    GainFigures,
+    VideoReceiverCounts,
+    DecoderCounts,
+    VoiceReceiverCounts,
+    DisplayFigures,
+    SnapshotFigures,
+    GatewayFigures,
+    SocketFigures,
+    WayInFigures,
+    PeerFigures,
+    SamplesSent,
+    SamplesReceived,
+    PortFigures,
+    WallFigures,
+    JoystickFigures,
+    OwnershipFigures,
+    TmtcFigures,
+    TaskFigures,
+    TrainerFigures,
+    PageFigures,
+    RtcFigures,
+    RecorderFigures,
+)
 _WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "true or false"}
 
 
 def keys_tables(kind: type, *, without: type | None = None) -> str:
-    """A list for `kind` and one for each type below it, in the order in which they come."""
+    """A table for `kind` and one for each type below it, in the order in which they come."""
     listed = [] if without is None else _types_below(without)
     parts = []
     for one in _types_below(kind):
         if one in listed:
             continue
-        rows = _listed(_rows(one))
-        summary = inspect.getdoc(one) or ""
-        parts.append(f"**{one.__name__}**: {summary.splitlines()[0]}\n\n" + "\n".join(rows))
+        parts.append(f"**{one.__name__}**: {_summary(one)}\n\n" + "\n".join(_listed(_rows(one))))
     return "\n\n".join(parts) + "\n"
 
 
-def counters_table() -> str:
-    """Lists of all counters, by the names that they have in a report."""
+def counts_table() -> str:
+    """Lists of all that processes count and tell, by the names that it has in a report."""
     parts = []
-    for kind in vars(figures).values():
-        if not isinstance(kind, type) or kind.__base__ is not figures.Counters:
-            continue
-        described, of = comments(kind), (inspect.getdoc(kind) or "").splitlines()[0]
-        prefix = "STREAM." if kind is figures.DisplayCounters else ""
-        rows = _listed(
-            (
-                f"`{prefix}{name}{_KEYS[name] if typing.get_origin(hint) is Mapping else ''}`",
-                described[name],
-            )
-            for name, hint in typing.get_type_hints(kind).items()
-        )
-        parts.append(f"**{of}**\n\n" + "\n".join(rows))
+    for kind in TOLD:
+        prefix = "STREAM." if kind is DisplayFigures else ""
+        parts.append(f"**{_summary(kind)}**\n\n" + "\n".join(_listed(_rows(kind, prefix))))
     return "\n\n".join(parts) + "\n"
+
+
+def _listed(rows: Iterable[tuple[str, str]]) -> list[str]:
+    """Items of (key, comment); keys without a comment share an item with their neighbours."""
+    items = []
+    for what, alike in itertools.groupby(rows, key=lambda row: row[1]):
+        keys = [key for key, _ in alike]
+        items += [f"- {key}: {what}" for key in keys] if what else [f"- {', '.join(keys)}"]
+    return items
+
+
+def _summary(kind: type) -> str:
+    return (inspect.getdoc(kind) or "").splitlines()[0]
 
 
 def comments(kind: type) -> dict[str, str]:
@@ -84,32 +123,21 @@ def comments(kind: type) -> dict[str, str]:
     return found
 
 
-def _listed(rows: Iterable[tuple[str, str]]) -> list[str]:
-    """Items of (key, comment); keys without a comment share an item with their neighbours."""
-    items = []
-    for what, alike in itertools.groupby(rows, key=lambda row: row[1]):
-        keys = [key for key, _ in alike]
-        items += [f"- {key}: {what}" for key in keys] if what else [f"- {', '.join(keys)}"]
-    return items
+def _rows(kind: type, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Each key with its type, unless it is an integer, and its sentence; `?`: may be absent.
 
-
-def _rows(kind: type) -> Iterator[tuple[str, str]]:
-    """Each key with its type, unless it is an integer, and its comment; `?`: may be absent."""
+    The fields of a flat record stand in the place of its key.
+    """
     texts, hints = comments(kind), typing.get_type_hints(kind)
-    for name, key, optional in _fields(kind):
+    for name, key, optional, flat in keys_of(kind):
+        below = list(_records(hints[name]))
+        if flat:
+            for record in below:
+                yield from _rows(record, prefix)
+            continue
         words = _words(hints[name], optional=optional)
-        told = f"`{key}`" + "?" * optional
+        told = f"`{prefix}{key}`" + "?" * optional
         yield told if words == _WORDS[int] else f"{told} ({words})", texts.get(name, "")
-
-
-def _fields(kind: type) -> Iterator[tuple[str, str, bool]]:
-    """The name, the key in JSON, and whether it may be absent, of each field."""
-    if issubclass(kind, msgspec.Struct):
-        for field in msgspec.structs.fields(kind):
-            yield field.name, field.encode_name, not field.required
-    elif dataclasses.is_dataclass(kind):
-        for plain in dataclasses.fields(kind):
-            yield plain.name, plain.name, False
 
 
 def _words(hint: object, *, optional: bool = False) -> str:
@@ -118,9 +146,11 @@ def _words(hint: object, *, optional: bool = False) -> str:
     if origin in (types.UnionType, typing.Union):
         one = next(of for of in arguments if of is not type(None))
         return _words(one) + ("" if optional else " or null")
-    if origin is dict:
+    if origin in (dict, Mapping):
         return f"{_words(arguments[1])}, by name"
     if origin is list:
+        return f"list of {_words(arguments[0])}"
+    if origin is tuple and Ellipsis in arguments:
         return f"list of {_words(arguments[0])}"
     if origin is tuple:
         return f"[{', '.join(map(_words, arguments))}]"
@@ -128,11 +158,15 @@ def _words(hint: object, *, optional: bool = False) -> str:
 
 
 def _types_below(kind: type) -> list[type]:
-    found = [kind]
+    """A type, and those below it that have tables of their own: a flat one stands in its parent."""
+    found, listed = [kind], [kind]
     for one in found:
-        for hint in typing.get_type_hints(one).values():
-            found += [below for below in _records(hint) if below not in found]
-    return found
+        hints = typing.get_type_hints(one)
+        for name, _, _, flat in keys_of(one):
+            for below in _records(hints[name]):
+                found += [] if below in found else [below]
+                listed += [] if below in listed or flat else [below]
+    return listed
 
 
 def _records(hint: object) -> Iterator[type]:

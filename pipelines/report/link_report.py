@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from kontur_av.clock import NS_PER_S
+from pipelines.link.figures import SocketFigures
 from pipelines.report.clock import clock_words
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import fitted_line
@@ -11,7 +12,6 @@ from pipelines.report.link_figures import (
     gateway_figures,
     link_figures,
     peer_words,
-    stranger_counts,
 )
 from pipelines.report.model import (
     DirectionReport,
@@ -22,10 +22,11 @@ from pipelines.report.model import (
 )
 from pipelines.report.session_report import cpu_report
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
-from pipelines.session.figures import LoopCounters, PeerGauges
+from pipelines.session.figures import LoopFigures
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment
 from telepresence.link.figures import SenderFigures, SupervisionFigures
+from telepresence.link.peer.figures import PeerFigures
 from telepresence.link.profile import LinkProfile
 
 #: The keys of the ledger whose rates stand in a line.
@@ -64,6 +65,8 @@ def build_link_report(
                 restarts=restarts[name],
                 scheduler=collector.process(name).scheduler,
                 last_error=collector.process(name).last_error,
+                counts=collector.process(name).counts_by_name(),
+                newest=collector.process(name).newest_by_name(),
             )
             for name in cpu_s
         },
@@ -79,7 +82,7 @@ def build_link_report(
 def _failures(
     collector: Collector, ends: Sequence[Segment], restarts: Mapping[str, int]
 ) -> list[str]:
-    """What failed in the link itself. That nobody was heard is no failure: the radio decides it."""
+    """What failed in the link itself. Silence is not a failure: the radio decides it."""
     found = []
     for end in ends:
         name = collector.topology.gateway(end).name
@@ -94,7 +97,7 @@ class _Seen:
     """The figures of an end's last line."""
 
     frames: int = 0
-    octets: dict[str, int] = field(default_factory=dict)
+    octets: Mapping[str, int] = field(default_factory=dict)
 
 
 class LinkView:
@@ -129,18 +132,18 @@ class LinkView:
         self._seen[end] = _Seen(sent.frames, dict(sent.octets))
         state = _state(link.supervision)
         levels = " ".join(f"{name} {rates[name]:.1f}" for name in _LEVELS)
-        strangers = sum(stranger_counts(collector, end).values())
+        strangers = sum(figures.total(SocketFigures).strangers.values())
         parts = [
             f"{end.value} {state}",
-            f"heard {received.frames} frames, {received.frames_lost} lost",
-            f"{figures.total(LoopCounters).slips} slips",
+            f"heard {received.frames_received} frames, {received.frames_lost} lost",
+            f"{figures.total(LoopFigures).slips} slips",
             f"sends kbit/s {levels}",
         ]
         if strangers:
             parts.insert(3, f"{strangers} strangers")
-        peer = figures.gauges(PeerGauges)
+        peer = figures.find(PeerFigures)
         if peer is not None:
-            parts.insert(1, peer_words(peer.peer))
+            parts.insert(1, peer_words(peer))
         if link.clock is not None:
             parts.append(clock_words(end.peer.value, link.clock))
         return fitted_line(parts, width, gap=", ")
@@ -180,10 +183,11 @@ def summary_lines(report: LinkReport) -> list[str]:
 
 def _direction(direction: str, link: DirectionReport) -> list[str]:
     lines = []
-    if link.frames:
+    sender, receiver = link.sender, link.receiver
+    if sender.frames:
         late, sent = link.lateness_us, link.sent_after_us
         lines.append(
-            f"{direction}: {link.frames} frames sent, {link.slips} slips; slots late by "
+            f"{direction}: {sender.frames} frames sent, {link.loop.slips} slips; slots late by "
             f"{late.p50:.0f} µs (p50), {late.p99:.0f} (p99), {late.p99_9:.0f} (p99.9), "
             f"{late.max:.0f} at most; sent after {sent.p50:.0f} (p50), {sent.p99:.0f} "
             "(p99)"
@@ -191,17 +195,17 @@ def _direction(direction: str, link: DirectionReport) -> list[str]:
         lines.append(f"  {ledger_line(link)}")
         drops = {
             f"{level}, {reason}": count
-            for level, queue in link.queue.items()
+            for level, queue in sender.queue.items()
             for reason, count in queue.drops.items()
             if count
-        } | {f"refused, {reason}": count for reason, count in link.refused.items() if count}
+        } | {f"refused, {reason}": count for reason, count in sender.refused.items() if count}
         if drops:
             lines.append("  not sent: " + ", ".join(f"{n} ({why})" for why, n in drops.items()))
-    if link.packets:
-        came = ", ".join(f"{name} {count}" for name, count in link.packets.items() if count)
-        frames = f"{link.frames_lost} frames lost"
+    if receiver.packets:
+        came = ", ".join(f"{name} {count}" for name, count in receiver.packets.items() if count)
+        frames = f"{receiver.frames_lost} frames lost"
         lines.append(f"{direction} received: {frames}; packets {came or 'none'}")
-        dropped = {**link.frames_dropped, **link.packets_dropped}
+        dropped = {**receiver.frames_dropped, **receiver.packets_dropped}
         if dropped:
             lines.append("  dropped: " + ", ".join(f"{n} {why}" for why, n in dropped.items()))
     return lines
@@ -217,7 +221,7 @@ def ledger_line(link: DirectionReport) -> str:
     """The uses of a direction's octets; 100 % in all."""
     shares = link.octets_percent.items()
     used = ", ".join(f"{kind} {share:.2f}" for kind, share in shares)
-    return f"of {sum(link.octets.values())} octets, in %: {used}"
+    return f"of {sum(link.sender.octets.values())} octets, in %: {used}"
 
 
 def peer_lines(end: str, gateway: GatewayReport) -> list[str]:
@@ -241,9 +245,9 @@ def end_line(end: str, gateway: GatewayReport) -> str:
     contact_s = 0.0 if supervision is None else supervision.contact_ns / NS_PER_S
     state = "never ran" if supervision is None else _state(supervision)
     line = f"{end}: {state}, {contact_s:.1f} s of signal in {contacts} contacts"
-    if gateway.strangers:
-        counts = ", ".join(f"{name} {count}" for name, count in gateway.strangers.items())
+    if gateway.sockets.strangers:
+        counts = ", ".join(f"{name} {count}" for name, count in gateway.sockets.strangers.items())
         line += f"; from strangers: {counts}"
-    if gateway.unsent:
-        line += f"; {gateway.unsent} frames not sent"
+    if gateway.sockets.unsent:
+        line += f"; {gateway.sockets.unsent} frames not sent"
     return line

@@ -25,11 +25,12 @@ from pipelines.report.rtc_figures import rtc_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import silences
 from pipelines.report.summary import NO_SAMPLE
-from pipelines.session.figures import HapticCounters, PeerGauges, ReceptionCounters
 from pipelines.session.launcher import Launcher
 from pipelines.session.session_switch import Activity
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import HapticRow
+from telepresence.haptics.figures import SamplesReceived
+from telepresence.link.peer.figures import PeerFigures
 
 #: The columns, with the rank by which they are left out on a narrow terminal.
 _COLUMNS = (
@@ -122,8 +123,8 @@ def path_line(collector: Collector) -> str:
     alone = collector.topology.alone
     if alone is None:
         return ""
-    gauges = collector.process(collector.topology.gateway(alone).name).gauges(PeerGauges)
-    return f"{alone.value} end alone: {'starting' if gauges is None else peer_words(gauges.peer)}"
+    peer = collector.process(collector.topology.gateway(alone).name).find(PeerFigures)
+    return f"{alone.value} end alone: {'starting' if peer is None else peer_words(peer)}"
 
 
 def _runs(launcher: Launcher) -> bool:
@@ -150,14 +151,13 @@ def _stream_row(
     side = collector.topology.side_here(row)
     newest = latency_ms(figures)
     largest = figures.rate.max_bps(NS_PER_S)
-    receiver = collector.process(row.receiver)
     cells: list[str | Text] = [
         stream.name,
         f"{last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}",
         Text(f"{largest / 1000:.1f}", "bold red" if figures.above_cap_bps[0] > 0 else "green"),
         f"{stream.cap_bps / 1000:g}",
         str(collector.shown(stream.name).frames_displayed),
-        str(receiver.total(ReceptionCounters).rtp_lost),
+        str(collector.received(stream.name).rtp_lost),
         NO_SAMPLE if newest is None else f"{newest:.1f}{_error(figures)}",
         _percentile_ms(figures.latency, 99),
         _age(launcher, collector, stream),
@@ -175,7 +175,7 @@ def _known(
 
 def _haptic_row(launcher: Launcher, collector: Collector, row: HapticRow) -> list[str | Text]:
     figures = collector.haptics[row.key]
-    samples = collector.process(row.receiver).total(HapticCounters)
+    samples = collector.process(row.receiver).total(SamplesReceived)
     profile = launcher.setup.profile(row.direction)
     cells: list[str | Text] = [
         f"haptic_{row.key}",
@@ -266,7 +266,7 @@ def _line(launcher: Launcher, collector: Collector) -> str:
             f" {last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}"
             f"/{stream.cap_bps / 1000:g} kbit/s"
         )
-        lost = collector.process(row.receiver).total(ReceptionCounters).rtp_lost
+        lost = collector.received(stream.name).rtp_lost
         came = f" {collector.shown(stream.name).frames_displayed} shown {lost} lost"
         newest = latency_ms(figures)
         late = f" {NO_SAMPLE if newest is None else f'{newest:.0f}'}{_error(figures)} ms"
@@ -278,7 +278,7 @@ def _line(launcher: Launcher, collector: Collector) -> str:
             parts[-1] += f" STALE {age_words(age_ns)}"
     for haptic in collector.topology.haptics:
         side = collector.topology.side_here(haptic)
-        samples = collector.process(haptic.receiver).total(HapticCounters)
+        samples = collector.process(haptic.receiver).total(SamplesReceived)
         late_ms = collector.haptics[haptic.key].latency.percentile(50) / 1e6
         if side is None:
             parts.append(

@@ -1,22 +1,60 @@
 """The reports of all commands, as types, and their one way to JSON and back.
 
-A comment above a field says what it is; the table of the keys in docs/report.md is made from these
-comments and from the names and types. A unit that ends a name holds for all values below it. A
-field whose default is None is left out of the JSON when it has no value.
+What processes count is declared where it is counted, and a report holds those records themselves
+(`kontur_av.figures`). In JSON the figures of a `Flat` record stand among those of the report that
+holds it. Declared here is what only a report says.
+
+A `#:` comment above a field says what it is; the tables of the keys in docs/report.md are made from
+these comments and from the names and types. A unit that ends a name holds for all values below it.
+A field whose default is None is left out of the JSON when it has no value.
 """
 
+import dataclasses
 import json
-from typing import Any, TypeVar
+from collections.abc import Iterator, Mapping
+from enum import Enum
+from functools import cache
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from telepresence.haptics.figures import JoystickFigures, OperationFigures
+from kontur_av.codecs.h264 import DecoderCounts
+from kontur_av.figures import Flat, is_flat
+from kontur_av.rtp.receiver import ReceiverCounts
+from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.streams.video_receiver import VideoReceiverCounts
+from kontur_av.streams.video_sender import FeedbackCounts
+from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from pipelines.link.figures import SocketFigures, WayInFigures
+from pipelines.media.figures import DisplayFigures, GainFigures
+from pipelines.partner.figures import RtcFigures
+from pipelines.recording.figures import RecorderFigures
+from pipelines.session.figures import DatedEvent, LoopFigures
+from pipelines.session.task_journal import TaskRow
+from telepresence.haptics.figures import (
+    JoystickFigures,
+    OperationFigures,
+    PortFigures,
+    SamplesReceived,
+    SamplesSent,
+)
+from telepresence.haptics.ownership import OwnershipFigures
 from telepresence.link.figures import (
+    ChannelFigures,
     ClockFigures,
     ContactWindows,
-    QueueFigures,
+    PathFigures,
+    ReceiverFigures,
+    SenderFigures,
     SupervisionFigures,
 )
+from telepresence.link.peer.figures import PeerFigures
+
+T = TypeVar("T")
+#: What the receiving end of two knows; the rest is the sender's, or found anew (`join.py`).
+RECEIVED = "received"
+Received = Annotated[T, RECEIVED]
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -64,8 +102,7 @@ class StreamReport(Report, frozen=True, kw_only=True):
     cap_bps: int
     #: What haptic samples that were left out added to the cap, on average.
     gained_bps: int | None = None
-    #: How often that changed.
-    gain_changes: int | None = None
+    gain: Flat[GainFigures] | None = None
     #: Width and height of what is captured and displayed; of pictures only.
     size: tuple[int, int] | None = None
     #: Width and height that are coded; of pictures only.
@@ -75,48 +112,18 @@ class StreamReport(Report, frozen=True, kw_only=True):
     payload_bps_max_1s: int
     #: The largest rate over a sliding tenth of a second.
     payload_bps_max_100ms: int
-    #: Pictures or blocks of sound that came to the sender.
-    frames_captured: int
-    frames_encoded: int
-    frames_sent: int
-    #: Pictures or blocks that the encoder's budget had no room for.
-    frames_refused: int
-    #: Pictures or blocks that were shown or played; concealed sound does not count.
-    frames_displayed: int
-    displayed_hz: float
-    #: RTP packets received.
-    rtp_packets: int | None = None
-    #: Gaps in the sequence numbers.
-    rtp_lost: int | None = None
-    rtp_reordered: int | None = None
-    rtp_duplicates: int | None = None
-    #: Packets that came after their turn.
-    rtp_late: int | None = None
-    #: Datagrams that are no RTP of this stream.
-    garbage: int | None = None
-    #: Access units with gaps; of pictures only.
-    frames_damaged: int | None = None
-    #: Blocks that the decoder had to make up; of voices only.
-    frames_concealed: int | None = None
-    #: Blocks that were restored from forward error correction; of voices only.
-    frames_recovered: int | None = None
-    #: Access units that the decoder could not decode; of pictures only.
-    frames_corrupt: int | None = None
-    #: Units that came before a sender report gave their capture time.
-    frames_undated: int | None = None
-    #: Pictures of another size than the stream's; of pictures only.
-    frames_oversized: int | None = None
+    sender: Flat[SenderCounts]
+    #: Of pictures only.
+    feedback: Flat[FeedbackCounts] | None = None
+    #: The receiver of a picture, or that of a voice.
+    video: Received[Flat[VideoReceiverCounts]] | None = None
+    voice: Received[Flat[VoiceReceiverCounts]] | None = None
+    #: Of pictures only.
+    decoder: Received[Flat[DecoderCounts]] | None = None
+    display: Received[Flat[DisplayFigures]]
+    displayed_hz: Received[float]
     #: From this age on, what is shown counts as stale.
-    stale_after_ms: float
-    #: How long what was shown was stale.
-    stale_ms: float
-    stale_episodes: int
-    #: How long the picture stood still; of pictures only.
-    frozen_ms: float | None = None
-    frozen_episodes: int | None = None
-    #: How long the picture showed damage; of pictures only.
-    damaged_ms: float | None = None
-    damaged_episodes: int | None = None
+    stale_after_ms: Received[float]
     #: From capture to display; of one end alone without its stages.
     latency_ms: StreamLatency
     #: Every latency may be wrong by this, because two machines took its stamps.
@@ -125,6 +132,12 @@ class StreamReport(Report, frozen=True, kw_only=True):
     pauses_s: list[tuple[float, float]]
     #: The largest difference of the capture time that travelled by RTCP to the stamp itself.
     capture_stamp_error_us: float
+
+    @property
+    def rtp(self) -> ReceiverCounts:
+        """The packets that came."""
+        came = self.video or self.voice
+        return ReceiverCounts() if came is None else came.rtp
 
 
 class Punctuality(Report, frozen=True, kw_only=True):
@@ -137,21 +150,6 @@ class Punctuality(Report, frozen=True, kw_only=True):
     p99_9: float = msgspec.field(name="p99.9")
 
 
-class PortReport(Report, frozen=True, kw_only=True):
-    """Energies of the haptic port at the sender of a direction, and its passivity controller."""
-
-    energy_in_uj: int
-    energy_out_uj: int
-    #: Cycles in which the passivity controller acted.
-    passivity_acted: int
-    #: Refused totals of the peer's energy.
-    totals_refused: int
-    #: Energy that this end may still give out.
-    credit_uj: int | None = None
-    #: The least that the passivity observer saw; below 0 energy was made.
-    least_uj: int | None = None
-
-
 class HapticReport(Report, frozen=True, kw_only=True):
     """One direction of the haptic samples: `up` carries forces, `down` carries motion."""
 
@@ -160,34 +158,21 @@ class HapticReport(Report, frozen=True, kw_only=True):
     #: The rate of the insert zone.
     cap_bps: int
     #: The rate of the samples that were received.
-    payload_bps_mean: int
-    sent: int
-    #: Samples that the deadband left out.
-    left_out: int | None = None
-    #: The rate that this saved.
+    payload_bps_mean: Received[int]
+    sender: Flat[SamplesSent]
+    #: The rate that samples left out saved.
     saved_bps: int | None = None
-    received: int
-    lost: int
-    #: Samples that came after a newer one.
-    late: int
-    #: Samples of another session, which are not used.
-    strays: int
-    #: Greetings that arrived in the place of samples.
-    greetings: int
-    #: Sessions that the receiver began; about one in 30 s.
-    sessions: int
-    #: Datagrams that are no sample.
-    garbage: int
+    receiver: Received[Flat[SamplesReceived]]
     #: From one end's loop to the other's.
     latency_ms: Spread
     #: From when to when no sample came, each longer than 0.2 s, in seconds of the session.
     pauses_s: list[tuple[float, float]]
     #: How late the sender's cycles of 1 ms began.
     lateness_us: Punctuality
-    #: Cycles of the sender that were left out.
-    slips: int
-    #: At the sender.
-    port: PortReport
+    #: Cycles of the sender.
+    loop: Flat[LoopFigures]
+    #: The haptic port at the sender, and its passivity controller.
+    port: PortFigures
 
 
 class NeedReport(Report, frozen=True, kw_only=True):
@@ -213,129 +198,49 @@ class LineReport(Report, frozen=True, kw_only=True):
 class DirectionReport(Report, frozen=True, kw_only=True):
     """One direction of the link, of all lives of its two gateways."""
 
-    #: The rate of whole frames.
-    capacity_bps: int
     #: What is left for everything below haptics.
     below_haptics_bps: int
     #: The need at the caps.
     needed_at_caps_bps: NeedReport
     #: How that comes about, line by line.
     arithmetic: list[LineReport]
-    #: Frames sent.
-    frames: int
+    sender: Flat[SenderFigures]
+    receiver: Received[Flat[ReceiverFigures]]
     #: What slots without a sample gave to the levels below haptics, on average.
     freed_bps: int
-    frames_lost: int
-    #: Frames that were received and dropped, by reason.
-    frames_dropped: dict[str, int]
-    #: Octets of all frames sent, by what they carried.
-    octets: dict[str, int]
-    #: Their shares, which add up to 100.
+    #: The shares of all octets sent, which add up to 100.
     octets_percent: dict[str, float]
-    #: The queue of each level at the sender.
-    queue: dict[str, QueueFigures]
-    #: Packets by the form of their header, and octets of headers, by flow.
-    headers: dict[str, dict[str, int]]
-    #: Packets that the sender did not take, by reason.
-    refused: dict[str, int]
-    #: Packets that were delivered, by flow.
-    packets: dict[str, int]
-    #: Packets that the receiver dropped, by reason.
-    packets_dropped: dict[str, int]
     #: How late slots began.
     lateness_us: Punctuality
     #: From a slot's deadline until its frame had been sent.
     sent_after_us: Punctuality
-    #: Slots that were left out.
-    slips: int
-
-
-class RadioReport(Report, frozen=True, kw_only=True):
-    """What the radio path did to the frames that this end sent."""
-
-    #: The delay of the newest frame.
-    delay_ns: int
-    #: The shortest delay.
-    delay_min_ns: int
-    #: The longest delay.
-    delay_max_ns: int
-    frames_sent: int
-    #: Frames that the path lost.
-    frames_lost: int
-    #: Frames in which it flipped bits.
-    frames_hit: int
-    bits_flipped: int
-    #: Frames that have not arrived yet.
-    frames_under_way: int
-    #: For how long the pass gave no signal.
-    no_signal_ns: int | None = None
-    #: The radio profile.
-    profile: str | None = None
-    #: `uplink` or `downlink`.
-    direction: str | None = None
-    #: For how long blackouts let nothing through.
-    blackout_ns: int | None = None
-    #: What the orbit predicts; of a profile with a pass.
-    contact: ContactWindows | None = None
-
-
-class PeerEventReport(Report, frozen=True, kw_only=True):
-    """Something that happened on the path to the other end."""
-
-    #: Since its gateway began.
-    at_ns: int
-    #: In words.
-    what: str
-
-
-class PeerReport(Report, frozen=True, kw_only=True):
-    """The path to the other end, if it is on another machine; of the last life of the gateway.
-
-    Every datagram received is counted once: as taken, of a handshake, or dropped.
-    """
-
-    #: Whether the datagrams were encrypted and authenticated.
-    protected: bool
-    #: The identity that the other end must prove; left out without protection.
-    identity: str | None = None
-    #: Where frames went last; null if the other end was never found.
-    address: str | None
-    #: Since when frames could be sent, without a pause; null: they could not.
-    session_ns: int | None
-    #: Handshakes with both ends proven.
-    sessions: int
-    #: Handshakes that came to nothing.
-    failed_attempts: int
-    address_changes: int
-    #: Datagrams with frames that were sent.
-    sent: int
-    #: Frames that were not sent, because there was no session or no address.
-    unsent: int
-    #: Datagrams whose frame was taken.
-    taken: int
-    #: Datagrams of handshakes that were heeded.
-    handshake_datagrams: int
-    #: Dropped datagrams, by reason.
-    dropped: dict[str, int]
-    #: The newest 50 events.
-    events: list[PeerEventReport]
+    #: Slots of the sender.
+    loop: Flat[LoopFigures]
 
 
 class GatewayReport(Report, frozen=True, kw_only=True):
-    """What only this end of the link knows, of the last life of its gateway."""
+    """What only this end of the link knows: its link of the last life, its sockets of all lives."""
 
     supervision: SupervisionFigures | None = None
-    radio: RadioReport | None = None
-    #: Datagrams from addresses that have no business there, by port.
-    strangers: dict[str, int]
-    #: Datagrams that the network did not take.
-    unsent: int
+    #: What the radio path did to the frames that this end sent.
+    radio: PathFigures | None = None
+    sockets: Flat[SocketFigures]
     #: The path to the other end; left out if both ends ran on this machine.
-    peer: PeerReport | None = None
+    peer: PeerFigures | None = None
     #: The clock of the other end; left out if both ends ran on this machine.
     clock: ClockFigures | None = None
     #: The radio on the way in; only where `--trainer` put both directions at this end.
-    radio_back: RadioReport | None = None
+    way_in: Flat[WayInFigures] | None = None
+
+    @property
+    def channel(self) -> ChannelFigures | None:
+        """What the radio profile did."""
+        return None if self.radio is None else self.radio.channel
+
+    @property
+    def contact(self) -> ContactWindows | None:
+        """What the orbit predicts."""
+        return None if self.channel is None else self.channel.contact
 
 
 class SkewReport(Report, frozen=True, kw_only=True):
@@ -487,6 +392,8 @@ class CpuReport(Report, frozen=True, kw_only=True):
 class ProcessReport(Report, frozen=True, kw_only=True):
     """One process, over all its lives."""
 
+    #: The newest values of what it tells and what does not add up.
+    newest: Flat[dict[str, int | float | str | bool]]
     cpu_s: float
     #: How often it was started again.
     restarts: int
@@ -494,17 +401,11 @@ class ProcessReport(Report, frozen=True, kw_only=True):
     source_fault: str | None = None
     #: `fifo` with real-time priority, `other` without the permission for it.
     scheduler: str | None = None
-    #: The camera that the selector has selected.
-    selected: str | None = None
-    #: Interarrival jitter (RFC 3550, 6.4.1).
-    jitter_ns: int | None = None
-    #: How long the playout holds sound back at present.
-    playout_delay_ns: int | None = None
     #: Why it ended last, if it was not told to.
     last_error: str | None = None
     #: Since when an input has given nothing, if it is too long.
     silent_s: float | None = None
-    #: Its counters.
+    #: What it counted; of a mapping what is not 0.
     counts: dict[str, int] | None = None
 
 
@@ -584,112 +485,19 @@ class SimulationReport(Report, frozen=True, kw_only=True):
     costs: CostsReport
 
 
-class RecordedChannel(Report, frozen=True, kw_only=True):
-    """One channel of a recording, in messages."""
-
-    #: In the file.
-    kept: int
-    #: Gone before they were read.
-    missed: int
-    #: Dropped because the disk was too slow or full.
-    dropped: int
-
-
-class RecorderReport(Report, frozen=True, kw_only=True):
-    """What was recorded of the session; of a recorder that was killed, until its last report."""
-
-    #: The newest file; null if nothing was being recorded at the end.
-    file: str | None
-    #: Files begun.
-    parts: int
-    #: Octets written.
-    octets: int
-    #: How often a file could not be opened or written.
-    disk_faults: int
-    #: Why nothing could be written at the end; null if all was well.
-    fault: str | None
-    #: By name.
-    channels: dict[str, RecordedChannel]
-
-
-class ArmEventReport(Report, frozen=True, kw_only=True):
-    """Something that happened to the robot's haptic port."""
-
-    #: Since the session began.
-    at_s: float
-    #: In words.
-    what: str
-
-
-class ArmReport(Report, frozen=True, kw_only=True):
-    """Who drives the robot, where a partner may, too (docs/rtc.md)."""
-
-    #: `iss` or `partner`; null: nobody.
-    owner: str | None
-    #: Who was to drive.
-    wanted: str
-    #: Whether the owner has yet to release the dead-man button.
-    waiting: bool
-    #: How often the port changed hands, the start included.
-    turns: int
-    #: Datagrams that came while their sender did not drive, by sender.
-    refused: dict[str, int]
-    #: The newest 200 events.
-    events: list[ArmEventReport]
-
-
 class SecondArmReport(Report, frozen=True, kw_only=True):
     """The arm that only a partner drives (docs/rtc.md)."""
 
-    #: Samples sent to the partner.
-    sent: int
-    #: Samples of the partner that were the newest.
-    received: int
-    #: Gaps in their numbers.
-    lost: int
-    #: Datagrams that are neither sample nor greeting.
-    garbage: int
-    #: Samples of another session.
-    strays: int
-    #: Sessions begun.
-    sessions: int
-    #: Energy that went into the port at the arm, and that came out there.
-    energy_in_uj: int
-    energy_out_uj: int
-
-
-class ExerciseReport(Report, frozen=True, kw_only=True):
-    """Something that a trainer did."""
-
-    #: Since the session began.
-    at_s: float
-    #: In words.
-    what: str
-
-
-class RtcStreamReport(Report, frozen=True, kw_only=True):
-    """One stream of the leg to a partner, in RTP packets."""
-
-    packets: int
-    #: Of the payload, over the whole session.
-    mean_bps: int
-    #: By the reports of who received them.
-    lost: int
-    #: Asked for again by NACK.
-    asked: int
-    #: Sent again.
-    repeated: int
-    #: PLI and FIR.
-    keys_asked: int
+    sender: Flat[SamplesSent]
+    receiver: Flat[SamplesReceived]
+    port: Flat[PortFigures]
 
 
 class RtcShownReport(Report, frozen=True, kw_only=True):
     """What was shown or heard of a partner."""
 
     #: Pictures, or blocks of 20 ms of voice.
-    displayed: int
-    #: How long a picture was shown that a loss has damaged.
-    damaged_ms: float
+    display: Flat[DisplayFigures]
     #: From capture to display, above the least delay of the network in the last 30 s: nobody knows
     #: the partner's clock.
     latency_ms: Spread
@@ -698,67 +506,11 @@ class RtcShownReport(Report, frozen=True, kw_only=True):
 class RtcReport(Report, frozen=True, kw_only=True):
     """The leg to a partner across the Internet."""
 
-    #: Connections that stood.
-    connections: int
-    ice_restarts: int
-    #: How the addresses of the newest one were found, ours and theirs: host, srflx, prflx or relay.
-    route: str | None
-    #: Of the newest answer to a report.
-    round_trip_ms: float | None
-    #: Of the picture that was coded for the partner, in the end.
-    rate_bps: int
-    #: How often it was lowered because the partner could take no more.
-    rate_lowered: int
-    #: Requests and packets that were none of a partner.
-    garbage: int
-    refused: int
-    #: Haptic samples: `taken` from the partner, `given` to it, or `left_out` for a slow network.
-    samples: dict[str, int]
-    #: `rtc_video`, `rtc_speech` and the downlink's to the partner; `rtc_camera`, `rtc_voice` of it.
-    streams: dict[str, RtcStreamReport]
+    figures: Flat[RtcFigures]
+    #: By stream of `figures`.
+    mean_bps: dict[str, int]
     #: `rtc_camera` and `rtc_voice`.
     shown: dict[str, RtcShownReport]
-
-
-class TaskStepReport(Report, frozen=True, kw_only=True):
-    """A step of Fig. 14 of the paper."""
-
-    #: Since the session began.
-    at_s: float
-    #: In words.
-    step: str
-
-
-class TaskRunReport(Report, frozen=True, kw_only=True):
-    """One run of a task."""
-
-    name: str
-    #: Its number in the session.
-    run: int
-    #: `finished`, `aborted`, `timed_out`, `lost_signal`; `open` if the session ended during it.
-    result: str
-    #: Why it did not finish; empty if it did.
-    reason: str
-    #: When it was selected, since the session began.
-    selected_s: float
-    #: From the cosmonaut's start to its end; null if it was never started.
-    seconds: float | None
-    #: The tip's way while the cosmonaut drove.
-    path_m: float
-    #: The board's force on the tip.
-    force_max_n: float
-    force_mean_n: float
-    #: Distance from what was to be reached or followed (m), or from the force to be held (N); null
-    #: where there was none.
-    error_mean: float | None
-    error_max: float | None
-    #: Of the link meanwhile, both ways.
-    frames: int
-    frames_lost: int
-    #: The longer delay of both directions at its end.
-    delay_ms: float
-    #: Each is logged once.
-    steps: list[TaskStepReport]
 
 
 class TraceBlock(Report, frozen=True, kw_only=True):
@@ -833,17 +585,17 @@ class SessionReport(Report, frozen=True, kw_only=True):
     #: What made the session worse than it has to be, with what mends it.
     warnings: list[Warning]
     #: Who drove the robot; only where a partner may, too.
-    arm: ArmReport | None = None
+    arm: OwnershipFigures | None = None
     #: The arm that only a partner drives; left out without one.
     second_arm: SecondArmReport | None = None
     #: What the trainer did, oldest first; left out if nothing.
-    exercises: list[ExerciseReport] | None = None
+    exercises: list[DatedEvent] | None = None
     #: The recording; left out without one.
-    recorder: RecorderReport | None = None
+    recorder: RecorderFigures | None = None
     #: The leg to a partner; left out without one.
     rtc: RtcReport | None = None
     #: The runs of tasks, oldest first; left out of a session without a plan.
-    tasks: list[TaskRunReport] | None = None
+    tasks: list[TaskRow] | None = None
     #: What a join with the other end's report needs; of one end alone.
     trace: EndTrace | None = None
     #: Of `simulate` only.
@@ -942,9 +694,37 @@ class JoystickTestReport(Report, frozen=True, kw_only=True):
 AnyReport = TypeVar("AnyReport", bound=Report)
 
 
-def to_builtins(report: object) -> Any:
+@cache
+def keys_of(kind: Any) -> tuple[tuple[str, str, bool, bool], ...]:
+    """Of each field of a record: its name, its key, whether it may be left out, and is flat."""
+    if issubclass(kind, msgspec.Struct):
+        rows = [
+            (one.name, one.encode_name, one.default is None) for one in msgspec.structs.fields(kind)
+        ]
+    else:
+        rows = [(one.name, one.name, one.default is None) for one in dataclasses.fields(kind)]
+    return tuple((name, key, optional, is_flat(kind, name)) for name, key, optional in rows)
+
+
+def to_builtins(report: Any) -> Any:
     """A report, or what holds some, as tables, lists, strings and numbers."""
-    return msgspec.to_builtins(report)
+    if isinstance(report, str | int | float | None) and not isinstance(report, Enum):
+        return report
+    if isinstance(report, Mapping):
+        return {key: to_builtins(value) for key, value in report.items()}
+    if isinstance(report, list | tuple):
+        return [to_builtins(one) for one in report]
+    if isinstance(report, Enum):
+        return report.value
+    found: dict[str, object] = {}
+    kind: Any = type(report)
+    for name, key, optional, flat in keys_of(kind):
+        value = getattr(report, name)
+        if flat:
+            found |= {} if value is None else to_builtins(value)
+        elif value is not None or not optional:
+            found[key] = to_builtins(value)
+    return found
 
 
 def to_json(report: object) -> str:
@@ -953,5 +733,61 @@ def to_json(report: object) -> str:
 
 
 def from_json(text: str | bytes, kind: type[AnyReport]) -> AnyReport:
-    """The report in `text`; msgspec.ValidationError if it is none of this `kind`."""
-    return msgspec.json.decode(text, type=kind)
+    """The report in `text`; msgspec.ValidationError if it is not of this `kind`."""
+    return msgspec.convert(_nested(msgspec.json.decode(text), kind), kind)
+
+
+def _nested(found: Any, hint: Any) -> Any:
+    """What JSON has, with a table of its own for each flat record."""
+    hint = _type_of(hint)
+    arguments = get_args(hint)
+    if isinstance(found, list) and (get_origin(hint) is list or Ellipsis in arguments):
+        return [_nested(one, arguments[0]) for one in found]
+    if not isinstance(found, dict):
+        return found
+    if not _is_record(hint):
+        return (
+            {key: _nested(one, arguments[1]) for key, one in found.items()} if arguments else found
+        )
+    made: dict[str, object] = {}
+    hints, rows = get_type_hints(hint), keys_of(hint)
+    for name, key, _, flat in rows:
+        if flat and not _is_record(_type_of(hints[name])):
+            own = {one[1] for one in rows if not one[3]}
+            made[name] = {key: one for key, one in found.items() if key not in own}
+        elif flat and _is_in(found, _type_of(hints[name])):
+            made[name] = _nested(found, hints[name])
+        elif not flat and key in found:
+            made[key] = _nested(found[key], hints[name])
+    return made
+
+
+def _is_in(found: Mapping[str, Any], kind: type) -> bool:
+    """Whether a table has a flat record of this kind: some of its keys, and all that must be."""
+    keys = dict(_keys(kind))
+    required = {key for key, optional in keys.items() if not optional}
+    return required <= found.keys() and not found.keys().isdisjoint(keys)
+
+
+def _keys(kind: type) -> Iterator[tuple[str, bool]]:
+    """The keys of a record, with those of the flat ones in it; whether each may be left out."""
+    hints = get_type_hints(kind)
+    for name, key, optional, flat in keys_of(kind):
+        if flat:
+            below = _keys(_type_of(hints[name]))
+            yield from ((one, optional or may) for one, may in below)
+        else:
+            yield key, optional
+
+
+def _type_of(hint: Any) -> Any:
+    """A type without None."""
+    if get_origin(hint) in (Union, UnionType):
+        return next(one for one in get_args(hint) if one is not type(None))
+    return hint
+
+
+def _is_record(kind: object) -> bool:
+    return isinstance(kind, type) and (
+        dataclasses.is_dataclass(kind) or issubclass(kind, msgspec.Struct)
+    )

@@ -2,8 +2,8 @@
 
 from kontur_av.meters import RateMeter
 from kontur_av.streams.staleness import State
+from pipelines.media.figures import DisplayFigures
 from pipelines.report.collector import Collector
-from pipelines.session.figures import DisplayGauges
 from pipelines.session.probe import FLUSH_NS
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 
@@ -21,8 +21,8 @@ def shown_now(
 ) -> tuple[State, int]:
     """The state of what is shown of `stream`, and its age in ns (0 if nothing was shown yet)."""
     display = collector.process(collector.topology.media(stream.name).display)
-    reported = display.gauges(DisplayGauges, stream.name)
-    if reported is None:
+    reported = display.total(DisplayFigures, stream.name)
+    if reported.age_ns is None:
         return State.NOTHING, 0
     age_ns = reported.age_ns + max(0, now_ns - display.told_ns - _TOLD_AFTER_NS)
     if age_ns >= setup.stale_after_ns(stream):

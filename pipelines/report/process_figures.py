@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
+from kontur_av.figures import counts, newest, over, plus
 from kontur_av.meters import Histogram
-from pipelines.session.figures import (
-    CaptureGauges,
-    Counters,
-    DisplayGauges,
-    GatewayGauges,
-    Gauges,
-    SelectorGauges,
-)
+from kontur_av.streams.staleness import State
+from pipelines.media.figures import CaptureFigures, DisplayFigures, SelectorFigures
 from pipelines.session.probe import FLUSH_NS, Message
 from telepresence.link.figures import GatewayFigures
 
 #: An input reports twice a second. It has paused if its captures lie this far apart.
 _PAUSE_NS = 3 * FLUSH_NS
 
-CountersT = TypeVar("CountersT", bound=Counters)
-GaugesT = TypeVar("GaugesT", bound=Gauges)
+RecordT = TypeVar("RecordT")
 
 
 @dataclass
@@ -47,9 +41,9 @@ class ProcessFigures:
     gives_since_ns: int = 0
     #: When it was started again after a stop that was asked for.
     _resumed_ns: int = 0
-    _counters: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
-    _ended: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
-    _gauges: dict[tuple[type[Gauges], str], Gauges] = field(default_factory=dict)
+    #: By kind and stream: the records of this life, and of the lives before.
+    _told: dict[tuple[type, str], object] = field(default_factory=dict)
+    _ended: dict[tuple[type, str], object] = field(default_factory=dict)
 
     def handle_message(self, message: Message, now_ns: int) -> None:
         """Take a report of the process."""
@@ -59,71 +53,73 @@ class ProcessFigures:
         captured_ns, selected = self.captured_ns, self.selected
         self.scheduler = message.scheduler or self.scheduler
         self.last_error = message.last_error or self.last_error
-        self._counters.update(message.counters)
-        for key, newest in message.gauges.items():
-            earlier = self._gauges.get(key)
-            self._gauges[key] = newest if earlier is None else newest.over(earlier)
+        for key, record in message.figures.items():
+            earlier = self._told.get(key)
+            self._told[key] = record if earlier is None else over(record, earlier)
         if self.selected != selected:
             self.selected_ns = now_ns
         newest_ns = self.captured_ns
         if newest_ns is not None and (captured_ns is None or newest_ns - captured_ns > _PAUSE_NS):
             self.gives_since_ns = newest_ns
 
-    def gauges(self, kind: type[GaugesT], stream: str = "") -> GaugesT | None:
-        """The newest values of one kind; None if no life reported any."""
-        found = self._gauges.get((kind, stream))
+    def find(self, kind: type[RecordT], stream: str = "") -> RecordT | None:
+        """The record of one kind, over all lives; None if no life told any."""
+        ended, told = self._ended.get((kind, stream)), self._told.get((kind, stream))
+        found = told if ended is None else ended if told is None else plus(ended, told)
         assert found is None or isinstance(found, kind)
         return found
 
-    def counted(self, kind: type[CountersT], stream: str = "") -> CountersT | None:
-        """Counters of one kind, over all lives; None if no life reported any."""
-        ended, counters = self._ended.get((kind, stream)), self._counters.get((kind, stream))
-        found = counters if ended is None else ended if counters is None else ended.plus(counters)
-        assert found is None or isinstance(found, kind)
-        return found
-
-    def total(self, kind: type[CountersT], stream: str = "") -> CountersT:
-        """Counters of one kind, over all lives; all 0 if no life reported any."""
-        return self.counted(kind, stream) or kind()
+    def total(self, kind: type[RecordT], stream: str = "") -> RecordT:
+        """The record of one kind, over all lives; all 0 if no life told any."""
+        return self.find(kind, stream) or kind()
 
     def counts_by_name(self) -> dict[str, int]:
-        """All counters, over all lives, by name, with the name of their stream in front."""
-        found: dict[str, int] = {}
-        for kind, stream in {**self._ended, **self._counters}:
-            about = f"{stream}." if stream else ""
-            for name, count in self.total(kind, stream).by_name().items():
-                found[about + name] = count
+        """What adds up, over all lives, by name, with the name of its stream in front."""
+        found = {
+            about + name: count
+            for about, record in self._records()
+            for name, count in counts(record).items()
+        }
         return dict(sorted(found.items()))
+
+    def newest_by_name(self) -> dict[str, int | float | str | bool]:
+        """All other values that are known, in the same way."""
+        return {
+            about + name: value
+            for about, record in self._records()
+            for name, value in newest(record).items()
+        }
+
+    def _records(self) -> list[tuple[str, object]]:
+        keys = sorted({**self._ended, **self._told}, key=lambda key: key[1])
+        return [(f"{key[1]}." if key[1] else "", self.total(*key)) for key in keys]
 
     @property
     def captured_ns(self) -> int | None:
-        """When an input captured last; None if it never did, or is none."""
-        gauges = self.gauges(CaptureGauges)
-        return None if gauges is None else gauges.captured_ns
+        """When an input captured last; None if it never did, or is not an input."""
+        return self.total(CaptureFigures).captured_ns
 
     @property
     def source_fault(self) -> str | None:
         """The last fault of an input's source."""
-        gauges = self.gauges(CaptureGauges)
-        return None if gauges is None else gauges.source_fault
+        return self.total(CaptureFigures).source_fault
 
     @property
     def live_source(self) -> str | None:
         """Whether an input captures its "own" source or that of a "page", in a session with any."""
-        gauges = self.gauges(CaptureGauges)
-        return None if gauges is None else gauges.live_source
+        return self.total(CaptureFigures).live_source
 
     @property
     def selected(self) -> str | None:
         """The selected camera; of the selector."""
-        gauges = self.gauges(SelectorGauges)
-        return None if gauges is None else gauges.selected
+        return self.total(SelectorFigures).selected
 
     @property
     def link(self) -> GatewayFigures | None:
         """The link, as this life of a gateway reported it."""
-        gauges = self.gauges(GatewayGauges)
-        return None if gauges is None else gauges.link
+        found = self._told.get((GatewayFigures, ""))
+        assert found is None or isinstance(found, GatewayFigures)
+        return found
 
     def silent_ns(self, now_ns: int | None = None) -> int:
         """How long an input has captured nothing by `now_ns`, or by its last report."""
@@ -134,20 +130,22 @@ class ProcessFigures:
         return max(0, until_ns - max(since_ns, self._resumed_ns))
 
     def handle_end(self) -> None:
-        """The process has ended. Its counts are kept, because the next life begins at 0."""
-        for key, counters in self._counters.items():
-            ended = self._ended.get(key)
-            self._ended[key] = counters if ended is None else ended.plus(counters)
-        self._counters = {}
+        """The process has ended. Its records are kept, because the next life begins at 0."""
         if self.link is not None:
             self.ended_links.append(self.link)
-            del self._gauges[GatewayGauges, ""]
+            del self._told[GatewayFigures, ""]
+        for key, told in self._told.items():
+            ended = self._ended.get(key)
+            self._ended[key] = told if ended is None else plus(ended, told)
+        self._told = {}
 
     def handle_resumed(self, now_ns: int) -> None:
         """The process starts again after a stop that was asked for: it has shown nothing yet."""
         self._resumed_ns = now_ns
-        for key in [key for key in self._gauges if key[0] is DisplayGauges]:
-            del self._gauges[key]
+        for records in (self._ended, self._told):
+            for key, record in records.items():
+                if isinstance(record, DisplayFigures):
+                    records[key] = replace(record, age_ns=None, state=State.NOTHING)
 
     def links(self) -> Iterator[GatewayFigures]:
         """The link's counters of each life."""

@@ -2,21 +2,26 @@
 
 import msgspec
 
+from kontur_av.clock import NS_PER_S, NS_PER_US
+from pipelines.recording.figures import RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
 from pipelines.report.seat_figures import SeatFigures
-from pipelines.session.figures import PageGauges, RecorderGauges
+from pipelines.seats.figures import PageFigures
 from pipelines.session.launcher import Launcher, launcher_cpu_s
 from pipelines.session.session_events import Event, SessionEvents
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import RECORDER
 
+#: How often the recorder is sent figures; a message for pages is made twice as often.
+_RECORDED_EVERY_NS = 9 * NS_PER_S // 10
+
 
 class SeatFeed:
     """Makes a message for each page process while somebody watches its pages.
 
-    Each life of a page process is sent every event once. So is the recorder while it records,
-    without figures.
+    Each life of a page process is sent every event once. So is the recorder while it records, with
+    the figures once a second.
     """
 
     def __init__(self, setup: Setup, collector: Collector) -> None:
@@ -25,6 +30,8 @@ class SeatFeed:
         #: By page process: its life, and the newest event that it was sent.
         self._told: dict[str, tuple[int | None, int]] = {}
         self._newest: dict[str, tuple[int | None, int]] = {}
+        #: When the recorder was sent figures last.
+        self._recorded_ns = 0
 
     def poll_messages(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
         """Return the messages of now; none while nobody watches."""
@@ -47,8 +54,15 @@ class SeatFeed:
             for child in launcher.children
             if child.row.name in launcher.pages and self._watched(child.row.name)
         }
-        messages = self._to_recorder(launcher)
-        if not lives:
+        recorder = self._recorder(launcher)
+        figures_due = recorder is not None and now_ns >= self._recorded_ns + _RECORDED_EVERY_NS
+        messages = {}
+        if recorder is not None and not figures_due:
+            events = self._events(RECORDER, recorder)
+            if events:
+                news = SessionEvents(at_us=now_ns // NS_PER_US, events=events)
+                messages[RECORDER] = msgspec.json.encode(news)
+        if not lives and not figures_due:
             return messages
         message = self._figures.message(
             launcher.cpu_s(),
@@ -56,6 +70,14 @@ class SeatFeed:
             running_ns=launcher.switch.running_ns(launcher.started_ns, now_ns),
             now_ns=now_ns,
         )
+        if figures_due:
+            self._recorded_ns = now_ns
+            news = SessionEvents(
+                at_us=message.at_us,
+                events=self._events(RECORDER, recorder),
+                figures=dict(message.figures),
+            )
+            messages[RECORDER] = msgspec.json.encode(news)
         for name, pid in lives.items():
             events = self._events(name, pid)
             messages[name] = msgspec.json.encode(msgspec.structs.replace(message, events=events))
@@ -67,18 +89,16 @@ class SeatFeed:
         self._newest[process] = pid, events[-1].number if events else number
         return events
 
-    def _to_recorder(self, launcher: Launcher) -> dict[str, bytes]:
-        gauges = self._collector.process(RECORDER).gauges(RecorderGauges)
-        if gauges is None or not gauges.file:
-            return {}
+    def _recorder(self, launcher: Launcher) -> int | None:
+        """The life of the recorder, while it records."""
+        if self._collector.process(RECORDER).total(RecorderFigures).file is None:
+            return None
         (pid,) = (child.pid for child in launcher.children if child.row.name == RECORDER)
-        events = self._events(RECORDER, pid)
-        return {RECORDER: msgspec.json.encode(SessionEvents(events=events))} if events else {}
+        return pid
 
     def handle_sent(self, process: str) -> None:
         """The process has got the newest message."""
         self._told[process] = self._newest[process]
 
     def _watched(self, process: str) -> bool:
-        gauges = self._collector.process(process).gauges(PageGauges)
-        return gauges is not None and gauges.watching > 0
+        return self._collector.process(process).total(PageFigures).watching > 0

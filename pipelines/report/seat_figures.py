@@ -10,19 +10,20 @@ These have none there:
 | `skew_limits_ms.`NAME`.least`, `.most` | what people do not notice |
 | `hand.holder` | the page that holds the handle |
 | `rtc.partners`, `rtc_camera.displayed` | a partner's connections, its pictures that were shown |
-| `tmtc.`END`.`COUNT | telecommands, telemetry and K2ACI of an end (`TmtcCounters`) |
+| `tmtc.`END`.`COUNT | telecommands, telemetry and K2ACI of an end (`TmtcFigures`) |
 | `contact.since_acquisition_s`, `contact.until_loss_s` | the present instant in the pass |
 """
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
+from pipelines.mission.figures import TmtcFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog, ProcessNow
 from pipelines.report.link_figures import gateway_figures, link_figures
@@ -39,7 +40,7 @@ from pipelines.report.session_report import (
     stream_report,
 )
 from pipelines.report.sync.limits import LIMITS
-from pipelines.session.figures import HOLDER, PageGauges, TmtcCounters
+from pipelines.seats.figures import HOLDER, PageFigures
 from pipelines.session.session_events import Event
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.setup.table import Setup
@@ -49,8 +50,8 @@ Figure = int | float | str | bool | None
 
 #: Over how long the share of a core that a process takes is measured.
 _CPU_NS = 2 * NS_PER_S
-#: What a page does not show: it lists all counters, or never changes.
-_LEFT_OUT = {"counts", "history", "contacts", "arithmetic", "headers", "log", "needed_at_caps_bps"}
+#: What a page does not show, because it never changes.
+_LEFT_OUT = {"arithmetic", "needed_at_caps_bps"}
 #: By end: the process that has its telecommands and telemetry.
 _TMTC_ENDS = {"space": "console", "ground": "selector"}
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max", "mean")
@@ -82,12 +83,12 @@ class SeatDirection(msgspec.Struct, frozen=True, kw_only=True):
 class SeatMessage(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="figures"):
     """What a page gets twice a second.
 
-    at_us: on the session's clock. seconds: since the session began. state: `running` or `stopped`.
+    at_us: on the session's clock. seconds: since the session began.
     """
 
     at_us: int
     seconds: float
-    state: str
+    state: Literal["running", "stopped"]
     figures: Mapping[str, Figure]
     link: Mapping[str, SeatDirection]
     processes: Sequence[SeatProcess]
@@ -187,23 +188,23 @@ class SeatFigures:
             yield f"skew_limits_ms.{name}.least", LIMITS[name].least_ns / NS_PER_MS
             yield f"skew_limits_ms.{name}.most", LIMITS[name].most_ns / NS_PER_MS
         yield from _flat("joystick", to_builtins(joystick_report(collector))).items()
-        seat = collector.process(PAGES[Segment.SPACE]).gauges(PageGauges)
+        seat = collector.process(PAGES[Segment.SPACE]).find(PageFigures)
         for name, figure in seat_recording(collector).items():
             yield f"recorder.{name}", figure
         yield HOLDER, (seat.holder or None) if seat is not None else None
         yield from rtc_now(collector, now_ns).items()
         for segment, process in _TMTC_ENDS.items():
-            counts = asdict(collector.process(process).total(TmtcCounters))
+            counts = asdict(collector.process(process).total(TmtcFigures))
             yield from _flat(f"tmtc.{segment}", counts).items()
         for name, direction in directions.items():
             yield from _flat(f"link.{name}", to_builtins(direction)).items()
         for name, end in ends.items():
             yield from _flat(f"gateways.{name}", to_builtins(end)).items()
-        radio = next(iter(ends.values())).radio
-        if radio is not None and radio.contact is not None:
+        contact = next(iter(ends.values())).contact
+        if contact is not None:
             pass_s = setup.radio_profile.start_s + (now_ns - self._started_ns) / NS_PER_S
-            yield "contact.since_acquisition_s", round(pass_s - radio.contact.acquisition_s, 1)
-            yield "contact.until_loss_s", round(radio.contact.loss_s - pass_s, 1)
+            yield "contact.since_acquisition_s", round(pass_s - contact.acquisition_s, 1)
+            yield "contact.until_loss_s", round(contact.loss_s - pass_s, 1)
 
     def _seat_processes(self, cpu_s: Mapping[str, float], now_ns: int) -> Iterator[SeatProcess]:
         looks = self._cpu_s
@@ -232,15 +233,15 @@ class SeatFigures:
 
 def _direction(report: DirectionReport) -> SeatDirection:
     return SeatDirection(
-        octets=report.octets,
-        drops={level: sum(queue.drops.values()) for level, queue in report.queue.items()},
-        lost=report.frames_lost,
-        slips=report.slips,
+        octets=report.sender.octets,
+        drops={level: sum(queue.drops.values()) for level, queue in report.sender.queue.items()},
+        lost=report.receiver.frames_lost,
+        slips=report.loop.slips,
     )
 
 
 def _flat(prefix: str, value: Any) -> dict[str, Figure]:
-    """Names and values of all that is no list. Percentiles of nothing have no value."""
+    """Names and values of all but lists. Percentiles of nothing have no value."""
     if not isinstance(value, dict):
         return {} if isinstance(value, list | tuple) else {prefix: value}
     found: dict[str, Figure] = {}

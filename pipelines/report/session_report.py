@@ -3,15 +3,25 @@
 from collections.abc import Mapping, Sequence
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from pipelines.report.arm_figures import arm_report, second_arm_report
+from kontur_av.codecs.h264 import DecoderCounts
+from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.streams.video_receiver import VideoReceiverCounts
+from kontur_av.streams.video_sender import FeedbackCounts
+from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from pipelines.media.figures import GainFigures
+from pipelines.report.arm_figures import (
+    arm_report,
+    exercises,
+    second_arm_report,
+    task_runs,
+    task_warnings,
+)
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import Pauses, StreamFigures
 from pipelines.report.link_figures import gateway_figures, link_figures, punctuality_us
 from pipelines.report.model import (
     CpuReport,
-    ExerciseReport,
     HapticReport,
-    PortReport,
     ProcessReport,
     SessionReport,
     SkewReport,
@@ -33,26 +43,17 @@ from pipelines.report.silence import (
 from pipelines.report.spread import spread_ms
 from pipelines.report.sync.figures import disagreements
 from pipelines.report.sync.section import sync_section
-from pipelines.report.task_figures import live_task_report, task_warnings
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
-from pipelines.session.figures import (
-    HapticCounters,
-    JoystickGauges,
-    LoopCounters,
-    PortGauges,
-    ProbeCounters,
-    ReceptionCounters,
-    ReceptionGauges,
-    SendingCounters,
-    TrainerGauges,
-    VideoReceptionCounters,
-    VideoSendingCounters,
-    VoiceReceptionCounters,
-)
+from pipelines.session.figures import LoopFigures, ProbeFigures
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.topology import TRAINER, HapticRow
-from telepresence.haptics.figures import JoystickFigures
+from pipelines.session.topology import HapticRow
+from telepresence.haptics.figures import (
+    JoystickFigures,
+    PortFigures,
+    SamplesReceived,
+    SamplesSent,
+)
 from telepresence.link.profile import LinkProfile
 
 
@@ -115,24 +116,12 @@ def build_report(
             *task_warnings(collector),
         ],
         recorder=recorder_report(collector),
-        exercises=_exercises(collector),
+        exercises=exercises(collector, _radio_epoch_ns(collector)),
         rtc=rtc_report(collector, seconds),
         arm=arm_report(collector, _radio_epoch_ns(collector)),
         second_arm=second_arm_report(collector),
-        tasks=live_task_report(collector, _radio_epoch_ns(collector)),
+        tasks=task_runs(collector, _radio_epoch_ns(collector)),
     )
-
-
-def _exercises(collector: Collector) -> list[ExerciseReport] | None:
-    """What the trainer did; None if nothing."""
-    gauges = collector.process(TRAINER).gauges(TrainerGauges)
-    if gauges is None or not gauges.events:
-        return None
-    epoch_ns = _radio_epoch_ns(collector)
-    return [
-        ExerciseReport(at_s=round((event.at_ns - epoch_ns) / NS_PER_S, 3), what=event.what)
-        for event in gauges.events
-    ]
 
 
 def skew_reports(collector: Collector) -> dict[str, SkewReport | None]:
@@ -175,50 +164,28 @@ def stream_report(
 ) -> StreamReport:
     """One media stream in a session that ran for `seconds`."""
     figures = collector.streams[stream.name]
-    sender = collector.process(collector.topology.media(stream.name).sender)
-    receiver = collector.process(collector.topology.media(stream.name).receiver)
-    sent, received = sender.total(SendingCounters), receiver.counted(ReceptionCounters)
-    video_sent = sender.total(VideoSendingCounters)
-    video = receiver.counted(VideoReceptionCounters)
-    voice = receiver.counted(VoiceReceptionCounters)
-    shown = collector.shown(stream.name)
-    displayed, gained = shown.frames_displayed, video_sent.gained_bits
-    is_video = isinstance(stream, VideoStream)
+    row = collector.topology.media(stream.name)
+    sender, receiver = collector.process(row.sender), collector.process(row.receiver)
+    gain, display = sender.find(GainFigures), collector.shown(stream.name)
+    seconds = max(seconds, 1e-9)
     return StreamReport(
-        side=collector.topology.side_here(collector.topology.media(stream.name)),
+        side=collector.topology.side_here(row),
         cap_bps=stream.cap_bps,
-        gained_bps=None if gained is None else round(gained / max(seconds, 1e-9)),
-        gain_changes=video_sent.gain_changes,
+        gained_bps=None if gain is None else round(gain.gained_bits / seconds),
+        gain=gain,
         size=(stream.width, stream.height) if isinstance(stream, VideoStream) else None,
         coded_size=stream.coded_size if isinstance(stream, VideoStream) else None,
-        payload_bps_mean=round(figures.rate.octets * 8 / max(seconds, 1e-9)),
+        payload_bps_mean=round(figures.rate.octets * 8 / seconds),
         payload_bps_max_1s=round(figures.rate.max_bps(NS_PER_S)),
         payload_bps_max_100ms=round(figures.rate.max_bps(100 * NS_PER_MS)),
-        frames_captured=sent.frames_captured,
-        frames_encoded=sent.frames_encoded,
-        frames_sent=sent.frames_sent,
-        frames_refused=sent.frames_refused,
-        frames_displayed=displayed,
-        displayed_hz=round(displayed / max(seconds, 1e-9), 2),
-        rtp_packets=received.rtp_packets if received else None,
-        rtp_lost=received.rtp_lost if received else None,
-        rtp_reordered=received.rtp_reordered if received else None,
-        rtp_duplicates=received.rtp_duplicates if received else None,
-        rtp_late=received.rtp_late if received else None,
-        garbage=received.garbage if received else None,
-        frames_damaged=video.frames_damaged if video else None,
-        frames_concealed=voice.frames_concealed if voice else None,
-        frames_recovered=voice.frames_recovered if voice else None,
-        frames_corrupt=video.frames_corrupt if video else None,
-        frames_undated=received.frames_undated if received else None,
-        frames_oversized=video.frames_oversized if video else None,
+        sender=sender.total(SenderCounts),
+        feedback=sender.find(FeedbackCounts),
+        video=receiver.find(VideoReceiverCounts),
+        voice=receiver.find(VoiceReceiverCounts),
+        decoder=receiver.find(DecoderCounts),
+        display=display,
+        displayed_hz=round(display.frames_displayed / seconds, 2),
         stale_after_ms=_ms(setup.stale_after_ns(stream)),
-        stale_ms=_ms(shown.stale_ns),
-        stale_episodes=shown.stale_episodes,
-        frozen_ms=_ms(shown.frozen_ns) if is_video else None,
-        frozen_episodes=shown.frozen_episodes if is_video else None,
-        damaged_ms=_ms(shown.damaged_ns) if is_video else None,
-        damaged_episodes=shown.damaged_episodes if is_video else None,
         latency_ms=stream_latency_ms(figures),
         latency_error_ms=_ms(figures.error_ns) if figures.error_ns else None,
         pauses_s=_pauses_s(figures.pauses, collector),
@@ -249,8 +216,7 @@ def _ms(value_ns: int) -> float:
 
 def joystick_report(collector: Collector) -> JoystickFigures | None:
     """A real joystick, as its process reported it."""
-    gauges = collector.process("joystick").gauges(JoystickGauges)
-    return None if gauges is None else gauges.joystick
+    return collector.process("joystick").find(JoystickFigures)
 
 
 def haptic_report(
@@ -259,34 +225,20 @@ def haptic_report(
     """One direction of haptics in a session that ran for `seconds`."""
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     profile, figures = setup.profile(row.direction), collector.haptics[row.key]
-    sent, received = sender.total(HapticCounters), receiver.total(HapticCounters)
-    left_out, port = sent.left_out, sender.gauges(PortGauges)
+    sent, received = sender.total(SamplesSent), receiver.total(SamplesReceived)
+    left_out = sent.left_out
     return HapticReport(
         side=collector.topology.side_here(row),
         cap_bps=haptic_cap_bps(profile),
         payload_bps_mean=haptic_bps(profile, received.received, seconds),
-        sent=sent.sent,
-        left_out=left_out,
+        sender=sent,
         saved_bps=None if left_out is None else haptic_bps(profile, left_out, seconds),
-        received=received.received,
-        lost=received.lost,
-        late=received.late,
-        strays=received.strays,
-        greetings=received.greetings,
-        sessions=received.sessions,
-        garbage=received.garbage,
+        receiver=received,
         latency_ms=spread_ms(figures.latency),
         pauses_s=_pauses_s(figures.pauses, collector),
         lateness_us=punctuality_us(sender.lateness),
-        slips=sender.total(LoopCounters).slips,
-        port=PortReport(
-            energy_in_uj=sent.energy_in_uj,
-            energy_out_uj=sent.energy_out_uj,
-            passivity_acted=sent.passivity_acted,
-            totals_refused=sent.totals_refused,
-            credit_uj=port.credit_uj if port else None,
-            least_uj=port.least_uj if port else None,
-        ),
+        loop=sender.total(LoopFigures),
+        port=sender.total(PortFigures),
     )
 
 
@@ -305,19 +257,16 @@ def process_report(
 ) -> ProcessReport:
     """One process, with the CPU time and restarts that its launcher knows."""
     figures = collector.process(name)
-    reception = figures.gauges(ReceptionGauges)
     silence = next((one for one in silences(setup, collector) if one.process == name), None)
     return ProcessReport(
         cpu_s=round(cpu_s, 3),
         restarts=restarts,
         source_fault=figures.source_fault if silence is None else silence.fault or None,
         scheduler=figures.scheduler,
-        selected=figures.selected,
-        jitter_ns=reception.jitter_ns if reception else None,
-        playout_delay_ns=reception.playout_delay_ns if reception else None,
         last_error=figures.last_error,
         silent_s=None if silence is None else round(silence.silent_ns / NS_PER_S, 1),
         counts=figures.counts_by_name(),
+        newest=figures.newest_by_name(),
     )
 
 
@@ -357,11 +306,11 @@ def failures(
         heard_ns = signals_ns[row.direction.receiver.value]
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
         both = topology.alone is None
-        if both and long_enough and receiver.total(HapticCounters).received == 0:
+        if both and long_enough and receiver.total(SamplesReceived).received == 0:
             found.append(f"haptic_{row.key}: no sample was received")
-        port = collector.process(row.sender).gauges(PortGauges)
+        port = collector.process(row.sender).total(PortFigures)
         # One count of energy in a sample is rounding.
-        if port is not None and port.least_uj < -1:
+        if port.least_uj < -1:
             found.append(
                 f"{row.sender}: its port gave out {-port.least_uj} µJ that the peer had not granted"
             )
@@ -372,7 +321,7 @@ def failures(
     if topology.alone is None:
         found += disagreements(sync_section(setup, collector.sync, media=media), unjudged=taken)
     for process, reported in collector.processes.items():
-        dropped = reported.total(ProbeCounters).probe_values_dropped
+        dropped = reported.total(ProbeFigures).probe_values_dropped
         if dropped:
             found.append(f"{process}: {dropped} values for this report were lost")
     return found

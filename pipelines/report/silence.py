@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.sources.page import PAGE
+from pipelines.media.figures import CaptureFigures
 from pipelines.report.collector import Collector
-from pipelines.session.figures import CaptureCounters
 from pipelines.session.setup.table import (
     VOICE_PACKETS_PER_S,
     Setup,
@@ -71,7 +71,7 @@ def taken_by_page(stream: VideoStream | VoiceStream, collector: Collector) -> bo
     """Whether a browser page has given anything for an input of a stream."""
     topology = collector.topology
     processes = [row.process for row in topology.inputs if row.stream == stream.name]
-    counters = [collector.process(name).total(CaptureCounters) for name in processes]
+    counters = [collector.process(name).total(CaptureFigures) for name in processes]
     return any(each.from_page for each in counters)
 
 
@@ -96,7 +96,7 @@ def signal_ns(segment: str, collector: Collector) -> int:
         return _FOR_EVER_NS
     supervision, heard = link.supervision, link.receive
     lost = heard.frames_lost
-    if not supervision.signal or lost > _SPOILED * (heard.frames + lost):
+    if not supervision.signal or lost > _SPOILED * (heard.frames_received + lost):
         return 0
     acquired_ns = supervision.begun_ns + supervision.contacts[-1].acquired_ns
     return figures.told_ns - acquired_ns

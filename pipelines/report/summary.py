@@ -5,6 +5,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from kontur_av.clock import NS_PER_MS
 from pipelines.report.clock import clock_words
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.link_report import end_line, ledger_line, peer_lines
@@ -14,8 +15,8 @@ from pipelines.report.model import (
     Spread,
     StreamReport,
     SyncReport,
-    TaskRunReport,
 )
+from pipelines.session.task_journal import TaskRow
 from pipelines.session.topology import Segment
 
 #: What stands where there is no sample.
@@ -35,7 +36,7 @@ _COLUMNS = (
 )
 
 
-def task_line(run: TaskRunReport) -> str:
+def task_line(run: TaskRow) -> str:
     """A run of a task, in one line."""
     took = "" if run.seconds is None else f" after {run.seconds:.1f} s"
     why = f": {run.reason}" if run.reason else ""
@@ -50,13 +51,14 @@ def print_summary(report: SessionReport) -> None:
     console.print(streams_table(report, console.width))
     for direction, link in report.link.items():
         if report.end is None:
-            line = f"{link.frames} frames, {link.frames_lost} lost, {link.slips} slips"
+            line = f"{link.sender.frames} frames, {link.receiver.frames_lost} lost, "
+            line += f"{link.loop.slips} slips"
             console.print(f"{direction}: {line}; {ledger_line(link)}")
-        elif link.frames:
-            line = f"{link.frames} frames sent, {link.slips} slips"
+        elif link.sender.frames:
+            line = f"{link.sender.frames} frames sent, {link.loop.slips} slips"
             console.print(f"{direction}: {line}; {ledger_line(link)}")
         else:
-            console.print(f"{direction}: {link.frames_lost} frames lost")
+            console.print(f"{direction}: {link.receiver.frames_lost} frames lost")
     for end, gateway in report.gateways.items():
         console.print(end_line(end, gateway))
         for line in peer_lines(end, gateway):
@@ -91,13 +93,13 @@ def print_summary(report: SessionReport) -> None:
         )
     for name, stream in report.streams.items():
         spells = ", ".join(
-            f"{word} {spell_ms:.0f} ms ({episodes} times)"
-            for word, spell_ms, episodes in (
-                ("stale", stream.stale_ms, stream.stale_episodes),
-                ("frozen", stream.frozen_ms, stream.frozen_episodes),
-                ("damaged", stream.damaged_ms, stream.damaged_episodes),
+            f"{word} {spell_ns / NS_PER_MS:.0f} ms ({episodes} times)"
+            for word, spell_ns, episodes in (
+                ("stale", stream.display.stale_ns, stream.display.stale_episodes),
+                ("frozen", stream.display.frozen_ns, stream.display.frozen_episodes),
+                ("damaged", stream.display.damaged_ns, stream.display.damaged_episodes),
             )
-            if spell_ms
+            if spell_ns and (stream.video or word == "stale")
         )
         if spells:
             console.print(f"{name}: {spells}")
@@ -118,9 +120,10 @@ def print_summary(report: SessionReport) -> None:
             console.print(f"{name}: gave nothing in the last {entry.silent_s} s{escape(fault)}")
     recorded = report.recorder
     if recorded is not None:
-        kept = sum(channel.kept for channel in recorded.channels.values())
         parts = f" in {recorded.parts} parts" if recorded.parts > 1 else ""
-        console.print(f"recorded: {kept} messages, {recorded.octets / 1e6:.1f} MB{parts}")
+        console.print(
+            f"recorded: {recorded.messages} messages, {recorded.octets / 1e6:.1f} MB{parts}"
+        )
     for warning in report.warnings:
         line = f"{warning.where}: {warning.measured}; {warning.mend}"
         console.print(f"[bold yellow]warning:[/] {escape(line)}", highlight=False)
@@ -136,8 +139,8 @@ def first_line(report: SessionReport, width: int) -> str:
         parts.insert(1, f"the {report.end} end alone")
     if first.supervision is not None:
         parts.append(f"link {first.supervision.state}")
-    if first.radio is not None and first.radio.profile is not None:
-        parts.append(f"radio {first.radio.profile}")
+    if first.channel is not None:
+        parts.append(f"radio {first.channel.profile}")
     return fitted_line(parts, width)
 
 
@@ -162,7 +165,7 @@ def _stream_cells(stream: StreamReport) -> list[str]:
         _kbps(stream.cap_bps),
         *(NO_SAMPLE if stream.side == "receiver" else _kbps(bps) for bps in sent),
         NO_SAMPLE if stream.side == "sender" else f"{stream.displayed_hz:.1f}",
-        NO_SAMPLE if stream.side == "sender" else str(stream.rtp_lost or 0),
+        NO_SAMPLE if stream.side == "sender" else str(stream.rtp.rtp_lost),
         *_latency_cells(stream.latency_ms),
     ]
 
@@ -172,8 +175,8 @@ def _haptic_cells(haptic: HapticReport, seconds: float) -> list[str]:
         _kbps(haptic.payload_bps_mean),
         "",
         "",
-        f"{haptic.received / max(seconds, 1e-9):.1f}",
-        str(haptic.lost),
+        f"{haptic.receiver.received / max(seconds, 1e-9):.1f}",
+        str(haptic.receiver.lost),
     ]
     return [
         _kbps(haptic.cap_bps),

@@ -107,10 +107,10 @@ class DelaySums:
 
 def zone_bps(profile: LinkProfile, link: DirectionReport) -> float:
     """The rate (bit/s) that haptic samples left in the direction whose figures are `link`."""
-    frames = link.frames
+    frames = link.sender.frames
     if not frames:
         return float(profile.media_bps)
-    samples_octets = link.octets.get("haptic", 0) / frames
+    samples_octets = link.sender.octets.get("haptic", 0) / frames
     return (profile.largest_zone_octets - samples_octets) * 8 * NS_PER_S / profile.slot_ns
 
 
@@ -124,7 +124,7 @@ def video_lead(
     if not way.pictures:
         return None
     profile = setup.uplink
-    headers = link.headers.get(setup.uplink_video.name, {})
+    headers = link.sender.headers.get(setup.uplink_video.name, {})
     header_octets = headers.get("header_octets", 0) / max(1, headers.get("packets", 0))
     rate_bps = zone_bps(profile, link)
     propagation_ns = way.propagation_ns(setup, profile, epoch_ns)

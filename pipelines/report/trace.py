@@ -114,7 +114,7 @@ def _pack(values: array[int], width: int) -> TraceBlock:
 
 
 def rows_of(series: TraceSeries) -> NDArray[np.int64]:
-    """Return the rows, shape (n, columns). Raises ProtocolError if they are none of the kind."""
+    """Return the rows, shape (n, columns). Raises ProtocolError if they are not of the kind."""
     kind = TRACED.get(series.kind)
     if kind is None:
         raise ProtocolError(f"there are no rows {series.kind!r}")

@@ -8,11 +8,14 @@ from collections.abc import Iterable, Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.sources.page import PAGE
+from kontur_av.streams.paced_sender import SenderCounts
+from pipelines.media.figures import CaptureFigures
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
-from pipelines.session.figures import CaptureCounters, LoopCounters, PeerGauges, SendingCounters
+from pipelines.session.figures import LoopFigures
 from pipelines.session.setup.table import Setup, VideoStream
 from pipelines.session.topology import LOOP_PRIORITY, Segment
+from telepresence.link.peer.figures import PeerFigures
 
 #: Of a loop's cycles at most this share may be left out.
 LEFT_OUT_SHARE = 0.01
@@ -58,7 +61,7 @@ def find_warnings(
                 seconds=seconds,
                 captured=_captured(stream.name, setup, collector),
                 refused=collector.process(topology.media(stream.name).sender)
-                .total(SendingCounters)
+                .total(SenderCounts)
                 .frames_refused,
                 # What another machine shows is not known here.
                 displayed=collector.shown(stream.name).frames_displayed
@@ -73,8 +76,8 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
     found = []
     for segment in segments:
         gateway = collector.topology.gateway(segment).name
-        gauges = collector.process(gateway).gauges(PeerGauges)
-        if gauges is not None and not gauges.peer.protected:
+        peer = collector.process(gateway).find(PeerFigures)
+        if peer is not None and not peer.protected:
             found.append(
                 Warning(
                     what="not_protected",
@@ -91,7 +94,7 @@ def find_loop_warnings(collector: Collector, process: str) -> list[Warning]:
     if collector.topology.process(process).priority != LOOP_PRIORITY:
         return []
     figures = collector.process(process)
-    loop = figures.total(LoopCounters)
+    loop = figures.total(LoopFigures)
     return loop_warnings(
         process,
         cycles=loop.cycles,
@@ -162,7 +165,7 @@ def _captured(stream: str, setup: Setup, collector: Collector) -> int:
     )
     processes = (collector.topology.input(name).process for name in inputs)
     return max(
-        (collector.process(name).total(CaptureCounters).captured for name in processes), default=0
+        (collector.process(name).total(CaptureFigures).captured for name in processes), default=0
     )
 
 
@@ -173,7 +176,7 @@ def _free_channel(collector: Collector, seconds: float) -> bool:
     for segment in Segment:
         for link in collector.process(collector.topology.gateway(segment).name).links():
             heard = link.receive
-            lost_share = heard.frames_lost / max(1, heard.frames + heard.frames_lost)
+            lost_share = heard.frames_lost / max(1, heard.frames_received + heard.frames_lost)
             signal_share = link.supervision.contact_ns / (seconds * NS_PER_S)
             if lost_share > _LOST_SHARE or signal_share < _SIGNAL_SHARE:
                 return False

@@ -50,7 +50,7 @@ class ChatLog:
         return ""
 
     def handle_arrived(self, news: K2aciArrived, now_ns: int) -> bool:
-        """A message of the other end; False if it is none of the chat."""
+        """A message of the other end; False if it is not of the chat."""
         if news.kind != Chat.__name__:
             return False
         said = ChatRole(str(news.fields["sender"]))

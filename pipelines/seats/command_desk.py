@@ -6,9 +6,12 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from kontur_av.clock import NS_PER_US
+from pipelines.mission.choosing import CAMERA, SELECT
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
+from pipelines.mission.tmtc_words import selection_error
 from pipelines.seats.outbox import Outbox
-from pipelines.seats.texts import CommandLine, CommandRequest, CommandsText
+from pipelines.seats.page_requests import CommandRequest
+from pipelines.seats.texts import CommandLine, CommandsText
 
 _MOST_LINES = 60
 _MOST_OPEN = 8
@@ -16,12 +19,16 @@ _SILENT = "telecommands of this end do not answer"
 
 
 class CommandAnswered(NamedTuple):
-    """What became of the request of a page. error: "" if it was carried out."""
+    """What became of the request of a page.
+
+    error: "" if it was carried out. camera: the one that it has selected; else "".
+    """
 
     page: int
     request: int
     error: str
     round_trip_ms: float
+    camera: str = ""
 
 
 class CommandDesk:
@@ -40,6 +47,8 @@ class CommandDesk:
         self._outbox: Outbox[SendCommand] = Outbox()
         #: By number: page and request that wait for the end.
         self._open: dict[int, tuple[int, int]] = {}
+        #: By number: the camera that it selects.
+        self._selects: dict[int, str] = {}
         self._events: deque[CommandAnswered] = deque()
 
     @property
@@ -59,6 +68,8 @@ class CommandDesk:
         )
         self._outbox.put(number, command, now_ns)
         self._open[number] = page, asked.request
+        if (asked.application, asked.name) == (CAMERA, SELECT) and asked.arguments:
+            self._selects[number] = str(asked.arguments[0])
         words = " ".join(
             [asked.application, asked.name or asked.verb, *(str(one) for one in asked.arguments)]
         )
@@ -108,8 +119,11 @@ class CommandDesk:
             self.unverified += 1
         opened = self._open.pop(update.id, None)
         if opened is not None:
+            camera = self._selects.pop(update.id, "")
             error = "" if update.ok else update.reason or update.stage
-            self._answer(*opened, error, update.round_trip_ms)
+            if camera and error:
+                camera, error = "", selection_error(camera, update)
+            self._events.append(CommandAnswered(*opened, error, update.round_trip_ms, camera))
 
-    def _answer(self, page: int, request: int, error: str, round_trip_ms: float = 0.0) -> None:
-        self._events.append(CommandAnswered(page, request, error, round_trip_ms))
+    def _answer(self, page: int, request: int, error: str) -> None:
+        self._events.append(CommandAnswered(page, request, error, 0.0))

@@ -29,7 +29,7 @@ class FiguresLog:
         self.running = True
 
     def handle_figures(self, text: bytes) -> None:
-        """The launcher's newest message. ProtocolError if it is none."""
+        """The launcher's newest message. ProtocolError for anything else."""
         try:
             told = msgspec.json.decode(text, type=_Figures)
             self._newest = msgspec.json.decode(text, type=dict[str, msgspec.Raw])

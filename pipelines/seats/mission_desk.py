@@ -15,9 +15,10 @@ from pipelines.mission.tmtc_messages import (
 )
 from pipelines.seats.chat_log import ChatLog
 from pipelines.seats.command_desk import CommandAnswered, CommandDesk
+from pipelines.seats.page_requests import ChatRequest, CommandRequest
 from pipelines.seats.radio_words import radio_text
 from pipelines.seats.telemetry_log import TelemetryLog
-from pipelines.seats.texts import ChatRequest, CommandRequest, pack_text
+from pipelines.seats.texts import pack_text
 from pipelines.session.seat_roles import Role, chat_role, refusal
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary import Dictionary

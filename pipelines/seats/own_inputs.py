@@ -7,9 +7,10 @@ from kontur_av.clock import NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from pipelines.seats.page_clock import PageClock
+from pipelines.seats.page_requests import parse_media_request
 from pipelines.seats.plan import SeatInput, SeatPlan
-from pipelines.seats.rates import TokenBucket
-from pipelines.seats.texts import AnswerText, pack_text, parse_media_request
+from pipelines.seats.rates import MessageRate
+from pipelines.seats.texts import AnswerText, pack_text
 from pipelines.session.messages import OwnPicture, Ping, pack_pong, parse_media_message
 from pipelines.session.seat_roles import VIEWER_WORDS, Role
 
@@ -29,9 +30,9 @@ class Given(NamedTuple):
 class _Link:
     role: Role
     clock: PageClock = field(default_factory=PageClock)
-    texts: TokenBucket = field(default_factory=lambda: TokenBucket(_TEXT_HZ, _TEXT_HZ))
-    pings: TokenBucket = field(default_factory=lambda: TokenBucket(_PING_HZ, _PING_HZ))
-    media: dict[int, TokenBucket] = field(default_factory=dict)
+    texts: MessageRate = field(default_factory=lambda: MessageRate(_TEXT_HZ, _TEXT_HZ))
+    pings: MessageRate = field(default_factory=lambda: MessageRate(_PING_HZ, _PING_HZ))
+    media: dict[int, MessageRate] = field(default_factory=dict)
 
 
 class OwnInputs:
@@ -95,11 +96,11 @@ class OwnInputs:
         capture_ns = one.clock.instant_ns(message.page_ms, now_ns)
         return Given(given, message.data, CaptureStamp(capture_ns, number, given.name))
 
-    def _bucket(self, link: _Link, given: SeatInput) -> TokenBucket:
+    def _bucket(self, link: _Link, given: SeatInput) -> MessageRate:
         if given.index not in link.media:
             hz = _SOUND_HZ if given.size is None else given.fps * 3 // 2 + 1
             burst = _SOUND_BURST if given.size is None else given.fps
-            link.media[given.index] = TokenBucket(hz, burst)
+            link.media[given.index] = MessageRate(hz, burst)
         return link.media[given.index]
 
     def _find(self, name: str) -> int | None:

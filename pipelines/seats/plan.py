@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 from functools import partial
 from types import MappingProxyType
 
@@ -20,6 +19,7 @@ from pipelines.seats.texts import (
     SeatText,
     StreamText,
     TaskText,
+    Via,
     WorkspaceText,
 )
 from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
@@ -45,14 +45,6 @@ from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary import Dictionary
-
-
-class Via(Enum):
-    """How a page gets a stream: as it was received, as it was sent, or as sound."""
-
-    CODED = "coded"
-    SENT = "sent"
-    SOUND = "sound"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,7 +255,7 @@ def _text(
 ) -> SeatText:
     setup, joystick, robot = topology.setup, JoystickModel(), RobotControllerModel()
     return SeatText(
-        seat=segment.value,
+        seat=segment,
         setup=setup.name,
         session=session,
         streams=tuple(_stream_text(each, topology) for each in streams),
@@ -297,7 +289,7 @@ def _stream_text(one: SeatStream, topology: Topology) -> StreamText:
         index=one.index,
         name=one.name,
         kind="voice" if video is None else "video",
-        via=one.via.value,
+        via=one.via,
         cap_bps=stream.cap_bps,
         stale_after_ms=topology.setup.stale_after_ns(stream) / NS_PER_MS,
         width=None if video is None else video.width,

@@ -3,7 +3,7 @@
 from kontur_av.clock import NS_PER_S
 
 
-class TokenBucket:
+class MessageRate:
     """Permits `rate_hz` messages a second on average, and bursts of up to `burst`."""
 
     def __init__(self, rate_hz: int, burst: int) -> None:

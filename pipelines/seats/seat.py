@@ -2,123 +2,76 @@
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from itertools import count
 from types import MappingProxyType
 from typing import NamedTuple
 
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ProtocolError
-from kontur_av.media import I420, CaptureStamp, Quality
-from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.hand.hand_topics import HandRequest, JoystickStatus
-from pipelines.hand.haptic_trace import rows_of
-from pipelines.media.unit_history import KeptUnit, UnitHistory
-from pipelines.mission.tmtc_messages import TmtcNews, TmtcRequest
+from pipelines.hand.hand_topics import JoystickStatus
+from pipelines.mission.tmtc_messages import TmtcNews
 from pipelines.seats import texts
 from pipelines.seats.client_queue import ClientQueue, Message
+from pipelines.seats.figures import HOLDER
 from pipelines.seats.figures_log import FiguresLog
 from pipelines.seats.hand_gate import HandGate
 from pipelines.seats.joystick_desk import JoystickDesk
 from pipelines.seats.mission_desk import MissionDesk
+from pipelines.seats.open_page import OpenPage
 from pipelines.seats.own_inputs import OwnInputs
 from pipelines.seats.ownership import HandleOwnership
-from pipelines.seats.plan import SeatPlan, Shown, Via
-from pipelines.seats.rates import TokenBucket
-from pipelines.session.figures import HOLDER
-from pipelines.session.messages import (
-    DAMAGED,
-    KEY,
-    REPLAYED,
-    Ping,
-    pack_haptic,
-    pack_pong,
-    pack_preview,
-    pack_sound,
-    pack_unit,
-    parse_seat_message,
+from pipelines.seats.page_requests import (
+    ChatRequest,
+    CommandRequest,
+    HandleRequest,
+    JoystickRequest,
+    RecordingRequest,
+    SeatRequest,
+    SessionRequest,
+    parse_seat_request,
 )
+from pipelines.seats.plan import SeatPlan, Shown
+from pipelines.seats.seat_events import (
+    CommandGiven,
+    HandMoved,
+    RecordingAsked,
+    SeatEvent,
+    SessionOrdered,
+    TmtcAsked,
+)
+from pipelines.seats.seat_media import SeatMedia
+from pipelines.session.messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
-from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 
 HEARTBEAT_NS = 100 * NS_PER_MS
-_TEXT_HZ = _PING_HZ = 20
-_HAND_HZ = 1200
-#: By request: what the role of a page must permit.
-_DEEDS: Mapping[type[texts.SeatRequest], str] = MappingProxyType(
-    {
-        texts.SelectRequest: "select",
-        texts.JoystickRequest: "joystick",
-        texts.HandRequest: "hand",
-        texts.SessionRequest: "session",
-        texts.RecordRequest: "record",
-    }
-)
 
 
-class HandMoved(NamedTuple):
-    """What to tell the joystick of the hand."""
+class _Rule(NamedTuple):
+    """Where a request is taken, and what the role of its page must permit there.
 
-    hand: PageInput
-
-
-class CommandGiven(NamedTuple):
-    """A command for the joystick."""
-
-    request: HandRequest
-
-
-class CameraAsked(NamedTuple):
-    """The console is to select a camera; pass the answer to `handle_selection`."""
-
-    page: int
-    request: int
-    camera: str
-
-
-class SessionOrdered(NamedTuple):
-    """The launcher is to stop or to start the session."""
-
-    order: Order
-
-
-class RecordingAsked(NamedTuple):
-    """The recorder is to begin or to end; pass its answer to `handle_recorder`."""
-
-    page: int
-    request: int
-    begin: bool
-
-
-class TmtcAsked(NamedTuple):
-    """The TM/TC end of this segment is to be told this."""
-
-    request: TmtcRequest
-
-
-Event = HandMoved | CommandGiven | CameraAsked | SessionOrdered | RecordingAsked | TmtcAsked
-
-
-@dataclass
-class _Page:
-    """plain: without pictures, sound and haptics.
-
-    idle: it has taken all that there was, so it would take more at once.
+    elsewhere: the answer at the other seat.
     """
 
-    number: int
-    role: Role
-    queue: ClientQueue
-    plain: bool = False
-    idle: bool = True
-    texts: TokenBucket = field(default_factory=lambda: TokenBucket(_TEXT_HZ, _TEXT_HZ))
-    pings: TokenBucket = field(default_factory=lambda: TokenBucket(_PING_HZ, _PING_HZ))
-    hands: TokenBucket = field(default_factory=lambda: TokenBucket(_HAND_HZ, _HAND_HZ))
+    deed: str
+    at: tuple[Segment, ...] = (Segment.SPACE, Segment.GROUND)
+    elsewhere: str = ""
+
+
+_RULES: Mapping[type[SeatRequest], _Rule] = MappingProxyType(
+    {
+        JoystickRequest: _Rule(
+            "joystick", (Segment.SPACE,), "the joystick is at the operator's seat"
+        ),
+        HandleRequest: _Rule("hand", (Segment.SPACE,), "the handle is at the operator's seat"),
+        SessionRequest: _Rule("session"),
+        RecordingRequest: _Rule("record", (Segment.GROUND,), "ground control records the session"),
+    }
+)
 
 
 class Seat:
@@ -135,14 +88,8 @@ class Seat:
         self.plan = plan
         self.inputs = OwnInputs(plan)
         self._numbers = count(1)
-        self._pages: dict[int, _Page] = {}
-        self._histories = {
-            each.index: UnitHistory(
-                pictures=each.decoded_topic is not None, filmed=bool(each.filmed_topics)
-            )
-            for each in plan.streams
-            if each.via is not Via.SOUND
-        }
+        self._pages: dict[int, OpenPage] = {}
+        self.media = SeatMedia(plan.streams, self._pages)
         self._hand = HandleOwnership()
         self._gate = HandGate(self._hand)
         self._desk = JoystickDesk(first_command)
@@ -152,9 +99,9 @@ class Seat:
         self._figures = FiguresLog()
         self._joystick: texts.JoystickText | None = None
         self._signal: bool | None = None
-        self._camera: str | None = None
+        self.camera: str | None = None
         self._due_ns = 0
-        self._events: deque[Event] = deque()
+        self._events: deque[SeatEvent] = deque()
         self._left_out = 0
 
     # The pages
@@ -179,14 +126,14 @@ class Seat:
     def handle_opened(self, role: Role, now_ns: int, *, plain: bool = False) -> int:
         """A page has come; return its number. plain: it gets no picture, sound or haptics."""
         number = next(self._numbers)
-        lanes = () if plain else self._histories
-        page = self._pages[number] = _Page(number, role, ClientQueue(lanes), plain)
+        lanes = () if plain else self.media.lanes
+        page = self._pages[number] = OpenPage(number, role, ClientQueue(lanes), plain)
         if role is Role.OPERATOR or not refusal(role, self.plan.segment, "hand"):
             self._hand.handle_joined(number)
         seat = replace(self.plan.text, streams=(), previews=()) if plain else self.plan.text
-        page.queue.put_answer(
-            texts.hello(seat, role=role.value, page=number, now_us=now_ns // NS_PER_US)
-        )
+        now_us = now_ns // NS_PER_US
+        hello = texts.HelloText(role=role, page=number, now_us=now_us, **asdict(seat))
+        page.queue.put_answer(texts.pack_text(hello))
         self._tell_mission()
         for kind, text in self.mission.texts.items():
             page.queue.put_newest(kind, text)
@@ -194,7 +141,7 @@ class Seat:
         figures = self._figures.joined_text()
         if figures is not None:
             page.queue.put_figures(figures)
-        self._replay(page)
+        self.media.replay(page)
         return number
 
     def handle_closed(self, number: int, now_ns: int) -> None:
@@ -223,12 +170,12 @@ class Seat:
         message = page.queue.pop()
         if message is None:
             # It has taken all, so it can take a replay of what was left out.
-            self._replay(page)
+            self.media.replay(page)
             message = page.queue.pop()
         page.idle = message is None
         return message
 
-    def next_event(self) -> Event | None:
+    def next_event(self) -> SeatEvent | None:
         """Return what is to be done, or None."""
         return self._events.popleft() if self._events else None
 
@@ -254,56 +201,50 @@ class Seat:
         page = self._pages[number]
         if not page.texts.handle_message(now_ns):
             raise ProtocolError("too many requests")
-        request = texts.parse_seat_request(text)
-        if page.role is Role.VIEWER:
-            self._answer(number, request.request, VIEWER_WORDS)
-            return
-        if isinstance(request, texts.CommandRequest):
-            refused = self.mission.handle_command(number, page.role, request, now_ns)
-            if refused is not None:
-                self._answer(number, request.request, refused)
-            self._settle_mission(now_ns)
-            return
-        if isinstance(request, texts.ChatRequest):
-            error = self.mission.handle_chat(page.role, request, now_ns)
+        request = parse_seat_request(text)
+        error = self._handle_request(page, request, now_ns)
+        if error is not None:
             self._answer(number, request.request, error)
-            self._settle_mission(now_ns)
-            return
-        if page.role is not Role.OPERATOR:
-            refused = refusal(page.role, self.plan.segment, _DEEDS[type(request)])
-            if refused:
-                self._answer(number, request.request, refused)
-                return
-        match request:
-            case texts.SelectRequest():
-                self._handle_select(number, request)
-            case texts.JoystickRequest():
-                self._handle_command(number, request, now_ns)
-            case texts.HandRequest():
-                error = self._handle_hand(number, request.action)
-                self._answer(number, request.request, error)
-                self._settle_hand(now_ns)
-            case texts.SessionRequest():
-                self._handle_order(number, request)
-            case texts.RecordRequest():
-                self._handle_record(number, request)
-
-    def _handle_select(self, number: int, request: texts.SelectRequest) -> None:
-        if self.plan.segment is not Segment.SPACE:
-            self._answer(number, request.request, "the operator selects the camera")
-            return
-        self._events.append(CameraAsked(number, request.request, request.camera))
-
-    def _handle_command(self, number: int, request: texts.JoystickRequest, now_ns: int) -> None:
-        if self.plan.segment is not Segment.SPACE:
-            self._answer(number, request.request, "the joystick is at the operator's seat")
-            return
-        self._desk.handle_request(number, request.request, JoystickEvent(request.event))
+        self._settle_hand(now_ns)
         self._settle_desk(now_ns)
+        self._settle_mission(now_ns)
 
-    def _handle_hand(self, number: int, action: str) -> str:
-        if self.plan.segment is not Segment.SPACE:
-            return "the handle is at the operator's seat"
+    def _handle_request(self, page: OpenPage, request: SeatRequest, now_ns: int) -> str | None:
+        """Return why a request is not carried out, or ""; None: its answer comes later."""
+        if page.role is Role.VIEWER:
+            return VIEWER_WORDS
+        if isinstance(request, CommandRequest):
+            return self.mission.handle_command(page.number, page.role, request, now_ns)
+        if isinstance(request, ChatRequest):
+            return self.mission.handle_chat(page.role, request, now_ns)
+        rule, segment = _RULES[type(request)], self.plan.segment
+        refused = "" if page.role is Role.OPERATOR else refusal(page.role, segment, rule.deed)
+        if refused or segment not in rule.at:
+            return refused or rule.elsewhere
+        return self._carry_out(page.number, request)
+
+    def _carry_out(
+        self,
+        number: int,
+        request: JoystickRequest | HandleRequest | SessionRequest | RecordingRequest,
+    ) -> str | None:
+        match request:
+            case JoystickRequest():
+                event = JoystickEvent(request.event)
+                self._desk.handle_request(number, request.request, event)
+            case HandleRequest():
+                return self._hand_over(number, request.action)
+            case SessionRequest():
+                if not self.plan.orders:
+                    return "ground control starts and stops the session"
+                self._events.append(SessionOrdered(Order(request.action)))
+                return ""
+            case RecordingRequest():
+                begin = request.action == "start"
+                self._events.append(RecordingAsked(number, request.request, begin))
+        return None
+
+    def _hand_over(self, number: int, action: str) -> str:
         handlers: dict[str, Callable[[int], str]] = {
             "take": self._hand.handle_take,
             "give": self._hand.handle_give,
@@ -312,99 +253,7 @@ class Seat:
         }
         return handlers[action](number)
 
-    def _handle_order(self, number: int, request: texts.SessionRequest) -> None:
-        if not self.plan.orders:
-            self._answer(number, request.request, "ground control starts and stops the session")
-            return
-        self._events.append(SessionOrdered(Order(request.action)))
-        self._answer(number, request.request, "")
-
-    def _handle_record(self, number: int, request: texts.RecordRequest) -> None:
-        if self.plan.segment is not Segment.GROUND:
-            self._answer(number, request.request, "ground control records the session")
-            return
-        begin = request.action == "start"
-        self._events.append(RecordingAsked(number, request.request, begin))
-
     # What topics and the launcher tell
-
-    def handle_unit(self, stream: int, unit: CodedUnit, stamp: CaptureStamp, now_ns: int) -> None:
-        """An access unit of a stream."""
-        history = self._histories[stream]
-        kept = history.handle_unit(unit, stamp, now_ns)
-        if kept is None or not self._pages:
-            return
-        message = _packed(stream, kept)
-        for page in self._seeing():
-            lane = page.queue.lane(stream)
-            if lane.open or not page.idle:
-                lane.put_unit(message, key=kept.key)
-            else:
-                self._replay(page)
-
-    def handle_decoded(self, stream: int, key: bytes, rtp_timestamp: int) -> bool:
-        """The picture of a unit, as a key unit. False: that unit is not known."""
-        taken = self._histories[stream].handle_picture(key, rtp_timestamp)
-        self._replay_idle()
-        return taken
-
-    def handle_filmed(self, stream: int, key: bytes, sequence: int) -> bool:
-        """What was filmed for the unit of this number, as a key unit. False: it is not known."""
-        taken = self._histories[stream].handle_filmed(key, sequence)
-        self._replay_idle()
-        return taken
-
-    def wanted_pictures(self) -> list[int]:
-        """Streams of which the shell is to fetch a decoded picture for `handle_decoded`."""
-        return [index for index in self._joined() if self._histories[index].needs_picture]
-
-    def wanted_filmed(self) -> dict[int, str]:
-        """By stream: the topic of pictures that the shell is to fetch for `handle_filmed`."""
-        camera = self._camera
-        if camera is None:
-            return {}
-        topics = {each.index: each.filmed_topics for each in self.plan.streams}
-        return {
-            index: topics[index][camera]
-            for index in self._joined()
-            if self._histories[index].needs_filmed and camera in topics[index]
-        }
-
-    def _seeing(self) -> list[_Page]:
-        """Pages with pictures, sound and haptics."""
-        return [page for page in self._pages.values() if not page.plain]
-
-    def _joined(self) -> list[int]:
-        """Streams with units that a page waits for."""
-        return [
-            index
-            for index in self._histories
-            if any(not page.queue.lane(index).open for page in self._seeing())
-        ]
-
-    def handle_sound(self, stream: int, samples: bytes, stamp: CaptureStamp) -> None:
-        """A block of sound of a stream."""
-        message = pack_sound(
-            stream,
-            stamp.sequence,
-            stamp.capture_ns // NS_PER_US,
-            samples,
-            concealed=stamp.quality is Quality.CONCEALED,
-        )
-        for page in self._seeing():
-            page.queue.put_sound(stream, message)
-
-    def handle_haptics(self, end: int, block: bytes) -> None:
-        """A block of haptic samples of an end."""
-        message = pack_haptic(end, rows_of(block))
-        for page in self._seeing():
-            page.queue.put_haptics(end, message)
-
-    def handle_preview(self, preview: int, picture: I420, stamp: CaptureStamp) -> None:
-        """A small picture of an input."""
-        message = pack_preview(preview, stamp.capture_ns // NS_PER_US, picture)
-        for page in self._seeing():
-            page.queue.put_preview(preview, message)
 
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
         """The joystick's state."""
@@ -439,17 +288,9 @@ class Seat:
 
     def handle_camera(self, camera: str, now_ns: int) -> None:
         """The selected camera."""
-        if camera != self._camera:
-            self._camera = camera
+        if camera != self.camera:
+            self.camera = camera
             self._tell_state(now_ns)
-
-    def handle_selection(
-        self, asked: CameraAsked, *, error: str, round_trip_ms: float, now_ns: int
-    ) -> None:
-        """The console's answer. error: "" if the camera is selected."""
-        self._answer(asked.page, asked.request, error, None if error else round_trip_ms)
-        if not error:
-            self.handle_camera(asked.camera, now_ns)
 
     def handle_recorder(self, asked: RecordingAsked, error: str) -> None:
         """The recorder's answer. error: "" if it does what was asked."""
@@ -495,7 +336,7 @@ class Seat:
                 now_us=now_ns // NS_PER_US,
                 link="connected" if connected else "lost",
                 signal=signal,
-                camera=self._camera,
+                camera=self.camera,
                 joystick=self._joystick,
                 hand=texts.HandText(
                     holder=self.holder, you=hand.holder == number, wanted_by=hand.wanted_by
@@ -522,8 +363,9 @@ class Seat:
         while (request := self.mission.poll_transmit(now_ns)) is not None:
             self._events.append(TmtcAsked(request))
         while (answered := self.mission.next_event()) is not None:
-            number, request_number, error, round_trip_ms = answered
-            self._answer(number, request_number, error, round_trip_ms)
+            self._answer(answered.page, answered.request, answered.error, answered.round_trip_ms)
+            if answered.camera:
+                self.handle_camera(answered.camera, now_ns)
 
     def _settle_desk(self, now_ns: int) -> None:
         while (answered := self._desk.next_event()) is not None:
@@ -544,25 +386,3 @@ class Seat:
                     )
                 )
             )
-
-    def _replay_idle(self) -> None:
-        for page in self._pages.values():
-            if page.idle:
-                self._replay(page)
-
-    def _replay(self, page: _Page) -> None:
-        """Open the closed lanes of a page with what a decoder needs to begin now."""
-        for stream in list(page.queue.closed_lanes()):
-            units = self._histories[stream].replay()
-            if units is not None:
-                page.queue.lane(stream).put_replay(
-                    [
-                        *(_packed(stream, unit, REPLAYED) for unit in units[:-1]),
-                        _packed(stream, units[-1]),
-                    ]
-                )
-
-
-def _packed(stream: int, unit: KeptUnit, more_flags: int = 0) -> bytes:
-    flags = KEY * unit.key | DAMAGED * unit.damaged | more_flags
-    return pack_unit(stream, flags, unit.sequence, unit.capture_us, unit.data)

@@ -11,6 +11,7 @@ from pipelines.seats.texts import (
     EventLine,
     EventsText,
     FunctionText,
+    Level,
     ParameterText,
     StructureText,
     ValuesText,
@@ -22,7 +23,7 @@ from telepresence.tmtc.pus.values import Parameter, Value
 _MOST_EVENTS = 100
 
 
-def level_of(application: Application, parameter: Parameter, value: Value) -> str:
+def level_of(application: Application, parameter: Parameter, value: Value) -> Level:
     """Return the colour of a value: "bad" beyond a monitor's limit, "warn" beyond its own.
 
     "good" within limits, "none" without any.
@@ -30,11 +31,12 @@ def level_of(application: Application, parameter: Parameter, value: Value) -> st
     if isinstance(value, str | bool) or not isfinite(value):
         return "none"
     monitors = [one for one in application.monitors if one.parameter == parameter.name]
-    level = "none"
-    for words, low, high in (
+    level: Level = "none"
+    limits: list[tuple[Level, float | None, float | None]] = [
         ("warn", parameter.low, parameter.high),
         *(("bad", one.low, one.high) for one in monitors),
-    ):
+    ]
+    for words, low, high in limits:
         if (low is not None and value < low) or (high is not None and value > high):
             level = words
         elif level == "none" and (low, high) != (None, None):
@@ -137,5 +139,5 @@ class TelemetryLog:
 
 
 def _plain(value: Value) -> Value | None:
-    """JSON has no number for what is none."""
+    """JSON has no NaN."""
     return None if isinstance(value, float) and not isfinite(value) else value

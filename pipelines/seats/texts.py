@@ -1,119 +1,36 @@
-"""The JSON texts between a seat's server and its pages.
+"""The JSON texts that a seat's server sends to its pages.
 
-A page's requests are checked in full: a field too many, or one of another type, is no request.
+`.ci/web/texts.py` writes the types of `static/texts.js` from them.
 """
 
-from typing import Annotated, Literal
+from enum import Enum
+from typing import Literal
 
 import msgspec
 
-from kontur_av.errors import ProtocolError
+from pipelines.session.seat_roles import Role
+from pipelines.session.setup.segments import Segment
 
-_Number = Annotated[int, msgspec.Meta(ge=0, le=1 << 53)]
-_Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
-_Value = bool | Annotated[int, msgspec.Meta(ge=-(1 << 31), le=1 << 32)] | float | _Name
+Level = Literal["good", "warn", "bad", "none"]
 
-
-class _Request(msgspec.Struct, frozen=True, tag_field="do", forbid_unknown_fields=True):
-    request: _Number
-
-
-class SelectRequest(_Request, frozen=True, tag="select"):
-    """Select a camera for the uplink video."""
-
-    camera: _Name
-
-
-class JoystickRequest(_Request, frozen=True, tag="joystick"):
-    """A person's command to the joystick."""
-
-    event: Literal["calibrate", "start", "halt", "acknowledge", "stop", "resume"]
-
-
-class HandRequest(_Request, frozen=True, tag="hand"):
-    """Who holds the handle."""
-
-    action: Literal["take", "give", "ask", "refuse"]
-
-
-class SessionRequest(_Request, frozen=True, tag="session"):
-    """Start or stop the session."""
-
-    action: Literal["start", "stop"]
-
-
-class RecordRequest(_Request, frozen=True, tag="record"):
-    """Begin or end a recording of the session."""
-
-    action: Literal["start", "stop"]
-
-
-class InputRequest(_Request, frozen=True, tag="input"):
-    """Take an input over with the page's own camera or microphone, or give it back."""
-
-    name: _Name
-    on: bool
-
-
-class CommandRequest(_Request, frozen=True, tag="command"):
-    """Send a telecommand to an application of either end; the fields are those of `SendCommand`."""
-
-    application: _Name
-    verb: Literal["call", "ping", "report", "housekeeping_on", "housekeeping_off"] = "call"
-    name: Annotated[str, msgspec.Meta(max_length=64)] = ""
-    arguments: Annotated[tuple[_Value, ...], msgspec.Meta(max_length=4)] = ()
-
-    @property
-    def deed(self) -> str:
-        """What the role of a page must permit."""
-        return f"{self.application}.{self.name}" if self.verb == "call" else "housekeeping"
-
-
-class ChatRequest(_Request, frozen=True, tag="chat"):
-    """Write a line to the others."""
-
-    text: Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
-
-
-SeatRequest = (
-    SelectRequest
-    | JoystickRequest
-    | HandRequest
-    | SessionRequest
-    | RecordRequest
-    | CommandRequest
-    | ChatRequest
-)
-
-_SEAT = msgspec.json.Decoder(SeatRequest)
-_MEDIA = msgspec.json.Decoder(InputRequest)
 _ENCODER = msgspec.json.Encoder()
 
 
-def parse_seat_request(text: str) -> SeatRequest:
-    """Return a request on the socket of a seat; ProtocolError for anything else."""
-    try:
-        request: SeatRequest = _SEAT.decode(text)
-    except (msgspec.MsgspecError, RecursionError, UnicodeEncodeError) as error:
-        raise ProtocolError(f"no request: {error}") from None
-    return request
+class Via(Enum):
+    """How a page gets a stream: as it was received, as it was sent, or as sound."""
 
-
-def parse_media_request(text: str) -> InputRequest:
-    """Return a request on the socket of a camera or microphone; ProtocolError otherwise."""
-    try:
-        return _MEDIA.decode(text)
-    except (msgspec.MsgspecError, RecursionError, UnicodeEncodeError) as error:
-        raise ProtocolError(f"no request: {error}") from None
+    CODED = "coded"
+    SENT = "sent"
+    SOUND = "sound"
 
 
 class StreamText(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A stream that a page is sent. via: `coded`, `sent` or `sound`."""
+    """A stream that a page is sent."""
 
     index: int
     name: str
-    kind: str
-    via: str
+    kind: Literal["video", "voice"]
+    via: Via
     cap_bps: int
     stale_after_ms: float
     width: int | None = None
@@ -142,7 +59,7 @@ class InputText(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     index: int
     name: str
-    kind: str
+    kind: Literal["video", "audio"]
     width: int | None = None
     height: int | None = None
     fps: float | None = None
@@ -168,7 +85,7 @@ class BoardText(msgspec.Struct, frozen=True, kw_only=True):
 class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     """What does not change at a seat. tasks: whether the session has any."""
 
-    seat: str
+    seat: Segment
     setup: str
     session: str
     streams: tuple[StreamText, ...]
@@ -183,6 +100,14 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     passes: tuple["PassText", ...] = ()
     tasks: bool = False
     task_list: tuple["TaskText", ...] = ()
+
+
+class HelloText(SeatText, frozen=True, kw_only=True, tag_field="kind", tag="hello"):
+    """The first text of a connection. page: its number."""
+
+    role: Role
+    page: int
+    now_us: int
 
 
 class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
@@ -267,12 +192,12 @@ class CommandsText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", 
 
 
 class ValueText(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter's newest value. value: None if it is no number. at_us: when it was heard."""
+    """A parameter's newest value. value: None for NaN. at_us: when it was heard."""
 
     application: str
     name: str
     value: bool | int | float | str | None
-    level: str
+    level: Level
     at_us: int
 
 
@@ -300,9 +225,9 @@ class EventsText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", ta
 
 
 class RadioText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="radio"):
-    """Whether both directions carry, in words. level: `good`, `warn`, `bad` or `none`."""
+    """Whether both directions carry, in words."""
 
-    level: str
+    level: Level
     words: str
 
 
@@ -358,12 +283,6 @@ class PassText(msgspec.Struct, frozen=True, kw_only=True):
     acquisition_s: float
     loss_s: float
     peak_deg: float
-
-
-def hello(seat: SeatText, *, role: str, page: int, now_us: int) -> str:
-    """Return the first text of a connection."""
-    said: dict[str, object] = {"kind": "hello", "role": role, "page": page, "now_us": now_us}
-    return pack_text(said | msgspec.to_builtins(seat))
 
 
 def pack_text(text: msgspec.Struct | dict[str, object]) -> str:

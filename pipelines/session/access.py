@@ -15,7 +15,7 @@ _DEFAULT_PORTS = {"http": 80, "https": 443}
 _FILE = re.compile(r"[a-z0-9_]+(?:\.[a-z0-9]+)+")
 
 
-class Kind(Enum):
+class AccessKind(Enum):
     """What is asked for."""
 
     PAGE = "page"
@@ -27,7 +27,7 @@ class Kind(Enum):
 class Found(NamedTuple):
     """What a request may have. token: the one in its address. name: of the page or file."""
 
-    kind: Kind
+    kind: AccessKind
     role: Role
     token: str
     name: str = ""
@@ -70,9 +70,9 @@ class Access:
         self._names = frozenset(names) or frozenset(_LOOPBACK)
         self._far = not all(_is_loopback(name) for name in self._names)
         self._tokens = {
-            Role.OPERATOR: operator_token.encode(),
-            Role.VIEWER: viewer_token.encode(),
-            **{Role(role): token.encode() for role, token in role_tokens.items()},
+            Role.OPERATOR: operator_token,
+            Role.VIEWER: viewer_token,
+            **{Role(role): token for role, token in role_tokens.items()},
         }
 
     def find(self, method: str, target: str, host: str, origin: str | None) -> Found:
@@ -85,15 +85,15 @@ class Access:
         path, _, query = target.partition("?")
         parts = path.split("/")[1:]
         if len(parts) == 1 and parts[0] in self._seats:
-            kind, token, name = Kind.PAGE, _token_of(query), parts[0]
+            kind, token, name = AccessKind.PAGE, _token_of(query), parts[0]
         elif len(parts) == 3 and parts[1] == "static":
-            kind, token, name = Kind.FILE, parts[0], parts[2]
+            kind, token, name = AccessKind.FILE, parts[0], parts[2]
         elif len(parts) == 2 and parts[1] in ("ws", "media"):
-            kind = Kind.SEAT if parts[1] == "ws" else Kind.MEDIA
+            kind = AccessKind.SEAT if parts[1] == "ws" else AccessKind.MEDIA
             token, name = parts[0], ""
         else:
-            # Whether a path exists is none of a stranger's business.
-            kind, token, name = Kind.FILE, parts[0] if parts else "", ""
+            # A stranger is not told whether a path exists.
+            kind, token, name = AccessKind.FILE, parts[0] if parts else "", ""
         role = self._role_of(token)
         if role is None:
             raise AccessError(403, "this address needs the token of the session", "token")
@@ -101,9 +101,9 @@ class Access:
             raise AccessError(405, "only GET")
         # Other origins' pages can open sockets here, and they know no token but a stolen one.
         own = f"{self._scheme}://{host}".lower()
-        if kind in (Kind.SEAT, Kind.MEDIA) and (origin or "").lower() != own:
+        if kind in (AccessKind.SEAT, AccessKind.MEDIA) and (origin or "").lower() != own:
             raise AccessError(403, "another site's page may not connect", "origin")
-        if kind is Kind.FILE and not _FILE.fullmatch(name):
+        if kind is AccessKind.FILE and not _FILE.fullmatch(name):
             raise AccessError(404, "no such file")
         return Found(kind, role, token, name)
 
@@ -116,10 +116,14 @@ class Access:
         return port == self._port and (name in self._names or (self._far and _is_address(name)))
 
     def _role_of(self, token: str) -> Role | None:
-        given = token.encode("utf-8", "surrogateescape")
         # Each is compared in full, so that the time tells nothing.
-        found = [role for role, own in self._tokens.items() if hmac.compare_digest(given, own)]
-        return found[0] if given and found else None
+        found = [role for role, own in self._tokens.items() if is_token(token, own)]
+        return found[0] if token and found else None
+
+
+def is_token(given: str, own: str) -> bool:
+    """Whether a stranger has given the token, compared in constant time."""
+    return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), own.encode())
 
 
 def _token_of(query: str) -> str:

@@ -1,12 +1,12 @@
 """Asks a process of a running session from another terminal: a line there, a line back."""
 
+import errno
 import os
 import socket
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, session_root
-from pipelines.session.control import running_sessions
 from pipelines.session.terminal_lines import MAX_LINE_OCTETS
 
 _PATIENCE_S = 5.0
@@ -15,6 +15,24 @@ _PATIENCE_S = 5.0
 def desk_path(session: str, desk: str) -> Path:
     """Return the path of the Unix socket of a session's desk."""
     return session_root(session) / desk
+
+
+def running_sessions(desk: str) -> list[str]:
+    """Return the sessions of this user in which a process listens on this socket, oldest first."""
+    found = session_root("x").parent.glob(f"*/{desk}")
+    paths = sorted(filter(_listens, found), key=lambda path: path.stat().st_mtime)
+    return [path.parent.name for path in paths]
+
+
+def _listens(path: Path) -> bool:
+    """Whether a process has this socket open; one that was killed leaves its file behind."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+        try:
+            link.connect(os.fspath(path))
+        except OSError as error:
+            # A stream socket is of another type, and somebody has it.
+            return error.errno == errno.EPROTOTYPE
+    return True
 
 
 def ask_desk(desk: str, line: bytes, session: str | None, *, missing: str) -> bytes:

@@ -51,7 +51,7 @@ class Feed:
                 self._handle(lease)
 
 
-class State:
+class TopicState:
     """A topic of which only the newest sample counts, read when asked."""
 
     def __init__(self, bus: TopicBus, topic: str) -> None:

@@ -28,7 +28,13 @@ from pipelines.session.page_listener import PageListener
 from pipelines.session.probe import Message
 from pipelines.session.process import LOOPBACK, Context, become
 from pipelines.session.restarts import RestartPolicy
-from pipelines.session.session_switch import PATIENCE_NS, Action, Activity, Order, SessionSwitch
+from pipelines.session.session_switch import (
+    PATIENCE_NS,
+    Activity,
+    Order,
+    SessionSwitch,
+    SwitchAction,
+)
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import ProcessRow, Topology
 
@@ -56,7 +62,7 @@ class Listener(Protocol):
         """The processes are started again after a stop that was asked for."""
 
 
-class Feed(Protocol):
+class FigureFeed(Protocol):
     """Makes the messages for the processes that serve pages."""
 
     def poll_messages(self, launcher: "Launcher", now_ns: int) -> Mapping[str, bytes]:
@@ -120,7 +126,7 @@ class Launcher:
     show: Callable[["Launcher"], None] | None = None
     pages: Mapping[str, PageListener] = field(default_factory=dict)
     arguments: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
-    feed: Feed | None = None
+    feed: FigureFeed | None = None
     children: list[Child] = field(init=False)
     started_ns: int = 0
     ended_ns: int = 0
@@ -232,10 +238,10 @@ class Launcher:
         if all(child.pid is None for child in self.children if child.row.name not in self.pages):
             self.switch.handle_all_ended(now_ns)
         while (action := self.switch.next_event()) is not None:
-            if action is Action.START:
+            if action is SwitchAction.START:
                 self.listener.handle_resumed(now_ns)
                 continue  # `_watch` starts them in order
-            number = signal.SIGTERM if action is Action.END else signal.SIGKILL
+            number = signal.SIGTERM if action is SwitchAction.END else signal.SIGKILL
             for child in self.children:
                 if child.pid is not None and child.row.name not in self.pages:
                     child.stopped = True

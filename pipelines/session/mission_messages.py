@@ -193,6 +193,6 @@ def unpack(kind: type[_Kind], octets: bytes) -> _Kind:
         raise ProtocolError(f"{kind.__name__} has {len(octets)} octets: at most {MISSION_OCTETS}")
     try:
         return msgspec.msgpack.decode(octets, type=kind)
-    # Text that is no UTF-8; lists in lists in the place of a field that nobody knows.
+    # text that is not UTF-8; lists in lists in the place of a field that nobody knows.
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ProtocolError(f"{kind.__name__}: {error}") from None

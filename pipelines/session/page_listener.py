@@ -12,7 +12,7 @@ class PageListener:
 
     scheme: "http" or "https". host: as the printed address has it. port: as bound.
     names: the hosts, in lower case and without brackets, that a browser may ask for.
-    operator_token, viewer_token: whoever has one may command, or only watch.
+    operator_token, viewer_token: who has it may command, or only watch.
     role_tokens: of the people of this end, by the value of their `Role`.
     certificate: PEM file with certificate and key, for "https".
     """

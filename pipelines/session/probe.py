@@ -14,7 +14,7 @@ from itertools import chain
 from typing import Any, Generic, TypeVar, cast
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.session.figures import Counters, Gauges, ProbeCounters
+from pipelines.session.figures import ProbeFigures
 from pipelines.session.rows import Row
 from pipelines.session.session_switch import Order
 
@@ -70,7 +70,8 @@ class Series(Generic[RowT]):
 class Message:
     """One message of one process.
 
-    counters, gauges: one of each kind, of each stream for those that are about streams.
+    figures: records of what was counted, one of each kind; of each stream for those that are about
+        streams.
     series: single events, such as packets, in the order in which their series were begun.
     scheduler: `fifo` with real-time priority, `other` without the permission for it; "" for a
         process that asks for none.
@@ -78,33 +79,28 @@ class Message:
     orders: what ground control ordered on a page, oldest first.
     """
 
-    counters: dict[tuple[type[Counters], str], Counters] = field(default_factory=dict)
-    gauges: dict[tuple[type[Gauges], str], Gauges] = field(default_factory=dict)
+    figures: dict[tuple[type, str], object] = field(default_factory=dict)
     series: list[Series[Any]] = field(default_factory=list)
     scheduler: str = ""
     last_error: str = ""
     orders: list[Order] = field(default_factory=list)
 
-    def count(self, counters: Counters, stream: str = "") -> None:
-        """Set counters to their present values. stream: the one that they are about, if any."""
-        self.counters[type(counters), stream] = counters
-
-    def gauge(self, gauges: Gauges, stream: str = "") -> None:
-        """Set gauges to their newest values. stream: the one that they are about, if any."""
-        self.gauges[type(gauges), stream] = gauges
+    def tell(self, record: object, stream: str = "") -> None:
+        """Set a record to its present values. stream: the one that it is about, if any."""
+        self.figures[type(record), stream] = record
 
     def pack(self) -> bytes:
         """Return the message as octets, without its empty series."""
         series = [(one.kind, one.stream, one.values) for one in self.series if one.values]
-        told = self.counters, self.gauges, series, self.scheduler, self.last_error, self.orders
+        told = self.figures, series, self.scheduler, self.last_error, self.orders
         return pickle.dumps(told, pickle.HIGHEST_PROTOCOL)
 
     @classmethod
     def unpack(cls, data: bytes) -> Message:
         """Unpack a message. Unpickling is safe: only our own process writes to the socket."""
-        counters, gauges, series, scheduler, last_error, orders = pickle.loads(data)
+        figures, series, scheduler, last_error, orders = pickle.loads(data)
         told = [Series(*one) for one in series]
-        return cls(counters, gauges, told, scheduler, last_error, orders)
+        return cls(figures, told, scheduler, last_error, orders)
 
 
 class Probe:
@@ -115,7 +111,7 @@ class Probe:
 
     def __init__(self) -> None:
         self.message = Message()
-        self.count, self.gauge = self.message.count, self.message.gauge
+        self.tell = self.message.tell
         self._series: dict[tuple[object, str], Series[Any]] = {}
         self._due_ns = 0
         #: Values of rows that were dropped because the launcher did not keep up.
@@ -146,7 +142,7 @@ class Probe:
             if len(series.values) > _MAX_SERIES_VALUES:
                 # All of them, because a cut row would shift all that follow.
                 self.dropped_values += len(series.values)
-                self.count(ProbeCounters(probe_values_dropped=self.dropped_values))
+                self.tell(ProbeFigures(probe_values_dropped=self.dropped_values))
                 del series.values[:]
 
     def _clear(self) -> None:

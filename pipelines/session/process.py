@@ -154,7 +154,7 @@ class Context:
         """Return the launcher's next message for pages, one JSON text, or None.
 
         It never blocks. `link` becomes readable when a message waits, so that an event loop can
-        watch `link.fileno()`. Messages come only while `PageGauges` says that somebody watches.
+        watch `link.fileno()`. Messages come only while `PageFigures` says that somebody watches.
         """
         if self.link is None:
             return None

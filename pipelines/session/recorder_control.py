@@ -8,7 +8,7 @@ import socket
 from pathlib import Path
 
 from kontur_av.topics.session_files import choose_session, make_session_root, session_root
-from pipelines.session.control import running_sessions
+from pipelines.session.asking import running_sessions
 from pipelines.session.recorder_requests import (
     MAX_LINE_OCTETS,
     RecordAnswer,

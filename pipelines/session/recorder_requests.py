@@ -83,7 +83,7 @@ def pack_line(content: RecordRequest | RecordAnswer) -> bytes:
 
 
 def parse_record_request(line: bytes) -> RecordRequest | None:
-    """Return the request in a line, or None if it is none."""
+    """Return the request in a line, or None for anything else."""
     try:
         return msgspec.json.decode(line, type=RecordRequest)
     except (msgspec.DecodeError, RecursionError):
@@ -91,7 +91,7 @@ def parse_record_request(line: bytes) -> RecordRequest | None:
 
 
 def parse_record_answer(line: bytes) -> RecordAnswer | None:
-    """Return the answer in a line, or None if it is none."""
+    """Return the answer in a line, or None for anything else."""
     try:
         return msgspec.json.decode(line, type=RecordAnswer)
     except msgspec.DecodeError:

@@ -39,13 +39,13 @@ _JOYSTICK = ("calibrate", "start", "stop", "halt", "resume", "acknowledge", "tes
 _MAY: Mapping[str, tuple[Role, ...]] = MappingProxyType(
     {
         "hand": (Role.COSMONAUT,),
-        "select": (Role.COSMONAUT,),
         "joystick": (Role.COSMONAUT,),
         "session": (Role.COSMONAUT, Role.SUPERVISOR),
         "record": PEOPLE[Segment.GROUND],
         "chat": (*PEOPLE[Segment.SPACE], *PEOPLE[Segment.GROUND]),
         "housekeeping": (Role.SUPERVISOR, Role.SYSTEMS),
         **{f"joystick.{name}": (Role.COSMONAUT, Role.SUPERVISOR) for name in _JOYSTICK},
+        "camera.select": (Role.COSMONAUT,),
         "panel.button": (Role.COSMONAUT,),
         "tasks.select": (Role.EXPERIMENTER,),
         "tasks.start": (Role.EXPERIMENTER,),

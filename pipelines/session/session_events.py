@@ -17,6 +17,11 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SessionEvents(msgspec.Struct, frozen=True, kw_only=True):
-    """What the recorder gets: events that it was not told yet."""
+    """What the recorder gets: events that it was not told yet, and figures at times.
 
+    at_us: on the session's clock. figures: all, by name, as pages get them.
+    """
+
+    at_us: int
     events: list[Event]
+    figures: dict[str, int | float | str | bool | None] = {}

@@ -27,7 +27,7 @@ class Activity(Enum):
     STOPPED = "stopped"
 
 
-class Action(Enum):
+class SwitchAction(Enum):
     """What the launcher has to do now."""
 
     #: Ask all processes to end.
@@ -54,7 +54,7 @@ class SessionSwitch:
         self._since_ns: int | None = None
         self._kill_ns: int | None = None
         self._start_wanted = False
-        self._actions: deque[Action] = deque()
+        self._actions: deque[SwitchAction] = deque()
 
     def handle_order(self, order: Order, now_ns: int) -> None:
         """An order has come; one that changes nothing is ignored."""
@@ -64,7 +64,7 @@ class SessionSwitch:
                 self.activity = Activity.STOPPING
                 self.changed_ns = self._since_ns = now_ns
                 self._kill_ns = now_ns + PATIENCE_NS
-                self._actions.append(Action.END)
+                self._actions.append(SwitchAction.END)
         elif self.activity is Activity.STOPPED:
             self._start(now_ns)
         elif self.activity is Activity.STOPPING:
@@ -86,7 +86,7 @@ class SessionSwitch:
         """Time has passed. Processes that do not end by themselves are ended."""
         if self._kill_ns is not None and now_ns >= self._kill_ns:
             self._kill_ns = None
-            self._actions.append(Action.KILL)
+            self._actions.append(SwitchAction.KILL)
 
     def handle_end(self, now_ns: int) -> None:
         """The session is over."""
@@ -94,7 +94,7 @@ class SessionSwitch:
         self._kill_ns = None
         self._actions.clear()
 
-    def next_event(self) -> Action | None:
+    def next_event(self) -> SwitchAction | None:
         """What to do now; None when nothing is left."""
         return self._actions.popleft() if self._actions else None
 
@@ -109,7 +109,7 @@ class SessionSwitch:
         self._close(now_ns)
         self._start_wanted = False
         self.activity, self.changed_ns = Activity.RUNNING, now_ns
-        self._actions.append(Action.START)
+        self._actions.append(SwitchAction.START)
 
     def _close(self, now_ns: int) -> None:
         if self._since_ns is not None:

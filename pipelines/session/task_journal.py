@@ -7,39 +7,52 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.tasks.definitions import Elemop
-from telepresence.tasks.experiment import Logged, Step, TaskRun
+from telepresence.tasks.experiment import Logged, RunStep, TaskRun
 from telepresence.tasks.kernel import KernelEvent
 from telepresence.tasks.panel_picture import PanelPicture
 from telepresence.tasks.scores import ScoreKeeper, Scores
 
 
 class TaskStep(msgspec.Struct, frozen=True, kw_only=True):
-    """A step of Fig. 14, at an instant."""
+    """A step of Fig. 14 of the paper."""
 
     at_ns: int
+    #: In words.
     step: str
 
 
 class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
-    """A run: the fields of `pipelines.report.model.TaskRunReport`, with instants in ns."""
+    """One run of a task. Its instants are on the session's clock, in a report since it began."""
 
     name: str
+    #: Its number in the session.
     run: int
+    #: `finished`, `aborted`, `timed_out`, `lost_signal`; `open` if the session ended during it.
     result: str
+    #: Why it did not finish; empty if it did.
     reason: str
+    #: When it was selected.
     selected_ns: int
+    #: From the cosmonaut's start to its end; null if it was never started.
     seconds: float | None
+    #: The tip's way while the cosmonaut drove.
     path_m: float
+    #: The board's force on the tip.
     force_max_n: float
     force_mean_n: float
+    #: Distance from what was to be reached or followed (m), or from the force to be held (N); null
+    #: where there was none.
     error_mean: float | None
     error_max: float | None
+    #: Of the link meanwhile, both ways.
     frames: int
     frames_lost: int
+    #: The longer delay of both directions at its end.
     delay_ms: float
+    #: Each is logged once.
     steps: list[TaskStep]
 
-    def with_steps_of(self, earlier: "TaskRow") -> "TaskRow":
+    def plus(self, earlier: "TaskRow") -> "TaskRow":
         """Return this row, with the steps of an earlier state of it if that has more."""
         more = len(earlier.steps) > len(self.steps)
         return msgspec.structs.replace(self, steps=earlier.steps) if more else self
@@ -83,7 +96,7 @@ class TaskJournal:
         """An event of the experiment."""
         self._newest = link
         if isinstance(event, Logged):
-            if event.step is Step.SELECTED:
+            if event.step is RunStep.SELECTED:
                 self._open, self._steps = event, []
             self._add_step(event)
         elif isinstance(event, TaskRun):
@@ -157,4 +170,4 @@ OPEN = "open"
 #: So many of the newest runs are told, and known to a next life. The collector keeps all.
 KEPT = 20
 #: In the order of Fig. 14.
-STEPS = tuple(step.value for step in Step)
+STEPS = tuple(step.value for step in RunStep)

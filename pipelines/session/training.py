@@ -14,7 +14,7 @@ from math import isfinite
 import msgspec
 
 from kontur_av.clock import NS_PER_S
-from pipelines.session.figures import TrainerEvent, TrainerGauges
+from pipelines.session.figures import DatedEvent, TrainerFigures
 from pipelines.session.probe import Probe
 from pipelines.session.terminal_lines import Reply, TerminalLines
 
@@ -79,7 +79,7 @@ class Trainer:
         self._radio, self._joystick, self._cameras = radio, joystick, tuple(cameras)
         self._terminals = TerminalLines()
         self.handle_terminal = self._terminals.handle_terminal
-        self._events: deque[TrainerEvent] = deque(maxlen=_DEPTH)
+        self._events: deque[DatedEvent] = deque(maxlen=_DEPTH)
 
     @property
     def asking(self) -> list[int]:
@@ -104,7 +104,7 @@ class Trainer:
 
     def tell(self) -> None:
         """Put what was done into the probe."""
-        self._probe.gauge(TrainerGauges(events=tuple(self._events)))
+        self._probe.tell(TrainerFigures(exercises=tuple(self._events)))
 
     def _answer(self, request: TrainerRequest, now_ns: int) -> TrainerAnswer:
         wrong = self._mistake(request)
@@ -126,7 +126,7 @@ class Trainer:
         else:
             self.exercises = Exercises()
             text = "all exercises ended"
-        self._events.append(TrainerEvent(at_ns=now_ns, what=text))
+        self._events.append(DatedEvent(at_ns=now_ns, what=text))
         return TrainerAnswer(ok=True, text=text)
 
     def _mistake(self, request: TrainerRequest) -> str:
@@ -152,7 +152,7 @@ def pack_line(content: TrainerRequest | TrainerAnswer) -> bytes:
 
 
 def parse_trainer_answer(line: bytes) -> TrainerAnswer | None:
-    """Return the answer in a line, or None if it is none."""
+    """Return the answer in a line, or None for anything else."""
     try:
         return msgspec.json.decode(line, type=TrainerAnswer)
     except msgspec.DecodeError:

@@ -11,7 +11,7 @@ from kontur_av.sources.pace import Pace
 from kontur_av.sources.page import PAGE
 from kontur_av.sources.stereo import StereoPairer
 from pipelines.media.capturing import Capturing
-from pipelines.session.figures import StereoCounters
+from pipelines.media.figures import StereoFigures
 from pipelines.session.probe import Probe
 from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import VOICE_PACKETS_PER_S, Setup
@@ -193,4 +193,4 @@ class Stereo:
     def tell(self) -> None:
         """Put the counters into the probe."""
         pairer = self._pairer
-        self._probe.count(StereoCounters(paired=pairer.paired, single=pairer.single))
+        self._probe.tell(StereoFigures(paired=pairer.paired, single=pairer.single))

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from pipelines.hand.haptics import JoystickEnd
 from pipelines.hand.robot_desk import RobotDesk
-from pipelines.media.choosing import CameraChoice
+from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.mission import MissionGround, Seen, robot_order
 from pipelines.mission.tmtc_messages import (
     K2aciArrived,
@@ -121,7 +121,7 @@ class SimulatedMission:
     def _meanwhile(self, now_ns: int) -> LinkMeanwhile:
         reports = [gateway.report(now_ns) for gateway in self._gateways.values()]
         return LinkMeanwhile(
-            frames=sum(report.receive.frames for report in reports),
+            frames=sum(report.receive.frames_received for report in reports),
             frames_lost=sum(report.receive.frames_lost for report in reports),
             delay_ns=max(report.radio.delay_ns for report in reports),
         )

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from functools import partial
 
+from kontur_av.codecs.h264 import DecoderCounts
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
@@ -17,8 +18,6 @@ from pipelines.media.showing import Showing
 from pipelines.media.stream_figures import (
     note_arrivals,
     note_unit,
-    tell_video_receiver,
-    tell_voice_receiver,
 )
 from pipelines.media.watching import Recall, tell_click, tell_light
 from pipelines.session.probe import Probe
@@ -82,7 +81,7 @@ class VideoReceiveProcess:
         self._free_ns = 0
         self._decoding: deque[tuple[int, int, int | None]] = deque()
         self._timer = Timer(agenda, self._expire)
-        self._counts = (0, 0, 0)
+        self._counts = DecoderCounts()
         self._recall = Recall()
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
@@ -140,8 +139,8 @@ class VideoReceiveProcess:
 
     def tell(self) -> None:
         """Put the counters into the probe."""
-        decoded, corrupt, restarts = self._counts
-        tell_video_receiver(self._probe, self._receiver, decoded, corrupt, restarts)
+        self._probe.tell(self._receiver.counts)
+        self._probe.tell(self._counts)
 
 
 class VoiceReceiveProcess:
@@ -172,7 +171,7 @@ class VoiceReceiveProcess:
 
     def tell(self) -> None:
         """Put the counters into the probe."""
-        tell_voice_receiver(self._probe, self._receiver)
+        self._probe.tell(self._receiver.counts)
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
         """An RTP packet comes out of the link."""

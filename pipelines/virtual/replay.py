@@ -18,13 +18,14 @@ from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import ReceivedUnit, join_annex_b, split_annex_b
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.hand.replaying import ReplayedEnd, ReplayTime
+from pipelines.media.following import Choice
 from pipelines.media.gain import gain_of
 from pipelines.media.session_streams import video_sender, voice_sender
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.recorded_session import RecordedSession, SentUnit
 from pipelines.report.model import ReplayedStream, ReplayReport, SessionReport
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
+from pipelines.session.topology import TELECOMMAND, TELEMETRY
 from pipelines.virtual.costs import CodingCosts
 from pipelines.virtual.media import WALL_OFFSET_NS, Media, Scene
 from pipelines.virtual.receivers import VideoReceiveProcess
@@ -125,23 +126,9 @@ class Replay(Simulation):
     def _make_media(self, scene: Scene) -> Media:
         return ReplayedMedia(scene, self._confirm, self._session, self.time, self._recode)
 
-    def _set_choice_timer(self, now_ns: int) -> None:
-        """Housekeeping is in the recording."""
-
-    def _take_telecommand(self, data: bytes, now_ns: int) -> None:
-        """It is executed, although the pictures of the camera that it selects are not shown."""
-        if self.tmtc.handle_packet(Segment.GROUND, data, now_ns):
-            return
-        self._choice.handle_packet(data, now_ns)
-        self._confirm(self._choice.choice.number, now_ns)
-
-    def _acknowledge(self, now_ns: int) -> None:
-        """So are acknowledgements."""
-        while self._choice.poll_transmit(now_ns) is not None:
-            pass
-
-    def _console_sends(self, now_ns: int) -> None:
-        """And telecommands."""
+    def _follow(self, choice: Choice, now_ns: int) -> None:
+        """Confirm at once. The pictures are those of the recording, whatever is selected."""
+        self._confirm(choice.number, now_ns)
 
 
 def _send(gateway: Gateway, stream: str, data: bytes, now_ns: int) -> None:

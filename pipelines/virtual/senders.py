@@ -86,7 +86,6 @@ class VideoSendProcess(SendProcess):
         self.on_confirmed: Callable[[int, int], None] | None = None
         #: With the newest state of the robot: where pictures are coded finer.
         self.tip: tuple[TipRegion, Callable[[int], WorldState]] | None = None
-        self._confirmed: int | None = None
         self._reported: tuple[Backlog, int] | None = None
         self.handle_feedback = sender.handle_feedback
 
@@ -118,9 +117,8 @@ class VideoSendProcess(SendProcess):
             return
         idle = not self._busy and not self._core.backlog_octets
         ended = follower.handle_sender(idle=idle)
-        number = follower.confirmed
-        if number is not None and number != self._confirmed and self.on_confirmed is not None:
-            self._confirmed = number
+        number = follower.poll_confirmed(now_ns)
+        if number is not None and self.on_confirmed is not None:
             self.on_confirmed(number, now_ns)
         if ended:
             self._look(now_ns)

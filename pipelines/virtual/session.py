@@ -19,14 +19,14 @@ from kontur_av.errors import ConfigError
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.link.gateway_end import GatewayEnd
-from pipelines.media.choosing import CameraChoice
-from pipelines.mission.console import Console
+from pipelines.media.following import Choice
+from pipelines.mission.choosing import CAMERA, SELECT, CameraChoice
+from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, SendCommand, TmtcNews
+from pipelines.report.arm_figures import run_since
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
-from pipelines.report.task_figures import task_report
 from pipelines.session.probe import FLUSH_NS, Probe
-from pipelines.session.requests import Request, pack_line
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
@@ -40,6 +40,7 @@ from pipelines.virtual.workers import Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.mediated.wall import is_wall
 from telepresence.haptics.session import LIVES
 from telepresence.link.gateway import Gateway
 from telepresence.link.received import HapticReceived, PacketReceived
@@ -50,6 +51,8 @@ from telepresence.world import WorldState, scripted_state
 
 #: The figures of a decoder are reported later by this, so that it need not keep step.
 _SETTLE_NS = 400_000_000
+#: Who sends the telecommands of the script.
+_SCRIPT = "script"
 
 
 @dataclass(frozen=True)
@@ -78,8 +81,8 @@ class Simulation:
     """A session of `setup`; `run` it, in one piece or in several, then ask for its `report`.
 
     seed: everything random derives from it. media: without, only haptics and telecommands travel.
-    selections: the script of telecommands. start_ns: when it begins. epoch_ns: time 0
-    of the radio. plan: what an experimenter selects, and the tasks for a simulated cosmonaut.
+    selections: the script of telecommands; see `answers`. start_ns: when it begins. epoch_ns: time
+    0 of the radio. plan: what an experimenter selects, and the tasks for a simulated cosmonaut.
     joystick: in operation, with its states, faults and functions; None: one that is always in the
     application.
 
@@ -146,11 +149,8 @@ class Simulation:
                 self._robot.side, life=life, tasks=plan is not None, now_ns=start_ns
             )
         ground_probe, space_probe = self._probe(telemetry.sender), self._probe(telemetry.receiver)
-        self._choice = CameraChoice(setup, ground_probe, now_ns=start_ns)
-        self._console = Console(
-            setup, space_probe, first_token=self._random("console").getrandbits(16)
-        )
-        self._add(self._choice, self._console)
+        self._choice = CameraChoice(setup.cameras, ground_probe, now_ns=start_ns)
+        telling.add(self._choice.tell)
         end = self._joystick
         self.tmtc = tmtc = SimulatedTmtc(
             setup,
@@ -169,13 +169,13 @@ class Simulation:
         )
         telling.add(partial(tmtc.ends[Segment.GROUND].tell, ground_probe))
         telling.add(partial(tmtc.ends[Segment.SPACE].tell, space_probe))
-        self._console_timer = Timer(agenda, self._console_sends)
-        self._choice_timer = Timer(agenda, self._choice_sends)
-        self._set_choice_timer(start_ns)
-        #: What the terminal of each telecommand of the script has been answered.
-        self.answers: dict[int, bytes] = dict.fromkeys(range(len(selections)), b"")
-        for terminal, selection in enumerate(selections):
-            agenda.at(selection.instant_ns, partial(self._select, terminal, selection.camera))
+        tmtc.subscribe(Segment.GROUND, self._take_asked)
+        tmtc.subscribe(Segment.SPACE, self._take_update)
+        self._choice_timer = Timer(agenda, self._work_choice)
+        #: What became last of each telecommand of the script.
+        self.answers: dict[int, CommandUpdate] = {}
+        for number, selection in enumerate(selections):
+            agenda.at(selection.instant_ns, partial(self._select, number, selection.camera))
         self._media: Media | None = None
         if media:
             scene = Scene(
@@ -192,13 +192,13 @@ class Simulation:
                 start_ns=start_ns,
             )
             self._media = self._make_media(scene)
-            self._media.handle_choice(self._choice.choice, start_ns)
         consumers: dict[str, Consumer] = self._media.consumers if self._media else {}
         self._consumers = {
             **consumers,
             TELECOMMAND: self._take_telecommand,
             TELEMETRY: self._take_telemetry,
         }
+        self._work_choice(start_ns)
         agenda.at(start_ns + FLUSH_NS, self._flush)
         self.mission = None if plan is None else self._make_mission(*plan)
 
@@ -294,7 +294,7 @@ class Simulation:
         )
         mission = self.mission
         rows = None if mission is None else mission.journal.report()
-        tasks = None if rows is None else task_report(rows, self.start_ns)
+        tasks = None if rows is None else [run_since(self.start_ns, row) for row in rows]
         return msgspec.structs.replace(report, simulation=simulation, tasks=tasks)
 
     @property
@@ -397,10 +397,6 @@ class Simulation:
     def _probe(self, process: str) -> Probe:
         return self._telling.probe(process)
 
-    def _add(self, *tellers: CameraChoice | Console) -> None:
-        for teller in tellers:
-            self._telling.add(teller.tell)
-
     def _random(self, what: str) -> Random:
         return Random(f"{self._seed} {what}")
 
@@ -414,55 +410,48 @@ class Simulation:
         self._telling.flush(now_ns)
         self._agenda.at(now_ns + FLUSH_NS, self._flush)
 
-    def _select(self, terminal: int, camera: str, now_ns: int) -> None:
-        self._console.handle_terminal(terminal)
-        self._console.handle_octets(terminal, pack_line(Request(camera)), now_ns)
-        self._console_sends(now_ns)
+    def _select(self, number: int, camera: str, now_ns: int) -> None:
+        request = SendCommand(_SCRIPT, number, CAMERA, "call", SELECT, (camera,))
+        self.tmtc.handle_request(Segment.SPACE, request, now_ns)
 
-    def _console_sends(self, now_ns: int) -> None:
-        while (packet := self._console.poll_transmit(now_ns)) is not None:
-            self._space.handle_datagram(TELECOMMAND, packet, now_ns)
-        while (reply := self._console.next_event()) is not None:
-            self.answers[reply.terminal] += reply.octets
-        self._console_timer.set(self._console.poll_timeout(), now_ns)
+    def _take_update(self, news: TmtcNews, _now_ns: int) -> None:
+        if isinstance(news, CommandUpdate) and news.client == _SCRIPT:
+            self.answers[news.id] = news
 
     def _take_telemetry(self, data: bytes, now_ns: int) -> None:
         if self.tmtc.handle_packet(Segment.SPACE, data, now_ns):
             return
-        self._console.handle_packet(data, now_ns)
-        wall = self._console.poll_wall()
-        if wall is not None and isinstance(self._joystick, JoystickEnd):
-            self._joystick.handle_wall(wall)
-        self._console_sends(now_ns)
+        if isinstance(self._joystick, JoystickEnd) and is_wall(data):
+            self._joystick.handle_wall(data)
 
     def _take_telecommand(self, data: bytes, now_ns: int) -> None:
-        if self.tmtc.handle_packet(Segment.GROUND, data, now_ns):
-            return
-        self._choice.handle_packet(data, now_ns)
-        if self._media is not None:
-            self._media.handle_choice(self._choice.choice, now_ns)
-        else:
-            self._choice.handle_confirmed(self._choice.choice.number, now_ns)
-        self._choice_sends(now_ns)
+        self.tmtc.handle_packet(Segment.GROUND, data, now_ns)
+
+    def _take_asked(self, news: TmtcNews, now_ns: int) -> None:
+        if isinstance(news, FunctionAsked):
+            self._choice.handle_asked(news, now_ns)
+            self._work_choice(now_ns)
 
     def _select_below(self, camera: str, now_ns: int) -> None:
         """A task on the ground selects a camera."""
-        if self._choice.select(camera, now_ns) and self._media is not None:
-            self._media.handle_choice(self._choice.choice, now_ns)
+        self._choice.select(camera, now_ns)
+        self._work_choice(now_ns)
+
+    def _work_choice(self, now_ns: int) -> None:
+        """Tell the sender which camera to follow, and the ground's TM/TC end what became of it."""
+        choice = self._choice.poll_choice(now_ns)
+        if choice is not None:
+            self._follow(choice, now_ns)
+        while (request := self._choice.next_event()) is not None:
+            self.tmtc.handle_request(Segment.GROUND, request, now_ns)
+        self._choice_timer.set(self._choice.poll_timeout(), now_ns)
+
+    def _follow(self, choice: Choice, now_ns: int) -> None:
+        if self._media is None:
+            self._choice.handle_confirmed(choice.number)
+        else:
+            self._media.handle_choice(choice, now_ns)
 
     def _confirm(self, number: int, now_ns: int) -> None:
-        self._choice.handle_confirmed(number, now_ns)
-        self._acknowledge(now_ns)
-
-    def _acknowledge(self, now_ns: int) -> None:
-        while (packet := self._choice.poll_transmit(now_ns)) is not None:
-            self._ground.handle_datagram(TELEMETRY, packet, now_ns)
-
-    def _choice_sends(self, now_ns: int) -> None:
-        if now_ns >= self._choice.poll_timeout():
-            self._choice.handle_state(self._state_at(now_ns), now_ns)
-        self._acknowledge(now_ns)
-        self._set_choice_timer(now_ns)
-
-    def _set_choice_timer(self, now_ns: int) -> None:
-        self._choice_timer.set(self._choice.poll_timeout(), now_ns)
+        self._choice.handle_confirmed(number)
+        self._work_choice(now_ns)

@@ -5,6 +5,7 @@ Each coder is called with one job after the other, in a process of its own (`sim
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import replace
 from math import log10
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_S, ManualClock
 from kontur_av.codecs.coding import Coding
-from kontur_av.codecs.h264 import DecodedPicture, H264Decoder, H264Encoder
+from kontur_av.codecs.h264 import DecodedPicture, DecoderCounts, H264Decoder, H264Encoder
 from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.codecs.region import Region
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
@@ -46,7 +47,7 @@ class Shot(NamedTuple):
 Picture = tuple[Shot] | tuple[Shot | None, Shot | None]
 
 #: The result for one access unit: see `VideoDecoding`.
-Decoded = tuple[list[tuple[int, int, int, bool]], tuple[int, int, int], list[Light], list[float]]
+Decoded = tuple[list[tuple[int, int, int, bool]], DecoderCounts, list[Light], list[float]]
 
 #: PSNR of a picture that equals its original, in dB.
 SAME_DB = 99.0
@@ -181,8 +182,7 @@ class VideoDecoding:
             if db is not None:
                 quality.append(db)
         lights = list(iter(self._eye.next_event, None))
-        counts = decoder.decoded, decoder.corrupt_units, decoder.restarts
-        return pictures, counts, lights, quality
+        return pictures, replace(decoder.counts), lights, quality
 
 
 class Originals:

@@ -9,9 +9,10 @@ from pipelines.hand.hand_topics import JoystickStatus, unpack_status
 from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.link.link_state import link_values
+from pipelines.mission.choosing import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked, TmtcNews, TmtcRequest
-from pipelines.mission.tmtc_sources import SAMPLE_NS, GatewaySource, JoystickDesk, RobotSource
+from pipelines.mission.tmtc_sources import SAMPLE_NS, GatewaySource, JoystickSource, RobotSource
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.agenda import Agenda, Timer
@@ -60,7 +61,7 @@ class SimulatedTmtc:
         self.ends = {
             segment: TmtcEnd(
                 segment,
-                built_in_dictionary(),
+                session_dictionary(built_in_dictionary(), setup.cameras),
                 now_ns=now_ns,
                 first_count=random.randrange(COUNT_MODULUS),
                 life=1 + now_ns // NS_PER_S,
@@ -75,7 +76,7 @@ class SimulatedTmtc:
         }
         self._robot = RobotSource(self.ends[Segment.GROUND], first_number=0)
         self._robot_desk = robot
-        self._joystick = JoystickDesk(self.ends[Segment.SPACE], first_number=0)
+        self._joystick = JoystickSource(self.ends[Segment.SPACE], first_number=0)
         self._teller = None
         if isinstance(handle, OperatedHandle):
             self._teller = JoystickStatusTeller(handle)
@@ -92,7 +93,7 @@ class SimulatedTmtc:
         self._agenda.at(now_ns, partial(self._work, segment))
 
     def handle_packet(self, segment: Segment, data: bytes, now_ns: int) -> bool:
-        """A datagram that came by radio; False if it is none of PUS."""
+        """A datagram that came by radio; False if it is not one of PUS."""
         taken = self.ends[segment].handle_packet(data, now_ns)
         if taken:
             self._work(segment, now_ns)

@@ -2,32 +2,41 @@
 
 from dataclasses import dataclass
 
+from kontur_av.figures import Least, Most, Newest
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HapticLinkFigures:
-    """Samples of one end, sent and received (`HapticLink`)."""
+class SamplesSent:
+    """Samples of one end that it sent (`HapticLink`)."""
 
-    sent: int
-    #: Samples whose number says that they were the newest.
-    received: int
-    #: Gaps in the sequence numbers.
-    lost: int
-    #: Samples that came after a newer one.
-    late: int
-    #: Samples that came twice.
-    repeated: int
-    #: Samples of another session: of an earlier life of an end, or replayed.
-    strays: int
-    #: Greetings received, with which sessions begin.
-    greetings: int
-    #: Datagrams that are neither sample nor greeting.
-    garbage: int
-    #: Sessions begun; there is a new one every 30 s.
-    sessions: int
-    #: How often a session began with a new life of the peer.
-    restarts: int
-    #: Samples that the deadband left out; null without a deadband.
+    #: Samples sent, without greetings.
+    sent: int = 0
+    #: Samples that the deadband left out; only with a deadband.
     left_out: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SamplesReceived:
+    """Samples that came to one end (`HapticLink`)."""
+
+    #: Samples whose number says that they were the newest.
+    received: int = 0
+    #: Gaps in the sequence numbers.
+    lost: int = 0
+    #: Samples that came after a newer one.
+    late: int = 0
+    #: Samples that came twice.
+    repeated: int = 0
+    #: Samples of another session: of an earlier life of an end, or replayed.
+    strays: int = 0
+    #: Greetings received, with which sessions begin.
+    greetings: int = 0
+    #: Datagrams that are neither sample nor greeting.
+    garbage: int = 0
+    #: Sessions begun; there is a new one every 30 s.
+    sessions: int = 0
+    #: How often a session began with a new life of the peer.
+    restarts: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,19 +44,19 @@ class PortFigures:
     """Energies of the port at one end, and its passivity controller (`JoystickSide.report`)."""
 
     #: Energy that went from this end into the port.
-    energy_in_uj: int
+    energy_in_uj: int = 0
     #: Energy that came out of the port at this end.
-    energy_out_uj: int
+    energy_out_uj: int = 0
     #: Energy that the other end granted.
-    granted_uj: int
+    granted_uj: int = 0
     #: Energy that this end may still give out.
-    credit_uj: int
+    credit_uj: Newest[int] = 0
     #: The least that the passivity observer ever saw; below 0 the port gave more than it was given.
-    least_uj: int
+    least_uj: Least[int] = 0
     #: Cycles in which the passivity controller changed force or motion.
-    passivity_acted: int
+    passivity_acted: int = 0
     #: Totals of the peer's energy that could not be right.
-    totals_refused: int
+    totals_refused: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +72,7 @@ class OperationFigures:
     #: Null if the device measures none.
     temperature_c: float | None
     #: The highest temperature so far.
-    hottest_c: float | None
+    hottest_c: Most[float] | None
     temperature_warnings: int
     #: The share of the force, from 0 to 1, that the temperature allows.
     force_share: float

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from telepresence.haptics.deadband import Deadband, command_deadband, feedback_deadband
-from telepresence.haptics.figures import HapticLinkFigures
+from telepresence.haptics.figures import SamplesReceived, SamplesSent
 from telepresence.haptics.sample import (
     FLAG_HOLDING,
     SEQUENCE_MODULUS,
@@ -263,10 +263,14 @@ class HapticLink(Generic[Out, In]):
         self._received_stamps.clear()
         return taken
 
-    def report(self) -> HapticLinkFigures:
-        """Return the counters."""
-        return HapticLinkFigures(
-            sent=self.sent,
+    def sent_figures(self) -> SamplesSent:
+        """Return the counters of what this end sends."""
+        left_out = None if self.deadband is None else self.deadband.left_out
+        return SamplesSent(sent=self.sent, left_out=left_out)
+
+    def received_figures(self) -> SamplesReceived:
+        """Return the counters of what comes to this end."""
+        return SamplesReceived(
             received=self.received,
             lost=self.lost,
             late=self.late,
@@ -276,7 +280,6 @@ class HapticLink(Generic[Out, In]):
             garbage=self.garbage,
             sessions=self.sessions,
             restarts=self.restarts,
-            left_out=None if self.deadband is None else self.deadband.left_out,
         )
 
     @property

@@ -6,17 +6,19 @@ the place of the ISS. Here that is one explicit state at the robot, next to the 
 An operator on the ground hands the port over. Then nobody drives: the datagrams of both are
 dropped, so the controller has no command and holds. Once the tip has rested for `REST_NS`, the new
 owner's datagrams are taken, and a haptic session with it begins (`session.py`). Its commands move
-nothing until one of them had the dead-man button released: whoever takes over presses it knowingly.
+nothing until one of them had the dead-man button released: who takes over presses it knowingly.
 
 In each cycle: ask `takes` for each datagram, pass the newest command through `admit`, then call
 `handle_robot`.
 """
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
 from kontur_av.clock import NS_PER_MS
+from kontur_av.figures import Newest
 from telepresence.haptics.sample import STATE_APPLICATION, Command
 
 #: The tip rests for this long before the port changes hands.
@@ -44,14 +46,19 @@ class OwnerEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnershipFigures:
-    """The state of the port. owner: None while nobody drives. waiting: the present owner has yet to
-    release the dead-man button. refused: by owner, datagrams that came while it did not drive."""
+    """Who drives the robot, where a partner may, too (docs/partner.md)."""
 
-    owner: Owner | None
+    #: `iss` or `partner`; null: nobody.
+    owner: Newest[Owner] | None
+    #: Who was to drive.
     wanted: Owner
+    #: Whether the present owner has yet to release the dead-man button.
     waiting: bool
+    #: How often the port changed hands, the start included.
     turns: int
-    refused: dict[str, int]
+    #: Datagrams that came while their sender did not drive, by sender.
+    refused: Mapping[str, int]
+    #: The newest 200.
     events: tuple[OwnerEvent, ...]
 
 

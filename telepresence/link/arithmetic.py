@@ -47,9 +47,9 @@ _INTERRUPTING = (Level.TMTC, Level.VOICE)
 #: Reserve for RTCP, in bit/s with tags: sender reports of two streams, 44 octets each, every two
 #: seconds.
 RTCP_RESERVE_BPS = 8 * 45
-#: Reserve for TM/TC: a telemetry packet of 20 octets, which interrupts, every two seconds, and a
-#: telecommand or its acknowledgement every five seconds; and the housekeeping of PUS.
-TMTC_RESERVE_BPS = 8 * (11 + 4 + 11)
+#: Reserve for TM/TC: the housekeeping of PUS, and the three reports about a telecommand of the
+#: other end every ten seconds. Each of these packets interrupts another.
+TMTC_RESERVE_BPS = 8 * (17 + 9)
 #: What comes down has the joystick's housekeeping once a second.
 TMTC_RESERVE_DOWN_BPS = 8 * (4 + 41)
 RESERVE_BPS = TMTC_RESERVE_BPS + RTCP_RESERVE_BPS

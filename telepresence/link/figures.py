@@ -4,8 +4,11 @@ The instants of `SupervisionFigures` are counted from its `begun_ns`. The word b
 name says whether it is an instant or a duration; `_ns` alone does not.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TypedDict
+
+from kontur_av.figures import Flat, Most, Newest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,72 +18,69 @@ class QueueFigures:
     #: Which packet goes when the queue is full: `reject_newest` or `drop_oldest`.
     policy: str
     #: How many octets may wait.
-    depth_octets: int
+    depth_octets: Newest[int]
     #: How many packets may wait.
-    depth_packets: int
+    depth_packets: Newest[int]
     #: Packets that wait, without the one of which a part was sent.
-    packets: int
+    packets: Newest[int]
     #: Sum of their lengths; each counts as 8 octets at least.
-    octets: int
+    octets: Newest[int]
     #: The age of the oldest packet, also of one of which a part was sent.
-    oldest_age_ns: int
+    oldest_age_ns: Newest[int]
     #: The most packets that ever waited.
-    max_packets: int
+    max_packets: Most[int]
     #: The most octets that ever waited.
-    max_octets: int
+    max_octets: Most[int]
     #: The longest time from a packet's arrival until its last octet was sent, or it was dropped.
-    max_age_ns: int
+    max_age_ns: Most[int]
     #: Packets that were put into the queue.
     accepted: int
     #: Packets that waited because their level's rate is limited.
     delayed: int
     #: Packets that were dropped, by reason.
-    drops: dict[str, int]
+    drops: Mapping[str, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SenderFigures:
     """One direction at its sender (`LinkSender`)."""
 
-    #: The link profile: `uplink` or `downlink`.
-    name: str
-    capacity_bps: int
+    #: The rate of whole frames.
+    capacity_bps: Newest[int] = 0
     #: Frames sent.
-    frames: int
-    #: Octets of all frames by what they carried (`LinkSender.octets`).
-    octets: dict[str, int]
-    #: By level.
-    queue: dict[str, QueueFigures]
-    haptic_sent: int
+    frames: int = 0
+    #: Octets of all frames sent, by what they carried (`LinkSender.octets`).
+    octets: Mapping[str, int] = field(default_factory=dict)
+    #: The queue of each level.
+    queue: Mapping[str, QueueFigures] = field(default_factory=dict)
+    haptic_sent: int = 0
     #: Samples that a newer one replaced before their slot came.
-    haptic_superseded: int
+    haptic_superseded: int = 0
     #: Packets by the form of their header, and octets of headers, by flow (`RtpCompressor`).
-    headers: dict[str, dict[str, int]]
+    headers: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     #: Packets that were not taken, by reason.
-    refused: dict[str, int]
+    refused: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReceiverFigures:
     """One direction at its receiver (`LinkReceiver`)."""
 
-    #: The link profile: `uplink` or `downlink`.
-    name: str
     #: Good frames.
-    frames: int
-    frames_lost: int
-    #: By reason.
-    frames_dropped: dict[str, int]
+    frames_received: int = 0
+    frames_lost: int = 0
+    #: Frames that were received and dropped, by reason.
+    frames_dropped: Mapping[str, int] = field(default_factory=dict)
     #: How often the peer began to count frames anew.
-    restarts: int
-    haptic_received: int
+    restarts: int = 0
+    haptic_received: int = 0
     #: Samples that came before the connection was approved.
-    haptic_unapproved: int
-    supervision_received: int
+    haptic_unapproved: int = 0
+    supervision_received: int = 0
     #: Packets that were delivered, by flow.
-    packets: dict[str, int]
-    #: By reason.
-    packets_dropped: dict[str, int]
+    packets: Mapping[str, int] = field(default_factory=dict)
+    #: Packets that were dropped, by reason.
+    packets_dropped: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,8 +117,8 @@ class ChannelFigures:
     direction: str
     #: For how long blackouts let nothing through.
     blackout_ns: int
-    #: Of a profile with a pass.
-    contact: ContactWindows | None
+    #: What the orbit predicts; of a profile with a pass.
+    contact: ContactWindows | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,13 +141,12 @@ class PathFigures:
     #: Frames that have not arrived yet.
     frames_under_way: int
     #: For how long the pass gave no signal.
-    no_signal_ns: int
-    #: Of a path with a channel.
-    channel: ChannelFigures | None
+    no_signal_ns: int | None = None
+    channel: Flat[ChannelFigures] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PeerFigures:
+class OtherEndFigures:
     """What supervision knows of the other end."""
 
     #: The number of the peer's present life; null before its first message.
@@ -188,7 +187,7 @@ class SupervisionFigures:
     peer_hears: bool
     #: Whether the receiver delivers what it receives.
     delivering: bool
-    peer: PeerFigures
+    peer: OtherEndFigures
     #: When this end began, on the session's clock.
     begun_ns: int
     #: When the present state began, counted from `begun_ns`.
@@ -232,7 +231,7 @@ class GatewayFigures:
 
     transmit: SenderFigures
     receive: ReceiverFigures
-    radio: PathFigures
-    supervision: SupervisionFigures
+    radio: Newest[PathFigures]
+    supervision: Newest[SupervisionFigures]
     #: Of a gateway that compares its clock with the peer's.
-    clock: ClockFigures | None = None
+    clock: Newest[ClockFigures] | None = None

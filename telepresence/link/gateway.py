@@ -134,8 +134,8 @@ class Gateway:
         self._slot = 0
         #: Number of slots without a sample among the latest `COUNTED_SLOTS`; 0 at the start.
         self.free_slots = 0
-        #: Frames with the instants at which they were sent and received, oldest first, for whoever
-        #: sets these to a list; None: they are not kept.
+        #: Frames with the instants at which they were sent and received, oldest first. A user
+        #: sets these to lists; None: they are not kept.
         self.frames_sent: list[tuple[int, bytes]] | None = None
         self.frames_received: list[tuple[int, bytes]] | None = None
         # The peer has not been heard yet.

@@ -314,8 +314,7 @@ class LinkReceiver:
         """Return frames, samples and packets: received, lost, and dropped by reason."""
         packets = self.packets
         return ReceiverFigures(
-            name=self.profile.name,
-            frames=self.frames_received,
+            frames_received=self.frames_received,
             frames_lost=self.frames_lost,
             frames_dropped=dict(self.frames_dropped),
             restarts=self.restarts,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
+from telepresence.haptics.mediated.wall import is_wall
 from telepresence.link.compression.header_compression import RtpCompressor
 from telepresence.link.compression.rtp_forms import KIND_RAW
 from telepresence.link.figures import SenderFigures
@@ -25,7 +26,6 @@ from telepresence.link.profile import (
     LinkProfile,
 )
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
-from telepresence.tmtc.packets import is_ours
 from telepresence.tmtc.pus.head import is_packet
 
 #: Largest number of packets of which a slot sends a part. It bounds the work of a slot at both
@@ -354,7 +354,6 @@ class LinkSender:
     def report(self, now_ns: int) -> SenderFigures:
         """Return rates, the octets by what they carried, and each level's queue."""
         return SenderFigures(
-            name=self.profile.name,
             capacity_bps=self.profile.capacity_bps,
             frames=self.frames_sent,
             octets=self.octets(),
@@ -373,11 +372,11 @@ class LinkSender:
 def _plausible(kind: FlowKind, data: bytes) -> bool:
     """Whether `data` can be a packet of `kind`.
 
-    RTP: version 2 and a whole header. RTCP: also a packet type of RFC 3550 or later. TM/TC: a space
-    packet of this project, or one of PUS.
+    RTP: version 2 and a whole header. RTCP: also a packet type of RFC 3550 or later. TM/TC: a
+    packet of PUS, or a wall.
     """
     if kind is FlowKind.TMTC:
-        return is_ours(data) or is_packet(data)
+        return is_wall(data) or is_packet(data)
     if kind is FlowKind.RTP:
         return len(data) >= 12 and data[0] >> 6 == 2
     return len(data) >= 8 and data[0] >> 6 == 2 and 192 <= data[1] <= 223

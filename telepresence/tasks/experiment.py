@@ -42,7 +42,7 @@ class Phase(StrEnum):
     ENDING = "ending"
 
 
-class Step(StrEnum):
+class RunStep(StrEnum):
     """The steps of Fig. 14, in their order."""
 
     SELECTED = "selected"
@@ -59,11 +59,11 @@ class Step(StrEnum):
 
 
 _OF_PANEL = {
-    PanelMode.TASK_INFO: Step.SHOWN,
-    PanelMode.HOLD: Step.AT_START,
-    PanelMode.PRESS_DEADMAN: Step.HELD,
-    PanelMode.FINISHED: Step.SEEN,
-    PanelMode.ERROR: Step.SEEN,
+    PanelMode.TASK_INFO: RunStep.SHOWN,
+    PanelMode.HOLD: RunStep.AT_START,
+    PanelMode.PRESS_DEADMAN: RunStep.HELD,
+    PanelMode.FINISHED: RunStep.SEEN,
+    PanelMode.ERROR: RunStep.SEEN,
 }
 
 
@@ -74,7 +74,7 @@ class Logged:
     now_ns: int
     run: int
     task: str
-    step: Step
+    step: RunStep
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -125,7 +125,7 @@ class Experiment:
         self._started_ns: int | None = None
         self._ending = TaskResult.ABORTED, ""
         self._panel: PanelMode | None = None
-        self._steps: set[Step] = set()
+        self._steps: set[RunStep] = set()
         self._told: Task | None = None
         self._messages: deque[K2aciMessage] = deque()
         self._events: deque[Logged | TaskRun | KernelEvent] = deque()
@@ -160,7 +160,7 @@ class Experiment:
         self._steps.clear()
         self._selected_ns, self._started_ns = now_ns, None
         self._phase, self._told = Phase.PREPARING, None
-        self._log(Step.SELECTED, now_ns)
+        self._log(RunStep.SELECTED, now_ns)
         self._kernel.start(task.start, now_ns)
         self._drain(now_ns)
         return ""
@@ -198,7 +198,7 @@ class Experiment:
         if self._phase is Phase.OFFERED:
             self._watch(view, now_ns)
         elif self._phase is Phase.RUNNING and view.telepresent:
-            self._log(Step.TELEPRESENCE, now_ns)
+            self._log(RunStep.TELEPRESENCE, now_ns)
         self._kernel.handle_view(view, now_ns)
         self._drain(now_ns)
 
@@ -220,7 +220,7 @@ class Experiment:
 
     def _start(self, now_ns: int) -> None:
         assert self._task is not None
-        self._log(Step.STARTED, now_ns)
+        self._log(RunStep.STARTED, now_ns)
         self._phase, self._started_ns = Phase.RUNNING, now_ns
         self._kernel.start(self._task.exec, now_ns)
         self._drain(now_ns)
@@ -279,15 +279,15 @@ class Experiment:
     def _offer(self, now_ns: int) -> None:
         task = self._task
         assert task is not None
-        self._log(Step.PREPARED, now_ns)
+        self._log(RunStep.PREPARED, now_ns)
         self._phase, self._since_ns, self._told = Phase.OFFERED, now_ns, task
         self._tell(task)
-        self._log(Step.TOLD, now_ns)
+        self._log(RunStep.TOLD, now_ns)
 
     def _finish(self, result: TaskResult, reason: str, now_ns: int) -> None:
         task = self._task
         assert task is not None
-        self._log(Step.ENDED, now_ns)
+        self._log(RunStep.ENDED, now_ns)
         began_ns = self._started_ns
         if self._told is not None:
             lasted_ns = 0 if began_ns is None else now_ns - began_ns
@@ -299,7 +299,7 @@ class Experiment:
                     duration_ms=lasted_ns // NS_PER_MS,
                 )
             )
-            self._log(Step.FINISHED, now_ns)
+            self._log(RunStep.FINISHED, now_ns)
         self._events.append(
             TaskRun(
                 task=task.name,
@@ -314,7 +314,7 @@ class Experiment:
         self._phase = Phase.IDLE
         self._ending = TaskResult.ABORTED, ""
 
-    def _log(self, step: Step, now_ns: int) -> None:
+    def _log(self, step: RunStep, now_ns: int) -> None:
         if step in self._steps or self._task is None:
             return
         self._steps.add(step)

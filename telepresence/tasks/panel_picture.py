@@ -121,7 +121,7 @@ class PanelSender:
 
     After `show` and at `poll_timeout`, send what `poll_transmit` returns until it is None.
 
-    picture: the newest state. garbage: datagrams that are no acknowledgement.
+    picture: the newest state. garbage: datagrams that are not an acknowledgement.
     first_number: later lives of this end begin above it, for example with the time in 0.1 s.
     """
 
@@ -168,7 +168,7 @@ class LedPanel:
 
     After `handle_datagram` send what `poll_transmit` returns until it is None. A core.
 
-    garbage: datagrams that are no state. late: states older than the one shown.
+    garbage: datagrams that are not a state. late: states older than the one shown.
     """
 
     def __init__(self) -> None:

@@ -279,7 +279,7 @@ class RobotControl:
     def _broken_limit(self) -> Fault:
         robot, limits = self.robot, self.limits
         push_x, push_y, vx, vy = robot.push_x_n, robot.push_y_n, robot.vx_m_s, robot.vy_m_s
-        # Compared this way round, so that a number that is none breaks its limit.
+        # Compared this way round, so that NaN breaks its limit.
         if not push_x * push_x + push_y * push_y <= self._force_2:
             return Fault.FORCE
         if not vx * vx + vy * vy <= self._speed_2:

@@ -16,13 +16,13 @@ that the sender still repeats: the receiver waits for no number below it.
 from collections import deque
 from dataclasses import dataclass, fields
 from enum import StrEnum
-from itertools import islice
 from typing import Any, NamedTuple
 
 import cbor2
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
+from telepresence.tmtc.retransmission import Retransmission
 
 #: A body with a private service's headers and its check fits in a packet of 256 octets.
 MAX_BODY_OCTETS = 232
@@ -283,15 +283,6 @@ class Delivered(NamedTuple):
     round_trip_ns: int
 
 
-@dataclass(slots=True)
-class _Sending:
-    message: K2aciMessage
-    first_ns: int
-    due_ns: int
-    wait_ns: int
-    tries: int = 0
-
-
 class K2aciEndpoint:
     """One end of K2ACI: repeats messages until they are acknowledged, drops repetitions. A core.
 
@@ -311,8 +302,6 @@ class K2aciEndpoint:
         _check_count("life", life)
         if timeout_ns <= 0 or not 1 <= most_open <= _MOST_WAITING:
             raise ConfigError("K2ACI needs a timeout above 0 and at least one open message")
-        self.sent = 0
-        self.repeated = 0
         self.arrived = 0
         self.duplicates = 0
         self.garbage = 0
@@ -320,11 +309,9 @@ class K2aciEndpoint:
         self.unexpected = 0
         self.dropped_answers = 0
         self._life = life
-        self._timeout_ns = timeout_ns
-        self._most_open = most_open
-        self._next = 0
-        #: By number, in order: the first `most_open` are under way.
-        self._sending: dict[int, _Sending] = {}
+        self._sending: Retransmission[K2aciMessage] = Retransmission(
+            timeout_ns=timeout_ns, most=_MOST_WAITING, window=most_open
+        )
         self._answers: deque[Acknowledgement] = deque()
         self._peer_life = -1
         self._expected = 0
@@ -332,31 +319,36 @@ class K2aciEndpoint:
         self._events: deque[Arrived | Delivered] = deque()
 
     @property
+    def sent(self) -> int:
+        """Messages sent, with their repetitions."""
+        return self._sending.sent
+
+    @property
+    def repeated(self) -> int:
+        """Messages sent again."""
+        return self._sending.repeated
+
+    @property
     def waiting(self) -> tuple[int, ...]:
         """The numbers of the messages that are not acknowledged yet, oldest first."""
-        return tuple(self._sending)
+        return self._sending.numbers
 
     def send(self, message: K2aciMessage, now_ns: int) -> int | None:
         """Give `message` to the peer; return its number, or None while 64 wait already."""
-        if len(self._sending) >= _MOST_WAITING:
+        if self._sending.full:
             return None
-        number = self._next
-        self._next += 1
-        self._sending[number] = _Sending(message, now_ns, now_ns, self._timeout_ns)
-        return number
+        return self._sending.handle_put(message, now_ns)
 
     def withdraw(self, number: int) -> bool:
         """Repeat the message `number` no more; False if it is not waiting.
 
         It may have arrived nevertheless. Later messages no longer wait for it.
         """
-        return self._sending.pop(number, None) is not None
+        return self._sending.pop(number) is not None
 
     def handle_contact(self, now_ns: int) -> None:
         """The signal is acquired: repeat at once what is open."""
-        for sending in self._sending.values():
-            sending.due_ns = now_ns
-            sending.wait_ns = self._timeout_ns
+        self._sending.handle_contact(now_ns)
 
     def handle_message(self, octets: bytes, now_ns: int) -> None:
         """A body arrived. Garbage is counted; this never raises."""
@@ -372,11 +364,11 @@ class K2aciEndpoint:
 
     def _handle_acknowledgement(self, body: Acknowledgement, now_ns: int) -> None:
         sending = self._sending.get(body.number) if body.life == self._life else None
-        if sending is None or not sending.tries:
+        if sending is None:
             self.unexpected += 1
             return
-        del self._sending[body.number]
-        self._events.append(Delivered(body.number, sending.message, now_ns - sending.first_ns))
+        self._sending.pop(body.number)
+        self._events.append(Delivered(body.number, sending.item, now_ns - sending.first_ns))
 
     def _handle_numbered(self, body: Numbered) -> None:
         if body.life > self._peer_life:
@@ -414,22 +406,15 @@ class K2aciEndpoint:
         """Return the next body to send, acknowledgements first, or None."""
         if self._answers:
             return pack_body(self._answers.popleft())
-        for number, sending in islice(self._sending.items(), self._most_open):
-            if now_ns < sending.due_ns:
-                continue
-            self.repeated += sending.tries > 0
-            sending.tries += 1
-            sending.due_ns = now_ns + sending.wait_ns
-            sending.wait_ns = min(2 * sending.wait_ns, 8 * self._timeout_ns)
-            self.sent += 1
-            oldest = next(iter(self._sending))
-            return pack_body(Numbered(self._life, number, oldest, sending.message))
-        return None
+        due = self._sending.poll_transmit(now_ns)
+        if due is None:
+            return None
+        number, sending = due
+        return pack_body(Numbered(self._life, number, self._sending.numbers[0], sending.item))
 
     def poll_timeout(self) -> int | None:
         """When `poll_transmit` has something to repeat; None while nothing is open."""
-        under_way = islice(self._sending.values(), self._most_open)
-        return min((sending.due_ns for sending in under_way), default=None)
+        return self._sending.poll_timeout()
 
     def next_event(self) -> Arrived | Delivered | None:
         """The oldest event that was not fetched yet, or None."""

@@ -196,7 +196,7 @@ def test_a_partner_in_a_session_sees_and_hears_both_sides_and_is_shown_at_the_gr
         browser.assert_no_errors()
         code, report = session.interrupt()
     assert code == 0, session.errors()
-    assert all(shown["displayed"] > 0 for shown in report["rtc"]["shown"].values())
+    assert all(shown["frames_displayed"] > 0 for shown in report["rtc"]["shown"].values())
     assert all(process["restarts"] == 0 for process in report["processes"].values())
 
 

@@ -134,7 +134,7 @@ def test_counters_are_correct_for_any_path(first: int, path: list[str]) -> None:
         seen.add(number)
     numbers = {number for number in seen if number >= begin}
     lost = newest - begin + 1 - len(numbers) if arrivals else 0
-    report = link.report()
+    report = link.received_figures()
     assert (report.received, report.late, report.repeated, report.lost) == (
         received,
         late,

@@ -89,7 +89,7 @@ def test_mutated_frames(profile):
         held = sum(len(partial.body) for partial in receiver.packets._partials if partial)
         assert held <= len(Level) * (MAX_PACKET_OCTETS + 16)
     report = receiver.report()
-    assert report.frames + sum(report.frames_dropped.values()) == handled
+    assert report.frames_received + sum(report.frames_dropped.values()) == handled
     samples, told = report.haptic_received, report.supervision_received
     assert events == samples + told + sum(report.packets.values())
     assert mutations > FRAMES // 5

@@ -17,7 +17,8 @@ from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.seats.client_queue import MOST_UNITS
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import HandMoved, Seat
+from pipelines.seats.seat import Seat
+from pipelines.seats.seat_events import HandMoved
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
@@ -150,14 +151,14 @@ class Pages(RuleBasedStateMachine):
             stamp = CaptureStamp(self.now_ns, self.number, "x", rtp_timestamp=self.number)
             data = b"\0\0\0\1\x65i" if key else b"\0\0\0\1\x41d"
             unit = CodedUnit(data=data, key=key, width=64, height=48, parameter_sets=b"s")
-            self.seat.handle_unit(0, unit, stamp, self.now_ns)
+            self.seat.media.handle_unit(0, unit, stamp, self.now_ns)
             self.number += 1
 
     @precondition(lambda self: hasattr(self, "seat"))
     @rule(behind=st.integers(1, 9))
     def decoded(self, behind):
-        for stream in self.seat.wanted_pictures():
-            self.seat.handle_decoded(stream, b"key", self.number - behind)
+        for stream in self.seat.media.wanted_pictures():
+            self.seat.media.handle_decoded(stream, b"key", self.number - behind)
 
     @precondition(lambda self: getattr(self, "roles", None))
     @rule(data=st.data(), most=st.integers(1, 50))

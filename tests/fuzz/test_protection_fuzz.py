@@ -12,7 +12,7 @@ from protected_pair import ProtectedPair, S, connected
 
 from telepresence.link.protection.channel import ProtectionFigures
 from telepresence.link.protection.record import RECORD
-from telepresence.link.protection.segment import Segment, SegmentCodec
+from telepresence.link.protection.segment import HandshakeSegment, SegmentCodec
 
 DATAGRAMS = int(os.environ.get("KONTUR_FUZZ_DATAGRAMS", "5000"))
 STRANGER = ("203.0.113.9", 4000)
@@ -88,10 +88,10 @@ def test_mutated_handshakes_of_who_knows_the_identities():
             pair.step()
             for at, (due_ns, count, datagram, source, address) in enumerate(pair.path):
                 segment = None if datagram[0] == RECORD else parses(datagram)
-                if not isinstance(segment, Segment) or random.random() < 0.5:
+                if not isinstance(segment, HandshakeSegment) or random.random() < 0.5:
                     continue
                 data = mutated(segment.data, random) if segment.data else random.randbytes(30)
-                wrong = Segment(
+                wrong = HandshakeSegment(
                     random.random() < 0.2,
                     segment.sender,
                     segment.receiver,

@@ -95,7 +95,7 @@ def test_a_clean_network_delivers_every_picture(stream):
     received = stream.deliver(stream.packets)
     assert [unit.data for unit in received] == list(stream.sent.values())
     assert not any(unit.damaged or unit.lost_before for unit in received)
-    assert stream.receiver.counts.lost == 0
+    assert stream.receiver.counts.rtp_lost == 0
 
 
 @settings(max_examples=80, deadline=None)
@@ -111,7 +111,7 @@ def test_small_reordering_and_duplicates_are_repaired(stream, data):
     copies = data.draw(st.lists(st.sampled_from(late), max_size=5))
     received = stream.deliver([*head, *shuffled, *copies])
     assert [unit.data for unit in received] == list(stream.sent.values())
-    assert stream.receiver.counts.lost == 0
+    assert stream.receiver.counts.rtp_lost == 0
 
 
 @settings(max_examples=120, deadline=None)
@@ -132,11 +132,11 @@ def test_complete_access_units_equal_those_sent(stream, data):
         if not unit.damaged and not unit.lost_before:
             assert unit.data == stream.sent[unit.timestamp]
     counts = stream.receiver.counts
-    assert counts.received == len(packets)
+    assert counts.rtp_packets == len(packets)
     # Packets lost at the end have no successor that could reveal the loss.
-    assert counts.received + counts.lost <= len(stream.packets)
+    assert counts.rtp_packets + counts.rtp_lost <= len(stream.packets)
     shown = 1 + max(stream.packets.index(packet) for packet in packets)
-    assert counts.received + counts.lost == shown
+    assert counts.rtp_packets + counts.rtp_lost == shown
 
 
 @settings(max_examples=300, deadline=None)
@@ -211,7 +211,7 @@ def test_the_receiver_survives_any_datagrams(datagrams, reports, apart_ms):
             pass
     counts = receiver.counts
     assert receiver.waiting <= 512
-    assert counts.received + counts.duplicates + counts.late + counts.garbage <= (
+    assert counts.rtp_packets + counts.rtp_duplicates + counts.rtp_late + counts.garbage <= (
         len(datagrams) + len(reports) * 15
     )
 

@@ -83,7 +83,7 @@ class Page:
 
 
 class Visitor:
-    """Whoever knows a seat's address. url: as it was printed, or with the viewer's token."""
+    """A client that knows a seat's address. url: as it was printed, or with the viewer's token."""
 
     def __init__(self, client, url):
         where = urlsplit(url)

@@ -29,8 +29,7 @@ def running(session, part, *, setup=SETUP, pages=False, **arguments):
         with suppress(BlockingIOError):
             while data := ours.recv(1 << 20):
                 message = Message.unpack(data)
-                reported.counters.update(message.counters)
-                reported.gauges.update(message.gauges)
+                reported.figures.update(message.figures)
                 reported.series += message.series
         return reported
 
@@ -38,7 +37,7 @@ def running(session, part, *, setup=SETUP, pages=False, **arguments):
     thread.start()
     try:
         # The first report comes when its sockets and topics are open.
-        eventually(lambda: listen().counters or None)
+        eventually(lambda: listen().figures or None)
         yield listen
     finally:
         context.stopping = True

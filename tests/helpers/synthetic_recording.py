@@ -32,6 +32,8 @@ from pipelines.recording.messages import (
     LogLine,
     QueueState,
     RecordedEvent,
+    RecordedFigure,
+    RecordedFigures,
     RecordedFrames,
     RecordedPacket,
     RecordedPicture,
@@ -44,7 +46,7 @@ from pipelines.recording.messages import (
 )
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.table import topology_of
-from telepresence.tmtc.packets import Housekeeping, SelectAck, SelectCamera, pack_packet
+from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet
 
 MS = 1_000_000
 S = 1000 * MS
@@ -354,14 +356,18 @@ def haptic_messages(haptics):
 def command_messages(seconds, contacts):
     """A switch of the camera in the middle, housekeeping, events with their lines, losses."""
     middle_ns = BEGIN_NS + round(seconds * S / 2) + 123_457
-    select = pack_packet(SelectCamera("static", 7), 0)
-    answer = pack_packet(SelectAck("static", 7, True), 1)
+    select = pack_packet(
+        Telecommand(apid=0x133, count=7, service=8, subtype=1, data=b"\1static\0\0\0\0\0")
+    )
+    done = bytes.fromhex("1933c007")
+    answer = pack_packet(Telemetry(apid=0x133, count=1, service=1, subtype=7, data=done))
     yield packet("/telecommand/sent", middle_ns, 0, select)
     yield packet("/telecommand/received", middle_ns + LINK_NS, 0, select)
     yield packet("/telemetry/sent", middle_ns + LINK_NS + 2 * MS, 0, answer)
     yield packet("/telemetry/received", middle_ns + 2 * LINK_NS, 0, answer)
     for number, at_ns in enumerate(range(BEGIN_NS, BEGIN_NS + int(seconds * S), S // 2), 1):
-        state = pack_packet(Housekeeping("stereo", False, 0.5), number)
+        camera = b"\1stereo\0\0\0\0\0"
+        state = pack_packet(Telemetry(apid=0x133, count=number, service=3, subtype=25, data=camera))
         yield packet("/telemetry/sent", at_ns, number, state)
         yield packet("/telemetry/received", at_ns + LINK_NS, number, state)
     happened = [(BEGIN_NS, "link", "the link is up"), (middle_ns, "camera", "static is selected")]
@@ -374,6 +380,8 @@ def command_messages(seconds, contacts):
     at_ns = BEGIN_NS + round(seconds * S) - MS
     losses = (ChannelLoss(channel="/camera/head", missed=2, dropped=1),)
     yield told("/recorder/losses", at_ns, 0, pack(RecorderLosses(session_ns=at_ns, losses=losses)))
+    figures = (RecordedFigure(name="uplink_video.state", number=0.0, text="fresh"),)
+    yield told("/figures", at_ns, 1, pack(RecordedFigures(session_ns=at_ns, figures=figures)))
 
 
 def packet(topic, at_ns, sequence, data):

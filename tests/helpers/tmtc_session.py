@@ -15,7 +15,7 @@ class Session:
     """Its functions are carried out at once, if `answers`. joystick: as of `Simulation`.
 
     news: all news by segment, with the instants. packets: those of PUS that a segment's end took
-    from the radio. asked: functions, with their applications.
+    from the radio; carried: all that came on the flow. asked: functions, with their applications.
     """
 
     def __init__(self, setup="spacejustin", *, answers=True, media=False, joystick=None, **changes):
@@ -25,9 +25,11 @@ class Session:
         self.news = {segment: [] for segment in Segment}
         self.asked = []
         self.packets = {segment: [] for segment in Segment}
+        self.carried = {segment: [] for segment in Segment}
         take = self.tmtc.handle_packet
 
         def note(segment, data, now_ns):
+            self.carried[segment].append(data)
             taken = take(segment, data, now_ns)
             if taken:
                 self.packets[segment].append(data)

@@ -1,7 +1,7 @@
 """Figures as a process reports them, for tests of their receivers."""
 
-from pipelines.session.figures import Counters
 from pipelines.session.probe import Message, Series
+from telepresence.link.figures import GatewayFigures
 
 
 def series(rows, stream=""):
@@ -12,11 +12,15 @@ def series(rows, stream=""):
 
 
 def message(*figures, rows=(), stream="", **others):
-    """A message with counters and gauges of `stream`, and with rows of one type or of several."""
+    """A message with records of `stream`, and with rows of one type or of several."""
     kinds = dict.fromkeys(map(type, rows))
     told = [series([row for row in rows if type(row) is kind], stream) for kind in kinds]
     made = Message(series=told, **others)
     for one in figures:
-        add = made.count if isinstance(one, Counters) else made.gauge
-        add(one, stream)
+        made.tell(one, stream)
     return made
+
+
+def gateway(*, transmit=None, receive=None, radio=None, supervision=None):
+    """The link of one life of a gateway, of which only these parts are known."""
+    return GatewayFigures(transmit=transmit, receive=receive, radio=radio, supervision=supervision)

@@ -9,6 +9,7 @@ from xtce_decoder import decoded
 
 from pipelines.mission.tmtc_messages import Reported
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.mediated.wall import Wall, WallMessage, pack_wall
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.xtce import dictionary_xtce
 
@@ -90,3 +91,41 @@ def test_it_reads_the_telemetry_of_a_session(tmp_path: Path) -> None:
     assert {(1, 1), (1, 3), (1, 7), (3, 25), (17, 2), (129, 1)} == {
         (one["SERVICE"], one["SUBTYPE"]) for one in packets
     }
+
+
+def test_it_knows_every_packet_of_a_session_with_two_switches_of_the_camera(tmp_path: Path) -> None:
+    """Telecommands and telemetry, in both directions, as the radio carried them."""
+    session = Session("taskboard", answers=False)
+    session.run(3)
+    select = {"name": "select", "application": "camera", "verb": "call"}
+    session.command(Segment.SPACE, 1, arguments=("static",), **select)
+    session.run(3)
+    session.command(Segment.SPACE, 2, arguments=("stereo",), **select)
+    session.command(Segment.SPACE, 3, "camera", "parameters", arguments=("camera",))
+    session.command(Segment.SPACE, 4, "robot", "ping")
+    session.run(18)
+    up, down = session.packets[Segment.SPACE], session.packets[Segment.GROUND]
+    assert all(
+        len(session.carried[segment]) == len(session.packets[segment]) for segment in Segment
+    )
+    packets = decoded(built_in_dictionary(), b"".join([*down, *up]), tmp_path)
+    assert len(packets) == len(up) + len(down) >= 30
+    commands = [one for one in packets if one["TYPE"] == 1]
+    assert [one["camera_camera"] for one in commands if "FUNCTION" in one] == ["static", "stereo"]
+    assert {(one["SERVICE"], one["SUBTYPE"]) for one in commands} == {(8, 1), (17, 1), (20, 1)}
+    about = [(one["SERVICE"], one["SUBTYPE"]) for one in packets if one["PKT_APID"] == 0x133]
+    assert [about.count((1, subtype)) for subtype in (1, 3, 7)] == [3, 3, 3]
+    states = [
+        one["camera_camera"] for one in packets if one["PKT_APID"] == 0x133 and one["SERVICE"] == 3
+    ]
+    assert states[-1] == "stereo"
+
+
+def test_it_knows_the_packets_with_walls(tmp_path: Path) -> None:
+    message = WallMessage(3035, Wall(0, 1, 0.06, 1500.0))
+    (wall,) = decoded(built_in_dictionary(), pack_wall(message, 7), tmp_path)
+    assert (wall["WALL_STAMP_MS"], wall["WALL_SURFACE"], wall["WALL_STIFFNESS"]) == (
+        3035,
+        3000,
+        1500,
+    )

@@ -1,6 +1,8 @@
 """Counts that keep the project small. `python tests/project/test_counts.py` prints them."""
 
+import ast
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -52,6 +54,18 @@ COUNTS = (
 @pytest.mark.parametrize(("what", "count", "most"), COUNTS, ids=[what for what, *_ in COUNTS])
 def test_no_count_is_too_large(what, count, most):
     assert count() <= most, what
+
+
+def test_no_two_public_classes_have_one_name():
+    files = (file for package in PACKAGES for file in (ROOT / package).rglob("*.py"))
+    modules = (ast.parse(file.read_text(encoding="utf-8")) for file in files)
+    names = Counter(
+        one.name
+        for module in modules
+        for one in module.body
+        if isinstance(one, ast.ClassDef) and not one.name.startswith("_")
+    )
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import pytest
 from running_part import CLOCK, SETUP, eventually, running
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h264 import DecoderCounts, H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
@@ -26,23 +26,18 @@ from kontur_av.media import (
 from kontur_av.media import AUDIO_PAYLOAD_TYPE as VOICE_PAYLOAD_TYPE
 from kontur_av.rtp.sender import RtpSender
 from kontur_av.streams.lipsync import LAG
+from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.staleness import State
+from kontur_av.streams.video_receiver import VideoReceiverCounts
+from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
+from pipelines.media.figures import CaptureFigures, DisplayFigures
 from pipelines.media.process_capture import run_microphone
 from pipelines.media.process_display import run_display
 from pipelines.media.process_video_receive import run_video_receive
 from pipelines.media.process_video_send import run_video_send
 from pipelines.media.process_voice_receive import run_voice_receive
-from pipelines.session.figures import (
-    CaptureCounters,
-    CaptureGauges,
-    DisplayCounters,
-    DisplayGauges,
-    SendingCounters,
-    VideoReceptionCounters,
-    VoiceReceptionCounters,
-)
 from pipelines.session.process import LOOPBACK, Context
 from pipelines.session.rows import ShownRow
 from pipelines.session.topology import SELECTED_TOPIC
@@ -75,10 +70,10 @@ def rtp_sender(payload_type, clock_rate_hz):
 def test_an_input_reports_its_last_capture(session):
     begin_ns = CLOCK.now_ns()
     with running(session, run_microphone, name="ground_mic") as listen:
-        eventually(lambda: listen().counters[CaptureCounters, ""].captured or None)
+        eventually(lambda: listen().figures[CaptureFigures, ""].captured or None)
     reported = listen()
-    assert begin_ns <= reported.gauges[CaptureGauges, ""].captured_ns <= CLOCK.now_ns()
-    assert reported.counters[CaptureCounters, ""].source_faults == 0
+    assert begin_ns <= reported.figures[CaptureFigures, ""].captured_ns <= CLOCK.now_ns()
+    assert reported.figures[CaptureFigures, ""].source_faults == 0
 
 
 def test_concealed_sound_is_not_displayed(session):
@@ -92,10 +87,10 @@ def test_concealed_sound_is_not_displayed(session):
         for number, quality in enumerate([fresh, concealed, concealed, fresh]):
             stamp = CaptureStamp(CLOCK.now_ns(), number, stream.name, quality, number)
             writer.publish_audio(AudioFrame(SOUND, stamp))
-        shown = DisplayCounters, stream.name
-        eventually(lambda: listen().counters[shown].frames_displayed == 2 or None)
+        shown = DisplayFigures, stream.name
+        eventually(lambda: listen().figures[shown].frames_displayed == 2 or None)
     reported = listen()
-    assert reported.counters[shown].frames_displayed == 2
+    assert reported.figures[shown].frames_displayed == 2
     rows = [row for series in reported.series if series.kind is ShownRow for row in series.rows()]
     assert [row.timestamp for row in rows] == [0, 3]
 
@@ -139,18 +134,17 @@ def test_a_stale_picture_is_marked_on_the_display_and_nowhere_else(session):
         with lag.latest() as lease:
             displayed_ns, latency_ns = LAG.unpack(lease.octets())
         assert displayed_ns - latency_ns == captured_ns
-        key = DisplayGauges, stream.name
-        # There is no such gauge before the first picture.
-        eventually(lambda: getattr(listen().gauges.get(key), "state", None) is State.STALE or None)
+        key = DisplayFigures, stream.name
+        eventually(lambda: getattr(listen().figures.get(key), "state", None) is State.STALE or None)
         stamp = CaptureStamp(CLOCK.now_ns(), 8, stream.name, Quality.DAMAGED, 8)
         writer.publish_video(VideoFrame(picture, stamp))
         assert shown(False) == stamp
     reported = listen()
-    counters = reported.counters[DisplayCounters, stream.name]
+    counters = reported.figures[DisplayFigures, stream.name]
     assert counters.stale_episodes >= 1
     assert counters.frozen_ns > counters.stale_ns > 0
     assert counters.damaged_ns > 0
-    assert reported.gauges[key].age_ns > 0
+    assert reported.figures[key].age_ns > 0
 
 
 def test_a_gap_in_a_voice_is_concealed_and_marked(session):
@@ -202,7 +196,7 @@ def test_a_gap_in_a_voice_is_concealed_and_marked(session):
         else:
             pytest.fail(f"they were never told apart: {heard}")
     assert all(heard.get(number) != own for number in heard if number % 10 in (lost, spoilt))
-    reported = listen().counters[VoiceReceptionCounters, ""]
+    reported = listen().figures[VoiceReceiverCounts, ""]
     assert reported.frames_concealed >= 2
     assert reported.frames_decoded <= 8 * (rounds + 1)
 
@@ -233,15 +227,15 @@ def test_pictures_of_the_setups_size_are_shown_and_larger_ones_counted(session, 
                 udp.sendto(report, (LOOPBACK, topology.exit_port(f"{stream.name}_rtcp")))
             for packet in packets:
                 udp.sendto(packet, (LOOPBACK, topology.exit_port(stream.name)))
-        key = VideoReceptionCounters, ""
-        eventually(lambda: listen().counters[key].frames_decoded == 3 or None)
+        key = DecoderCounts, ""
+        eventually(lambda: listen().figures[key].frames_decoded == 3 or None)
         lease = reader.latest()
         if size == (stream.width, stream.height):
             with lease:
                 assert (lease.width, lease.height) == size
         else:
             assert lease is None
-    assert listen().counters[key].frames_oversized == (0 if lease else 3)
+    assert listen().figures[VideoReceiverCounts, ""].frames_oversized == (0 if lease else 3)
 
 
 def test_an_encoder_that_fails_ends_its_process(session, monkeypatch):
@@ -288,7 +282,7 @@ def test_nothing_is_encoded_while_the_link_is_behind(session):
         numbers = iter(range(10_000))
 
         def counters():
-            return listen().counters[SendingCounters, ""]
+            return listen().figures[SenderCounts, ""]
 
         def counted(counter, more_than):
             def look():

@@ -15,6 +15,7 @@ from page_client import decoded, hand, visit
 from running_session import RunningSession, eventually
 
 SETUP = "spacejustin"
+SELECT = {"application": "camera", "name": "select", "arguments": ["static"]}
 #: Channels of which each second of a recording has messages.
 ALWAYS = {"/uplink_video/received", "/downlink_video/sent", "/haptic/up/received"}
 
@@ -88,7 +89,7 @@ def test_a_viewer_moves_nothing_and_the_holder_lets_go_with_its_socket(session):
         async with visitor.page() as page:
             assert page.hello["role"] == "viewer"
             await page.ws.send_bytes(hand(1))
-            for do, fields in (("hand", {"action": "take"}), ("select", {"camera": "static"})):
+            for do, fields in (("hand", {"action": "take"}), ("command", SELECT)):
                 answer = await page.ask(do, **fields)
                 assert (answer["ok"], answer["error"]) == (False, "a viewer may watch only")
             assert (await page.text("state"))["hand"]["holder"] is None

@@ -20,10 +20,10 @@ from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame, empty_picture
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
+from pipelines.media.figures import CaptureFigures
 from pipelines.media.process_capture import run_camera, run_microphone
 from pipelines.media.process_video_receive import run_video_receive
 from pipelines.media.process_video_send import run_video_send
-from pipelines.session.figures import CaptureCounters, CaptureGauges
 from pipelines.session.process import LOOPBACK
 from pipelines.table import topology_of
 
@@ -92,11 +92,11 @@ def test_a_page_takes_a_camera_over_and_the_scene_returns(session):
             eventually(lambda: newest_level(reader) == 200 or None)
             for _ in range(10):
                 assert eventually(lambda: newest_level(reader)) == 200
-            gauges = CaptureGauges, ""
-            eventually(lambda: listen().gauges[gauges].live_source == "page" or None)
+            gauges = CaptureFigures, ""
+            eventually(lambda: listen().figures[gauges].live_source == "page" or None)
         eventually(lambda: newest_level(reader) == -1 or None)
-        eventually(lambda: listen().gauges[gauges].live_source == "own" or None)
-    counted = listen().counters[CaptureCounters, ""]
+        eventually(lambda: listen().figures[gauges].live_source == "own" or None)
+    counted = listen().figures[CaptureFigures, ""]
     assert 10 <= counted.from_page < counted.captured
 
 
@@ -139,7 +139,7 @@ def test_a_source_behind_a_page_goes_on_with_its_newest_picture(session, tmp_pat
 
                 own = eventually(own_level)
                 assert written[0] - 10 < own <= written[0] + 1
-    assert listen().counters[CaptureCounters, ""].source_faults <= 1
+    assert listen().figures[CaptureFigures, ""].source_faults <= 1
 
 
 def test_previews_alone_are_drawn_and_are_small(session):
@@ -148,10 +148,10 @@ def test_previews_alone_are_drawn_and_are_small(session):
         running(session, run_camera, name="iss_camera", stream=STREAM) as listen,
     ):
         small = bus.reader(PREVIEW, depth=8)
-        captured = CaptureCounters, ""
+        captured = CaptureFigures, ""
         eventually(lambda: small.has_new() or None)
-        before = listen().counters[captured].captured
-        eventually(lambda: listen().counters[captured].captured > before + 60 or None)
+        before = listen().figures[captured].captured
+        eventually(lambda: listen().figures[captured].captured > before + 60 or None)
         stamps = []
         while (lease := small.next()) is not None:
             with lease:
@@ -199,7 +199,7 @@ def test_a_page_speaks_in_place_of_a_microphone(session):
         range(stamps[0].sequence, stamps[0].sequence + len(stamps))
     )
     assert all(a.capture_ns < b.capture_ns for a, b in pairwise(stamps))
-    assert listen().counters[CaptureCounters, ""].from_page == len(numbers)
+    assert listen().figures[CaptureFigures, ""].from_page == len(numbers)
 
 
 @contextmanager

@@ -5,10 +5,11 @@ import socket
 import pytest
 
 from kontur_av.clock import MonotonicClock
-from pipelines.session.figures import LoopCounters, PortGauges, ProbeCounters
+from pipelines.session.figures import LoopFigures, ProbeFigures
 from pipelines.session.probe import FLUSH_NS, Message
 from pipelines.session.process import LOOPBACK, Context
 from pipelines.session.rows import LatenessRow, RxRow
+from telepresence.haptics.figures import PortFigures
 
 
 @pytest.fixture
@@ -50,7 +51,7 @@ def test_rows_that_a_full_socket_refuses_are_sent_later(link):
             theirs.send(b"full")
     lateness = context.probe.series(LatenessRow)
     lateness.add(LatenessRow(7))
-    context.probe.gauge(PortGauges(credit_uj=1, least_uj=0))
+    context.probe.tell(PortFigures(credit_uj=1, least_uj=0))
     context.send_figures(0)
     with pytest.raises(BlockingIOError):
         while True:
@@ -59,7 +60,7 @@ def test_rows_that_a_full_socket_refuses_are_sent_later(link):
     context.send_figures(1)
     message = received(ours)
     assert message.series[0].rows() == [LatenessRow(7), LatenessRow(8)]
-    assert message.gauges[PortGauges, ""].credit_uj == 1
+    assert message.figures[PortFigures, ""].credit_uj == 1
 
 
 def test_a_launcher_that_does_not_read_delays_nothing_and_loses_whole_rows(link):
@@ -70,7 +71,7 @@ def test_a_launcher_that_does_not_read_delays_nothing_and_loses_whole_rows(link)
     for number in range(60_000):
         arrivals.add(RxRow(number, -number))
         if number % 500 == 499:
-            context.probe.count(LoopCounters(cycles=number + 1))
+            context.probe.tell(LoopFigures(cycles=number + 1))
             context.send_figures(number)
     seen = []
     with pytest.raises(BlockingIOError):
@@ -79,10 +80,10 @@ def test_a_launcher_that_does_not_read_delays_nothing_and_loses_whole_rows(link)
     context.send_figures(60_000)
     message = received(ours)
     seen += [row for series in message.series for row in series.rows()]
-    assert message.counters[LoopCounters, ""].cycles == 60_000
+    assert message.figures[LoopFigures, ""].cycles == 60_000
     # A row arrives whole or not at all, and every missing one is counted.
     assert all(row.received_ns == -row.timestamp for row in seen)
-    dropped = message.counters[ProbeCounters, ""].probe_values_dropped
+    dropped = message.figures[ProbeFigures, ""].probe_values_dropped
     assert 0 < dropped == 2 * (60_000 - len(seen))
 
 

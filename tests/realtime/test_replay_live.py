@@ -53,9 +53,10 @@ def test_all_that_was_recorded_is_sent_and_nothing_is_coded(replay, recording):
         assert report["haptic"][key]["received"] > 0
     counts = {name: row["counts"] for name, row in report["processes"].items()}
     sent = [told for told in recording.told["/telecommand/sent"] if told.log_ns < end_ns]
-    assert counts["selector"]["telecommands"] == len(sent) == 1
-    assert counts["console"]["housekeeping"] > 0
-    assert counts["console"]["garbage"] == counts["selector"]["garbage"] == 0
+    assert counts["selector"]["pus_executed"] + counts["selector"]["pus_duplicates"] == len(sent)
+    assert counts["selector"]["switches"] == 1
+    assert counts["console"]["pus_reports"] > 0
+    assert counts["console"]["pus_garbage"] == counts["selector"]["pus_garbage"] == 0
 
 
 def test_a_killed_sender_goes_on_with_the_present(replay, recording):

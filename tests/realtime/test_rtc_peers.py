@@ -15,9 +15,11 @@ from kontur_av.rtp.payload_h264 import split_annex_b
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.keeper import Keeper
 from pipelines.partner.programme import Programme
+from pipelines.partner.samples import SamplePeer
 from pipelines.partner.server import RtcServer
 from pipelines.partner.whip import WhipClient
 from pipelines.session.page_listener import PageListener
+from telepresence.haptics.sample import SAMPLE_OCTETS
 
 pytestmark = pytest.mark.realtime
 
@@ -25,7 +27,7 @@ TOKEN = "word-of-the-partner"
 
 
 @contextlib.asynccontextmanager
-async def serving(handle=None):
+async def serving(handle=None, samples=None):
     """A server with one programme; yields it, the programme and the base of its addresses."""
     clock = MonotonicClock()
     with socket.create_server(("127.0.0.1", 0)) as bound:
@@ -48,6 +50,7 @@ async def serving(handle=None):
             clock=clock,
             handle=handle,
             wall_offset_ns=clock.wall_offset_ns,
+            samples=samples,
         )
         await server.start()
         try:
@@ -187,5 +190,55 @@ def test_a_server_that_answers_nonsense_is_tried_again():
         server.close()
         assert keeper.attempts.stood == 0
         assert "media sections" in keeper.fault
+
+    asyncio.run(run())
+
+
+class Robot:
+    """What a partner's joystick drives."""
+
+    def __init__(self):
+        self.joined = self.left = 0
+        self.samples = []
+
+    def join(self, peer):
+        self.joined += 1
+
+    def leave(self):
+        self.left += 1
+
+    def handle(self, sample):
+        self.samples.append(sample)
+
+
+@contextlib.asynccontextmanager
+async def joystick(url):
+    async with WhipClient(f"{url}/haptics", token=TOKEN) as client:
+        peer = SamplePeer(IceServers(), lambda _: None)
+        await peer.accept(await client.post(await peer.offer()))
+        running = asyncio.create_task(peer.run())
+        try:
+            await until(lambda: peer.connected)
+            yield peer
+        finally:
+            await peer.close()
+            await running
+
+
+def test_a_newer_joystick_takes_the_place_of_the_older():
+    async def run():
+        robot = Robot()
+        async with serving(samples=robot) as (server, _, url), joystick(url) as older:
+            older.send(bytes(SAMPLE_OCTETS))
+            await until(lambda: robot.samples)
+            assert (robot.joined, robot.left, server.peers) == (1, 0, [])
+            async with joystick(url) as newer:
+                await until(lambda: robot.left == 1)
+                assert robot.joined == 2
+                newer.send(bytes(SAMPLE_OCTETS))
+                await until(lambda: len(robot.samples) == 2)
+                assert server.hand is not None
+            await until(lambda: robot.left == 2)
+            assert server.hand is None
 
     asyncio.run(run())

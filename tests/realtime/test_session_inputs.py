@@ -68,7 +68,7 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
         assert haptic["garbage"] > 0, name
     processes = report["processes"]
     for name in ("console", "selector"):
-        assert processes[name]["counts"]["garbage"] > 0, name
+        assert processes[name]["counts"]["pus_garbage"] > 0, name
     assert {name for name, entry in processes.items() if entry["restarts"]} == set()
     session.assert_nothing_left()
 

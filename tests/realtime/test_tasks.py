@@ -19,15 +19,26 @@ pytestmark = pytest.mark.realtime
 _SETTLE_ROWS = 200
 PLAN = """
 skill = 1.0
-files = ["roam.xml"]
+files = ["short.xml"]
+[[task]]
+name = "reach"
 [[task]]
 name = "aiming"
-repeat = 2
 [[task]]
 name = "roam"
 """
-#: A task that does not end by itself during the test.
-ROAM = """<Tasks>
+#: A task that ends soon, and one that does not end by itself during the test.
+TASKS = """<Tasks>
+  <Operation name="execReach">
+    <Operation ref="beginTelepresence"/>
+    <Elemop ref="highlightLed7"/>
+    <Elemop ref="checkPos7"/>
+    <Elemop ref="highlightLed0"/>
+    <Elemop ref="checkPos0"/>
+    <Operation ref="endTelepresence"/>
+  </Operation>
+  <Task name="reach" start="startAiming" exec="execReach" start_x_mm="-45" start_y_mm="0"
+        text="Reach each LED that lights up."/>
   <Wait name="roamFreely" seconds="300"/>
   <Operation name="execRoam">
     <Operation ref="beginTelepresence"/>
@@ -93,7 +104,7 @@ def led_without_dead_man_m(path):
 def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypatch):
     plan, runs = tmp_path / "plan.toml", tmp_path / "runs"
     plan.write_text(PLAN)
-    (tmp_path / "roam.xml").write_text(ROAM)
+    (tmp_path / "short.xml").write_text(TASKS)
     session = start("spacejustin", "--radio", "clean", "--plan", str(plan), "--runs", str(runs))
     pids = session.pids()
     with session.bus(monkeypatch) as bus:
@@ -131,7 +142,7 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
     # Each run has its own file, also the one after the run that a killed process left open.
     files = sorted(runs.iterdir())
     assert [path.name for path in files] == [
-        "run-001-aiming.mcap",
+        "run-001-reach.mcap",
         "run-002-aiming.mcap",
         "run-003-roam.mcap",
     ]

@@ -79,7 +79,7 @@ def send(pictures, cap_bps, channel_bps=None):
             run.refused += 1
         drain(now_ns)
     assert run.captured == encoder.encoded + run.refused
-    assert decoder.corrupt_units == decoder.units_before_start == 0
+    assert decoder.counts.frames_corrupt == decoder.counts.frames_before_start == 0
     return run
 
 

@@ -189,9 +189,9 @@ def test_a_whole_session_gains_and_reports_it():
     # The channel is faster by what is saved, and pictures do not grow by more than that.
     assert video.latency_ms.p50 < before.latency_ms.p50
     up = saving.haptic["up"]
-    assert up.saved_bps > 60_000 and up.lost == 0
+    assert up.saved_bps > 60_000 and up.receiver.lost == 0
     # Before the session of samples begins, each cycle greets; the first greetings have no signal.
-    assert 5980 <= up.sent + up.left_out + up.greetings <= 6000
+    assert 5980 <= up.sender.sent + up.sender.left_out + up.receiver.greetings <= 6000
     freed_bps = saving.link["uplink"].freed_bps
     assert freed_bps == pytest.approx(up.saved_bps, rel=0.01)
     assert plain.link["uplink"].freed_bps < 100

@@ -90,4 +90,4 @@ def test_a_session_carries_walls_as_telemetry():
     counts = report.processes["joystick"].counts
     assert counts["walls"] >= 4
     assert counts["walls_garbage"] == counts["walls_stale"] == 0
-    assert report.processes["console"].counts["garbage"] == 0
+    assert report.processes["console"].counts["pus_garbage"] == 0

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from mission import Mission
 
 from telepresence.haptics.sample import MODE_OFF
-from telepresence.tasks.experiment import Experiment, Phase, Step, TaskRun
+from telepresence.tasks.experiment import Experiment, Phase, RunStep, TaskRun
 from telepresence.tasks.kernel import PowerRobot, View
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.k2aci import (
@@ -38,7 +38,7 @@ def test_every_task_is_done_and_each_step_is_logged_once_in_order(skill, tasks):
     for number, name in enumerate(tasks, 1):
         run = mission.do(name)
         assert (run.task, run.run, run.result) == (name, number, TaskResult.FINISHED), run.reason
-        assert steps(mission, number) == list(Step)
+        assert steps(mission, number) == list(RunStep)
         assert_at_rest(mission)
         assert len(mission.records) == 2 * number
     assert mission.panel.mode is PanelMode.WAIT_TASK

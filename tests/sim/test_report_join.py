@@ -52,7 +52,7 @@ class Twice(Collector):
     def handle_message(self, process, told, now_ns):
         super().handle_message(process, told, now_ns)
         segment = self.topology.process(process).segment
-        moved = Message(told.counters, told.gauges)
+        moved = Message(told.figures)
         moved.series = [moved_series(segment, series) for series in told.series]
         self.ends[segment].handle_message(process, moved, own_ns(segment, now_ns))
 
@@ -134,12 +134,16 @@ def test_what_both_ends_know_together_is_what_one_machine_would_have_known(sessi
             expected = getattr(stream.latency_ms.stages, stage).p50
             measured = getattr(found.latency_ms.stages, stage)
             assert measured.count and measured.p50 == pytest.approx(expected, rel=0.02)
-        alike = ("side", "cap_bps", "frames_sent", "frames_displayed", "rtp_packets", "rtp_lost")
-        for field in (*alike, "payload_bps_max_1s", "stale_ms", "pauses_s"):
+        for field in ("side", "cap_bps", "rtp", "display", "payload_bps_max_1s", "pauses_s"):
             assert getattr(found, field) == getattr(stream, field), (name, field)
+        assert found.sender.frames_sent == stream.sender.frames_sent
     for key, row in whole.haptic.items():
         found = joined.haptic[key]
-        assert (found.sent, found.received, found.side) == (row.sent, row.received, None)
+        assert (found.sender.sent, found.receiver.received) == (
+            row.sender.sent,
+            row.receiver.received,
+        )
+        assert found.side is None
         assert found.latency_ms == row.latency_ms
     assert joined.link == whole.link
     for name, skew in whole.skew_ms.items():

@@ -69,24 +69,24 @@ def test_sequence_numbers_are_complete(session):
     for name, stream in report.streams.items():
         sent = report.processes[f"{name}_send"].counts["rtp_packets_sent"]
         for count in ("rtp_lost", "rtp_reordered", "rtp_duplicates", "rtp_late", "garbage"):
-            assert getattr(stream, count) == 0
+            assert getattr(stream.rtp, count) == 0
         # At the end less than one picture and its successor is in flight.
-        assert sent - 8 <= stream.rtp_packets <= sent
-        looked_at = stream.frames_encoded + stream.frames_refused
+        assert sent - 8 <= stream.rtp.rtp_packets <= sent
+        looked_at = stream.sender.frames_encoded + stream.sender.frames_refused
         # The last picture may still be in the encoder.
-        assert stream.frames_captured - 1 <= looked_at <= stream.frames_captured
+        assert stream.sender.frames_captured - 1 <= looked_at <= stream.sender.frames_captured
         assert stream.capture_stamp_error_us < 12  # a tick of the 90 kHz clock
 
 
 def test_haptic_latency_is_constant_under_any_media_load(session):
     for direction in session[1].haptic.values():
         # The session begins within five times the delay, with greetings in the place of samples.
-        assert 0 < direction.greetings < 5 * (DELAY_MS + TWO_HALVES_MS)
-        in_flight = SECONDS * 1000 - direction.sent - direction.greetings
+        assert 0 < direction.receiver.greetings < 5 * (DELAY_MS + TWO_HALVES_MS)
+        in_flight = SECONDS * 1000 - direction.sender.sent - direction.receiver.greetings
         assert 0 <= in_flight <= 4
-        assert direction.lost == direction.strays == 0
-        assert direction.received >= direction.sent - 4
-        assert direction.sessions == 1
+        assert direction.receiver.lost == direction.receiver.strays == 0
+        assert direction.receiver.received >= direction.sender.sent - 4
+        assert direction.receiver.sessions == 1
         latency = direction.latency_ms
         assert latency.p50 == latency.max == DELAY_MS + TWO_HALVES_MS
 
@@ -117,28 +117,33 @@ def test_voice_waits_little_more_than_its_slots(spacejustin):
         # On the uplink, 19 octets and their header take two slots, and whole headers two more. A
         # packet may just miss a slot, and supervision may take one.
         assert stages.sent_to_received.p95 < DELAY_MS + 2
-        assert stages.sent_to_received.max < DELAY_MS + 5
-        assert report.streams[name].frames_concealed == 0
+        assert stages.sent_to_received.p99 < DELAY_MS + 5
+        # On the uplink, one packet waits for the reports of the selection of a camera: acceptance,
+        # start and completion have 25 octets each, and take three slots each.
+        reports = 4 if name == "uplink_voice" else 0
+        assert stages.sent_to_received.max < DELAY_MS + 5 + reports
+        assert report.streams[name].voice.frames_concealed == 0
     # Until the last octet is sent, so with the slots just named.
-    assert report.link["uplink"].queue["voice"].max_age_ns <= 5_000_000
+    assert report.link["uplink"].sender.queue["voice"].max_age_ns <= 9_000_000
 
 
 def test_every_octet_is_counted(session):
     setup, report = session
     for profile in (setup.uplink, setup.downlink):
         link = report.link[profile.name]
-        assert link.frames == SECONDS * 1000
-        assert link.frames_lost == 0
-        assert sum(link.octets.values()) == profile.frame_octets * link.frames
+        assert link.sender.frames == SECONDS * 1000
+        assert link.receiver.frames_lost == 0
+        assert sum(link.sender.octets.values()) == profile.frame_octets * link.sender.frames
 
 
 def test_the_operator_selects_a_camera(spacejustin):
     processes = spacejustin[1].processes
-    assert processes["selector"].selected == "static"
+    assert processes["selector"].newest["selected"] == "static"
     assert processes["selector"].counts["switches"] == 1
-    assert processes["console"].counts["telecommands"] == 1
-    assert processes["console"].counts["telecommands_repeated"] == 0
-    assert processes["console"].counts["housekeeping"] > 0
+    assert processes["selector"].counts["pus_executed"] == 1
+    assert processes["console"].counts["pus_telecommands"] == 1
+    assert processes["console"].counts["pus_telecommands_repeated"] == 0
+    assert processes["console"].counts["pus_reports"] > 0
 
 
 def test_reports_depend_on_the_seed_only(tmp_path):
@@ -173,18 +178,20 @@ def test_all_streams_resume_after_a_blackout_without_late_data(tmp_path):
     for name, stream in report.streams.items():
         # Two seconds remain after the blackout; a stream that does not resume misses all of them.
         least = 2.9 * (25 if name.endswith("video") else 50)
-        assert stream.frames_displayed >= least
-        assert stream.rtp_lost > 0
+        assert stream.display.frames_displayed >= least
+        assert stream.rtp.rtp_lost > 0
         # A picture kept during the blackout would be a second old.
         assert stream.latency_ms.max < 150
         assert stream.payload_bps_max_1s <= stream.cap_bps
     for direction in report.haptic.values():
         assert direction.latency_ms.max == DELAY_MS + TWO_HALVES_MS
-        assert direction.received + direction.greetings == pytest.approx(3500, abs=10)
+        assert direction.receiver.received + direction.receiver.greetings == pytest.approx(
+            3500, abs=10
+        )
     for profile in (setup.uplink, setup.downlink):
         link = report.link[profile.name]
-        assert link.frames_lost == 1000
-        assert sum(link.octets.values()) == profile.frame_octets * link.frames
+        assert link.receiver.frames_lost == 1000
+        assert sum(link.sender.octets.values()) == profile.frame_octets * link.sender.frames
 
 
 @pytest.fixture
@@ -209,8 +216,8 @@ def test_files_play_at_their_own_instants_and_loop(clip):
     report = simulate(setup, seconds=2.0, seed=1)
     stream = report.streams["uplink_video"]
     assert report.failures == []
-    assert stream.frames_captured == 50
-    assert stream.frames_displayed >= 45
+    assert stream.sender.frames_captured == 50
+    assert stream.display.frames_displayed >= 45
 
 
 @pytest.mark.parametrize("source", ["v4l2:/dev/x", "page"])

@@ -1,9 +1,9 @@
-"""What a simulated console answers its terminals, with a radio between them and the ground."""
+"""What becomes of telecommands for a camera, with a radio between the console and the ground."""
 
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_S
-from pipelines.session.requests import parse_answer
+from pipelines.mission.tmtc_words import selection_error
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.session import Selection, Simulation
 from pipelines.virtual.workers import Workers
@@ -11,25 +11,35 @@ from telepresence.link.radio import load_radio
 
 
 def answers(tmp_path, radio, selections, seconds):
-    """The last answer to each telecommand of the script."""
+    """The last news of each telecommand of the script."""
     file = tmp_path / "radio.toml"
     file.write_text(radio)
     setup = replace(load_setup("taskboard"), radio=load_radio(str(file)))
     with Workers() as workers:
         simulation = Simulation(setup, workers, seed=1, media=False, selections=selections)
         simulation.run(round(seconds * NS_PER_S))
-    return [parse_answer(octets.splitlines()[-1]) for octets in simulation.answers.values()]
+    return [simulation.answers[number] for number in range(len(selections))]
 
 
-def test_an_acknowledgement_comes_after_the_radios_delay_there_and_back(tmp_path):
+def test_the_completion_comes_after_the_radios_delay_there_and_back(tmp_path):
     script = [Selection(NS_PER_S, "static"), Selection(2 * NS_PER_S, "roof")]
     done, unknown = answers(tmp_path, "delay_ms = 40.0\n", script, 3)
-    assert done.ok and done.camera == "static"
+    assert done.ok and done.stage == "completed"
     assert 80 <= done.round_trip_ms < 90
-    assert unknown.mistake and "roof" in unknown.error
+    assert unknown.mistake and unknown.tries == 0
+    assert unknown.reason == "unknown camera roof: choose one of stereo, static"
+
+
+def test_a_camera_is_selected_after_a_loss_of_signal(tmp_path):
+    dark = "[[blackouts]]\nstart_s = 1\nseconds = 5\n"
+    script = [Selection(2 * NS_PER_S, "static"), Selection(3 * NS_PER_S, "stereo")]
+    earlier, later = answers(tmp_path, dark, script, 8)
+    assert selection_error("static", earlier) == "select static: a later request came"
+    assert later.ok and later.tries > 1
 
 
 def test_a_console_that_hears_nothing_from_the_ground_gives_up(tmp_path):
-    dark = "[[blackouts]]\nstart_s = 1\nseconds = 5\n"
-    (gone,) = answers(tmp_path, dark, [Selection(2 * NS_PER_S, "static")], 4)
-    assert gone.error == "select static: no acknowledgement came"
+    dark = "[[blackouts]]\nstart_s = 1\nseconds = 40\n"
+    (gone,) = answers(tmp_path, dark, [Selection(2 * NS_PER_S, "static")], 38)
+    assert gone.done and not gone.verified
+    assert selection_error("static", gone) == "select static: no acknowledgement came"

@@ -7,7 +7,7 @@ from tmtc_session import Session
 from pipelines.mission.tmtc import PUS_RATE_BPS
 from pipelines.mission.tmtc_messages import CommandUpdate, K2aciArrived, K2aciUpdate, Reported
 from pipelines.seats.mission_desk import MissionDesk
-from pipelines.seats.texts import CommandRequest
+from pipelines.seats.page_requests import CommandRequest
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.segments import Segment
 from telepresence.link.radio import Blackout, RadioProfile
@@ -155,11 +155,11 @@ def test_the_worst_load_of_tmtc_takes_from_video_what_the_bucket_allows_and_noth
     report = session.simulation.report()
     for way in ("up", "down"):
         assert report.haptic[way].latency_ms.max == 1.0
-        assert report.haptic[way].lost == 0
-    carried = report.link["uplink"].octets["tmtc"]
+        assert report.haptic[way].receiver.lost == 0
+    carried = report.link["uplink"].sender.octets["tmtc"]
     before, allowed = 200, 512 + 4 * PUS_RATE_BPS / 8
     assert 0.9 * allowed < carried < allowed + before
     video = report.streams["uplink_video"]
-    assert video.rtp_lost == video.stale_episodes == video.frozen_episodes == 0
+    assert video.rtp.rtp_lost == video.display.stale_episodes == video.display.frozen_episodes == 0
     # Whatever was sent is shown; the newest pictures are still on their way.
-    assert video.frames_sent - video.frames_displayed <= 2
+    assert video.sender.frames_sent - video.display.frames_displayed <= 2

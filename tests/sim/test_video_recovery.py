@@ -62,7 +62,7 @@ def test_the_first_picture_after_a_loss_of_signal_is_whole_and_early(tmp_path, s
 def test_a_loss_without_a_loss_of_signal_heals_after_a_round_trip(tmp_path, shown):
     report = session(tmp_path, dark_s=0.03, seconds=2.8)
     hit_ns = round(1.5 * NS_PER_S)
-    assert report.streams["uplink_video"].rtp_lost >= 1
+    assert report.streams["uplink_video"].rtp.rtp_lost >= 1
     assert report.processes["uplink_video_send"].counts["feedback_received"] >= 1
     hurt = [now_ns for _, now_ns, damaged in shown if damaged]
     assert hurt

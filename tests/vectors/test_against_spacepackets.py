@@ -8,48 +8,35 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from telepresence.haptics.mediated.wall import WALL_APID, WallMessage, pack_wall, parse_wall
 from telepresence.link.frame import FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.tmtc import Housekeeping, SelectAck, SelectCamera, pack_packet
-from telepresence.tmtc.packets import COMMAND_APID, TELEMETRY_APID, parse_packet
 
 ccsds = pytest.importorskip("spacepackets.ccsds")
 ecss = pytest.importorskip("spacepackets.ecss")
 
-NAMES = st.text("abcxyz019_", min_size=1, max_size=10)
-MESSAGES = st.one_of(
-    st.builds(SelectCamera, name=NAMES, token=st.integers(0, 0xFFFF)),
-    st.builds(SelectAck, name=NAMES, token=st.integers(0, 0xFFFF), ok=st.booleans()),
-    st.builds(Housekeeping, name=NAMES, contact=st.booleans(), force_n=st.just(1.0)),
-)
 
-
-@given(message=MESSAGES, count=st.integers(0, 0x3FFF))
-def test_the_oracle_reads_our_packet_headers(message, count):
-    packet = pack_packet(message, count)
+@given(stamp_ms=st.integers(0, 0xFFFF_FFFF), count=st.integers(0, 0x3FFF))
+def test_the_oracle_reads_our_packet_headers(stamp_ms, count):
+    packet = pack_wall(WallMessage(stamp_ms, None), count)
     header = ccsds.SpacePacketHeader.unpack(packet)
-    command = isinstance(message, SelectCamera)
     assert header.ccsds_version == 0
-    assert header.packet_type == (ccsds.PacketType.TC if command else ccsds.PacketType.TM)
-    assert header.apid == (COMMAND_APID if command else TELEMETRY_APID)
+    assert header.packet_type == ccsds.PacketType.TM
+    assert header.apid == WALL_APID
     assert header.seq_count == count
     assert header.seq_flags == ccsds.SequenceFlags.UNSEGMENTED
     assert not header.sec_header_flag
     assert header.packet_len == len(packet)
 
 
-@given(message=MESSAGES, count=st.integers(0, 0x3FFF))
-def test_we_read_the_packets_of_the_oracle(message, count):
-    body = pack_packet(message, 0)[6:]
-    command = isinstance(message, SelectCamera)
+@given(stamp_ms=st.integers(0, 0xFFFF_FFFF), count=st.integers(0, 0x3FFF))
+def test_we_read_the_packets_of_the_oracle(stamp_ms, count):
+    message = WallMessage(stamp_ms, None)
+    body = pack_wall(message, 0)[6:]
     header = ccsds.SpacePacketHeader(
-        packet_type=ccsds.PacketType.TC if command else ccsds.PacketType.TM,
-        apid=COMMAND_APID if command else TELEMETRY_APID,
-        seq_count=count,
-        data_len=len(body) - 1,
+        packet_type=ccsds.PacketType.TM, apid=WALL_APID, seq_count=count, data_len=len(body) - 1
     )
-    packet = parse_packet(bytes(header.pack()) + body)
-    assert (packet.message, packet.count) == (message, count)
+    assert parse_wall(bytes(header.pack()) + body) == message
 
 
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)

@@ -6,7 +6,7 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
 from telepresence.link.protection.identity import MachineKey
 from telepresence.link.protection.record import DirectionKeys, RecordOpener, RecordSealer
-from telepresence.link.protection.segment import Segment, SegmentCodec
+from telepresence.link.protection.segment import HandshakeSegment, SegmentCodec
 
 #: RFC 8032 section 7.1, test 1: seed and public key.
 SEED = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")
@@ -39,7 +39,7 @@ def test_two_records():
 
 def test_a_segment():
     ends = [MachineKey.from_seed(seed).identity for seed in (SEED, bytes(32))]
-    segment = Segment(True, b"\x01" * 8, b"\x02" * 8, 3, 4, b"data")
+    segment = HandshakeSegment(True, b"\x01" * 8, b"\x02" * 8, 3, 4, b"data")
     assert SegmentCodec(*ends).pack(segment).hex() == (
         "1301010101010101010202020202020202000300046461746133694c68b3086d086674eee83a3b2848"
     )

@@ -13,8 +13,8 @@ from telepresence.tmtc.pus.packets import (
 )
 from telepresence.tmtc.pus.verification import (
     Failure,
-    Stage,
     Verification,
+    VerificationStage,
     pack_verification,
     parse_verification,
 )
@@ -66,9 +66,12 @@ def test_time_survives_as_nanoseconds(cuc: int) -> None:
 @pytest.mark.parametrize(
     ("report", "octets"),
     [
-        (Verification(0x120, 5, Stage.ACCEPTED), "1920c005"),
-        (Verification(0x120, 5, Stage.COMPLETED), "1920c005"),
-        (Verification(0x120, 5, Stage.COMPLETED, Failure.REFUSED, "hot"), "1920c005 04 686f74"),
+        (Verification(0x120, 5, VerificationStage.ACCEPTED), "1920c005"),
+        (Verification(0x120, 5, VerificationStage.COMPLETED), "1920c005"),
+        (
+            Verification(0x120, 5, VerificationStage.COMPLETED, Failure.REFUSED, "hot"),
+            "1920c005 04 686f74",
+        ),
     ],
 )
 def test_a_verification_names_its_telecommand(report: Verification, octets: str) -> None:

@@ -19,6 +19,8 @@ from pipelines.recording.messages import (
     LogLine,
     QueueState,
     RecordedEvent,
+    RecordedFigure,
+    RecordedFigures,
     RecordedFrames,
     RecordedPacket,
     RecordedPicture,
@@ -115,6 +117,10 @@ VECTORS = [
     (
         "0801 | 1208 0a022f61 1003 1804",
         RecorderLosses(session_ns=1, losses=(ChannelLoss(channel="/a", missed=3, dropped=4),)),
+    ),
+    (
+        "0801 | 120c 0a0161 11000000000000f83f",
+        RecordedFigures(session_ns=1, figures=(RecordedFigure(name="a", number=1.5, text=""),)),
     ),
 ]
 

@@ -4,7 +4,7 @@ import pytest
 
 from kontur_av.errors import ProtocolError
 from telepresence.haptics.mediated.wall import Wall, WallMessage, is_wall, pack_wall, parse_wall
-from telepresence.tmtc.packets import is_ours, parse_packet
+from telepresence.tmtc.pus.head import is_packet
 
 # 000 0 0 00100000011 | 11 00000000000101 | length 10 - 1 = 9 | version 1, to +x, 3035 ms = 0xbdb,
 # 60 mm = 3000 counts = 0xbb8, 1500 N/m = 0x5dc
@@ -25,11 +25,9 @@ def test_golden(octets, count, message):
     assert pack_wall(message, count) == octets
     assert pack_wall(message, count + 16384) == octets
     assert parse_wall(octets) == message
-    # The link takes it as telemetry; telecommands do not.
+    # The link takes it beside PUS; PUS does not.
     assert is_wall(octets)
-    assert is_ours(octets)
-    with pytest.raises(ProtocolError, match="a wall"):
-        parse_packet(octets)
+    assert not is_packet(octets)
 
 
 def test_values_out_of_range_are_cut():

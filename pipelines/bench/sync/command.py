@@ -22,8 +22,8 @@ from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
 from pipelines.report.result import Headline, Json, JsonReader, as_json
 from pipelines.report.result_file import write_result
-from pipelines.report.sync.figures import PAIRS, SENSES, Event, skew_summary, skews_ns
-from pipelines.report.sync.matching import Found
+from pipelines.report.sync.figures import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
+from pipelines.report.sync.matching import Matched
 from pipelines.session.options import radio_change
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import check_sources
@@ -187,7 +187,7 @@ def _run_footage(args: argparse.Namespace, recordings: Mapping[str, Path], conso
         raise ConfigError("give at least two of --video, --audio and --haptics")
     offsets = _offsets(args.offset_ms, recordings)
     roi = _roi(args.roi)
-    found: dict[str, list[Found]] = {}
+    found: dict[str, list[Matched]] = {}
     for name, path in recordings.items():
         sense = _RECORDINGS[name]
         if name == "video":
@@ -308,7 +308,7 @@ def _skews(skews: JsonReader) -> Table:
     return table
 
 
-def _events(events: Sequence[Event]) -> Table:
+def _events(events: Sequence[SensedEvent]) -> Table:
     table = Table(title="events, instants in s", title_justify="left", box=SIMPLE_HEAD)
     table.add_column("number", justify="right")
     for sense in SENSES:
@@ -326,7 +326,7 @@ def _events(events: Sequence[Event]) -> Table:
     return table
 
 
-def _instant_s(event: Event, sense: str) -> float | None:
+def _instant_s(event: SensedEvent, sense: str) -> float | None:
     found = event.perceived[sense]
     return None if found is None else round(found.instant_ns / 1e9, 6)
 

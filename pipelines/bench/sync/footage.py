@@ -18,8 +18,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.detect import ClickDetector, LightDetector, Roi
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ
-from pipelines.report.sync.figures import Event
-from pipelines.report.sync.matching import Found, match_around
+from pipelines.report.sync.figures import SensedEvent
+from pipelines.report.sync.matching import Matched, match_around
 from telepresence.haptics.step_detector import StepDetector
 
 #: Whole pictures are scaled down to this width at most, and searched in this many columns of cells:
@@ -32,13 +32,13 @@ _AROUND_NS = 750 * NS_PER_MS
 _JUMP_NS = 5 * NS_PER_MS
 
 
-def lights(path: Path, roi: Roi | None) -> list[Found]:
+def lights(path: Path, roi: Roi | None) -> list[Matched]:
     """The lights that come on in a video file. roi: pixels of the file's pictures.
 
     ConfigError if it cannot be read.
     """
     eye = LightDetector(roi=roi, columns=_COLUMNS)
-    found: list[Found] = []
+    found: list[Matched] = []
     instants: set[int] = set()
     for instant_ns, frame in _decoded(path, "video"):
         assert isinstance(frame, av.VideoFrame)
@@ -56,17 +56,17 @@ def lights(path: Path, roi: Roi | None) -> list[Found]:
         instants.add(instant_ns)
         for light in iter(eye.next_event, None):
             slack_ns = light.instant_ns - light.previous_tag
-            found.append(Found(light.instant_ns, light.strength, slack_ns=slack_ns))
+            found.append(Matched(light.instant_ns, light.strength, slack_ns=slack_ns))
     if len(instants) < 4:
         raise ConfigError(f"{path}: it has fewer than 4 pictures with a time stamp")
     return found
 
 
-def clicks(path: Path) -> list[Found]:
+def clicks(path: Path) -> list[Matched]:
     """The clicks in a file with sound. ConfigError if it cannot be read."""
     ear = ClickDetector()
     resampler = av.AudioResampler("s16", "mono", AUDIO_CLOCK_HZ)
-    found: list[Found] = []
+    found: list[Matched] = []
     due_ns: int | None = None
 
     def hear(piece: av.AudioFrame) -> None:
@@ -81,7 +81,7 @@ def clicks(path: Path) -> list[Found]:
         ear.handle_block(samples, at_ns, at_ns)
         due_ns = at_ns + len(samples) * NS_PER_S // AUDIO_CLOCK_HZ
         found.extend(
-            Found(click.instant_ns, click.strength) for click in iter(ear.next_event, None)
+            Matched(click.instant_ns, click.strength) for click in iter(ear.next_event, None)
         )
 
     for _, frame in _decoded(path, "audio"):
@@ -94,11 +94,11 @@ def clicks(path: Path) -> list[Found]:
         raise ConfigError(f"{path}: there is no sound in it")
     # Silence, so that a click at the very end is complete.
     ear.handle_block(np.zeros(AUDIO_CLOCK_HZ // 20, np.int16), due_ns, due_ns)
-    found.extend(Found(click.instant_ns, click.strength) for click in iter(ear.next_event, None))
+    found.extend(Matched(click.instant_ns, click.strength) for click in iter(ear.next_event, None))
     return found
 
 
-def steps(path: Path) -> list[Found]:
+def steps(path: Path) -> list[Matched]:
     """The steps in a table `time_s,force_n`. ConfigError, with the line, for a wrong table."""
     detector = StepDetector()
     rows = list(_rows(path))
@@ -107,15 +107,15 @@ def steps(path: Path) -> list[Found]:
     for (_, before_s, _), (line, after_s, _) in pairwise(rows):
         if after_s <= before_s:
             raise ConfigError(f"{path}: line {line}: time does not increase after {before_s:g} s")
-    found: list[Found] = []
+    found: list[Matched] = []
     for _, time_s, force_n in rows:
         detector.handle_sample(round(time_s * NS_PER_S), force_n)
         while (step := detector.next_event()) is not None:
-            found.append(Found(step.instant_ns, step.rise_n))
+            found.append(Matched(step.instant_ns, step.rise_n))
     return found
 
 
-def joined(found: dict[str, list[Found]]) -> list[Event]:
+def joined(found: dict[str, list[Matched]]) -> list[SensedEvent]:
     """Join what belongs to one event. found: by sense, at least two of light, click and force.
 
     Lights and clicks are joined to the force, or clicks to the light if there is no force; each to
@@ -130,7 +130,7 @@ def joined(found: dict[str, list[Found]]) -> list[Event]:
         for sense, some in found.items()
     }
     return [
-        Event(
+        SensedEvent(
             one.instant_ns,
             -1,
             {

@@ -16,6 +16,7 @@ from pipelines.hand.haptic_trace import ACTED, CONTACT, DEAD_MAN
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import (
     SAMPLE,
+    RecordedFigures,
     RecordedFrames,
     RecorderLosses,
     parse_message,
@@ -23,6 +24,7 @@ from pipelines.recording.messages import (
     unpack_haptics,
 )
 from pipelines.recording.schemas import (
+    FIGURES,
     HAPTIC_SAMPLES,
     LOSSES,
     SCHEMAS,
@@ -41,6 +43,7 @@ _NewRows = dict[str, Sequence[Any] | NDArray[Any]]
 _TYPES = {
     "bool": np.bool_,
     "fixed32": np.uint32,
+    "double": np.float64,
     "float": np.float32,
     "int64": np.int64,
     "sfixed32": np.int32,
@@ -193,10 +196,20 @@ def _losses(message: JoinedMessage) -> tuple[list[int], Rows]:
     }
 
 
+def _figures(message: JoinedMessage) -> tuple[list[int], Rows]:
+    told = unpack(RecordedFigures, message.data)
+    return [told.session_ns] * len(told.figures), {
+        "name": [one.name for one in told.figures],
+        "number": np.array([one.number for one in told.figures], np.float64),
+        "text": [one.text for one in told.figures],
+    }
+
+
 _SPECIAL: Mapping[str, Callable[[JoinedMessage], tuple[Any, Rows]]] = {
     HAPTIC_SAMPLES.full_name: _haptics,
     TRANSFER_FRAMES.full_name: _frames,
     LOSSES.full_name: _losses,
+    FIGURES.full_name: _figures,
 }
 
 

@@ -38,7 +38,7 @@ class FilmUnits:
         self._bridged = False
 
     def handle_picture(self, message: JoinedMessage) -> Iterator[FilmUnit]:
-        """Take a message with a picture. ProtocolError if it is none."""
+        """Take a message with a picture. ProtocolError for anything else."""
         yield from self.handle_end()
         self._held = message, unpack(RecordedPicture, message.data).data
         if not self._with_facts:

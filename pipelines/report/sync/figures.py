@@ -10,7 +10,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.media.watching import WATCHED
 from pipelines.report.model import ContentSkew, ListedContact, Ranks, SenseReport, SyncReport
 from pipelines.report.sync.limits import LIMITS
-from pipelines.report.sync.matching import Found, match
+from pipelines.report.sync.matching import Matched, match
 from pipelines.report.sync.verdict import judge
 from pipelines.session.probe import Series
 from pipelines.session.rows import ClickRow, ContactRow, LightRow, StepRow
@@ -38,12 +38,12 @@ _LISTED = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class SensedEvent:
     """A contact with a target: its instant, its LED, and what was perceived of it by sense."""
 
     instant_ns: int
     led: int
-    perceived: dict[str, Found | None]
+    perceived: dict[str, Matched | None]
 
     def latency_ns(self, sense: str) -> int | None:
         """From the contact to its perception; None if it was missed."""
@@ -56,7 +56,7 @@ class SyncFigures:
 
     def __init__(self) -> None:
         self._contacts: deque[tuple[int, int]] = deque(maxlen=_DEPTH)
-        self._found: dict[str, deque[Found]] = {sense: deque(maxlen=_DEPTH) for sense in SENSES}
+        self._found: dict[str, deque[Matched]] = {sense: deque(maxlen=_DEPTH) for sense in SENSES}
         #: Steps of the force whose samples' stamps are not known yet.
         self._steps: deque[int] = deque(maxlen=_DEPTH)
         #: Everything up to this instant is known.
@@ -70,7 +70,7 @@ class SyncFigures:
             elif isinstance(row, StepRow):
                 self._steps.append(row.instant_ns)
             elif series.stream == WATCHED[_SENSE_OF[series.kind]]:
-                found = Found(row.instant_ns, float(row.strength), row.capture_ns, row.slack_ns)
+                found = Matched(row.instant_ns, float(row.strength), row.capture_ns, row.slack_ns)
                 self._found[_SENSE_OF[series.kind]].append(found)
 
     def handle_time(self, now_ns: int, sent_ns_at: Callable[[int], int | None]) -> None:
@@ -80,13 +80,13 @@ class SyncFigures:
         # By then both ends of the samples have reported their stamps.
         while steps and steps[0] <= now_ns - _PATIENCE_NS:
             instant_ns = steps.popleft()
-            self._found["force"].append(Found(instant_ns, stamp_ns=sent_ns_at(instant_ns)))
+            self._found["force"].append(Matched(instant_ns, stamp_ns=sent_ns_at(instant_ns)))
 
-    def _events(self, senses: Sequence[str], soonest_ns: int) -> list[Event]:
+    def _events(self, senses: Sequence[str], soonest_ns: int) -> list[SensedEvent]:
         """Every contact with a target, by its instant, without bounces."""
         contacts, _ = self._apart()
         instants = [instant_ns for instant_ns, _ in contacts]
-        nothing: list[Found | None] = [None] * len(instants)
+        nothing: list[Matched | None] = [None] * len(instants)
         matched = {
             sense: match(instants, self._sorted(sense), soonest_ns=soonest_ns)
             if sense in senses
@@ -94,7 +94,7 @@ class SyncFigures:
             for sense in SENSES
         }
         return [
-            Event(instant_ns, led, {sense: matched[sense][index] for sense in SENSES})
+            SensedEvent(instant_ns, led, {sense: matched[sense][index] for sense in SENSES})
             for index, (instant_ns, led) in enumerate(contacts)
             if led >= 0 and instant_ns <= self._now_ns - soonest_ns - _PATIENCE_NS
         ]
@@ -132,14 +132,14 @@ class SyncFigures:
             last_ns = instant_ns
         return apart, bounces
 
-    def _sorted(self, sense: str) -> list[Found]:
+    def _sorted(self, sense: str) -> list[Matched]:
         found = list(self._found[sense])
         if sense == "force":
             # These steps were felt, although the stamps of their samples are not known yet.
-            found += map(Found, self._steps)
+            found += map(Matched, self._steps)
         return sorted(found, key=lambda one: one.instant_ns)
 
-    def _sense(self, sense: str, events: Sequence[Event]) -> SenseReport:
+    def _sense(self, sense: str, events: Sequence[SensedEvent]) -> SenseReport:
         perceived = [
             (event.instant_ns, found)
             for event in events
@@ -191,7 +191,7 @@ def disagreements(report: SyncReport | None, *, unjudged: Container[str] = ()) -
     return lines
 
 
-def skews_ns(pair: str, events: Sequence[Event]) -> list[int]:
+def skews_ns(pair: str, events: Sequence[SensedEvent]) -> list[int]:
     """How much later (ns) the pair's first sense came than its second, if both came."""
     first, second = PAIRS[pair]
     both = ((event.latency_ns(first), event.latency_ns(second)) for event in events)
@@ -241,7 +241,7 @@ def _both_ms(values_ns: tuple[int, int]) -> tuple[float, float]:
     return _ms(values_ns[0]), _ms(values_ns[1])
 
 
-def _listed(event: Event, start_ns: int) -> ListedContact:
+def _listed(event: SensedEvent, start_ns: int) -> ListedContact:
     latencies_ms = {
         sense: None if (value_ns := event.latency_ns(sense)) is None else _ms(value_ns)
         for sense in SENSES

@@ -25,7 +25,7 @@ _LEAST_NEAR, _LEAST_FAR = 0.2, 0.6
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Matched:
     """Something that a detector found.
 
     instant_ns: when it was shown, heard or felt. strength: the detector's own measure. stamp_ns:
@@ -40,8 +40,8 @@ class Found:
 
 
 def match(
-    contacts: Sequence[int], found: Sequence[Found], *, soonest_ns: int = 0
-) -> list[Found | None]:
+    contacts: Sequence[int], found: Sequence[Matched], *, soonest_ns: int = 0
+) -> list[Matched | None]:
     """What was found of each contact (instants in ns, ascending), or None.
 
     found: ascending by instant. soonest_ns: the least delay. Each finding is used once. If it comes
@@ -55,8 +55,8 @@ def match(
 
 
 def match_around(
-    contacts: Sequence[int], found: Sequence[Found], *, around_ns: int
-) -> list[Found | None]:
+    contacts: Sequence[int], found: Sequence[Matched], *, around_ns: int
+) -> list[Matched | None]:
     """As `match`, but a finding may also come before its contact, by at most `around_ns`.
 
     Each finding is used once. Between two contacts it belongs to the nearer one.
@@ -71,8 +71,8 @@ def match_around(
 
 
 def _chosen(
-    contacts: Sequence[int], found: Sequence[Found], begins: Sequence[int], ends: Sequence[int]
-) -> list[Found | None]:
+    contacts: Sequence[int], found: Sequence[Matched], begins: Sequence[int], ends: Sequence[int]
+) -> list[Matched | None]:
     """The finding of each contact, out of those from its begin to before its end."""
     instants = np.array([one.instant_ns for one in found], np.int64)
     candidates = [
@@ -83,7 +83,7 @@ def _chosen(
     ]
     usual_ns = _usual(contacts, candidates)
 
-    def near(contact_ns: int, one: Found) -> bool:
+    def near(contact_ns: int, one: Matched) -> bool:
         return abs(one.instant_ns - contact_ns - usual_ns) <= _NEAR_NS
 
     chosen = []
@@ -105,7 +105,7 @@ def _chosen(
     ]
 
 
-def _usual(contacts: Sequence[int], candidates: Sequence[Sequence[Found]]) -> int:
+def _usual(contacts: Sequence[int], candidates: Sequence[Sequence[Matched]]) -> int:
     """The delay (ns) for which most of the findings vote."""
     delays, votes = [], []
     for contact_ns, some in zip(contacts, candidates, strict=True):

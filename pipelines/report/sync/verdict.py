@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.report.sync.matching import Found
+from pipelines.report.sync.matching import Matched
 
 #: The largest median error of stamps of sound and touch. A picture may also be dated later, by up
 #: to the time since the picture before.
@@ -39,7 +39,7 @@ class SyncVerdict:
     agrees: bool | None
 
 
-def judge(perceived: Sequence[tuple[int, Found]]) -> SyncVerdict:
+def judge(perceived: Sequence[tuple[int, Matched]]) -> SyncVerdict:
     """The verdict on pairs of a contact's instant and its finding; without a stamp: left out."""
     stamped = [
         (found.strength, found.stamp_ns - contact_ns, found.slack_ns)

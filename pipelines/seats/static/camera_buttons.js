@@ -53,7 +53,8 @@ class CameraButtons extends HTMLElement {
     const number = this.#number;
     this.#mark(camera.name);
     this.#say(`${camera.name}: waiting for the acknowledgement …`, "warn");
-    const answer = await connection.request({ do: "select", camera: camera.name });
+    const chosen = { application: "camera", name: "select", arguments: [camera.name] };
+    const answer = await connection.request({ do: "command", ...chosen });
     if (number !== this.#number) return;
     this.#mark(null);
     const trip = answer.round_trip_ms;

@@ -13,7 +13,7 @@
 export const NOTHING = "–";
 
 /** A figure as text. @param {Figure | undefined} value @param {number} [decimals] */
-export function figureText(value, decimals) {
+function figureText(value, decimals) {
   if (value === null || value === undefined) return NOTHING;
   if (typeof value !== "number") return String(value);
   if (!Number.isFinite(value)) return NOTHING;

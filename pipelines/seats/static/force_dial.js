@@ -1,5 +1,5 @@
 /**
- * `<force-dial>`: the force as an arrow in a ring, for whoever looks at the picture.
+ * `<force-dial>`: the force as an arrow in a ring, beside the picture.
  *
  * It lies over the picture, so its colours are those of the dark theme in both.
  *

@@ -3,7 +3,7 @@ import { codecOf } from "./avc.js";
 /** @import { Unit } from "./wire.js" */
 
 /**
- * A decoded picture that is to be drawn. Whoever takes it closes its frame.
+ * A decoded picture that is to be drawn. The taker closes its frame.
  * @typedef {object} Decoded
  * @property {VideoFrame} frame
  * @property {number} sequence

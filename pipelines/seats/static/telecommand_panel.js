@@ -3,7 +3,7 @@
  * now. The server refuses what the page's role may not.
  *
  * @import { Seat } from "./seat.js"
- * @import { ApplicationText, Figure, Verb } from "./texts.js"
+ * @import { ApplicationText, Verb } from "./texts.js"
  */
 import { make, setText } from "./dom.js";
 import { nameText } from "./wording.js";
@@ -87,7 +87,7 @@ class TelecommandPanel extends HTMLElement {
 /** @param {string} words @param {Verb} verb @param {string} name @param {string[]} [given] @returns {Choice} */
 const choice = (words, verb, name, given = []) => ({ words, verb, name, arguments: given });
 
-/** @param {string} word @returns {Figure} */
+/** @param {string} word @returns {string | number | boolean} */
 function argument(word) {
   const text = word.trim();
   if (text === "true" || text === "false") return text === "true";

@@ -1,311 +1,262 @@
 /**
  * The types of the JSON texts that a seat's server and its page exchange.
  *
- * Names are those on the wire. `_us`: the session's monotonic clock. `_m`: metres of the workspace.
- */
-
-/**
- * A stream that the page is sent. `via`: as it was decoded, as it was sent, or sound.
- * @typedef {object} StreamText
- * @property {number} index
- * @property {string} name
- * @property {"video" | "voice"} kind
- * @property {"coded" | "sent" | "sound"} via
- * @property {number} [width]
- * @property {number} [height]
- * @property {number} [fps]
- * @property {number} [cap_bps]
- * @property {number} [stale_after_ms]
- */
-
-/**
- * @typedef {object} CameraText
- * @property {string} name
- * @property {string[]} inputs
- */
-
-/**
- * @typedef {object} PreviewText
- * @property {number} index
- * @property {string} input
- * @property {number} width
- * @property {number} height
- */
-
-/**
- * An input that the seat's own camera or microphone can take over.
- * @typedef {object} InputText
- * @property {number} index
- * @property {string} name
- * @property {"video" | "audio"} kind
- * @property {number} [width]
- * @property {number} [height]
- * @property {number} [fps]
- */
-
-/**
- * @typedef {object} BoardText
- * @property {number} width_m
- * @property {number} height_m
- * @property {number} wall_x_m
- * @property {[number, number][]} leds_m
- * @property {[number, number][]} [lights_m] The LED panel's, in a session with tasks.
- */
-
-/**
- * The first text of a connection.
- * @typedef {object} HelloText
- * @property {"hello"} kind
- * @property {"space" | "ground"} seat
- * @property {"operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "viewer"} role
- * @property {number} page
- * @property {number} now_us
- * @property {string} setup
- * @property {string} session
- * @property {StreamText[]} streams
- * @property {CameraText[]} cameras
- * @property {PreviewText[]} [previews]
- * @property {InputText[]} inputs
- * @property {string} joystick
- * @property {{half_width_m: number, half_height_m: number}} workspace
- * @property {BoardText} board
- * @property {Record<string, unknown>} [caps]
- * @property {ApplicationText[]} applications
- * @property {PassText[]} passes
- * @property {boolean} tasks Whether the session has any.
- * @property {{name: string, text: string}[]} task_list In space: those that can be selected.
- */
-
-/**
- * A parameter of telemetry. `low`, `high`: limits, null without.
- * @typedef {object} ParameterText
- * @property {string} name
- * @property {string} unit
- * @property {string} text
- * @property {number | null} low
- * @property {number | null} high
- */
-
-/** @typedef {{name: string, parameters: string[], interval_s: number, on: boolean}} StructureText */
-/** @typedef {{name: string, arguments: string[], text: string}} FunctionText */
-
-/**
- * An application of telecommands and telemetry.
- * @typedef {object} ApplicationText
- * @property {string} name
- * @property {"space" | "ground"} end
- * @property {string} text
- * @property {ParameterText[]} parameters
- * @property {StructureText[]} structures
- * @property {FunctionText[]} functions
- */
-
-/**
- * A pass ahead; `_s` from the acquisition of this session's own.
- * @typedef {{acquisition: string, acquisition_s: number, loss_s: number, peak_deg: number}} PassText
- */
-
-/**
- * @typedef {object} JoystickText
- * @property {string} state
- * @property {string} reason
- * @property {boolean} dead_man
- * @property {number} force_limit_n
- * @property {string} [device]
- */
-
-/**
- * Sent ten times a second; it is also the heartbeat.
- * @typedef {object} StateText
- * @property {"state"} kind
- * @property {number} now_us
- * @property {"connected" | "lost"} link
- * @property {boolean} signal
- * @property {string | null} camera
- * @property {JoystickText | null} joystick
- * @property {{holder: number | null, you: boolean, wanted_by: number | null}} hand
- * @property {Record<string, number | null>} inputs
+ * Written by .ci/web/texts.py: change what the server packs, not this file. `_us`: the session's
+ * monotonic clock. `_m`: metres of the workspace.
  */
 
 /** @typedef {number | string | boolean | null} Figure */
 
-/**
- * @typedef {object} LinkCounts
- * @property {Record<string, number>} octets By what they carried, since the start.
- * @property {Record<string, number>} drops Packets, by level.
- * @property {number} lost
- * @property {number} slips
- */
-
-/**
- * @typedef {object} ProcessText
- * @property {string} name
- * @property {string | null} segment
- * @property {number | null} cpu Share of a core over the last 2 s.
- * @property {number} restarts
- * @property {boolean} running
- * @property {string | null} error
- */
-
-/**
- * @typedef {object} EventText
- * @property {number} number
- * @property {number} at_us
- * @property {string} what
- * @property {string} text
- */
-
-/**
- * Sent every 500 ms.
- * @typedef {object} FiguresText
- * @property {"figures"} kind
- * @property {number} at_us
- * @property {number} seconds
- * @property {"running" | "stopped"} state
- * @property {Record<string, Figure>} figures
- * @property {Record<string, LinkCounts>} link
- * @property {ProcessText[]} processes
- * @property {EventText[]} events
- */
-
-/**
- * The answer to the request of this number.
- * @typedef {object} AnswerText
- * @property {"answer"} kind
- * @property {number} request
- * @property {boolean} ok
- * @property {string} error
- * @property {number} [round_trip_ms]
- */
-
-/**
- * A line of the chat. `state`: waiting, delivered or refused; received from the other end.
- * @typedef {object} ChatLine
- * @property {number} number
- * @property {number} at_us
- * @property {string} sender
- * @property {string} text
- * @property {"waiting" | "delivered" | "refused" | "received"} state
- * @property {string} [reason]
- * @property {number} [round_trip_ms]
- */
-
-/** @typedef {{kind: "chat", lines: ChatLine[]}} ChatText The whole chat. */
-
-/**
- * A telecommand of this seat, and what became of it.
- * @typedef {object} CommandLine
- * @property {number} number
- * @property {number} at_us
- * @property {string} who
- * @property {string} words
- * @property {string} stage
- * @property {boolean} [done]
- * @property {boolean} [ok]
- * @property {boolean} [verified]
- * @property {string} [reason]
- * @property {number} [round_trip_ms]
- * @property {number} [tries]
- */
-
-/** @typedef {{kind: "commands", commands: CommandLine[]}} CommandsText */
-
 /** @typedef {"good" | "warn" | "bad" | "none"} Level */
 
-/**
- * @typedef {object} ValueText
- * @property {string} application
- * @property {string} name
- * @property {Figure} value
- * @property {Level} level The colour of its limit.
- * @property {number} at_us When it was heard here.
- */
-
-/** @typedef {{kind: "values", values: ValueText[]}} ValuesText */
+/** @typedef {"call" | "ping" | "report" | "housekeeping_on" | "housekeeping_off"} Verb */
 
 /**
- * @typedef {object} EventLine
- * @property {number} number
- * @property {number} at_us
- * @property {string} application
- * @property {string} name
- * @property {"info" | "low" | "medium" | "high"} severity
- * @property {Record<string, Figure>} values
- */
-
-/** @typedef {{kind: "events", events: EventLine[]}} EventsText */
-
-/** @typedef {{kind: "radio", level: Level, words: string}} RadioText */
-
-/**
- * What the mission control panel shows; `_m` of the workspace.
- * @typedef {object} PanelText
- * @property {"panel"} kind
- * @property {string} mode
- * @property {string} task
- * @property {number} run
- * @property {string} text
- * @property {string} words
- * @property {[number, number]} start_m
- * @property {number} distance_m
- * @property {number} held_s
- * @property {[number, number]} handle_m
- * @property {boolean} dead_man
+ * A stream that a page is sent.
+ * @typedef {{index: number, name: string, kind: "video" | "voice", via: "coded" | "sent" |
+ *   "sound", cap_bps: number, stale_after_ms: number, width?: number, height?: number, fps?:
+ *   number}} StreamText
  */
 
 /**
- * Where the experiment is: Elemop, state of the panel, newest steps, newest runs.
- * @typedef {object} ExperimentText
- * @property {"experiment"} kind
- * @property {string} phase
- * @property {string} task
- * @property {number} run
- * @property {string} elemop
- * @property {string} panel
- * @property {string} [reason]
- * @property {{name: string, text: string}[]} tasks
- * @property {{at_ns: number, run: number, task: string, step: string}[]} steps
- * @property {{task: string, run: number, result: string, reason: string, seconds: number | null}[]} runs
- * @property {boolean} planned A plan selects the tasks.
+ * A camera that can be selected.
+ * @typedef {{name: string, inputs: string[]}} CameraText
  */
 
 /**
- * @typedef {object} RobotText
- * @property {"robot"} kind
- * @property {boolean} powered
- * @property {string} mode
- * @property {number} x_m
- * @property {number} y_m
- * @property {number} push_n
- * @property {[number, number] | null} goal_m
- * @property {string} fault
- * @property {number} faults
- * @property {number} refused
- * @property {number} handled
- * @property {boolean} halted
- * @property {number} [step_hz]
+ * The small pictures of an input.
+ * @typedef {{index: number, input: string, width: number, height: number}} PreviewText
  */
 
 /**
- * @typedef {HelloText | StateText | FiguresText | AnswerText | ChatText | CommandsText | ValuesText
- *   | EventsText | RadioText | PanelText | ExperimentText | RobotText} ServerText
+ * An input that a page's own camera or microphone can take over.
+ * @typedef {{index: number, name: string, kind: "video" | "audio", width?: number, height?:
+ *   number, fps?: number}} InputText
  */
+
+/**
+ * The workspace of the joystick, from its middle.
+ * @typedef {{half_width_m: number, half_height_m: number}} WorkspaceText
+ */
+
+/**
+ * The robot's task board; its middle is (0, 0). lights_m: of the LED panel, with tasks.
+ * @typedef {{width_m: number, height_m: number, wall_x_m: number, leds_m: [number, number][],
+ *   lights_m: [number, number][]}} BoardText
+ */
+
+/**
+ * A parameter, and from where on it is coloured.
+ * @typedef {{name: string, unit: string, text: string, low: number | null, high: number | null}}
+ *   ParameterText
+ */
+
+/**
+ * A housekeeping report. on: from the start.
+ * @typedef {{name: string, parameters: string[], interval_s: number, on: boolean}} StructureText
+ */
+
+/**
+ * A function that a telecommand starts.
+ * @typedef {{name: string, arguments: string[], text: string}} FunctionText
+ */
+
+/**
+ * An application of the dictionary.
+ * @typedef {{name: string, end: string, text: string, parameters: ParameterText[], structures:
+ *   StructureText[], functions: FunctionText[]}} ApplicationText
+ */
+
+/**
+ * A pass ahead. `_s`: from the acquisition of this session's own pass.
+ * @typedef {{acquisition: string, acquisition_s: number, loss_s: number, peak_deg: number}}
+ *   PassText
+ */
+
+/**
+ * A task that can be selected. text: for the cosmonaut.
+ * @typedef {{name: string, text: string}} TaskText
+ */
+
+/**
+ * The first text of a connection. page: its number.
+ * @typedef {{kind: "hello", seat: "ground" | "space", setup: string, session: string, streams:
+ *   StreamText[], cameras: CameraText[], previews: PreviewText[], inputs: InputText[], joystick:
+ *   string, workspace: WorkspaceText, board: BoardText, caps: Record<string, number>,
+ *   applications: ApplicationText[], passes: PassText[], tasks: boolean, task_list: TaskText[],
+ *   role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "viewer", page:
+ *   number, now_us: number}} HelloText
+ */
+
+/**
+ * The joystick's state in words.
+ * @typedef {{state: string, reason: string, dead_man: boolean, force_limit_n: number, device:
+ *   string}} JoystickText
+ */
+
+/**
+ * Who holds the handle, and who asks for it, by numbers of pages.
+ * @typedef {{holder: number | null, you: boolean, wanted_by: number | null}} HandText
+ */
+
+/**
+ * The heartbeat, 10 times a second, and at each change.
+ * @typedef {{kind: "state", now_us: number, link: "connected" | "lost", signal: boolean, camera:
+ *   string | null, joystick: JoystickText | null, hand: HandText, inputs: Record<string, number |
+ *   null>}} StateText
+ */
+
+/**
+ * A direction of the link, counted since the session began. octets: by what they carried. drops:
+ * packets, by level. lost: frames.
+ * @typedef {{octets: Record<string, number>, drops: Record<string, number>, lost: number, slips:
+ *   number}} LinkCounts
+ */
+
+/**
+ * A process. cpu: share of a core over the last 2 s; None: not known yet.
+ * @typedef {{name: string, segment: string | null, cpu: number | null, restarts: number, running:
+ *   boolean, error: string}} ProcessText
+ */
+
+/**
+ * One event. number: from 1 on. at_us: on the session's clock. what: `link`, `process`, `camera`,
+ * `stale`, `joystick`, `input` or `session`.
+ * @typedef {{number: number, at_us: number, what: string, text: string}} EventText
+ */
+
+/**
+ * What a page gets twice a second. at_us: on the session's clock. seconds: since the session
+ * began.
+ * @typedef {{kind: "figures", at_us: number, seconds: number, state: "running" | "stopped",
+ *   figures: Record<string, Figure>, link: Record<string, LinkCounts>, processes: ProcessText[],
+ *   events: EventText[]}} FiguresText
+ */
+
+/**
+ * The answer to a request of this number. error: "" if it was carried out.
+ * @typedef {{kind: "answer", request: number, ok: boolean, error: string, round_trip_ms?: number}}
+ *   AnswerText
+ */
+
+/**
+ * A line of the chat. state: `waiting`, `delivered`, `refused`; `received` from the others.
+ * @typedef {{number: number, at_us: number, sender: string, text: string, state: string, reason?:
+ *   string, round_trip_ms?: number}} ChatLine
+ */
+
+/**
+ * The whole chat, as far as it is kept.
+ * @typedef {{kind: "chat", lines: ChatLine[]}} ChatText
+ */
+
+/**
+ * A telecommand of this seat. stage, done, ok, verified: as in `CommandUpdate`.
+ * @typedef {{number: number, at_us: number, who: string, words: string, stage: string, done?:
+ *   boolean, ok?: boolean, verified?: boolean, reason?: string, round_trip_ms?: number, tries?:
+ *   number}} CommandLine
+ */
+
+/**
+ * The telecommands of this seat.
+ * @typedef {{kind: "commands", commands: CommandLine[]}} CommandsText
+ */
+
+/**
+ * A parameter's newest value. value: None for NaN. at_us: when it was heard.
+ * @typedef {{application: string, name: string, value: Figure, level: Level, at_us: number}}
+ *   ValueText
+ */
+
+/**
+ * All parameters that were reported.
+ * @typedef {{kind: "values", values: ValueText[]}} ValuesText
+ */
+
+/**
+ * An event of an application of either end.
+ * @typedef {{number: number, at_us: number, application: string, name: string, severity: string,
+ *   values: Record<string, Figure>}} EventLine
+ */
+
+/**
+ * The newest events.
+ * @typedef {{kind: "events", events: EventLine[]}} EventsText
+ */
+
+/**
+ * Whether both directions carry, in words.
+ * @typedef {{kind: "radio", level: Level, words: string}} RadioText
+ */
+
+/**
+ * The panel, as `telepresence.tasks.panel.PanelView` has it; handle_m: where the handle is.
+ * @typedef {{kind: "panel", mode: string, task: string, run: number, text: string, words: string,
+ *   start_m: [number, number], distance_m: number, held_s: number, handle_m: [number, number],
+ *   dead_man: boolean}} PanelText
+ */
+
+/**
+ * A task that can be selected.
+ * @typedef {{name: string, text: string}} TaskListed
+ */
+
+/**
+ * A step of a run, at an instant of the session's clock.
+ * @typedef {{at_ns: number, run: number, task: string, step: string}} StepShown
+ */
+
+/**
+ * A run that is over. seconds: from its start; None if it never started.
+ * @typedef {{task: string, run: number, result: string, reason: string, seconds: number | null}}
+ *   RunShown
+ */
+
+/**
+ * The experiment: its phase, the present task ("" without), Elemop, and what the panel shows.
+ * tasks: in the catalogue's order, by whose index telecommands name them. steps: the newest ones.
+ * runs: the newest ones. planned: a plan selects the tasks.
+ * @typedef {{kind: "experiment", phase: string, task: string, run: number, elemop: string, panel:
+ *   string, tasks: TaskListed[], steps: StepShown[], runs: RunShown[], planned: boolean}}
+ *   ExperimentText
+ */
+
+/**
+ * The robot controller. life: of its process. handled: number of the newest order. x_m, y_m: of
+ * the tip. push_n: the board's force. goal_m: where it rests after a move. fault: one line, "" for
+ * none. error: its kind, a `telepresence.tasks.robot_control.Fault`. halted: the newest sample of
+ * the joystick says that it is. commanded: number of the newest `RobotCommand`; None for none.
+ * command_refusal: why that was refused, "" if it was carried out. step_hz: cycles of the
+ * controller, in the last second.
+ * @typedef {{kind: "robot", life: number, powered: boolean, mode: "position" | "torque" |
+ *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
+ *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
+ *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number}}
+ *   RobotText
+ */
+
+/** @typedef {HelloText
+ *   | StateText
+ *   | FiguresText
+ *   | AnswerText
+ *   | ChatText
+ *   | CommandsText
+ *   | ValuesText
+ *   | EventsText
+ *   | RadioText
+ *   | PanelText
+ *   | ExperimentText
+ *   | RobotText} ServerText */
 
 /**
  * What a page may ask for.
- * @typedef {{do: "select", camera: string}
- *   | {do: "joystick", event: "calibrate" | "start" | "halt" | "acknowledge" | "stop" | "resume"}
+ * @typedef {{do: "joystick", event: "calibrate" | "start" | "halt" | "acknowledge" | "stop" | "resume"}
  *   | {do: "hand", action: "take" | "give" | "ask" | "refuse"}
  *   | {do: "session", action: "start" | "stop"}
  *   | {do: "record", action: "start" | "stop"}
- *   | {do: "input", name: string, on: boolean}
+ *   | {do: "command", application: string, verb?: Verb, name?: string, arguments?: (boolean | number | string)[]}
  *   | {do: "chat", text: string}
- *   | {do: "command", application: string, verb?: Verb, name?: string, arguments?: Figure[]}} Request
- */
-
-/**
- * What a telecommand asks for: a function, a sign of life, a report.
- * @typedef {"call" | "ping" | "report" | "housekeeping_on" | "housekeeping_off"} Verb
+ *   | {do: "input", name: string, on: boolean}} Request
  */
 
 export {};

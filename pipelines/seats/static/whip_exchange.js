@@ -11,7 +11,7 @@ const BROKEN_MS = 3_000;
 const GATHER_MS = 3_000;
 
 /** Splits Link header values into ICE servers. @param {string | null} header @returns {RTCIceServer[]} */
-export function serversOf(header) {
+function serversOf(header) {
   const found = [];
   for (const [, url, rest] of (header ?? "").matchAll(/<([^<>]+)>((?:\s*;\s*[a-z-]+=(?:"[^"]*"|[^\s",;]+))*)/g)) {
     const values = Object.fromEntries([...(rest ?? "").matchAll(/([a-z-]+)=(?:"([^"]*)"|([^\s",;]+))/g)].map(([, name, quoted, bare]) => [name, quoted ?? bare]));

@@ -20,7 +20,7 @@ export const Kind = Object.freeze({
 const HEADER_OCTETS = 16;
 const HAPTIC_HEADER_OCTETS = 8;
 const HAPTIC_ROW_OCTETS = 32;
-export const HAND_OCTETS = 24;
+const HAND_OCTETS = 24;
 /** Samples in a block of the page's own sound: 20 ms at 48 kHz. */
 export const BLOCK_SAMPLES = 960;
 

@@ -104,7 +104,7 @@ def setup_from_text(
 ) -> Setup:
     """A setup from the text of a TOML file, as `setup_text.setup_toml` writes it.
 
-    changes, radio_start_s: as of `load_setup`. Raises ConfigError for a text that is no setup.
+    changes, radio_start_s: as of `load_setup`. Raises ConfigError for a text that is not a setup.
     """
     try:
         values = _values(tomllib.loads(text))

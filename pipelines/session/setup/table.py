@@ -32,7 +32,6 @@ from telepresence.link.flows import (
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.path import RadioPath
 from telepresence.link.radio.profile import RadioProfile, built_in_radio, delayed
-from telepresence.tmtc.packets import check_name
 from telepresence.world import DEFAULT_SCENES
 from telepresence.world.board_view import BoardView
 
@@ -51,6 +50,8 @@ NO_RADIO = "cable"
 #: this time and this many periods together.
 _STALE_NS = 100 * NS_PER_MS
 _STALE_PERIODS = 4
+#: A telecommand carries at most this many octets of a camera's name (`dictionary.toml`).
+MAX_CAMERA_OCTETS = 10
 #: A session takes this many ports, from its base port on.
 PORTS = 40
 
@@ -199,7 +200,7 @@ class Setup:
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).
     region: what of the uplink video is coded finer than the rest (docs/video.md).
-    region_points: for a camera that is no built-in scene, the four corners of the task board in
+    region_points: for a camera other than a built-in scene, the four corners of the task board in
         its pictures: upper left, upper right, lower right, lower left; (x, y) in pixels.
     """
 
@@ -230,7 +231,7 @@ class Setup:
         for camera in self.cameras:
             if self.cameras.count(camera) > 1:
                 raise ConfigError(f"setup {self.name}: camera {camera} is named twice")
-            check_name(camera)
+            _check_camera(camera)
             if camera in (GROUND_MIC, ISS_CAMERA, ISS_MIC):
                 raise ConfigError(
                     f"setup {self.name}: camera {camera} has the name of another input; rename it"
@@ -462,3 +463,11 @@ def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:
         for stream in streams
         if stream is not None
     ]
+
+
+def _check_camera(name: str) -> None:
+    if not (1 <= len(name) <= MAX_CAMERA_OCTETS and name.isascii() and name.isprintable()):
+        raise ConfigError(
+            f"camera {name!r}: give it a name of 1 to {MAX_CAMERA_OCTETS} printable ASCII "
+            "characters, so that a telecommand can carry it"
+        )

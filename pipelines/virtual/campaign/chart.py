@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from pipelines.report.charts import COLOURS, new_figure
 from pipelines.virtual.campaign.figures import FIGURES
-from pipelines.virtual.campaign.sweep import CaseFigures, Spread, Sweep, Value
+from pipelines.virtual.campaign.sweep import CaseFigures, SeedSpread, Sweep, Value
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,7 +17,7 @@ _MOST_NAMED = 16
 def chart(sweep: Sweep, cases: Sequence[CaseFigures]) -> "Figure":
     """Medians over the seeds, with bars from the least to the largest."""
     x, others = sweep.x_field, [name for name in sweep.fields if name != sweep.x_field]
-    curves: dict[str, list[tuple[Value, Spread]]] = {}
+    curves: dict[str, list[tuple[Value, SeedSpread]]] = {}
     for case in cases:
         spread = case.figures[sweep.y]
         if spread is not None and x in case.values:

@@ -10,7 +10,7 @@ from pipelines.virtual.campaign.tasks import Crash, SessionTask
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class SweepFigure:
     """One figure: its name with its unit, the heading of its column, and where it comes from."""
 
     name: str
@@ -60,17 +60,17 @@ def _cap(of: PassFigures) -> float | None:
 #: In the order of the table. lost: of all frames. skew: the picture after the force. cap: the
 #: largest second of any stream, as a share of its cap.
 FIGURES = (
-    Figure("lost_up_pct", "lost up %", _lost(0)),
-    Figure("lost_down_pct", "lost down %", _lost(1)),
-    Figure("force_p99_ms", "force p99 ms", _haptic("up")),
-    Figure("position_p99_ms", "position p99 ms", _haptic("down")),
-    Figure("video_p50_ms", "video p50 ms", _stream("uplink_video", "p50")),
-    Figure("video_p99_ms", "video p99 ms", _stream("uplink_video", "p99")),
-    Figure("shown_hz", "shown/s", _shown_hz),
-    Figure("voice_p99_ms", "voice p99 ms", _stream("uplink_voice", "p99")),
-    Figure("skew_p95_ms", "skew p95 ms", lambda of: of.skew_p95_ms),
-    Figure("cap_pct", "cap %", _cap),
-    Figure("least_uj", "least µJ", lambda of: of.least_energy_uj),
+    SweepFigure("lost_up_pct", "lost up %", _lost(0)),
+    SweepFigure("lost_down_pct", "lost down %", _lost(1)),
+    SweepFigure("force_p99_ms", "force p99 ms", _haptic("up")),
+    SweepFigure("position_p99_ms", "position p99 ms", _haptic("down")),
+    SweepFigure("video_p50_ms", "video p50 ms", _stream("uplink_video", "p50")),
+    SweepFigure("video_p99_ms", "video p99 ms", _stream("uplink_video", "p99")),
+    SweepFigure("shown_hz", "shown/s", _shown_hz),
+    SweepFigure("voice_p99_ms", "voice p99 ms", _stream("uplink_voice", "p99")),
+    SweepFigure("skew_p95_ms", "skew p95 ms", lambda of: of.skew_p95_ms),
+    SweepFigure("cap_pct", "cap %", _cap),
+    SweepFigure("least_uj", "least µJ", lambda of: of.least_energy_uj),
 )
 
 

@@ -87,7 +87,7 @@ def task_key(task: SessionTask, keys: Sequence[str], code: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Spread:
+class SeedSpread:
     """A figure over the seeds of a case."""
 
     median: float
@@ -103,7 +103,7 @@ class CaseFigures:
     runs: int
     usable: int
     faults: Mapping[str, int]
-    figures: Mapping[str, Spread | None]
+    figures: Mapping[str, SeedSpread | None]
 
 
 def case_figures(sweep: Sweep, runs: Sequence[RunFigures | None]) -> list[CaseFigures]:
@@ -128,11 +128,11 @@ def case_figures(sweep: Sweep, runs: Sequence[RunFigures | None]) -> list[CaseFi
     return found
 
 
-def _spread(runs: Sequence[RunFigures], name: str) -> Spread | None:
+def _spread(runs: Sequence[RunFigures], name: str) -> SeedSpread | None:
     values = [value for run in runs if (value := run.figures.get(name)) is not None]
     if not values:
         return None
-    return Spread(median=round(median(values), 3), least=min(values), largest=max(values))
+    return SeedSpread(median=round(median(values), 3), least=min(values), largest=max(values))
 
 
 def headings(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[str]:
@@ -156,7 +156,7 @@ def _had(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[str]:
     return [name for name in sweep.figures if any(case.figures[name] for case in cases)]
 
 
-def _cell(spread: Spread | None) -> str:
+def _cell(spread: SeedSpread | None) -> str:
     if spread is None:
         return ""
     if spread.least == spread.largest:

@@ -30,7 +30,7 @@ from telepresence.toml_file import read_toml, typed
 
 _MOST_RUNS = 100_000
 _MOST_SECONDS = 100_000
-#: Fields of a grid that are none of a setup's.
+#: Fields of a grid that are not in a setup.
 _SETUP, _RADIO_START = "setup", "radio_start_s"
 
 

@@ -6,15 +6,18 @@ from statistics import median
 from kontur_av.clock import NS_PER_S
 from pipelines.report.result import JsonReader
 from pipelines.session.task_journal import OPEN, STEPS
-from telepresence.tasks.experiment import Step
+from telepresence.tasks.experiment import RunStep
 from telepresence.tasks.plan import SessionPlan
 from telepresence.tmtc.k2aci import TaskResult
 
 #: A run that is not over this long (s) after the last loss of signal is left hanging.
 LONGEST_END_S = 30.0
-_TOLD_END = STEPS.index(Step.FINISHED.value)
+_TOLD_END = STEPS.index(RunStep.FINISHED.value)
 #: What the panel reports.
-_PANEL = {STEPS.index(step.value) for step in (Step.SHOWN, Step.AT_START, Step.HELD, Step.SEEN)}
+_PANEL = {
+    STEPS.index(step.value)
+    for step in (RunStep.SHOWN, RunStep.AT_START, RunStep.HELD, RunStep.SEEN)
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,7 +31,7 @@ class Run:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TaskFigures:
+class TaskRunFigures:
     """What was done in one session.
 
     quiet_s: from the ground's last loss of signal to the end of the session, 0 if there was a
@@ -39,9 +42,9 @@ class TaskFigures:
     quiet_s: float
 
 
-def task_figures(report: JsonReader) -> TaskFigures:
+def task_figures(report: JsonReader) -> TaskRunFigures:
     """What a session's report says of its tasks."""
-    return TaskFigures(
+    return TaskRunFigures(
         runs=[
             Run(
                 name=run.text("name"),
@@ -83,7 +86,7 @@ def in_order(run: Run) -> bool:
     return all(part == sorted(set(part)) for part in (panel, robot))
 
 
-def task_faults(tasks: TaskFigures) -> list[str]:
+def task_faults(tasks: TaskRunFigures) -> list[str]:
     """What is wrong with the tasks of a session, a word or two each."""
     found = []
     if not any(run.result == TaskResult.FINISHED for run in tasks.runs):
@@ -103,7 +106,7 @@ def task_names(plan: SessionPlan | None) -> tuple[str, ...]:
     return ("tasks_begun", "tasks_finished", *(f"{name}_s" for name in names))
 
 
-def task_numbers(tasks: TaskFigures) -> dict[str, float | None]:
+def task_numbers(tasks: TaskRunFigures) -> dict[str, float | None]:
     """The figures of `task_names`: of a task the median time of its finished runs."""
     took_s: dict[str, list[float]] = {}
     for run in tasks.runs:

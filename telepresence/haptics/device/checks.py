@@ -16,7 +16,7 @@ from telepresence.haptics.device import (
 )
 from telepresence.haptics.device.check import CheckResult, CheckScript
 from telepresence.haptics.device.device import DeviceFacts, JoystickDevice
-from telepresence.haptics.device.operation import Operation
+from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.script import Output, ScriptRun
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
@@ -50,7 +50,7 @@ class CheckBench:
         limits: Limits | None = None,
         now_ns: int = 0,
     ) -> None:
-        self.operation = Operation(device, limits=limits, hands_off=True, now_ns=now_ns)
+        self.operation = JoystickOperation(device, limits=limits, hands_off=True, now_ns=now_ns)
         self.results: list[CheckResult] = []
         self._device = device
         self._names = list(names)

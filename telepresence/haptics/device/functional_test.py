@@ -39,7 +39,7 @@ class Outcome(StrEnum):
     ABORTED = "aborted"
 
 
-class Part(StrEnum):
+class TestPart(StrEnum):
     """The part that a failed or aborted test was about."""
 
     NONE = "none"
@@ -52,7 +52,7 @@ class TestReport(NamedTuple):
     """The newest test. reason: one line, "" if it passed or runs. number: how many have begun."""
 
     outcome: Outcome = Outcome.NONE
-    part: Part = Part.NONE
+    part: TestPart = TestPart.NONE
     reason: str = ""
     number: int = 0
 
@@ -64,28 +64,28 @@ def functional_test(facts: DeviceFacts) -> Script[TestReport]:
     released = Output(prompt="let go of the dead-man button")
     cycle, there = yield from _await_dead_man(cycle, released, wanted=False)
     if not there:
-        return TestReport(Outcome.FAILED, Part.DEAD_MAN, "the dead-man button was not let go")
+        return TestReport(Outcome.FAILED, TestPart.DEAD_MAN, "the dead-man button was not let go")
     held = Output(leds=leds, prompt="press and hold the dead-man button, hold the handle loosely")
     cycle, there = yield from _await_dead_man(cycle, held, wanted=True)
     if not there:
-        return TestReport(Outcome.FAILED, Part.DEAD_MAN, "the dead-man button was not pressed")
+        return TestReport(Outcome.FAILED, TestPart.DEAD_MAN, "the dead-man button was not pressed")
     if facts.has_force:
         result = yield from _while_held(_with_motors(facts), held)
     else:
         asked = held._replace(prompt="hold the dead-man button, and move the stick along its edge")
         result = yield from _while_held(workspace_check(facts), asked)
     if result is None:
-        return TestReport(Outcome.ABORTED, Part.DEAD_MAN, "the dead-man button was let go")
+        return TestReport(Outcome.ABORTED, TestPart.DEAD_MAN, "the dead-man button was let go")
     cycle = yield released
     cycle, there = yield from _await_dead_man(cycle, released, wanted=False)
     if result.trouble:
-        return TestReport(Outcome.FAILED, Part.PLACE, result.trouble)
+        return TestReport(Outcome.FAILED, TestPart.PLACE, result.trouble)
     if bad := [figure for figure in result.figures if not figure.passed]:
         figure = bad[0]
-        part = Part.FORCE if figure.unit == "N/m" else Part.PLACE
+        part = TestPart.FORCE if figure.unit == "N/m" else TestPart.PLACE
         return TestReport(Outcome.FAILED, part, _words(figure))
     if not there:
-        return TestReport(Outcome.FAILED, Part.DEAD_MAN, "the dead-man button was not let go")
+        return TestReport(Outcome.FAILED, TestPart.DEAD_MAN, "the dead-man button was not let go")
     return TestReport(Outcome.PASSED)
 
 

@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import JoystickDevice
-from telepresence.haptics.device.operation import Operation
+from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.figures import JoystickFigures, LoggedTransition
@@ -18,7 +18,7 @@ _HEARD_NS = 20 * NS_PER_MS
 
 
 class OperatedHandle:
-    """`telepresence.haptics.bilateral.Handle` on a `JoystickDevice`, through its `Operation`.
+    """`telepresence.haptics.bilateral.Handle` on a `JoystickDevice`, by its `JoystickOperation`.
 
     x_m, y_m: calibrated position; it rests while there is no calibration.
     force_limit_n: 0 outside the application and while the dead-man button is released.
@@ -30,7 +30,7 @@ class OperatedHandle:
 
     def __init__(self, device: JoystickDevice, *, limits: Limits | None = None) -> None:
         self.device = device
-        self.operation = Operation(device, limits=limits)
+        self.operation = JoystickOperation(device, limits=limits)
         self.x_m = self.y_m = 0.0
         self.force_limit_n = 0.0
         self.dead_man = False
@@ -94,6 +94,6 @@ class OperatedHandle:
             self.x_m, self.y_m = reading[0], reading[1]
         if reading[4] & ~self.buttons:
             self.pressed += 1
-        # The button that a test asks for is none for the robot or the panel.
+        # The button that a test asks for does not count for the robot or the panel.
         self.buttons, self.dead_man = reading[4], reading[5] and not operation.testing
         self.force_limit_n = operation.force_limit_n

@@ -53,7 +53,7 @@ _BY_A_PERSON = "by a person's command"
 _OK, _APPLICATION = Health.OK, JoystickState.APPLICATION
 
 
-class Operation:
+class JoystickOperation:
     """Runs one `device`.
 
     automatic: make the requests that lead into the application, and back into it, by itself.

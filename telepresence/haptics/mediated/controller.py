@@ -19,7 +19,7 @@ _tuple = tuple.__new__
 class MediatedController(JoystickController):
     """A `JoystickController` whose force is that of the newest wall. Call `handle_wall` for each.
 
-    renderer: what it renders with. garbage: messages that were none of a wall.
+    renderer: what it renders with. garbage: messages that were not a wall.
     """
 
     def __init__(

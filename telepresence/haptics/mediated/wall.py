@@ -19,8 +19,9 @@ import struct
 from dataclasses import dataclass
 
 from kontur_av.errors import ProtocolError
-from telepresence.tmtc.packets import WALL_APID
 
+#: Below those of PUS applications.
+WALL_APID = 0x103
 WALL_OCTETS = 16
 VERSION = 1
 LEAST_STIFFNESS_N_M, MOST_STIFFNESS_N_M = 10, 20_000
@@ -29,6 +30,7 @@ SURFACE_M = 20e-6
 STAMP_MODULUS_MS = 1 << 32
 
 _LAYOUT = struct.Struct(">HHHBBIhH")
+_HEADER = struct.Struct(">HHH")
 _LENGTH = WALL_OCTETS - 7
 _UNSEGMENTED = 0xC000
 _COUNT_MODULUS = 1 << 14
@@ -85,19 +87,21 @@ def pack_wall(message: WallMessage, count: int) -> bytes:
 
 
 def is_wall(data: bytes) -> bool:
-    """Whether the APID of `data` is that of walls; nothing else is checked."""
-    return len(data) >= 2 and data[0] << 8 | data[1] == WALL_APID
+    """Whether `data` has the header and the length of a wall; its message is not checked."""
+    if len(data) != WALL_OCTETS:
+        return False
+    identification, sequence, length = _HEADER.unpack_from(data)
+    unsegmented = sequence & 0xC000 == _UNSEGMENTED
+    return bool(identification == WALL_APID and unsegmented and length == _LENGTH)
 
 
 def parse_wall(data: bytes) -> WallMessage:
     """Parse `data`; ProtocolError unless it is exactly one message of a wall."""
     if len(data) != WALL_OCTETS:
         raise ProtocolError(f"wall: {len(data)} octets instead of {WALL_OCTETS}")
-    identification, sequence, length, version, direction, stamp_ms, surface, stiffness = (
-        _LAYOUT.unpack(data)
-    )
-    if identification != WALL_APID or sequence & 0xC000 != _UNSEGMENTED or length != _LENGTH:
+    if not is_wall(data):
         raise ProtocolError("wall: not the header of its space packet")
+    version, direction, stamp_ms, surface, stiffness = _LAYOUT.unpack(data)[3:]
     if version != VERSION:
         raise ProtocolError(f"wall: version {version} instead of {VERSION}")
     if direction == 0:

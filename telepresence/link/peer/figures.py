@@ -4,6 +4,8 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from kontur_av.figures import Newest
+
 #: Host and UDP port.
 Address = tuple[str, int]
 
@@ -21,22 +23,22 @@ class PeerEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeerFigures:
-    """The path to the other end, of one life of a gateway.
+    """The path to the other end.
 
     Every datagram received is counted once: in `taken`, in `handshake_datagrams`, or by the reason
     for which it was dropped.
     """
 
     #: When the gateway began, on its own clock.
-    begun_ns: int
+    begun_ns: Newest[int]
     #: Whether the datagrams are encrypted and authenticated.
     protected: bool
-    #: The identity that the other end must prove; empty without protection.
-    identity: str
-    #: Where frames go, as HOST:PORT; empty as long as the other end is unknown.
-    address: str
+    #: The identity that the other end must prove; left out without protection.
+    identity: str | None = None
+    #: Where frames go, as HOST:PORT; null as long as the other end is unknown.
+    address: str | None
     #: Since when frames can be sent without a pause, from `begun_ns` on; null: they cannot.
-    session_ns: int | None
+    session_ns: Newest[int] | None
     #: Handshakes with both ends proven.
     sessions: int
     #: Handshakes that came to nothing.
@@ -57,9 +59,9 @@ class PeerFigures:
     events: tuple[PeerEvent, ...]
 
 
-def address_text(address: Address | None) -> str:
-    """HOST:PORT, or "" for None."""
-    return "" if address is None else f"{address[0]}:{address[1]}"
+def address_text(address: Address) -> str:
+    """HOST:PORT."""
+    return f"{address[0]}:{address[1]}"
 
 
 @dataclass(slots=True)

@@ -35,7 +35,7 @@ class OpenPath:
         if source != self._address and not self._follow(datagram, source, now_ns):
             self._strangers += 1
             return None
-        # The radio may have hit some of its bits: that is no silence.
+        # The radio may have hit some of its bits, so the peer is not silent.
         if len(datagram) == self._octets:
             self._heard_ns = now_ns
         self._taken += 1
@@ -62,8 +62,7 @@ class OpenPath:
         return PeerFigures(
             begun_ns=self._history.begun_ns,
             protected=False,
-            identity="",
-            address=address_text(self._address),
+            address=None if self._address is None else address_text(self._address),
             session_ns=self._session_ns,
             sessions=0,
             failed_attempts=0,

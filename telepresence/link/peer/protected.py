@@ -129,11 +129,12 @@ class ProtectedPath:
         dropped = {reason: count for reason, count in figures.dropped.items() if count}
         if self._overflows:
             dropped["throttled"] = dropped.get("throttled", 0) + self._overflows
+        where = self._channel.peer_address
         return PeerFigures(
             begun_ns=self._history.begun_ns,
             protected=True,
             identity=self._identity,
-            address=address_text(self._channel.peer_address),
+            address=None if where is None else address_text(where),
             session_ns=self._session_ns,
             sessions=figures.sessions,
             failed_attempts=figures.failed_attempts,

@@ -22,9 +22,9 @@ from telepresence.link.protection.identity import MachineIdentity, MachineKey
 from telepresence.link.protection.segment import (
     NO_NONCE,
     NONCE_OCTETS,
+    HandshakeSegment,
     IncomingStream,
     OutgoingStream,
-    Segment,
     SegmentCodec,
 )
 
@@ -188,7 +188,7 @@ class Handshake:
         """Return what happened, oldest first."""
         return self._events.popleft() if self._events else None
 
-    def _answer(self, segment: Segment, source: Address, now_ns: int) -> str | None:
+    def _answer(self, segment: HandshakeSegment, source: Address, now_ns: int) -> str | None:
         """A datagram with another nonce than the present one: only a knock is answered."""
         if not segment.knock:
             return "stale"
@@ -213,7 +213,7 @@ class Handshake:
         self._nonce = self._draw()
 
     def _progress(
-        self, attempt: "_Attempt", segment: Segment, now_ns: int, *, begins: bool
+        self, attempt: "_Attempt", segment: HandshakeSegment, now_ns: int, *, begins: bool
     ) -> None:
         news = attempt.outgoing.handle_acknowledged(segment.acknowledged)
         if ready := attempt.incoming.handle_piece(segment.offset, segment.data):
@@ -269,7 +269,7 @@ class Handshake:
     ) -> bytes:
         attempt = self._attempt
         heard = 0 if attempt is None else attempt.incoming.received - attempt.run.unread
-        return self._codec.pack(Segment(knock, self._nonce, receiver, heard, offset, data))
+        return self._codec.pack(HandshakeSegment(knock, self._nonce, receiver, heard, offset, data))
 
     def _draw(self) -> bytes:
         self._drawn += 1

@@ -52,7 +52,7 @@ class MachineIdentity:
 
     @classmethod
     def parse(cls, text: str) -> "MachineIdentity":
-        """Return the identity that a person typed; ConfigError if it is none, or mistyped.
+        """Return the identity that a person typed; ConfigError if it is mistyped.
 
         Case, hyphens and spaces do not matter. 0, 1 and 8 are read as O, I and B.
         """

@@ -41,7 +41,7 @@ _HELD = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Segment:
+class HandshakeSegment:
     """One datagram of a handshake. The nonces have 8 octets."""
 
     knock: bool
@@ -59,7 +59,7 @@ class SegmentCodec:
         self._own_code = _Code(own, peer)
         self._peer_code = _Code(peer, own)
 
-    def pack(self, segment: Segment) -> bytes:
+    def pack(self, segment: HandshakeSegment) -> bytes:
         """Return the datagram of a segment."""
         head = _HEAD.pack(
             KNOCK if segment.knock else HANDSHAKE,
@@ -71,7 +71,7 @@ class SegmentCodec:
         body = head + segment.data
         return body + self._own_code.of(body)
 
-    def parse(self, datagram: bytes) -> Segment | str:
+    def parse(self, datagram: bytes) -> HandshakeSegment | str:
         """Return the peer's segment, or "malformed" or "unauthenticated".
 
         datagram: of the kind `HANDSHAKE` or `KNOCK`. Before the code, only its length is read.
@@ -85,7 +85,7 @@ class SegmentCodec:
         data = body[_HEAD.size :]
         if sender == NO_NONCE or max(acknowledged, offset + len(data)) > STREAM_OCTETS:
             return "malformed"
-        return Segment(kind == KNOCK, sender, receiver, acknowledged, offset, data)
+        return HandshakeSegment(kind == KNOCK, sender, receiver, acknowledged, offset, data)
 
 
 class OutgoingStream:

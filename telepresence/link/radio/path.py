@@ -134,7 +134,7 @@ class RadioPath:
         if self.frames_sent:
             self._note_delay()
         channel, now_ns = self._channel, self._now_ns
-        silent_ns = 0 if channel is None else self._no_signal_ns + self._silent_ns(now_ns)
+        silent_ns = None if channel is None else self._no_signal_ns + self._silent_ns(now_ns)
         return PathFigures(
             delay_ns=self.delay_ns,
             delay_min_ns=min(self._least_ns, self.delay_ns),

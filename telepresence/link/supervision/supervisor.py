@@ -27,7 +27,7 @@ from collections.abc import Sequence
 from enum import Enum, auto
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.link.figures import PeerFigures, SupervisionFigures
+from telepresence.link.figures import OtherEndFigures, SupervisionFigures
 from telepresence.link.supervision.application import ApplicationWatch
 from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
 from telepresence.link.supervision.events import (
@@ -351,7 +351,7 @@ class Supervisor:
             signal=self.signal,
             peer_hears=self.peer_hears,
             delivering=self.delivering,
-            peer=PeerFigures(
+            peer=OtherEndFigures(
                 life=self.peer_life, state=None if peer is None else peer.state.name.lower()
             ),
             begun_ns=record.begun_ns,

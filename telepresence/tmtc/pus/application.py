@@ -34,7 +34,12 @@ from telepresence.tmtc.pus.packets import (
     pack_packet,
 )
 from telepresence.tmtc.pus.values import Value, pack_values, unpack_values
-from telepresence.tmtc.pus.verification import Failure, Stage, Verification, verification_of
+from telepresence.tmtc.pus.verification import (
+    Failure,
+    Verification,
+    VerificationStage,
+    verification_of,
+)
 
 #: Telecommands whose repetitions are recognized, and for how long.
 _KNOWN_DEPTH = 64
@@ -148,15 +153,15 @@ class PusApplication:
         service = self._services.get((command.service, command.subtype))
         if service is None:
             message = f"{command.service},{command.subtype} is unknown to {self.table.name}"
-            self._fail(known, Stage.ACCEPTED, Failure.UNKNOWN_MESSAGE, message, now_ns)
+            self._fail(known, VerificationStage.ACCEPTED, Failure.UNKNOWN_MESSAGE, message, now_ns)
             return
         try:
             refusal = service(command, now_ns)
         except (ProtocolError, ConfigError) as error:
-            self._fail(known, Stage.ACCEPTED, Failure.BAD_DATA, str(error), now_ns)
+            self._fail(known, VerificationStage.ACCEPTED, Failure.BAD_DATA, str(error), now_ns)
             return
-        self._verify(known, Stage.ACCEPTED, now_ns)
-        self._verify(known, Stage.STARTED, now_ns)
+        self._verify(known, VerificationStage.ACCEPTED, now_ns)
+        self._verify(known, VerificationStage.STARTED, now_ns)
         self._complete(known, refusal, now_ns)
 
     def handle_result(self, token: int | None, refusal: str, now_ns: int) -> None:
@@ -215,19 +220,19 @@ class PusApplication:
         function = self._functions.get(data[0]) if data else None
         if function is None:
             reason = f"no such function of {self.table.name}"
-            self._fail(known, Stage.ACCEPTED, Failure.BAD_DATA, reason, now_ns)
+            self._fail(known, VerificationStage.ACCEPTED, Failure.BAD_DATA, reason, now_ns)
             return
         try:
             arguments = unpack_values(self.table.named(function.arguments), data[1:])
         except ProtocolError as error:
-            self._fail(known, Stage.ACCEPTED, Failure.BAD_DATA, str(error), now_ns)
+            self._fail(known, VerificationStage.ACCEPTED, Failure.BAD_DATA, str(error), now_ns)
             return
         if len(self._open) == _MOST_OPEN:
             reason = f"{_MOST_OPEN} functions are in progress"
-            self._fail(known, Stage.ACCEPTED, Failure.BUSY, reason, now_ns)
+            self._fail(known, VerificationStage.ACCEPTED, Failure.BUSY, reason, now_ns)
             return
-        self._verify(known, Stage.ACCEPTED, now_ns)
-        self._verify(known, Stage.STARTED, now_ns)
+        self._verify(known, VerificationStage.ACCEPTED, now_ns)
+        self._verify(known, VerificationStage.STARTED, now_ns)
         token, self._next_token = self._next_token, self._next_token + 1
         self._open[token] = known
         self._request(FunctionRequest(token, function.name, arguments))
@@ -237,19 +242,19 @@ class PusApplication:
 
     def _complete(self, known: _Known, refusal: str, now_ns: int) -> None:
         if refusal:
-            self._fail(known, Stage.COMPLETED, Failure.REFUSED, refusal, now_ns)
+            self._fail(known, VerificationStage.COMPLETED, Failure.REFUSED, refusal, now_ns)
             return
         self.executed += 1
-        self._verify(known, Stage.COMPLETED, now_ns)
+        self._verify(known, VerificationStage.COMPLETED, now_ns)
 
-    def _verify(self, known: _Known, stage: Stage, now_ns: int) -> None:
+    def _verify(self, known: _Known, stage: VerificationStage, now_ns: int) -> None:
         if known.command.flags & stage.flag:
             report = verification_of(known.command, stage)
             known.reports.append(report)
             self._report_verification(report, known.command, now_ns)
 
     def _fail(
-        self, known: _Known, stage: Stage, failure: Failure, reason: str, now_ns: int
+        self, known: _Known, stage: VerificationStage, failure: Failure, reason: str, now_ns: int
     ) -> None:
         # A failure is reported whether or not a success would have been.
         self.failed += 1

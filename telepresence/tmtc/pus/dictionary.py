@@ -1,6 +1,6 @@
 """The dictionary: what each application reports and carries out. Everything in it is data.
 
-Whoever adds a parameter, an event or a rule changes the table and no code. A dictionary that
+To add a parameter, an event or a rule, change the table and no code. A dictionary that
 contradicts itself is refused when it is built, with one line.
 """
 
@@ -20,6 +20,7 @@ ENDS = ("space", "ground")
 #: APIDs that other packets of the link have; 0x7FF is idle packets.
 _TAKEN_APIDS = range(0x100, 0x110)
 _MOST_APID = 0x7FE
+_MOST_TEXT = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,11 +53,15 @@ class EventDefinition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FunctionDefinition:
-    """A function that a telecommand starts. arguments: parameters whose types they have."""
+    """A function that a telecommand starts. arguments: parameters whose types they have.
+
+    newest: a later call ends earlier ones that are open. Repeating those would undo the later one.
+    """
 
     name: str
     number: int
     arguments: tuple[str, ...] = ()
+    newest: bool = False
     text: str = ""
 
 
@@ -176,7 +181,7 @@ class Application:
         for monitor in self.monitors:
             at = f"{self.name}.monitor.{monitor.name}"
             _check_known(f"{at}.parameter", monitor.parameter, self.parameters, "parameter")
-            if self.parameter(monitor.parameter).type == "choice":
+            if self.parameter(monitor.parameter).type in ("choice", "text"):
                 raise ConfigError(f"{at}.parameter is {monitor.parameter!r}: choose a number")
             for side, limit in (("below", monitor.low), ("above", monitor.high)):
                 if (limit is not None) != bool(getattr(monitor, side)):
@@ -256,8 +261,13 @@ def _check_numbers(where: str, items: tuple[_Named, ...]) -> None:
 def _check_parameter(at: str, parameter: Parameter) -> None:
     if parameter.type not in TYPES:
         raise ConfigError(f"{at}.type is {parameter.type!r}: choose one of {', '.join(TYPES)}")
-    if (parameter.type == "choice") != bool(parameter.choices) or len(parameter.choices) > 256:
+    if parameter.type == "text":
+        if not 1 <= parameter.size <= _MOST_TEXT:
+            raise ConfigError(f"{at}.size is {parameter.size}: choose 1 to {_MOST_TEXT}")
+    elif (parameter.type == "choice") != bool(parameter.choices) or len(parameter.choices) > 256:
         raise ConfigError(f"{at}: the type choice and 1 to 256 choices need each other")
+    elif parameter.size:
+        raise ConfigError(f"{at}.size is {parameter.size}: only a text has one")
     if not parameter.scale > 0 or (parameter.scale != 1 and parameter.type not in INTEGERS):
         raise ConfigError(f"{at}.scale is {parameter.scale}: integers may have one above 0")
     if parameter.low is not None and parameter.high is not None and parameter.low > parameter.high:

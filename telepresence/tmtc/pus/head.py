@@ -38,7 +38,7 @@ def message_of(data: bytes) -> tuple[int, int]:
 
 
 def destination_of(data: bytes) -> int:
-    """To whom a report goes; 0 for everybody, and for what is no whole report."""
+    """To whom a report goes; 0 for everybody, and for a report that is cut."""
     if is_telecommand(data) or len(data) < _LEAST_REPORT_OCTETS:
         return 0
     return data[11] << 8 | data[12]

@@ -44,7 +44,7 @@ class LimitMonitors:
         events = []
         for monitor in self._monitors:
             value = values.get(monitor.parameter)
-            # What is no number is neither below nor above.
+            # NaN is neither below nor above.
             if value is None or isinstance(value, str) or value != value:
                 continue
             watch = self._watches[monitor.number]

@@ -18,7 +18,7 @@ from telepresence.tmtc.pus.packets import (
     parse_packet,
 )
 from telepresence.tmtc.pus.user import PusUser
-from telepresence.tmtc.pus.verification import Failure, Stage, verification_of
+from telepresence.tmtc.pus.verification import Failure, VerificationStage, verification_of
 
 #: The private service (clause 5.3.2.3: from 128 on) that carries K2ACI.
 K2ACI_SERVICE, K2ACI_SUBTYPE = 129, 1
@@ -215,7 +215,7 @@ class PusNode:
     def _refuse(self, command: Telecommand, now_ns: int) -> None:
         self.unrouted += 1
         reason = f"no application {command.apid} at this end"
-        report = verification_of(command, Stage.ROUTED, Failure.UNKNOWN_APID, reason)
+        report = verification_of(command, VerificationStage.ROUTED, Failure.UNKNOWN_APID, reason)
         packet = Telemetry(
             # It has the APID of the telecommand, whose user knows it.
             apid=command.apid,

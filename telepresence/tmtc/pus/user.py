@@ -25,10 +25,14 @@ from telepresence.tmtc.pus.packets import (
     pack_packet,
 )
 from telepresence.tmtc.pus.values import Parameter, Value, pack_values, unpack_values
-from telepresence.tmtc.pus.verification import Stage
+from telepresence.tmtc.pus.verification import VerificationStage
+from telepresence.tmtc.retransmission import Retransmission
 
 _T = TypeVar("_T", Parameter, Structure, FunctionDefinition)
 
+#: Why a telecommand ended without verification.
+UNANSWERED = "no verification came"
+SUPERSEDED = "a later request came"
 _MOST_OPEN = 16
 _EVENTS_DEPTH = 256
 
@@ -38,7 +42,7 @@ class CommandProgress(NamedTuple):
 
     number: int
     application: str
-    stage: Stage
+    stage: VerificationStage
 
 
 class CommandUnanswered(NamedTuple):
@@ -109,11 +113,7 @@ UserEvent = Report | CommandProgress | CommandUnanswered | CommandResult
 class _Open:
     command: Telecommand
     application: str
-    first_ns: int
-    due_ns: int
-    wait_ns: int
-    tries: int = 0
-    stage: Stage | None = None
+    stage: VerificationStage | None = None
 
 
 class PusUser:
@@ -141,8 +141,6 @@ class PusUser:
     ) -> None:
         if timeout_ns <= 0 or not timeout_ns <= patience_ns < 60 * NS_PER_S:
             raise ConfigError("telecommands need a timeout above 0, and a patience below 60 s")
-        self.sent = 0
-        self.repeated = 0
         self.garbage = 0
         self.unexpected = 0
         self.reports = 0
@@ -151,12 +149,21 @@ class PusUser:
         self._by_apid = dictionary.by_apid
         self.source = source
         self._first_count = first_count % COUNT_MODULUS
-        self._timeout_ns = timeout_ns
-        self._patience_ns = patience_ns
         self._counts: dict[int, int] = {}
-        self._next = 0
-        self._open: dict[int, _Open] = {}
+        self._open: Retransmission[_Open] = Retransmission(
+            timeout_ns=timeout_ns, most=_MOST_OPEN, patience_ns=patience_ns
+        )
         self._events: deque[UserEvent] = deque()
+
+    @property
+    def sent(self) -> int:
+        """Telecommands sent, with their repetitions."""
+        return self._open.sent
+
+    @property
+    def repeated(self) -> int:
+        """Telecommands sent again."""
+        return self._open.repeated
 
     def call(
         self, application: str, function: str, arguments: Sequence[Value] = (), *, now_ns: int
@@ -165,7 +172,16 @@ class PusUser:
         table = self._dictionary.application(application)
         found = _known(table.functions, function, "function", table)
         data = bytes([found.number]) + pack_values(table.named(found.arguments), arguments)
+        if found.newest:
+            self._supersede(table.apid, data[:1], now_ns)
         return self._send(table, 8, 1, data, now_ns)
+
+    def _supersede(self, apid: int, function: bytes, now_ns: int) -> None:
+        """End open calls of this function."""
+        for number, one in self._open:
+            command = one.item.command
+            if (command.apid, command.service, command.data[:1]) == (apid, 8, function):
+                self._end(number, now_ns, reason=SUPERSEDED)
 
     def ping(self, application: str, *, now_ns: int) -> int | None:
         """Ask whether the application is alive (17,1)."""
@@ -209,7 +225,7 @@ class PusUser:
     ) -> int | None:
         if len(data) > MAX_COMMAND_OCTETS:
             raise ConfigError(f"a telecommand with {len(data)} octets: split it")
-        if len(self._open) == _MOST_OPEN:
+        if self._open.full:
             return None
         count = self._counts.get(table.apid, self._first_count)
         self._counts[table.apid] = (count + 1) % COUNT_MODULUS
@@ -221,14 +237,11 @@ class PusUser:
             data=data,
             source=self.source,
         )
-        number, self._next = self._next, self._next + 1
-        self._open[number] = _Open(command, table.name, now_ns, now_ns, self._timeout_ns)
-        return number
+        return self._open.handle_put(_Open(command, table.name), now_ns)
 
     def handle_contact(self, now_ns: int) -> None:
         """The signal is acquired: repeat at once what is open."""
-        for one in self._open.values():
-            one.due_ns, one.wait_ns = now_ns, self._timeout_ns
+        self._open.handle_contact(now_ns)
 
     def handle_telemetry(self, packet: Telemetry, now_ns: int) -> None:
         """A report arrived. Garbage is counted; this never raises."""
@@ -253,25 +266,21 @@ class PusUser:
         if number is None:
             self.unexpected += 1
             return
-        one = self._open[number]
-        if report.failure is None and report.stage is not Stage.COMPLETED:
+        if report.failure is None and report.stage is not VerificationStage.COMPLETED:
+            sending = self._open.get(number)
+            assert sending is not None
+            one = sending.item
             # Repetitions are verified again.
             if one.stage is None or one.stage < report.stage:
                 one.stage = report.stage
                 self._add(CommandProgress(number, one.application, report.stage))
             return
-        del self._open[number]
-        round_trip_ns = now_ns - one.first_ns
-        ok = report.failure is None
-        self._add(
-            CommandResult(
-                number, one.application, ok, True, report.reason, round_trip_ns, one.tries
-            )
-        )
+        self._end(number, now_ns, ok=report.failure is None, verified=True, reason=report.reason)
 
     def _number_of(self, report: verification.Verification) -> int | None:
-        for number, one in self._open.items():
-            if (one.command.apid, one.command.count) == (report.apid, report.count) and one.tries:
+        for number, one in self._open:
+            command = one.item.command
+            if (command.apid, command.count) == (report.apid, report.count) and one.tries:
                 return number
         return None
 
@@ -283,32 +292,31 @@ class PusUser:
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """Return the next telecommand to send, or None; gives up those that took too long."""
-        for number, one in list(self._open.items()):
-            if now_ns < one.due_ns:
-                continue
-            if one.tries and now_ns - one.first_ns >= self._patience_ns:
-                del self._open[number]
-                reason = "no verification came" if one.stage is None else "its end was not verified"
-                waited_ns = now_ns - one.first_ns
-                self._add(
-                    CommandResult(
-                        number, one.application, False, False, reason, waited_ns, one.tries
-                    )
-                )
-                continue
-            self.repeated += one.tries > 0
-            one.tries += 1
-            if one.tries > 1 and one.stage is None:
-                self._add(CommandUnanswered(number, one.application, one.tries))
-            one.due_ns = now_ns + one.wait_ns
-            one.wait_ns = min(2 * one.wait_ns, 8 * self._timeout_ns)
-            self.sent += 1
-            return pack_packet(one.command)
-        return None
+        while (number := self._open.next_given_up(now_ns)) is not None:
+            late = self._open.get(number)
+            unheard = late is None or late.item.stage is None
+            reason = UNANSWERED if unheard else "its end was not verified"
+            self._end(number, now_ns, reason=reason)
+        due = self._open.poll_transmit(now_ns)
+        if due is None:
+            return None
+        number, one = due
+        if one.tries > 1 and one.item.stage is None:
+            self._add(CommandUnanswered(number, one.item.application, one.tries))
+        return pack_packet(one.item.command)
 
     def poll_timeout(self) -> int | None:
         """When `poll_transmit` has something to do; None while no telecommand is open."""
-        return min((one.due_ns for one in self._open.values()), default=None)
+        return self._open.poll_timeout()
+
+    def _end(
+        self, number: int, now_ns: int, *, ok: bool = False, verified: bool = False, reason: str
+    ) -> None:
+        one = self._open.pop(number)
+        assert one is not None
+        took_ns = now_ns - one.first_ns
+        application = one.item.application
+        self._add(CommandResult(number, application, ok, verified, reason, took_ns, one.tries))
 
     def next_event(self) -> UserEvent | None:
         """The oldest event that was not fetched yet, or None."""

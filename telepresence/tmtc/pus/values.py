@@ -1,4 +1,4 @@
-"""Values of parameters as octets: integers, scaled integers, floating point, choices, flags."""
+"""Values of parameters as octets: integers, scaled ones, floating point, choices, flags, texts."""
 
 import struct
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ INTEGERS = {
     "i16": ("h", -0x8000, 0x7FFF),
     "i32": ("i", -0x8000_0000, 0x7FFF_FFFF),
 }
-TYPES = (*INTEGERS, "f32", "bool", "choice")
+TYPES = (*INTEGERS, "f32", "bool", "choice", "text")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +26,9 @@ class Parameter:
     """One parameter of an application.
 
     type: one of `TYPES`. scale: the value is the integer on the wire times this; 1 keeps integers.
-    choices: the texts that a "choice" may have, in the order of their numbers.
+    choices: the texts that a "choice" may have, in the order of their numbers; those that a "text"
+    may have, or none for any. size: a "text" has 1 to so many octets of printable ASCII; a zero
+    ends it, and zeros fill it up.
     low, high: limits for colours, both included; None for no limit. writable: ST[20] may set it.
     """
 
@@ -36,6 +38,7 @@ class Parameter:
     unit: str = ""
     scale: float = 1.0
     choices: tuple[str, ...] = ()
+    size: int = 0
     low: float | None = None
     high: float | None = None
     writable: bool = False
@@ -51,10 +54,14 @@ class Parameter:
         """Its struct code, big-endian."""
         if self.type in INTEGERS:
             return ">" + INTEGERS[self.type][0]
+        if self.type == "text":
+            return f">{self.size + 1}s"
         return ">f" if self.type == "f32" else ">B"
 
     def pack(self, value: Value) -> bytes:
         """Return `value` as octets. A number out of range is cut to it; ConfigError otherwise."""
+        if self.type == "text":
+            return self._pack_text(value)
         if self.type == "choice":
             if value not in self.choices:
                 choices = ", ".join(self.choices)
@@ -75,6 +82,8 @@ class Parameter:
 
     def unpack(self, octets: bytes) -> Value:
         """Return the value in `octets`, which are `self.octets` long. ProtocolError."""
+        if self.type == "text":
+            return self._unpack_text(octets)
         raw: int | float = struct.unpack(self.code, octets)[0]
         if self.type == "choice":
             if raw >= len(self.choices):
@@ -90,10 +99,35 @@ class Parameter:
         return round(float(raw) * self.scale, 9)
 
     def within(self, value: Value) -> bool:
-        """Whether `value` is within the limits; what is no number is."""
+        """Whether `value` is within the limits. Values that are not numbers pass."""
         if isinstance(value, str) or value != value:
             return True
         return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
+
+    def _pack_text(self, value: Value) -> bytes:
+        if self.choices and value not in self.choices:
+            choices = ", ".join(self.choices)
+            raise ConfigError(f"unknown {self.name} {value}: choose one of {choices}")
+        if type(value) is not str or not _is_text(value, self.size):
+            raise ConfigError(
+                f"{self.name} is {value!r}: give 1 to {self.size} printable ASCII characters"
+            )
+        return value.encode("ascii").ljust(self.octets, b"\0")
+
+    def _unpack_text(self, octets: bytes) -> str:
+        # latin-1 reads any octet; those outside of ASCII are refused next.
+        value = octets.rstrip(b"\0").decode("latin-1")
+        if not _is_text(value, self.size):
+            raise ProtocolError(f"{self.name} is not 1 to {self.size} printable ASCII characters")
+        if self.choices and value not in self.choices:
+            raise ProtocolError(
+                f"unknown {self.name} {value}: choose one of {', '.join(self.choices)}"
+            )
+        return value
+
+
+def _is_text(value: str, size: int) -> bool:
+    return 1 <= len(value) <= size and value.isascii() and value.isprintable()
 
 
 def _pack_float(value: float) -> bytes:

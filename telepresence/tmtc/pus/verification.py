@@ -17,7 +17,7 @@ MOST_REASON = 100
 _REQUEST = struct.Struct(">HH")
 
 
-class Stage(IntEnum):
+class VerificationStage(IntEnum):
     """Subtype of a report of success; that of the failure is the next one (clause 8.1.2)."""
 
     ACCEPTED = 1
@@ -29,7 +29,11 @@ class Stage(IntEnum):
     @property
     def flag(self) -> int:
         """The telecommand's flag that asks for this stage."""
-        return {Stage.ACCEPTED: 8, Stage.STARTED: 4, Stage.COMPLETED: 1}.get(self, 0)
+        return {
+            VerificationStage.ACCEPTED: 8,
+            VerificationStage.STARTED: 4,
+            VerificationStage.COMPLETED: 1,
+        }.get(self, 0)
 
 
 class Failure(IntEnum):
@@ -48,7 +52,7 @@ class Verification:
 
     apid: int
     count: int
-    stage: Stage
+    stage: VerificationStage
     failure: Failure | None = None
     reason: str = ""
 
@@ -59,7 +63,7 @@ class Verification:
 
 
 def verification_of(
-    command: Telecommand, stage: Stage, failure: Failure | None = None, reason: str = ""
+    command: Telecommand, stage: VerificationStage, failure: Failure | None = None, reason: str = ""
 ) -> Verification:
     """Return the report about `command`; a reason is cut to what a report carries."""
     plain = "".join(c if " " <= c <= "~" else "?" for c in reason)[:MOST_REASON]
@@ -84,7 +88,11 @@ def parse_verification(subtype: int, data: bytes) -> Verification:
     identification, sequence = _REQUEST.unpack_from(data)
     if identification & 0xF800 != 0x1800 or sequence >> 14 != 3:
         raise ProtocolError("verification of no telecommand")
-    apid, count, stage = identification & 0x7FF, sequence & 0x3FFF, Stage(subtype - failed)
+    apid, count, stage = (
+        identification & 0x7FF,
+        sequence & 0x3FFF,
+        VerificationStage(subtype - failed),
+    )
     if not failed:
         return Verification(apid, count, stage)
     code, reason = data[_REQUEST.size], data[_REQUEST.size + 1 :]

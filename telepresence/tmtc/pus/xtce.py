@@ -1,12 +1,14 @@
 """The dictionary as XTCE 1.2 (OMG formal/18-02-04), so that other ground systems read telemetry.
 
-The containers inherit from each other: a space packet, a PUS report, then one for each structure,
-event and kind of verification. A list of parameters (20,2) and K2ACI stay octets. A
-parameter in no structure and no event is left out.
+The containers inherit from each other: a space packet, a PUS report or telecommand, then one for
+each structure, event, function and kind of verification. Lists of numbers, a list of parameters
+(20,2 20,3) and K2ACI stay octets. A parameter in no structure, event or function is left out.
+Walls for model-mediated haptics are space packets without PUS (`telepresence.haptics.mediated`).
 """
 
 from xml.etree import ElementTree
 
+from telepresence.haptics.mediated.wall import WALL_APID
 from telepresence.tmtc.pus.dictionary import Application, Dictionary
 from telepresence.tmtc.pus.values import INTEGERS, Parameter
 
@@ -34,11 +36,27 @@ _SECONDARY = {
     "TIME_S": 32,
     "TIME_FRACTION": 16,
 }
-#: Fields of reports that are in no dictionary.
-_OTHERS = {"STRUCTURE": 8, "EVENT": 8, "REQUEST": 32, "FAILURE": 8, "CHECK": 16}
+#: Fields of a telecommand's secondary header, beside SERVICE and SUBTYPE.
+_COMMAND = {"COMMAND_VERSION": 4, "ACKNOWLEDGE": 4, "SOURCE": 16}
+#: Fields that are in no dictionary.
+_OTHERS = {"STRUCTURE": 8, "EVENT": 8, "FUNCTION": 8, "REQUEST": 32, "FAILURE": 8, "CHECK": 16}
+#: Fields of a wall. The surface is signed, in 20 µm.
+_WALL = {
+    "WALL_VERSION": 8,
+    "WALL_DIRECTION": 8,
+    "WALL_STAMP_MS": 32,
+    "WALL_SURFACE": 16,
+    "WALL_STIFFNESS": 16,
+}
+_SIGNED = ("WALL_SURFACE",)
 #: Fields that fill the rest of the packet, with the octets around them after the primary header,
 #: and whether they are text.
-_RESTS = {"REASON": (20, True), "BODY": (15, False)}
+_RESTS = {"REASON": (20, True), "BODY": (15, False), "NUMBERS": (7, False)}
+#: Telecommands that carry numbers of what they are about, or settings of parameters.
+_WITH_NUMBERS = (
+    *((3, 5), (3, 6), (3, 27), (5, 5), (5, 6), (12, 1), (12, 2), (19, 4), (19, 5)),
+    *((20, 1), (20, 3)),
+)
 
 Criteria = tuple[tuple[str, int], ...]
 
@@ -58,7 +76,7 @@ def dictionary_xtce(dictionary: Dictionary) -> str:
     types = ElementTree.SubElement(telemetry, "ParameterTypeSet")
     parameters = ElementTree.SubElement(telemetry, "ParameterSet")
     containers = ElementTree.SubElement(telemetry, "ContainerSet")
-    for name, bits in {**_PRIMARY, **_SECONDARY, **_OTHERS}.items():
+    for name, bits in {**_PRIMARY, **_SECONDARY, **_COMMAND, **_OTHERS, **_WALL}.items():
         _define(parameters, name)
         _integer(types, name, bits)
     for name, (octets, is_text) in _RESTS.items():
@@ -67,6 +85,7 @@ def dictionary_xtce(dictionary: Dictionary) -> str:
     for application in dictionary.applications:
         reported = {name for structure in application.structures for name in structure.parameters}
         reported.update(name for event in application.events for name in event.arguments)
+        reported.update(name for function in application.functions for name in function.arguments)
         for parameter in application.parameters:
             if parameter.name not in reported:
                 continue
@@ -87,6 +106,9 @@ def dictionary_xtce(dictionary: Dictionary) -> str:
         ("K2aci", (("SERVICE", 129), ("SUBTYPE", 1))),
     ):
         _container(containers, name, ("BODY", "CHECK"), "PusReport", criteria)
+    _telecommands(containers)
+    wall = (("TYPE", 0), ("SEC_HDR_FLG", 0), ("PKT_APID", WALL_APID))
+    _container(containers, "Wall", _WALL, "CCSDSPacket", wall)
     for application in dictionary.applications:
         _application(containers, application)
     ElementTree.indent(root)
@@ -107,6 +129,24 @@ def _application(containers: ElementTree.Element, application: Application) -> N
         criteria = (apid, ("EVENT", event.number))
         name = f"{application.name}_event_{event.name}"
         _container(containers, name, fields(event.arguments), "Event", criteria)
+    for function in application.functions:
+        criteria = (apid, ("FUNCTION", function.number))
+        name = f"{application.name}_function_{function.name}"
+        _container(containers, name, fields(function.arguments), "Function", criteria)
+
+
+def _telecommands(containers: ElementTree.Element) -> None:
+    header = ("COMMAND_VERSION", "ACKNOWLEDGE", "SERVICE", "SUBTYPE", "SOURCE")
+    secondary = (("TYPE", 1), ("SEC_HDR_FLG", 1))
+    _container(containers, "PusTelecommand", header, "CCSDSPacket", secondary, abstract=True)
+    calls = (("SERVICE", 8), ("SUBTYPE", 1))
+    _container(containers, "Function", ("FUNCTION",), "PusTelecommand", calls, abstract=True)
+    alive = (("SERVICE", 17), ("SUBTYPE", 1))
+    _container(containers, "AreYouAlive", ("CHECK",), "PusTelecommand", alive)
+    for service, subtype in _WITH_NUMBERS:
+        criteria = (("SERVICE", service), ("SUBTYPE", subtype))
+        name = f"Request{service}_{subtype}"
+        _container(containers, name, ("NUMBERS", "CHECK"), "PusTelecommand", criteria)
 
 
 def _verification(containers: ElementTree.Element) -> None:
@@ -127,10 +167,14 @@ def _define(parameters: ElementTree.Element, name: str, text: str = "") -> None:
 
 
 def _integer(types: ElementTree.Element, name: str, bits: int) -> None:
+    signed = name in _SIGNED
     kind = ElementTree.SubElement(
-        types, "IntegerParameterType", {"name": f"{name}_TYPE", "signed": "false"}
+        types,
+        "IntegerParameterType",
+        {"name": f"{name}_TYPE", "signed": "true" if signed else "false"},
     )
-    encoding = {"sizeInBits": str(bits), "encoding": "unsigned"}
+    coding = "twosComplement" if signed else "unsigned"
+    encoding = {"sizeInBits": str(bits), "encoding": coding}
     ElementTree.SubElement(kind, "IntegerDataEncoding", encoding)
 
 
@@ -162,6 +206,13 @@ def _parameter_type(types: ElementTree.Element, name: str, parameter: Parameter)
         for number, label in enumerate(parameter.choices):
             attributes = {"value": str(number), "label": label}
             ElementTree.SubElement(labels, "Enumeration", attributes)
+        return
+    if parameter.type == "text":
+        kind = ElementTree.SubElement(types, "StringParameterType", names)
+        encoded = ElementTree.SubElement(kind, "StringDataEncoding", {"encoding": "US-ASCII"})
+        size = ElementTree.SubElement(encoded, "SizeInBits")
+        ElementTree.SubElement(ElementTree.SubElement(size, "Fixed"), "FixedValue").text = bits
+        ElementTree.SubElement(size, "TerminationChar").text = "00"
         return
     if parameter.type == "bool":
         names |= {"zeroStringValue": "false", "oneStringValue": "true"}

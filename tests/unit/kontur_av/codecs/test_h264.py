@@ -181,8 +181,8 @@ def test_a_late_joiner_starts_clean_after_one_refresh_wave():
     assert 15 <= shown[0].timestamp <= 30
     assert [p.timestamp for p in shown] == list(range(shown[0].timestamp, 100))
     assert psnr_db(shown[0].to_i420(), pictures[shown[0].timestamp]) > 28
-    assert decoder.corrupt_units == 0
-    assert decoder.units_before_start == 5
+    assert decoder.counts.frames_corrupt == 0
+    assert decoder.counts.frames_before_start == 5
 
 
 def test_a_key_picture_lets_a_late_joiner_start_at_once():
@@ -222,7 +222,7 @@ def test_garbage_is_counted_and_the_stream_continues():
             hurt[len(hurt) // 2] ^= 0xFF
             decoder.decode(bytes(hurt[: len(hurt) - 7]), i)
     assert shown >= 55
-    assert decoder.corrupt_units >= 6
+    assert decoder.counts.frames_corrupt >= 6
 
 
 @settings(max_examples=40)
@@ -250,7 +250,7 @@ def test_an_oversized_picture_is_not_decoded():
     decoder = H264Decoder()
     decoder.decode(encode(moving(1))[0].data, 0)
     assert decoder.decode(bytes(packet), 1) == []
-    assert decoder.corrupt_units == 1
+    assert decoder.counts.frames_corrupt == 1
 
 
 def test_a_change_of_size_in_mid_stream_is_followed():

@@ -45,24 +45,24 @@ class Line:
             if arrival_ns is not None:
                 events.append((arrival_ns, packet))
         for arrival_ns, packet in sorted(events):
-            self._advance(arrival_ns)
+            self.advance(arrival_ns)
             self.receiver.handle_packet(packet, arrival_ns)
-            self._pass_on()
-        self._advance(until_ns or max(time for time, _ in events) + NS_PER_S)
+            self.pass_on()
+        self.advance(until_ns or max(time for time, _ in events) + NS_PER_S)
         return self.blocks
 
-    def _advance(self, now_ns):
+    def advance(self, now_ns):
         while True:
             due = [self.receiver.poll_timeout(), self.buffer.poll_timeout()]
             due_ns = min((time for time in due if time is not None), default=None)
             if due_ns is None or due_ns > now_ns:
                 return
             self.receiver.handle_timeout(due_ns)
-            self._pass_on()
+            self.pass_on()
             self.buffer.handle_timeout(due_ns)
             self._drain()
 
-    def _pass_on(self):
+    def pass_on(self):
         while (event := self.receiver.next_event()) is not None:
             self.buffer.handle_packet(event)
             self._drain()
@@ -338,9 +338,9 @@ def test_a_copy_in_the_next_packet_is_used_if_present():
         if n not in (10, 20, 21):
             events.append((n * BLOCK_NS, packet))
     for arrival_ns, packet in events:
-        line._advance(arrival_ns)
+        line.advance(arrival_ns)
         line.receiver.handle_packet(packet, arrival_ns)
-        line._pass_on()
+        line.pass_on()
     recovered = [b for b in line.blocks if b.recovered]
     assert [int.from_bytes(b.payload[2:], "big") for b in recovered] == [11, 22]
     assert (line.buffer.counts.recovered, line.buffer.counts.concealed) == (2, 1)
@@ -392,9 +392,9 @@ def test_garbage_and_a_new_time_line():
     for n in range(10, 20):
         stamp = CaptureStamp(start_ns + n * BLOCK_NS, n + 10_000, "mic")
         (packet,) = line.sender.audio_packets(b"\x08\x80" + n.to_bytes(2, "big"), stamp).packets
-        line._advance(start_ns + n * BLOCK_NS)
+        line.advance(start_ns + n * BLOCK_NS)
         line.receiver.handle_packet(packet, start_ns + n * BLOCK_NS)
-        line._pass_on()
-    line._advance(start_ns + NS_PER_S)
+        line.pass_on()
+    line.advance(start_ns + NS_PER_S)
     assert [n for n in heard(line.blocks) if n is not None] == list(range(20))
     assert line.buffer.counts.resyncs == 1

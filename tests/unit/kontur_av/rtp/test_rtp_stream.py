@@ -69,7 +69,7 @@ def test_sequence_numbers_and_timestamps_wrap_around():
     for index, packet in enumerate(singles(20)):
         receiver.handle_packet(packet, index * FRAME_NS)
     assert numbers(drain(receiver)) == list(range(20))
-    assert (receiver.counts.received, receiver.counts.lost) == (20, 0)
+    assert (receiver.counts.rtp_packets, receiver.counts.rtp_lost) == (20, 0)
 
 
 def test_the_marker_is_on_the_last_packet_of_a_picture_and_only_there():
@@ -136,17 +136,22 @@ def test_loss_is_counted_once_the_gap_is_given_up():
     assert numbers(drain(receiver)) == [0, 1]
     assert receiver.poll_timeout() == 4 + 10 * NS_PER_MS
     receiver.handle_timeout(receiver.poll_timeout() - 1)
-    assert (drain(receiver), receiver.counts.lost) == ([], 0)
+    assert (drain(receiver), receiver.counts.rtp_lost) == ([], 0)
     receiver.handle_timeout(receiver.poll_timeout())
     (event,) = drain(receiver)
-    assert (event.lost_before, receiver.counts.lost) == (2, 2)
+    assert (event.lost_before, receiver.counts.rtp_lost) == (2, 2)
     assert receiver.poll_timeout() is None
 
     receiver.handle_packet(packets[2], 11 * NS_PER_MS)
     receiver.handle_packet(packets[5], 11 * NS_PER_MS)
     assert numbers(drain(receiver)) == [5]
     counts = receiver.counts
-    assert (counts.lost, counts.late, counts.reordered, counts.received) == (1, 1, 1, 4)
+    assert (counts.rtp_lost, counts.rtp_late, counts.rtp_reordered, counts.rtp_packets) == (
+        1,
+        1,
+        1,
+        4,
+    )
 
 
 def test_reordering_is_repaired_and_duplicates_are_dropped():
@@ -158,7 +163,12 @@ def test_reordering_is_repaired_and_duplicates_are_dropped():
     assert numbers(events) == list(range(8))
     assert all(event.lost_before == 0 for event in events)
     counts = receiver.counts
-    assert (counts.reordered, counts.duplicates, counts.lost, counts.late) == (3, 3, 0, 0)
+    assert (counts.rtp_reordered, counts.rtp_duplicates, counts.rtp_lost, counts.rtp_late) == (
+        3,
+        3,
+        0,
+        0,
+    )
 
 
 def test_without_reordering_packets_come_out_in_arrival_order():
@@ -168,8 +178,8 @@ def test_without_reordering_packets_come_out_in_arrival_order():
         receiver.handle_packet(packets[index], index)
     assert numbers(drain(receiver)) == [0, 1, 4, 2, 7]
     counts = receiver.counts
-    assert (counts.received, counts.lost, counts.reordered) == (5, 3, 1)
-    assert (counts.duplicates, counts.late) == (1, 0)
+    assert (counts.rtp_packets, counts.rtp_lost, counts.rtp_reordered) == (5, 3, 1)
+    assert (counts.rtp_duplicates, counts.rtp_late) == (1, 0)
 
 
 def test_no_packet_waits_longer_than_the_depth_behind_several_gaps():
@@ -208,7 +218,7 @@ def test_a_stranger_cannot_take_over_an_active_stream():
         receiver.handle_packet(strange[2 * index], now_ns + 1)
         receiver.handle_packet(strange[2 * index + 1], now_ns + 2)
     assert {event.ssrc for event in drain(receiver)} == {1}
-    assert (receiver.counts.received, receiver.counts.sources) == (50, 1)
+    assert (receiver.counts.rtp_packets, receiver.counts.sources) == (50, 1)
     assert receiver.counts.garbage >= 97
 
 
@@ -237,7 +247,7 @@ def test_a_restarted_sender_is_accepted_within_two_packets():
     events = drain(receiver)
     assert [(event.ssrc, event.restart) for event in events] == [(2, True), (2, False), (2, False)]
     counts = receiver.counts
-    assert (counts.sources, counts.lost, counts.garbage, counts.received) == (2, 0, 0, 13)
+    assert (counts.sources, counts.rtp_lost, counts.garbage, counts.rtp_packets) == (2, 0, 0, 13)
 
 
 def test_a_jump_of_the_sequence_is_a_restart_and_no_loss():
@@ -245,7 +255,7 @@ def test_a_jump_of_the_sequence_is_a_restart_and_no_loss():
     for index, packet in enumerate(singles(5) + singles(5, first_sequence=30_000)):
         receiver.handle_packet(packet, index * FRAME_NS)
     assert [event.extended_sequence for event in drain(receiver)][5:] == list(range(30_000, 30_005))
-    assert (receiver.counts.lost, receiver.counts.sources) == (0, 2)
+    assert (receiver.counts.rtp_lost, receiver.counts.sources) == (0, 2)
 
 
 def test_a_jump_delivers_what_waits_behind_a_gap():
@@ -260,7 +270,7 @@ def test_a_jump_delivers_what_waits_behind_a_gap():
         65_530, 65_531, 65_534, 30_000, 30_001, 30_002
     ]  # fmt: skip
     assert [event.lost_before for event in events] == [0, 0, 2, 0, 0, 0]
-    assert (receiver.counts.lost, receiver.counts.sources, receiver.waiting) == (2, 2, 0)
+    assert (receiver.counts.rtp_lost, receiver.counts.sources, receiver.waiting) == (2, 2, 0)
     assert receiver.poll_timeout() is None
 
 
@@ -270,13 +280,17 @@ def test_losses_of_the_old_source_stay_lost_after_a_takeover():
     for index in (0, 1, 4):
         receiver.handle_packet(packets[index], index)
     receiver.handle_timeout(NS_PER_S)
-    assert receiver.counts.lost == 2
+    assert receiver.counts.rtp_lost == 2
     start_ns = 2 * NS_PER_S
     restarted = singles(6, ssrc=2)
     for index in (0, 1, 2, 2, 3, 3):
         receiver.handle_packet(restarted[index], start_ns + index)
     # The numbers are those that the old source lost.
-    assert (receiver.counts.lost, receiver.counts.duplicates, receiver.counts.late) == (2, 2, 0)
+    assert (receiver.counts.rtp_lost, receiver.counts.rtp_duplicates, receiver.counts.rtp_late) == (
+        2,
+        2,
+        0,
+    )
 
 
 def test_jitter_begins_anew_with_a_new_source():
@@ -297,8 +311,8 @@ def test_packets_and_octets_of_the_source_are_counted():
         receiver.handle_packet(packet, number)
         receiver.handle_packet(packet, number)
     # Two octets begin each slice.
-    assert receiver.counts.payload_octets == 4 * 102 + 6
-    assert (receiver.counts.received, receiver.counts.duplicates) == (4, 3)
+    assert receiver.counts.rtp_payload_octets == 4 * 102 + 6
+    assert (receiver.counts.rtp_packets, receiver.counts.rtp_duplicates) == (4, 3)
 
 
 @pytest.mark.parametrize(("ahead", "sources"), [(2999, 1), (3000, 2)])
@@ -309,7 +323,10 @@ def test_a_step_of_less_than_3000_is_a_loss_and_a_larger_one_a_jump(ahead, sourc
     for index, packet in enumerate(packets):
         receiver.handle_packet(packet, index * FRAME_NS)
     receiver.handle_timeout(NS_PER_S)
-    assert (receiver.counts.sources, receiver.counts.lost) == (sources, (2 - sources) * (ahead - 1))
+    assert (receiver.counts.sources, receiver.counts.rtp_lost) == (
+        sources,
+        (2 - sources) * (ahead - 1),
+    )
     assert len(drain(receiver)) == 4
 
 
@@ -324,8 +341,8 @@ def test_a_packet_up_to_100_behind_is_late_and_an_older_one_is_foreign(behind, l
     receiver.handle_packet(packets[251 - behind], NS_PER_S)
     receiver.handle_packet(packets[252], NS_PER_S)
     counts = receiver.counts
-    assert (counts.late, counts.garbage) == (late, 1 - late)
-    assert counts.lost == 248 - late
+    assert (counts.rtp_late, counts.garbage) == (late, 1 - late)
+    assert counts.rtp_lost == 248 - late
 
 
 def test_no_more_packets_wait_than_allowed():
@@ -336,7 +353,7 @@ def test_no_more_packets_wait_than_allowed():
         receiver.handle_packet(packets[index], index)
         most = max(most, receiver.waiting)
     assert most == 512
-    assert (receiver.waiting, receiver.counts.lost) == (0, 1)
+    assert (receiver.waiting, receiver.counts.rtp_lost) == (0, 1)
     assert len(drain(receiver)) == 517
 
 
@@ -382,7 +399,7 @@ def test_only_the_source_keeps_its_report_and_one_candidate():
     assert receiver.ssrc == 1
     receiver.handle_packet(third[0], NS_PER_S)
     assert receiver.ssrc == 3
-    assert receiver.counts.reports == 2
+    assert receiver.counts.rtcp_reports == 2
 
 
 def test_garbage_is_counted():
@@ -418,7 +435,7 @@ def test_the_receiver_knows_when_a_picture_was_captured_across_wrap_around(octet
     for number, capture_ns in enumerate(captured):
         # Half a tick of 90 kHz for the report's timestamp, half a tick for this one's.
         assert abs(capture_ns - number * FRAME_NS - NS_PER_S) <= 11_119
-    assert receiver.counts.reports == 2
+    assert receiver.counts.rtcp_reports == 2
 
 
 def test_an_unknown_or_foreign_report_gives_no_capture_time():
@@ -430,7 +447,7 @@ def test_an_unknown_or_foreign_report_gives_no_capture_time():
     stranger.video_packets(picture(0))
     receiver.handle_report(stranger.poll_report(0), 0)
     assert receiver.capture_ns(0) is None
-    assert (receiver.counts.garbage, receiver.counts.reports) == (1, 0)
+    assert (receiver.counts.garbage, receiver.counts.rtcp_reports) == (1, 0)
 
 
 def test_only_a_sender_report_of_the_source_dates_its_pictures():
@@ -451,7 +468,7 @@ def test_only_a_sender_report_of_the_source_dates_its_pictures():
     for count, datagram in enumerate((description, application, foreign, foreign_goodbye), 1):
         assert not receiver.handle_report(datagram, 0)
         assert receiver.counts.garbage == count
-    assert (receiver.counts.reports, receiver.ended) == (1, False)
+    assert (receiver.counts.rtcp_reports, receiver.ended) == (1, False)
 
 
 def reported(ssrc=1):
@@ -476,11 +493,15 @@ def test_a_matching_report_releases_the_first_packet(report_first):
         assert receiver.handle_report(report, 6)
     (event,) = drain(receiver)
     assert (event.received_ns, event.restart) == (6 if report_first else 5, True)
-    assert (receiver.counts.sources, receiver.counts.reports, receiver.counts.garbage) == (1, 1, 0)
+    assert (receiver.counts.sources, receiver.counts.rtcp_reports, receiver.counts.garbage) == (
+        1,
+        1,
+        0,
+    )
     for number, later in enumerate(singles(4)[1:], 1):
         receiver.handle_packet(later, 10 + number)
     assert numbers(drain(receiver)) == [1, 2, 3]
-    assert (receiver.counts.received, receiver.counts.lost) == (4, 0)
+    assert (receiver.counts.rtp_packets, receiver.counts.rtp_lost) == (4, 0)
 
 
 def test_a_report_admits_a_new_source_only_after_silence():
@@ -509,7 +530,7 @@ def test_a_report_does_not_confirm_an_old_packet():
     events = drain(receiver)
     assert numbers(events) == [2, 3, 4]
     assert min(event.received_ns for event in events) == 5 * NS_PER_S
-    assert (receiver.counts.lost, receiver.counts.garbage) == (0, 1)
+    assert (receiver.counts.rtp_lost, receiver.counts.garbage) == (0, 1)
 
 
 def test_a_goodbye_revokes_a_report():

@@ -8,9 +8,9 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp, Quality, empty_picture, planes
 from kontur_av.streams.staleness import Staleness, State
+from pipelines.media.figures import DisplayFigures
 from pipelines.media.marking import age_words, mark_stale
 from pipelines.media.showing import Showing
-from pipelines.session.figures import DisplayCounters, DisplayGauges
 from pipelines.session.probe import Probe
 from pipelines.session.setup.built_in import BUILT_IN
 
@@ -104,7 +104,7 @@ def test_concealed_sound_does_not_reduce_the_age_and_is_counted():
     streams = [setup.uplink_video, setup.uplink_voice]
     showing = Showing(setup, streams, probe)
     showing.tell(0)
-    assert not probe.message.gauges
+    assert all(told.age_ns is None for told in probe.message.figures.values())
     for number in range(100):
         now_ns = 20 * number * MS
         captured = CaptureStamp(now_ns - 40 * MS, number, "test", rtp_timestamp=number)
@@ -113,15 +113,15 @@ def test_concealed_sound_does_not_reduce_the_age_and_is_counted():
         quality = Quality.FRESH if number < 50 else Quality.DAMAGED
         showing.handle_shown("uplink_video", replace(captured, quality=quality), now_ns)
     showing.tell(2 * NS_PER_S)
-    counters, gauges = probe.message.counters, probe.message.gauges
-    voice = counters[DisplayCounters, "uplink_voice"]
+    figures = probe.message.figures
+    voice = figures[DisplayFigures, "uplink_voice"]
     assert (voice.frames_displayed, voice.stale_episodes) == (10, 1)
     stale_from_ms = 180 - 40 + 20 + setup.stale_after_ns(setup.uplink_voice) // MS
     assert voice.stale_ns == (2000 - stale_from_ms) * MS
-    assert gauges[DisplayGauges, "uplink_voice"].state is State.STALE
-    assert counters[DisplayCounters, "uplink_video"].damaged_ns == 1000 * MS
-    shown = DisplayGauges(age_ns=60 * MS, state=State.DAMAGED)
-    assert gauges[DisplayGauges, "uplink_video"] == shown
+    assert voice.state is State.STALE
+    video = figures[DisplayFigures, "uplink_video"]
+    assert video.damaged_ns == 1000 * MS
+    assert (video.age_ns, video.state) == (60 * MS, State.DAMAGED)
 
 
 @pytest.mark.parametrize("size", [(640, 480), (16, 16), (1920, 1080), (20, 600)])

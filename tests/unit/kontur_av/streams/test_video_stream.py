@@ -77,8 +77,10 @@ def test_pictures_arrive_with_stamps_of_the_receivers_clock():
         assert (stamp.sequence, stamp.source) == (number, "view")
         assert (stamp.quality, stamp.rtp_timestamp) == (Quality.FRESH, event.timestamp)
     counts = stream.sender.counts
-    assert (counts.captured, counts.encoded, counts.sent, counts.refused) == (10, 10, 10, 0)
-    assert stream.receiver.counts.units == stream.receiver.counts.rtp.received == 10
+    assert (counts.frames_captured, counts.frames_encoded) == (10, 10)
+    assert (counts.frames_sent, counts.frames_refused) == (10, 0)
+    assert stream.receiver.counts.frames_received == 10
+    assert stream.receiver.counts.rtp.rtp_packets == 10
 
 
 def test_a_loss_is_reported_and_healed_by_a_key_picture():
@@ -88,7 +90,8 @@ def test_a_loss_is_reported_and_healed_by_a_key_picture():
     damaged = [stamp.quality is Quality.DAMAGED for stamp in stream.stamps]
     assert damaged == [False] * 4 + [True] + [False] * 6
     assert [coding.keyframe for coding in stream.codings] == [n == 6 for n in range(12)]
-    assert (stream.receiver.counts.asked, stream.sender.counts.losses_told) == (1, 1)
+    assert stream.receiver.counts.pictures_asked_for == 1
+    assert stream.sender.feedback.feedback_received == 1
 
 
 def test_damage_that_only_the_decoder_finds_is_healed_by_a_key_picture():
@@ -142,7 +145,7 @@ def test_octets_waiting_in_the_channel_delay_the_next_picture():
     assert due_ns > 0
     sender.finish()
     assert sender.poll_timeout() is None
-    assert (sender.counts.captured, sender.counts.refused) == (1, 1)
+    assert (sender.counts.frames_captured, sender.counts.frames_refused) == (1, 1)
 
 
 def test_a_raised_cap_reaches_the_encoder_once_and_a_lower_one_is_refused():
@@ -166,7 +169,7 @@ def test_a_picture_has_stamps_of_arrival_and_coding():
     )
     event = sender.next_event()
     assert event == PictureCoded(event.timestamp, 10, 20, 30, 40, event.octets, 3)
-    assert (sender.counts.captured, sender.counts.refused) == (3, 2)
+    assert (sender.counts.frames_captured, sender.counts.frames_refused) == (3, 2)
     assert sender.backlog_octets == event.octets > 3000
     assert sender.oldest_age_ns(45) == 5
 
@@ -184,7 +187,7 @@ def test_undated_or_too_large_pictures_are_counted():
     assert receiver.handle_picture(2, 48, 64, 5).capture_ns == 5
     assert receiver.handle_picture(3, 64, 52, 5) is None
     counts = receiver.counts
-    assert (counts.undated, counts.oversized) == (1, 1)
+    assert (counts.frames_undated, counts.frames_oversized) == (1, 1)
 
 
 def test_a_receiver_on_a_thin_channel_is_silent_without_losses():
@@ -204,6 +207,6 @@ def test_garbage_is_counted_and_changes_nothing():
     stream.receiver.handle_packet(b"", 0)
     assert not stream.receiver.handle_report(b"\x81", 0)
     stream.step(0)
-    assert stream.sender.counts.feedback_garbage == 1
+    assert stream.sender.feedback.feedback_garbage == 1
     assert stream.receiver.counts.rtp.garbage == 2
     assert len(stream.stamps) == 1

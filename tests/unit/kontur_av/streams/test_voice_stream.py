@@ -21,7 +21,7 @@ def test_a_block_that_is_too_old_is_not_encoded():
     sender = make_sender()
     assert sender.handle_block(CaptureStamp(0, 0, "mic"), 100 * NS_PER_MS)
     assert not sender.handle_block(CaptureStamp(0, 1, "mic"), 101 * NS_PER_MS)
-    assert (sender.counts.captured, sender.counts.refused) == (2, 1)
+    assert (sender.counts.frames_captured, sender.counts.frames_refused) == (2, 1)
     assert sender.bitrate_bps == 7_600
 
 
@@ -77,8 +77,8 @@ def test_sound_is_dated_when_heard_and_a_lost_block_is_marked():
     assert len(receiver.take_arrivals()) == 19
     assert receiver.take_arrivals() == []
     counts = receiver.counts
-    assert (counts.rtp.received, counts.playout.concealed, counts.corrupt) == (19, 1, 0)
-    assert (counts.undated, counts.inserted_ns) == (0, 0)
+    assert (counts.rtp.rtp_packets, counts.frames_concealed, counts.frames_corrupt) == (19, 1, 0)
+    assert (counts.frames_undated, counts.inserted_ns) == (0, 0)
 
 
 def test_undated_sound_is_counted():
@@ -93,4 +93,4 @@ def test_undated_sound_is_counted():
     capture_ns = receiver.capture_ns(block.timestamp)
     assert receiver.handle_sound(block, decoded=True, capture_ns=capture_ns) is None
     assert receiver.handle_sound(block, decoded=False, capture_ns=1).quality is Quality.CONCEALED
-    assert (receiver.counts.undated, receiver.counts.corrupt) == (1, 1)
+    assert (receiver.counts.frames_undated, receiver.counts.frames_corrupt) == (1, 1)

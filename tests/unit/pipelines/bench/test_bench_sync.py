@@ -15,7 +15,7 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
 from pipelines.cli import main
 from pipelines.report.sync.figures import skews_ns
-from pipelines.report.sync.matching import Found
+from pipelines.report.sync.matching import Matched
 
 FPS, SECONDS = 30, 8.0
 #: Instants of the touches (s), and the delays of light and sound after force.
@@ -208,14 +208,17 @@ def test_a_long_table_loses_no_step(tmp_path):
 @pytest.mark.parametrize("skew_ms", [20, -60, 190])
 def test_touches_close_to_each_other_keep_their_own_lights(gaps_ms, skew_ms):
     instants = list(accumulate(islice(cycle(gaps_ms), 20)))
-    force = [Found(at_ms * NS_PER_MS) for at_ms in instants]
-    light = [Found((at_ms + skew_ms) * NS_PER_MS, 100.0) for at_ms in instants]
+    force = [Matched(at_ms * NS_PER_MS) for at_ms in instants]
+    light = [Matched((at_ms + skew_ms) * NS_PER_MS, 100.0) for at_ms in instants]
     skews = skews_ns("video_haptic", joined({"force": force, "light": light}))
     assert skews == [skew_ms * NS_PER_MS] * 20
 
 
 def test_a_light_more_than_three_quarters_of_a_second_away_is_not_joined():
-    found = {"force": [Found(NS_PER_S)], "light": [Found(249 * NS_PER_MS), Found(1751 * NS_PER_MS)]}
+    found = {
+        "force": [Matched(NS_PER_S)],
+        "light": [Matched(249 * NS_PER_MS), Matched(1751 * NS_PER_MS)],
+    }
     assert joined(found)[0].perceived["light"] is None
 
 

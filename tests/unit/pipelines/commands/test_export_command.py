@@ -45,7 +45,7 @@ def names(directory):
 def test_a_matlab_file_has_the_tables_and_where_they_come_from(recording, written, capsys):
     out = recording.with_name("out.mat")
     assert main(["export", str(recording), "--mat", str(out)]) == 0
-    assert f"{out}: 18 tables" in capsys.readouterr().out
+    assert f"{out}: 19 tables" in capsys.readouterr().out
     found = loadmat(out, simplify_cells=True)
     assert found["recording"]["session"] == "kontur-1"
     assert found["recording"]["parts"] == 2

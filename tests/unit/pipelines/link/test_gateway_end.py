@@ -72,7 +72,7 @@ def test_an_exercise_takes_the_signal_of_every_radio_that_is_here(radio_both_way
 def heard(end):
     """The number of frames that came, strangers' included."""
     report = end.gateway.receiver.report()
-    return report.frames + sum(report.frames_dropped.values())
+    return report.frames_received + sum(report.frames_dropped.values())
 
 
 def test_with_a_radio_on_the_way_in_an_end_wakes_up_for_its_frames():

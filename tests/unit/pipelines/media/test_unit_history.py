@@ -58,7 +58,7 @@ def joined(history):
     decoder, shown = H264Decoder(), []
     for number, unit in enumerate(history.replay()):
         shown += decoder.decode(unit.data, number)
-    assert (decoder.corrupt_units, decoder.restarts) == (0, 0)
+    assert (decoder.counts.frames_corrupt, decoder.counts.decoder_restarts) == (0, 0)
     return shown[-1].to_i420()
 
 
@@ -152,13 +152,31 @@ def test_a_long_replay_is_exchanged_for_a_picture(stream):
 
 
 def test_a_stream_that_never_begins_is_not_kept(stream):
-    history = UnitHistory(pictures=False)
-    unit = CodedUnit(data=bytes(100_000), key=False, width=WIDTH, height=HEIGHT)
+    history = UnitHistory(pictures=True)
+    sets = parameter_sets(stream[0][0].data)
+    unit = CodedUnit(data=bytes(1000), key=False, width=WIDTH, height=HEIGHT, parameter_sets=sets)
     for number in range(500):
-        stamp = CaptureStamp(number, number + 1, "x")
+        stamp = CaptureStamp(number, number + 1, "x", rtp_timestamp=number)
         assert history.handle_unit(unit, stamp, number * NS_PER_S // FPS) is not None
-    assert history.replay() is None
-    assert len(history._units) <= 64
+        assert history.replay() is None
+    key = key_of(stream[0][1])
+    assert not history.handle_picture(key, 500 - 65)
+    assert history.handle_picture(key, 500 - 64)
+    assert len(history.replay()) == 64
+
+
+def test_a_stream_of_large_units_that_never_begins_keeps_4_mib_of_them(stream):
+    history = UnitHistory(pictures=True)
+    sets = parameter_sets(stream[0][0].data)
+    unit = CodedUnit(
+        data=bytes(1 << 17), key=False, width=WIDTH, height=HEIGHT, parameter_sets=sets
+    )
+    for number in range(100):
+        stamp = CaptureStamp(number, number + 1, "x", rtp_timestamp=number)
+        history.handle_unit(unit, stamp, number * NS_PER_S // FPS)
+    key = key_of(stream[0][1])
+    assert not history.handle_picture(key, 100 - 33)
+    assert history.handle_picture(key, 100 - 32)
 
 
 def test_what_was_filmed_begins_a_stream_of_which_nothing_is_known(stream):

@@ -3,7 +3,7 @@
 from pipelines.hand.hand_topics import JoystickStatus, unpack_request
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, Reported, SendCommand
-from pipelines.mission.tmtc_sources import GatewaySource, JoystickDesk, RobotSource
+from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.setup.segments import Segment
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
@@ -23,7 +23,7 @@ class Space:
 
     def __init__(self, segment=Segment.SPACE):
         self.end = TmtcEnd(segment, built_in_dictionary(), now_ns=0, first_count=1, life=1)
-        self.desk = JoystickDesk(self.end, first_number=100)
+        self.desk = JoystickSource(self.end, first_number=100)
         self.now_ns = 0
 
     def status(self, state=JoystickState.APPLICATION, temperature_c=23.0, **more):

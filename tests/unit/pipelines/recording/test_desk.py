@@ -1,7 +1,7 @@
 """What the recorder answers to terminals."""
 
 from kontur_av.clock import NS_PER_S
-from pipelines.recording.desk import HOLD_NS, Ask, RecorderDesk, Reply, Start, Stop
+from pipelines.recording.desk import HOLD_NS, Ask, DeskReply, RecorderDesk, Start, Stop
 from pipelines.session.recorder_requests import (
     MAX_LINE_OCTETS,
     RecordAnswer,
@@ -37,7 +37,7 @@ class Talk:
         while (event := self.desk.next_event()) is not None:
             self.did.append(type(event))
             match event:
-                case Reply():
+                case DeskReply():
                     if event.octets:
                         self.answers[event.terminal] = parse_record_answer(event.octets)
                     if event.last:

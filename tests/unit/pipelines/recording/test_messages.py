@@ -27,7 +27,7 @@ from pipelines.recording.messages import (
 )
 from pipelines.recording.schemas import HAPTIC_SAMPLES, LINK_SENT, SCHEMAS, descriptor_set
 from telepresence.haptics.mediated.wall import Wall, WallMessage, pack_wall
-from telepresence.tmtc.packets import Housekeeping, SelectAck, SelectCamera, pack_packet
+from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet
 
 KINDS = [
     kind
@@ -46,6 +46,7 @@ BY_TYPE = {
     "string": TEXT,
     "uint32": st.integers(0, (1 << 32) - 1),
     "uint64": st.integers(0, (1 << 64) - 1),
+    "double": st.floats(allow_nan=False),
     "google.protobuf.Timestamp": st.integers(0, 1 << 63),
 }
 
@@ -153,14 +154,13 @@ def test_facts_of_a_unit():
 @pytest.mark.parametrize(
     ("packet", "words"),
     [
-        (pack_packet(SelectCamera("static", 5), 0), "select static, token 5"),
         (
-            pack_packet(SelectAck("head", 5, False), 0),
-            "select refused, token 5: head is selected",
+            pack_packet(Telecommand(apid=0x133, count=5, service=8, subtype=1)),
+            "PUS 8,1: telecommand to application 0x133",
         ),
         (
-            pack_packet(Housekeeping("head", True, 1.5), 0),
-            "housekeeping: head is selected, contact, 1.500 N",
+            pack_packet(Telemetry(apid=0x133, count=5, service=3, subtype=25)),
+            "PUS 3,25: report of application 0x133",
         ),
         (pack_wall(WallMessage(1, None), 0), "no wall"),
         (

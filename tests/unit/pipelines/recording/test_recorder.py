@@ -16,6 +16,7 @@ from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, ROW
 from pipelines.link.frame_batch import pack_frames
 from pipelines.link.gateway_end import make_gateway
+from pipelines.media.local_key import last_key
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.messages import (
     LinkReceived,
@@ -34,6 +35,7 @@ from pipelines.recording.recorder import RETRY_NS, Recorder
 from pipelines.recording.records import MAGIC
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.recording.sources import Content, sources_of
+from pipelines.recording.stream_start import KEY_PATIENCE_NS
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
@@ -65,6 +67,8 @@ class Disk:
         self.recorder = Recorder(TOPOLOGY, FACTS_OF_TEST, wall_offset_ns=OFFSET_NS, **options)
         self.files = {}
         self.full = False
+        #: Whether key pictures are made at once.
+        self.makes_keys = True
 
     def pump(self, now_ns):
         recorder = self.recorder
@@ -76,12 +80,19 @@ class Disk:
                 self.files[part] = bytearray()
                 recorder.handle_opened(part, now_ns)
         recorder.handle_time(now_ns)
+        if self.makes_keys:
+            self.make_keys()
         while (piece := recorder.poll_transmit(now_ns)) is not None:
             if self.full:
                 recorder.handle_fault(piece.part, "full", now_ns)
             else:
                 self.files[piece.part] += piece.octets
                 recorder.handle_written()
+
+    def make_keys(self):
+        while (wanted := self.recorder.next_event()) is not None:
+            number, *what = wanted
+            self.recorder.handle_key_picture(number, last_key(*what))
 
     def end(self, now_ns):
         self.recorder.handle_end(now_ns)
@@ -137,7 +148,7 @@ def packed(unit, size, sets=b""):
 
 def test_each_message_has_its_wall_time_and_what_was_in_the_topic():
     disk, now_ns = Disk(), 10 * NS_PER_S
-    disk.pump(now_ns)
+    disk.pump(now_ns - NS_PER_S)
     rows = block(now_ns - 20 * NS_PER_MS)
     published_ns = now_ns - 3 * NS_PER_MS
     disk.recorder.handle_sample(
@@ -185,6 +196,7 @@ def test_a_new_part_begins_with_the_picture_of_the_one_before():
         at_ns = number * NS_PER_S // 30
         disk.pump(at_ns)
         disk.recorder.handle_sample(SOURCES[SENT], packed(unit, size), stamp(number, at_ns), at_ns)
+        disk.pump(at_ns)
     files = disk.end(3 * NS_PER_S)
     assert len(files) == 2
     first, second = (file["/uplink_video/sent"] for file in files)
@@ -202,6 +214,124 @@ def test_a_new_part_begins_with_the_picture_of_the_one_before():
     assert kept == [unit.data for unit, _, _ in units[60:]]
 
 
+def streamed(disk, count, *, makes_key_at=()):
+    """Record a stream and a sample of the robot beside each unit; a part lasts 2 s."""
+    units = coded(count)
+    for number, (unit, size, _) in enumerate(units):
+        at_ns = number * NS_PER_S // 30
+        disk.pump(at_ns)
+        disk.recorder.handle_sample(SOURCES[SENT], packed(unit, size), stamp(number, at_ns), at_ns)
+        disk.recorder.handle_sample(SOURCES[ROBOT], block(at_ns).tobytes(), stamp(number), at_ns)
+        if number in makes_key_at:
+            disk.make_keys()
+        disk.pump(at_ns)
+    return units
+
+
+def assert_sound(file, first, count):
+    """Check that a key picture and all units from `first` on are there, in order."""
+    video = file["/uplink_video/sent"]
+    assert [each.sequence for each in video] == [first - 1, *range(first, count)]
+    assert [each.log_time for each in video] == sorted(each.log_time for each in video)
+    told = file["/uplink_video/sent/facts"]
+    assert [each.sequence for each in told] == [each.sequence for each in video]
+    facts = [unpack(UnitFacts, each.data) for each in told]
+    assert [each.added for each in facts] == [True] + [False] * (count - first)
+
+
+def shown(file, size):
+    """The pictures of a file, from its added key picture on."""
+    decoder, found = H264Decoder(), []
+    for message in file["/uplink_video/sent"]:
+        (picture,) = decoder.decode(unpack(RecordedPicture, message.data).data, 0)
+        room = empty_picture(*size)
+        picture.copy_to(room)
+        found.append(room.astype(int))
+    return found
+
+
+@pytest.mark.parametrize("late", [0, 1, 20, 59])
+def test_no_unit_is_lost_however_late_its_key_picture_comes(late):
+    disk, count = Disk(limits=PartLimits(ns=2 * NS_PER_S)), 120
+    disk.makes_keys = False
+    units = streamed(disk, count, makes_key_at=[60 + late])
+    first, second = disk.end(4 * NS_PER_S)
+    assert [each.sequence for each in first["/uplink_video/sent"]] == [*range(60)]
+    assert_sound(second, 60, count)
+    pictures = shown(second, units[60][1])[1:]
+    for picture, (_, _, right) in zip(pictures, units[60:], strict=True):
+        assert np.abs(picture - right).mean() < 1.5
+    figures = disk.recorder.figures(None)
+    assert (figures.lost, figures.late_keys) == (0, 0)
+
+
+def test_while_a_key_picture_is_made_its_stream_waits_and_the_others_do_not():
+    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
+    disk.makes_keys = False
+    streamed(disk, 115)
+
+    def in_file():
+        items = Scan(memoryview(bytes(disk.files[2]))).items()
+        return {each.channel.topic for each in items if isinstance(each, FoundMessage)}
+
+    assert in_file() == {"/haptic/up/sent", "/haptic/down/received"}
+    disk.make_keys()
+    disk.pump(5 * NS_PER_S)
+    assert {"/uplink_video/sent", "/uplink_video/sent/facts"} <= in_file()
+
+
+@pytest.mark.parametrize("end", ["time", "octets", "part", "recording"])
+def test_a_black_picture_takes_the_place_of_one_that_is_too_late(end, monkeypatch):
+    if end == "octets":
+        monkeypatch.setattr("pipelines.recording.recorder.MOST_HELD_OCTETS", 5_000)
+    count = {"time": 220, "octets": 110, "part": 125, "recording": 70}[end]
+    disk = Disk(limits=PartLimits(ns=(6 if end == "time" else 2) * NS_PER_S))
+    disk.makes_keys = False
+    first = 180 if end == "time" else 60
+    streamed(disk, count)
+    if end == "time":
+        disk.pump(first * NS_PER_S // 30 + KEY_PATIENCE_NS)
+    late_keys = disk.recorder.figures(None).late_keys
+    if end != "recording":
+        disk.make_keys()
+    files = disk.end(count * NS_PER_S // 30)
+    assert late_keys == (end != "recording")
+    assert_sound(files[1], first, 120 if end == "part" else count)
+    assert not any(one.dropped for one in disk.recorder.figures(None).channels.values())
+
+
+def test_what_waits_for_a_key_picture_on_a_failing_disk_is_counted():
+    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
+    disk.makes_keys = False
+    streamed(disk, 70)
+    disk.recorder.handle_fault(2, "full", 70 * NS_PER_S // 30)
+    disk.make_keys()
+    disk.pump(5 * NS_PER_S)
+    channels = disk.recorder.figures(None).channels
+    assert channels["/uplink_video/sent"].kept == 60
+    assert channels["/uplink_video/sent"].dropped == 10
+    assert channels["/uplink_video/sent/facts"].dropped == 10
+
+
+def test_a_sample_that_an_earlier_recording_has_read_is_no_loss():
+    # A writer counts while nobody reads, and a topic gives a new reader its newest sample.
+    units, sets = coded(60), b""
+    disk, joined_ns = Disk(), NS_PER_S
+    disk.pump(joined_ns)
+    for number in (12, *range(31, 60)):
+        unit, size, _ = units[number]
+        sets = sets or parameter_sets(units[0][0].data)
+        at_ns = number * NS_PER_S // 30
+        now_ns = max(at_ns, joined_ns)
+        octets = packed(unit, size, sets)
+        disk.recorder.handle_sample(
+            SOURCES[SENT], octets, stamp(number, at_ns), now_ns, published_ns=at_ns
+        )
+    (file,) = disk.end(3 * NS_PER_S)
+    assert_sound(file, 31, 60)
+    assert not any(one.missed for one in disk.recorder.figures(None).channels.values())
+
+
 def test_an_own_key_picture_of_the_stream_is_enough():
     ((unit, size, _),) = coded(1)
     disk = Disk()
@@ -210,6 +340,12 @@ def test_an_own_key_picture_of_the_stream_is_enough():
     (file,) = disk.end(NS_PER_S)
     (message,) = file["/uplink_video/sent"]
     assert unpack(RecordedPicture, message.data).data == unit.data
+
+
+def counts_of(disk, fate):
+    """By channel, how many messages had a fate, if any."""
+    channels = disk.recorder.figures(None).channels
+    return {name: getattr(one, fate) for name, one in channels.items() if getattr(one, fate)}
 
 
 def test_missed_samples_are_counted_by_channel_in_the_file_and_in_the_report():
@@ -223,7 +359,7 @@ def test_missed_samples_are_counted_by_channel_in_the_file_and_in_the_report():
         "/haptic/up/sent": (3, 0),
         "/haptic/down/received": (3, 0),
     }
-    assert disk.recorder.counters().missed == {"/haptic/up/sent": 3, "/haptic/down/received": 3}
+    assert counts_of(disk, "missed") == {"/haptic/up/sent": 3, "/haptic/down/received": 3}
 
 
 @pytest.mark.parametrize("chunks_before", [0, 3])
@@ -241,9 +377,9 @@ def test_on_a_full_disk_every_message_is_kept_or_counted_as_dropped(chunks_befor
     found = [each for each in torn.items() if isinstance(each, FoundMessage)]
     kept = sum(each.channel.topic == "/haptic/up/sent" for each in found)
     assert (kept > 0) == (chunks_before > 0)
-    counters = disk.recorder.counters()
-    assert counters.kept["/haptic/up/sent"] == kept + len(last["/haptic/up/sent"])
-    assert counters.kept["/haptic/up/sent"] + counters.dropped["/haptic/up/sent"] == handled
+    counted = disk.recorder.figures(None).channels["/haptic/up/sent"]
+    assert counted.kept == kept + len(last["/haptic/up/sent"])
+    assert counted.kept + counted.dropped == handled
     # The new part begins with the first try after the disk has room.
     assert len(last["/haptic/up/sent"]) * 20 * NS_PER_MS >= 28 * NS_PER_S - RETRY_NS
     assert unpack(RecorderLosses, last["/recorder/losses"][0].data).losses
@@ -259,11 +395,11 @@ def test_a_disk_that_stands_still_costs_messages_but_no_memory():
         rows["fy_n"] = noise.random(20)
         now_ns = number * NS_PER_S
         disk.recorder.handle_sample(SOURCES[ROBOT], rows.tobytes(), stamp(number), now_ns)
-    dropped = disk.recorder.counters().dropped["/haptic/up/sent"]
+    dropped = counts_of(disk, "dropped")["/haptic/up/sent"]
     assert 0 < dropped < 400
     (file,) = disk.end(400 * NS_PER_S)
     assert len(file["/haptic/up/sent"]) + dropped == 400
-    assert disk.recorder.counters().kept["/haptic/up/sent"] == len(file["/haptic/up/sent"])
+    assert counts_of(disk, "kept")["/haptic/up/sent"] == len(file["/haptic/up/sent"])
 
 
 def test_a_part_ends_at_its_size_and_says_its_number():
@@ -327,10 +463,12 @@ def test_a_sample_from_before_the_recording_is_left_out():
     disk.pump(now_ns)
     for number, at_ns in ((3, 90 * NS_PER_S), (800, now_ns), (801, now_ns)):
         octets = block(at_ns).tobytes()
-        disk.recorder.handle_sample(SOURCES[ROBOT], octets, stamp(number, at_ns), now_ns)
+        disk.recorder.handle_sample(
+            SOURCES[ROBOT], octets, stamp(number, at_ns), now_ns, published_ns=at_ns
+        )
     (file,) = disk.end(now_ns + NS_PER_S)
     assert [each.sequence for each in file["/haptic/up/sent"]] == [800, 801]
-    assert not disk.recorder.counters().missed
+    assert not counts_of(disk, "missed")
 
 
 def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
@@ -363,4 +501,4 @@ def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
     assert only(LinkReceived, "/link/downlink/received").frames == 0
     frames = only(RecordedFrames, "/link/uplink/frames/sent")
     assert list(zip(frames.time_ns, frames.data, strict=True)) == gateway.frames_sent
-    assert disk.recorder.counters().kept["/link/uplink/frames/sent"] == 1
+    assert counts_of(disk, "kept")["/link/uplink/frames/sent"] == 1

@@ -1,25 +1,20 @@
 """The collector joins and compares the reports of processes, and adds them over restarts."""
 
 from itertools import permutations, starmap
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from told import message
+from told import gateway, message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.link.figures import SocketFigures
+from pipelines.media.figures import CaptureFigures
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import STAGES
 from pipelines.report.skew import Skew
-from pipelines.session.figures import (
-    CaptureGauges,
-    GatewayCounters,
-    GatewayGauges,
-    HapticCounters,
-    LoopCounters,
-)
+from pipelines.session.figures import LoopFigures
 from pipelines.session.probe import Message
 from pipelines.session.rows import (
     OutRow,
@@ -31,6 +26,8 @@ from pipelines.session.rows import (
 )
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.table import topology_of
+from telepresence.haptics.figures import SamplesReceived
+from telepresence.link.figures import SenderFigures
 
 SESSION = topology_of(BUILT_IN["spacejustin"])
 START_NS = 1_000 * NS_PER_S
@@ -154,33 +151,33 @@ def test_percentiles_of_a_signed_skew_equal_those_of_its_values(values):
 
 def test_the_counts_of_a_restarted_process_are_added():
     def count(slips, strangers, frames):
-        link = SimpleNamespace(transmit=SimpleNamespace(frames=frames))
-        figures = LoopCounters(slips=slips), GatewayCounters(strangers=strangers)
-        figures = *figures, GatewayGauges(link=link)
+        link = gateway(transmit=SenderFigures(frames=frames))
+        figures = LoopFigures(slips=slips), SocketFigures(strangers=strangers)
+        figures = *figures, link
         tell(collector, "ground_gateway", START_NS, figures=figures)
 
     collector = Collector(SESSION)
     count(5, {}, 4)
     count(7, {"radio": 2}, 10)
     figures = collector.process("ground_gateway")
-    assert figures.total(LoopCounters).slips == 7
+    assert figures.total(LoopFigures).slips == 7
     figures.handle_end()
-    assert figures.total(LoopCounters).slips == 7
+    assert figures.total(LoopFigures).slips == 7
     assert figures.link is None
     count(2, {"radio": 1, "haptic": 4}, 3)
-    assert figures.total(LoopCounters).slips == 9
-    assert figures.total(GatewayCounters).strangers == {"radio": 3, "haptic": 4}
+    assert figures.total(LoopFigures).slips == 9
+    assert figures.total(SocketFigures).strangers == {"radio": 3, "haptic": 4}
     assert [life.transmit.frames for life in figures.links()] == [10, 3]
-    assert figures.counted(HapticCounters) is None
-    assert figures.total(HapticCounters).received == 0
+    assert figures.find(SamplesReceived) is None
+    assert figures.total(SamplesReceived).received == 0
 
 
 def test_a_gauge_that_a_new_life_does_not_know_yet_keeps_its_value():
     collector = Collector(SESSION)
-    first = CaptureGauges(captured_ns=START_NS, source_fault="a pause")
+    first = CaptureFigures(captured_ns=START_NS, source_fault="a pause")
     tell(collector, "camera_head", START_NS, figures=[first])
     collector.process("camera_head").handle_end()
-    tell(collector, "camera_head", START_NS, figures=[CaptureGauges(source_fault="a gap")])
+    tell(collector, "camera_head", START_NS, figures=[CaptureFigures(source_fault="a gap")])
     figures = collector.process("camera_head")
     assert (figures.captured_ns, figures.source_fault) == (START_NS, "a gap")
 

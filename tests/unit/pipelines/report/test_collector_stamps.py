@@ -7,9 +7,9 @@ import pytest
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.media.figures import CaptureFigures, SelectorFigures
 from pipelines.report.journeys import HapticFigures, Pauses, StreamFigures
 from pipelines.report.process_figures import ProcessFigures
-from pipelines.session.figures import CaptureGauges, SelectorGauges
 from pipelines.session.rows import OutRow, RxRow, ShownRow, TxRow
 
 START_NS = 1_000 * NS_PER_S
@@ -173,7 +173,7 @@ def test_the_time_of_a_process_is_that_of_its_messages():
     # It has captured nothing since it began.
     assert process.silent_ns() == NS_PER_S
     captured_ns, now_ns = at(900, 1500)
-    process.handle_message(message(CaptureGauges(captured_ns=captured_ns)), now_ns)
+    process.handle_message(message(CaptureFigures(captured_ns=captured_ns)), now_ns)
     assert (process.captured_ns, process.gives_since_ns) == (captured_ns, captured_ns)
     assert process.silent_ns() == 600 * NS_PER_MS
     assert process.silent_ns(captured_ns - 1) == 0
@@ -183,7 +183,7 @@ def test_an_input_gives_since_its_last_pause():
     process = ProcessFigures()
     since = []
     for captured_ns in at(0, 500, 2000, 3501, 4000):
-        process.handle_message(message(CaptureGauges(captured_ns=captured_ns)), captured_ns)
+        process.handle_message(message(CaptureFigures(captured_ns=captured_ns)), captured_ns)
         since.append(process.gives_since_ns)
     # Three reports, 1.5 s, are no pause yet.
     assert [(since_ns - START_NS) // NS_PER_MS for since_ns in since] == [0, 0, 0, 3501, 3501]
@@ -193,7 +193,7 @@ def test_a_camera_is_selected_since_its_choice():
     process = ProcessFigures()
     since = []
     for now_ns, name in zip(at(0, 500, 1000), ("left", "left", "head"), strict=True):
-        process.handle_message(message(SelectorGauges(selected=name)), now_ns)
+        process.handle_message(message(SelectorFigures(selected=name)), now_ns)
         since.append(process.selected_ns)
     assert since == [since[0], since[0], at(1000)[0]]
     assert since[0] == START_NS

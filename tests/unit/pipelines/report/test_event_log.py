@@ -1,29 +1,26 @@
 """Every event of a session is told once, with its instant, in the order of the instants."""
 
+from dataclasses import fields
 from types import SimpleNamespace
 
 import pytest
+from told import gateway as told_gateway
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.staleness import State
+from pipelines.media.figures import CaptureFigures, DisplayFigures, SelectorFigures
+from pipelines.mission.figures import TaskFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import DEPTH, EventLog, ProcessNow
-from pipelines.session.figures import (
-    CaptureGauges,
-    DisplayCounters,
-    DisplayGauges,
-    GatewayGauges,
-    JoystickGauges,
-    SelectorGauges,
-    TaskGauges,
-)
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.task_journal import TaskRow, TaskStep
 from pipelines.table import topology_of
+from telepresence.haptics.figures import JoystickFigures
 from telepresence.link.figures import ContactFigures, ContactWindows
-from telepresence.tasks.experiment import Step
+from telepresence.tasks.experiment import RunStep
 
 SETUP = BUILT_IN["taskboard"]
 CONNECTED = {"at_ns": 5000, "from": "configure", "to": "connected", "why": "data both ways"}
@@ -66,8 +63,7 @@ def gateway(contacts=(), history=(), begun_ns=1_000_000, windows=None):
         history=list(history),
     )
     channel = SimpleNamespace(contact=windows)
-    link = SimpleNamespace(supervision=supervision, radio=SimpleNamespace(channel=channel))
-    return GatewayGauges(link=link)
+    return told_gateway(supervision=supervision, radio=SimpleNamespace(channel=channel))
 
 
 def test_signal_and_state_of_the_link_have_their_own_instants(session):
@@ -102,9 +98,7 @@ def test_a_pass_begins_and_ends_when_its_orbit_says():
         nearest_km=1,
         farthest_km=1,
     )
-    radio = SimpleNamespace(start_s=-2.0)
-    session = Session()
-    session.log._setup = SimpleNamespace(radio_profile=radio, streams=(), inputs=())
+    session = Session(load_setup("taskboard", changes={"radio": "iss-pass"}, radio_start_s=-2.0))
     session.told("ground_gateway", gateway(windows=windows))
     assert session.look(1.9) == []
     assert session.look(2.2) == [(2_000_000, "link", "radio: the pass begins")]
@@ -113,9 +107,9 @@ def test_a_pass_begins_and_ends_when_its_orbit_says():
 
 
 def test_a_camera_is_told_when_it_changes(session):
-    session.told("selector", SelectorGauges(selected="stereo"))
+    session.told("selector", SelectorFigures(selected="stereo"))
     assert session.look() == []
-    session.told("selector", SelectorGauges(selected="static"), at_s=1.7)
+    session.told("selector", SelectorFigures(selected="static"), at_s=1.7)
     assert session.look(2) == [(1_700_000, "camera", "camera static selected")]
     assert session.look(2.5) == []
 
@@ -132,7 +126,7 @@ def test_a_restart_is_told_with_its_error(session):
 
 def test_a_stale_picture_and_a_fresh_one_again(session):
     def shown(state, age_ms, at_s):
-        gauges = DisplayGauges(age_ns=age_ms * NS_PER_MS, state=state)
+        gauges = DisplayFigures(age_ns=age_ms * NS_PER_MS, state=state)
         session.told("space_display", gauges, at_s=at_s, stream="uplink_video")
         return session.look(at_s)
 
@@ -150,7 +144,8 @@ def test_a_stale_picture_and_a_fresh_one_again(session):
 
 def test_the_joystick_says_why(session):
     def state(name, reason):
-        return JoystickGauges(joystick=SimpleNamespace(state=name, reason=reason))
+        unknown = dict.fromkeys(one.name for one in fields(JoystickFigures))
+        return JoystickFigures(**{**unknown, "state": name, "reason": reason})
 
     session.told("joystick", state("application", ""))
     assert session.look() == [(1_000_000, "joystick", "joystick: application")]
@@ -160,17 +155,17 @@ def test_the_joystick_says_why(session):
 
 
 def test_silent_inputs_and_faults(session):
-    session.told("camera_left", CaptureGauges(captured_ns=NS_PER_S, source_fault="unplugged"))
+    session.told("camera_left", CaptureFigures(captured_ns=NS_PER_S, source_fault="unplugged"))
     assert session.look(1) == [(1_000_000, "input", "camera_left: unplugged")]
     assert session.look(4) == [(4_000_000, "input", "camera_left: no picture for 3 s (unplugged)")]
     assert session.look(4.5) == []
-    session.told("camera_left", CaptureGauges(captured_ns=5 * NS_PER_S), at_s=5)
+    session.told("camera_left", CaptureFigures(captured_ns=5 * NS_PER_S), at_s=5)
     assert session.look(5) == [(5_000_000, "input", "camera_left gives again")]
 
 
 def test_an_input_is_taken_over_and_given_back(session):
     def look(live, at_s):
-        gauges = CaptureGauges(captured_ns=round(at_s * NS_PER_S), live_source=live)
+        gauges = CaptureFigures(captured_ns=round(at_s * NS_PER_S), live_source=live)
         session.told("camera_left", gauges, at_s=at_s)
         return session.look(at_s)
 
@@ -181,8 +176,8 @@ def test_an_input_is_taken_over_and_given_back(session):
 
 
 def test_a_stop_on_request_is_one_event_and_nothing_in_it_is_stale_or_silent(session):
-    session.told("camera_left", CaptureGauges(captured_ns=NS_PER_S))
-    gauges = DisplayGauges(age_ns=40 * NS_PER_MS, state=State.FRESH)
+    session.told("camera_left", CaptureFigures(captured_ns=NS_PER_S))
+    gauges = DisplayFigures(age_ns=40 * NS_PER_MS, state=State.FRESH)
     session.told("space_display", gauges, stream="uplink_video")
     assert session.look(1) == []
     session.switch.handle_order(Order.STOP, 1_200_000_000)
@@ -192,7 +187,7 @@ def test_a_stop_on_request_is_one_event_and_nothing_in_it_is_stale_or_silent(ses
     session.switch.handle_order(Order.START, 9 * NS_PER_S)
     session.collector.handle_resumed(9 * NS_PER_S)
     # The picture of before does not count, and there is none yet.
-    session.told("space_display", DisplayCounters(), at_s=9, stream="uplink_video")
+    session.told("space_display", DisplayFigures(), at_s=9, stream="uplink_video")
     assert session.look(9.5) == [(9_000_000, "session", "session started")]
     session.told("space_display", gauges, at_s=10, stream="uplink_video")
     assert session.look(10) == []
@@ -200,7 +195,7 @@ def test_a_stop_on_request_is_one_event_and_nothing_in_it_is_stale_or_silent(ses
 
 def test_only_the_newest_are_kept(session):
     for number in range(DEPTH + 5):
-        session.told("selector", SelectorGauges(selected=f"camera{number}"))
+        session.told("selector", SelectorFigures(selected=f"camera{number}"))
         session.look(1)
     assert [event.number for event in session.log.events] == list(range(6, DEPTH + 6))
 
@@ -213,15 +208,16 @@ def test_runs_of_tasks_are_told_once_each_with_its_own_instants(session):
         figures = {"selected_ns": 0, "seconds": None, "steps": steps, **zero}
         return TaskRow(name="line", run=run, result=result, reason=reason, **figures)
 
-    first = row("open", [(50, Step.SELECTED), (60, Step.SHOWN), (70, Step.STARTED)])
-    session.told("tasks", TaskGauges(rows=(first,)))
+    first = row("open", [(50, RunStep.SELECTED), (60, RunStep.SHOWN), (70, RunStep.STARTED)])
+    session.told("tasks", TaskFigures(runs={7: first}))
     assert session.look() == [
         (50, "session", "task line, run 7: selected"),
         (70, "session", "task line, run 7: started"),
     ]
     # Its process was killed.
     killed = row("aborted", [], "the task's process was restarted")
-    session.told("tasks", TaskGauges(rows=(killed, row("open", [(900, Step.SELECTED)], run=8))))
+    runs = {7: killed, 8: row("open", [(900, RunStep.SELECTED)], run=8)}
+    session.told("tasks", TaskFigures(runs=runs))
     words = "task line, run 7: aborted: the task's process was restarted"
     assert session.look(2) == [
         (900, "session", "task line, run 8: selected"),

@@ -5,10 +5,11 @@ import re
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.link.figures import SocketFigures
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.model import GatewayReport, LinkReport, from_json, to_json
-from pipelines.session.figures import GatewayCounters, GatewayGauges, LoopCounters
+from pipelines.session.figures import LoopFigures
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Direction, Segment
 from pipelines.table import topology_of
@@ -53,8 +54,8 @@ class Link:
                     pass
             self.now_ns += NS_PER_MS
         for end, core in self.ends.items():
-            gauges = GatewayGauges(link=core.report(self.now_ns))
-            told = message(LoopCounters(slips=2, cycles=1000), gauges)
+            gauges = core.report(self.now_ns)
+            told = message(LoopFigures(slips=2, cycles=1000), gauges)
             self.collector.handle_message(f"{end.value}_gateway", told, self.now_ns)
 
     def report(self, ends=ENDS, restarts=0):
@@ -95,14 +96,14 @@ def test_rates_cover_the_time_since_the_previous_line():
 def test_the_summary_shows_the_figures_of_the_report():
     link = Link()
     link.run(400, haptics)
-    told = message(GatewayCounters(strangers={"radio": 4, "haptic": 0}))
+    told = message(SocketFigures(strangers={"radio": 4}))
     link.collector.handle_message("ground_gateway", told, link.now_ns)
     report = from_json(to_json(link.report()), LinkReport)
     assert report == link.report()
     for direction, octets in (("uplink", 32), ("downlink", 500)):
-        assert report.link[direction].frames == 400
-        assert sum(report.link[direction].octets.values()) == 400 * octets
-    assert report.gateways["ground"].strangers == {"radio": 4}
+        assert report.link[direction].sender.frames == 400
+        assert sum(report.link[direction].sender.octets.values()) == 400 * octets
+    assert report.gateways["ground"].sockets.strangers == {"radio": 4}
     assert report.failures == []
     text = "\n".join(summary_lines(report))
     assert "taskboard, 0.4 s, radio cable" in text
@@ -131,9 +132,9 @@ def test_one_end_alone_reports_its_own_half():
     del link.collector.processes["space_gateway"]
     report = link.report([Segment.GROUND], restarts=1)
     assert list(report.gateways) == ["ground"]
-    assert report.link["uplink"].frames == 100
-    assert report.link["uplink"].packets == {}
-    assert report.link["downlink"].frames == 0
+    assert report.link["uplink"].sender.frames == 100
+    assert report.link["uplink"].receiver.packets == {}
+    assert report.link["downlink"].sender.frames == 0
     text = "\n".join(summary_lines(report))
     assert "downlink received: 0 frames lost" in text
     assert "failed: ground_gateway: started again 1 times" in text
@@ -143,9 +144,9 @@ def test_a_loop_that_left_out_cycles_is_a_warning_with_its_mend():
     link = Link()
     link.run(100)
     assert link.report().warnings == []
-    starved = message(LoopCounters(slips=50, cycles=950), scheduler="fifo")
+    starved = message(LoopFigures(slips=50, cycles=950), scheduler="fifo")
     link.collector.handle_message("ground_gateway", starved, link.now_ns)
-    unprivileged = message(LoopCounters(slips=50, cycles=950), scheduler="other")
+    unprivileged = message(LoopFigures(slips=50, cycles=950), scheduler="other")
     link.collector.handle_message("space_gateway", unprivileged, link.now_ns)
     report = from_json(to_json(link.report()), LinkReport)
     assert [(one.what, one.where) for one in report.warnings] == [
@@ -159,5 +160,5 @@ def test_a_loop_that_left_out_cycles_is_a_warning_with_its_mend():
 
 def test_an_end_that_never_ran_has_a_report():
     report = Link().report()
-    assert report.gateways["space"] == GatewayReport(strangers={}, unsent=0)
+    assert report.gateways["space"] == GatewayReport(sockets=SocketFigures())
     assert any("never ran" in line for line in summary_lines(report))

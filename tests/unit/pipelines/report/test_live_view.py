@@ -8,9 +8,9 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.staleness import State
+from pipelines.media.figures import CaptureFigures, DisplayFigures
 from pipelines.report.collector import Collector
 from pipelines.report.live import _age, _inputs, _line, first_line, streams_table
-from pipelines.session.figures import CaptureGauges, DisplayCounters, DisplayGauges
 from pipelines.session.rows import OutRow, SampleReceivedRow
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
@@ -61,7 +61,7 @@ def test_each_stream_is_shown_with_its_age_and_state(launcher):
     (stream,) = SETUP.streams
 
     def shown(state, age_ms, told_s):
-        gauges = DisplayGauges(age_ns=age_ms * NS_PER_MS, state=State(state))
+        gauges = DisplayFigures(age_ns=age_ms * NS_PER_MS, state=State(state))
         launcher.collector.handle_message(
             "space_display", message(gauges, stream=stream.name), round(told_s * NS_PER_S)
         )
@@ -83,9 +83,11 @@ def test_each_stream_is_shown_with_its_age_and_state(launcher):
 
 def test_an_input_without_pictures_is_shown_with_its_fault(launcher):
     told = {
-        "camera_left": CaptureGauges(captured_ns=7 * NS_PER_S, source_fault="the writer has gone"),
-        "camera_right": CaptureGauges(captured_ns=9 * NS_PER_S, source_fault="garbage in the pipe"),
-        "camera_static": CaptureGauges(captured_ns=9 * NS_PER_S),
+        "camera_left": CaptureFigures(captured_ns=7 * NS_PER_S, source_fault="the writer has gone"),
+        "camera_right": CaptureFigures(
+            captured_ns=9 * NS_PER_S, source_fault="garbage in the pipe"
+        ),
+        "camera_static": CaptureFigures(captured_ns=9 * NS_PER_S),
     }
     for process, gauges in told.items():
         launcher.collector.handle_message(process, message(gauges), 9 * NS_PER_S)
@@ -102,7 +104,7 @@ def test_an_input_without_pictures_is_shown_with_its_fault(launcher):
 def test_no_name_and_no_number_is_cut_at_any_width(launcher, width):
     launcher.setup = BUILT_IN["spacejustin"]
     launcher.collector = Collector(topology_of(launcher.setup))
-    shown = message(DisplayCounters(frames_displayed=1234567890), stream="uplink_video")
+    shown = message(DisplayFigures(frames_displayed=1234567890), stream="uplink_video")
     launcher.collector.handle_message("space_display", shown, 9 * NS_PER_S)
     console = Console(width=width)
     with console.capture() as capture:
@@ -129,9 +131,9 @@ def test_a_dash_is_shown_before_the_first_sample(launcher):
 
 
 def test_a_stop_on_request_is_shown_as_one_and_not_as_silence(launcher):
-    told = message(CaptureGauges(captured_ns=0))
+    told = message(CaptureFigures(captured_ns=0))
     launcher.collector.handle_message("camera_left", told, NS_PER_S)
-    old = message(DisplayGauges(age_ns=NS_PER_S, state=State.STALE), stream="uplink_video")
+    old = message(DisplayFigures(age_ns=NS_PER_S, state=State.STALE), stream="uplink_video")
     launcher.collector.handle_message("space_display", old, NS_PER_S)
     assert "STALE" in _line(launcher, launcher.collector)
     launcher.switch.handle_order(Order.STOP, 2 * NS_PER_S)

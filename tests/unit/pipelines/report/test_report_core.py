@@ -5,32 +5,26 @@ from types import SimpleNamespace
 
 from hypothesis import given
 from hypothesis import strategies as st
-from told import message
+from told import gateway, message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.rtp.receiver import ReceiverCounts
+from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.streams.video_receiver import VideoReceiverCounts
+from pipelines.link.figures import SocketFigures
+from pipelines.media.figures import CaptureFigures, DisplayFigures, SelectorFigures
 from pipelines.report.collector import Collector
 from pipelines.report.link_figures import ledger_percent, link_figures
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report, failures
 from pipelines.report.silence import silences
-from pipelines.session.figures import (
-    CaptureCounters,
-    CaptureGauges,
-    DisplayCounters,
-    GatewayCounters,
-    GatewayGauges,
-    HapticCounters,
-    ProbeCounters,
-    ReceptionCounters,
-    ReceptionGauges,
-    SelectorGauges,
-    SendingCounters,
-)
+from pipelines.session.figures import ProbeFigures
 from pipelines.session.rows import OutRow, ShownRow
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Direction
 from pipelines.table import topology_of
-from telepresence.link.figures import ContactFigures
+from telepresence.haptics.figures import SamplesReceived, SamplesSent
+from telepresence.link.figures import ContactFigures, ReceiverFigures
 from telepresence.link.gateway import Gateway
 
 SETUP = BUILT_IN["taskboard"]
@@ -43,20 +37,21 @@ def told(octets_a_packet=300, displayed=30, received=1000):
     cap_bps = SETUP.uplink_video.cap_bps
     out = [OutRow(k * 33 * NS_PER_MS, octets_a_packet, cap_bps) for k in range(30)]
     totals = {
-        "uplink_video_send": SendingCounters(frames_captured=31, frames_encoded=30, frames_sent=30),
-        "uplink_video_receive": ReceptionCounters(rtp_packets=30, garbage=2),
-        "robot": HapticCounters(sent=1000, received=received),
-        "joystick": HapticCounters(sent=1000, received=received, lost=1),
+        "uplink_video_send": SenderCounts(frames_captured=31, frames_encoded=30, frames_sent=30),
+        "uplink_video_receive": VideoReceiverCounts(rtp=ReceiverCounts(rtp_packets=30, garbage=2)),
+        "robot": SamplesReceived(received=received),
+        "joystick": SamplesReceived(received=received, lost=1),
     }
     for process, counters in totals.items():
         rows = out if process == "uplink_video_send" else ()
-        collector.handle_message(process, message(counters, rows=rows), NS_PER_S)
+        sent = [SamplesSent(sent=1000)] if process in ("robot", "joystick") else []
+        collector.handle_message(process, message(counters, *sent, rows=rows), NS_PER_S)
     show(collector, NS_PER_S, displayed)
     return collector
 
 
 def show(collector, now_ns, displayed, *rows):
-    counters = DisplayCounters(frames_displayed=displayed)
+    counters = DisplayFigures(frames_displayed=displayed)
     told = message(counters, rows=rows, stream="uplink_video")
     collector.handle_message("space_display", told, now_ns)
 
@@ -79,10 +74,11 @@ def test_the_report_contains_the_counts():
     stream = report.streams["uplink_video"]
     assert stream.payload_bps_max_1s == 30 * 300 * 8
     assert stream.cap_bps == 90_000
-    assert (stream.frames_captured, stream.frames_sent, stream.rtp_packets) == (31, 30, 30)
-    assert stream.frames_displayed == 30
-    assert report.haptic["up"].lost == 1
-    assert report.haptic["down"].lost == 0
+    assert (stream.sender.frames_captured, stream.sender.frames_sent) == (31, 30)
+    assert stream.rtp.rtp_packets == 30
+    assert stream.display.frames_displayed == 30
+    assert report.haptic["up"].receiver.lost == 1
+    assert report.haptic["down"].receiver.lost == 0
     assert report.processes["robot"].restarts == 2
     assert report.processes["uplink_video_receive"].counts["garbage"] == 2
     assert "garbage" not in report.processes["space_display"].counts
@@ -110,8 +106,7 @@ def hearing(collector, since_ns, *, signal=True):
         ContactFigures(acquired_ns=since_ns - 1000, connected_ns=None, lost_ns=None),
     ]
     supervision = SimpleNamespace(signal=signal, begun_ns=1000, contacts=contacts)
-    heard = SimpleNamespace(frames=0, frames_lost=0)
-    gauges = GatewayGauges(link=SimpleNamespace(supervision=supervision, receive=heard))
+    gauges = gateway(supervision=supervision, receive=ReceiverFigures())
     collector.handle_message("space_gateway", message(gauges), 9 * NS_PER_S)
     return collector
 
@@ -133,7 +128,7 @@ def test_a_session_that_ended_at_once_still_has_a_report():
     empty = Collector(topology_of(SETUP))
     report = from_json(to_json(report_of(empty, seconds=0.0)), SessionReport)
     assert report.streams["uplink_video"].payload_bps_mean == 0
-    assert report.link["uplink"].frames == 0
+    assert report.link["uplink"].sender.frames == 0
 
 
 def test_the_mean_rate_covers_the_whole_session():
@@ -152,7 +147,7 @@ def test_a_stop_on_request_is_named_and_is_in_no_mean():
 
 def test_an_input_is_silent_only_since_it_was_started_again():
     collector = told()
-    collector.handle_message("camera_left", message(CaptureGauges(captured_ns=NS_PER_S)), NS_PER_S)
+    collector.handle_message("camera_left", message(CaptureFigures(captured_ns=NS_PER_S)), NS_PER_S)
     collector.handle_resumed(60 * NS_PER_S)
     silent = [str(one) for one in silences(SETUP, collector, 61 * NS_PER_S)]
     assert silent == []
@@ -162,18 +157,18 @@ def test_an_input_is_silent_only_since_it_was_started_again():
 
 def test_every_count_of_a_process_is_reported():
     collector = told()
-    first = CaptureCounters(captured=100, source_faults=2), ReceptionGauges(jitter_ns=7)
+    first = CaptureFigures(captured=100, source_faults=2), VideoReceiverCounts(jitter_ns=7)
     collector.handle_message("robot", message(*first, scheduler="fifo"), NS_PER_S)
-    strangers = GatewayCounters(strangers={"radio": 3, "haptic": 0})
+    strangers = SocketFigures(strangers={"radio": 3, "haptic": 0})
     collector.handle_message("robot", message(strangers), NS_PER_S)
     collector.process("robot").handle_end()
-    collector.handle_message("robot", message(CaptureCounters(captured=1)), NS_PER_S)
+    collector.handle_message("robot", message(CaptureFigures(captured=1)), NS_PER_S)
     entry = report_of(collector).processes["robot"]
     assert entry.counts["captured"] == 101
     assert entry.counts["source_faults"] == 2
     assert entry.counts["strangers_radio"] == 3
     assert {"strangers_haptic", "left_out"}.isdisjoint(entry.counts), "none, and no such counter"
-    assert (entry.jitter_ns, entry.scheduler) == (7, "fifo")
+    assert (entry.newest["jitter_ns"], entry.scheduler) == (7, "fifo")
     display = report_of(collector, 5.0).processes["space_display"]
     assert display.counts["uplink_video.frames_displayed"] == 30
 
@@ -198,23 +193,23 @@ def test_the_counts_of_a_killed_gateway_are_kept():
         gateway.handle_slot(now_ns)  # supervision's
         gateway.handle_slot(now_ns)
         later_ns = now_ns + NS_PER_S
-        told_now = message(GatewayGauges(link=gateway.report(later_ns)))
+        told_now = message(gateway.report(later_ns))
         collector.handle_message("ground_gateway", told_now, later_ns)
         collector.process("ground_gateway").handle_end()
         last = gateway.report(later_ns).transmit.queue["video"]
     link = report_of(collector).link["uplink"]
-    queue = link.queue["video"]
+    queue = link.sender.queue["video"]
     assert queue.accepted == 7
     # Also the two of which a part was sent.
     assert sum(queue.drops.values()) == 7
     assert queue.max_packets == 4
     assert queue.max_octets == last.max_octets
-    assert link.headers["uplink_video"]["packets"] == 2
+    assert link.sender.headers["uplink_video"]["packets"] == 2
 
 
 def test_a_report_that_lacks_values_is_a_failure():
     collector = told()
-    lost = ProbeCounters(probe_values_dropped=60)
+    lost = ProbeFigures(probe_values_dropped=60)
     collector.handle_message("space_display", message(lost), NS_PER_S)
     (failure,) = failures(SETUP, collector, 5.0)
     assert failure == "space_display: 60 values for this report were lost"
@@ -232,7 +227,7 @@ def run_on(collector, *, shown_until_s, captured_until_s, seconds=8, camera="lef
     for half in range(1, 2 * seconds + 1):
         now_ns = half * NS_PER_S // 2
         captured_ns = min(now_ns, round(captured_until_s * NS_PER_S))
-        gauges = CaptureGauges(captured_ns=captured_ns)
+        gauges = CaptureFigures(captured_ns=captured_ns)
         collector.handle_message(f"camera_{camera}", message(gauges), now_ns)
         if now_ns <= shown_until_s * NS_PER_S:
             show(collector, now_ns, half, ShownRow(half, now_ns - NS_PER_MS, now_ns))
@@ -253,14 +248,14 @@ def test_a_stream_whose_input_stopped_is_no_failure():
     collector = run_on(told(), shown_until_s=3, captured_until_s=3)
     assert failures(SETUP, collector, 8.0) == []
     # It is no failure either if the input has just returned.
-    gauges = CaptureGauges(captured_ns=8 * NS_PER_S)
+    gauges = CaptureFigures(captured_ns=8 * NS_PER_S)
     collector.handle_message("camera_left", message(gauges), 8 * NS_PER_S)
     assert failures(SETUP, collector, 8.0) == []
 
 
 def test_a_stream_is_judged_by_the_camera_that_is_selected():
     def select(collector, camera, at_s):
-        gauges = SelectorGauges(selected=camera)
+        gauges = SelectorFigures(selected=camera)
         collector.handle_message("selector", message(gauges), round(at_s * NS_PER_S))
         return collector
 
@@ -286,7 +281,7 @@ def test_an_input_that_no_page_has_given_anything_is_no_failure():
     for name in setup.camera_inputs:
         for half in range(1, 21):
             process = collector.topology.input(name).process
-            collector.handle_message(process, message(CaptureGauges()), half * NS_PER_S // 2)
+            collector.handle_message(process, message(CaptureFigures()), half * NS_PER_S // 2)
     assert failures(setup, collector, 10.0) == []
     assert (
         str(silences(setup, collector)[0]) == "camera_left: no picture for 10 s (no page gives it)"
@@ -294,7 +289,7 @@ def test_an_input_that_no_page_has_given_anything_is_no_failure():
     assert all(silence.waits for silence in silences(setup, collector))
     assert failures(SETUP, collector, 10.0) == ["uplink_video: nothing was displayed"]
     # From what a page gave, something must be shown.
-    given = message(CaptureGauges(captured_ns=9 * NS_PER_S))
+    given = message(CaptureFigures(captured_ns=9 * NS_PER_S))
     collector.handle_message("camera_left", given, 10 * NS_PER_S)
     assert failures(setup, collector, 10.0) == ["uplink_video: nothing was displayed"]
 
@@ -302,7 +297,7 @@ def test_an_input_that_no_page_has_given_anything_is_no_failure():
 def test_an_input_that_stopped_is_named():
     collector = run_on(told(), shown_until_s=3, captured_until_s=3)
     # The camera was restarted, and has captured nothing since.
-    fault = CaptureGauges(source_fault="the writer has gone")
+    fault = CaptureFigures(source_fault="the writer has gone")
     collector.handle_message("camera_left", message(fault), 8 * NS_PER_S)
     (silence,) = silences(SETUP, collector)
     assert str(silence) == "camera_left: no picture for 5 s (the writer has gone)"
@@ -324,7 +319,7 @@ def test_an_input_that_stopped_is_named():
 def test_an_input_that_never_delivered_is_named():
     collector = told()
     for now_ns in (NS_PER_S, 4 * NS_PER_S):
-        told_now = message(CaptureCounters(), CaptureGauges())
+        told_now = message(CaptureFigures(), CaptureFigures())
         collector.handle_message("camera_left", told_now, now_ns)
     (silence,) = silences(SETUP, collector)
     assert str(silence) == "camera_left: no picture for 3 s"

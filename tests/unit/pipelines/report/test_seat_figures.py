@@ -9,25 +9,22 @@ import pytest
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.rtp.receiver import ReceiverCounts
 from kontur_av.streams.staleness import State
+from kontur_av.streams.video_receiver import VideoReceiverCounts
+from pipelines.media.figures import DisplayFigures, SelectorFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
 from pipelines.report.model import to_builtins
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.report.seat_figures import SeatFigures, SeatMessage
 from pipelines.report.session_report import build_report
-from pipelines.session.figures import (
-    DisplayCounters,
-    DisplayGauges,
-    HapticCounters,
-    PageGauges,
-    ReceptionCounters,
-    SelectorGauges,
-)
+from pipelines.seats.figures import PageFigures
 from pipelines.session.rows import OutRow, SampleReceivedRow, SampleSentRow
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.table import topology_of
+from telepresence.haptics.figures import SamplesReceived, SamplesSent
 
 SETUP = BUILT_IN["spacejustin"]
 TOPOLOGY = topology_of(SETUP, pages=True)
@@ -44,17 +41,18 @@ def collector():
     now_ns = 2 * NS_PER_S
     for process, rows, counters in (
         ("uplink_video_send", out, ()),
-        ("robot", sent, (HapticCounters(sent=1000),)),
-        ("joystick", felt, (HapticCounters(received=1000, lost=3),)),
-        ("uplink_video_receive", (), (ReceptionCounters(rtp_packets=197, rtp_lost=3),)),
-        ("selector", (), (SelectorGauges(selected="stereo"),)),
+        ("robot", sent, (SamplesSent(sent=1000),)),
+        ("joystick", felt, (SamplesReceived(received=1000, lost=3),)),
+        (
+            "uplink_video_receive",
+            (),
+            (VideoReceiverCounts(rtp=ReceiverCounts(rtp_packets=197, rtp_lost=3)),),
+        ),
+        ("selector", (), (SelectorFigures(selected="stereo"),)),
     ):
         collector.handle_message(process, message(*counters, rows=rows), now_ns)
-    shown = (
-        DisplayCounters(frames_displayed=58),
-        DisplayGauges(age_ns=45 * NS_PER_MS, state=State.FRESH),
-    )
-    collector.handle_message("space_display", message(*shown, stream="uplink_video"), now_ns)
+    shown = DisplayFigures(frames_displayed=58, age_ns=45 * NS_PER_MS, state=State.FRESH)
+    collector.handle_message("space_display", message(shown, stream="uplink_video"), now_ns)
     return collector
 
 
@@ -155,7 +153,7 @@ def test_ground_control_is_told_which_page_holds_the_handle(collector):
     for holder in (0, 3):
         at_ns = round((2 + holder) * NS_PER_S)
         collector.handle_message(
-            "page_space", message(PageGauges(watching=1, holder=holder)), at_ns
+            "page_space", message(PageFigures(watching=1, holder=holder)), at_ns
         )
         look(figures)
         assert told(figures).figures["hand.holder"] == (holder or None)
@@ -211,7 +209,7 @@ class Launcher:
 
 
 def watched(collector, page, watching, at_s=2.0):
-    told = message(PageGauges(watching=watching))
+    told = message(PageFigures(watching=watching))
     collector.handle_message(page, told, round(at_s * NS_PER_S))
 
 

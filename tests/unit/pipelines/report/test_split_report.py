@@ -5,23 +5,20 @@ from rich.console import Console
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.streams.paced_sender import SenderCounts
+from pipelines.media.figures import CaptureFigures, DisplayFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report
 from pipelines.report.summary import first_line, streams_table
 from pipelines.report.warnings import find_path_warnings
-from pipelines.session.figures import (
-    CaptureCounters,
-    DisplayCounters,
-    HapticCounters,
-    PeerGauges,
-    SendingCounters,
-)
 from pipelines.session.rows import ShownRow
+from pipelines.session.session_switch import SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
+from telepresence.haptics.figures import SamplesSent
 from telepresence.link.peer.open import OpenPath
 
 SETUP = BUILT_IN["spacejustin"]
@@ -36,12 +33,12 @@ def alone(segment):
     now_ns, figures = SECONDS * NS_PER_S, {}
     for row in topology.media_streams:
         if topology.runs(row.sender):
-            figures[row.sender] = [SendingCounters(frames_captured=1800, frames_sent=1800)]
+            figures[row.sender] = [SenderCounts(frames_captured=1800, frames_sent=1800)]
             for name in row.inputs:
-                figures[topology.input(name).process] = [CaptureCounters(captured=1800)]
+                figures[topology.input(name).process] = [CaptureFigures(captured=1800)]
     for row in topology.haptics:
         if topology.runs(row.sender):
-            figures[row.sender] = [HapticCounters(sent=60_000)]
+            figures[row.sender] = [SamplesSent(sent=60_000)]
     for process, told in figures.items():
         assert topology.runs(process)
         collector.handle_message(process, message(*told), now_ns)
@@ -81,12 +78,12 @@ def test_latencies_between_two_clocks_are_left_out_of_report_and_table():
     collector = alone(Segment.SPACE)
     # The other machine's clock is an hour ahead, so what is shown seems to come from the future.
     rows = [ShownRow(n, 3600 * NS_PER_S, n * 33 * NS_PER_MS) for n in range(1, 100)]
-    told = message(DisplayCounters(frames_displayed=99), rows=rows, stream="uplink_video")
+    told = message(DisplayFigures(frames_displayed=99), rows=rows, stream="uplink_video")
     collector.handle_message("space_display", told, SECONDS * NS_PER_S)
     report = report_of(collector)
     assert report.failures == []
     video = report.streams["uplink_video"]
-    assert (video.frames_displayed, video.latency_ms.count) == (99, 0)
+    assert (video.display.frames_displayed, video.latency_ms.count) == (99, 0)
     console = Console(width=118)
     with console.capture() as capture:
         console.print(streams_table(report, 118))
@@ -101,12 +98,14 @@ def test_latencies_between_two_clocks_are_left_out_of_report_and_table():
 def test_a_path_without_protection_is_warned_of_and_stands_in_the_event_log():
     collector = alone(Segment.GROUND)
     path = OpenPath(SETUP.downlink, address=("192.0.2.1", 27000), now_ns=5)
-    told = message(PeerGauges(peer=path.report(NS_PER_S)))
+    told = message(path.report(NS_PER_S))
     collector.handle_message("ground_gateway", told, NS_PER_S)
     (warning,) = find_path_warnings(collector, Segment)
     assert (warning.what, warning.where) == ("not_protected", "ground_gateway")
     assert report_of(collector).gateways["ground"].peer.protected is False
     log = EventLog(SETUP, collector)
-    assert [text for _, _, text in log._peers()] == ["ground: the path is NOT PROTECTED"]
-    # Each event is told once.
-    assert list(log._peers()) == []
+    for now_ns in (NS_PER_S, 2 * NS_PER_S):
+        log.handle_look((), switch=SessionSwitch(), started_ns=0, now_ns=now_ns)
+        # Each event is told once.
+        told = [event.text for event in log.events if event.what == "link"]
+        assert told == ["ground: the path is NOT PROTECTED"]

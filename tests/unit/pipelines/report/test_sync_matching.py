@@ -10,7 +10,7 @@ from told import series
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.sync.figures import SyncFigures, disagreements, rank, skew_summary
 from pipelines.report.sync.limits import LIMITS
-from pipelines.report.sync.matching import Found, match
+from pipelines.report.sync.matching import Matched, match
 from pipelines.report.sync.section import sync_section
 from pipelines.session.rows import ClickRow, ContactRow, LightRow, StepRow
 from pipelines.session.setup.built_in import BUILT_IN
@@ -19,7 +19,7 @@ MS = NS_PER_MS
 
 
 def at(ms, strength=1.0):
-    return Found(round(ms * MS), strength)
+    return Matched(round(ms * MS), strength)
 
 
 @given(
@@ -30,7 +30,7 @@ def at(ms, strength=1.0):
 def test_each_contact_gets_its_own(gaps, delay, missing):
     contacts = [sum(gaps[: index + 1]) * MS for index in range(len(gaps))]
     found = [
-        Found(contact + delay * MS)
+        Matched(contact + delay * MS)
         for index, contact in enumerate(contacts)
         if index not in missing
     ]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.report.sync.matching import Found
+from pipelines.report.sync.matching import Matched
 from pipelines.report.sync.verdict import LEAST_VERDICT, judge, median_interval
 
 MS = NS_PER_MS
@@ -20,7 +20,7 @@ def perceived(errors_ms, strengths=None, slack_ms=0):
     for number, (error_ms, strength) in enumerate(zip(errors_ms, strengths, strict=True)):
         contact_ns = number * 2000 * MS
         stamp_ns = contact_ns + round(error_ms * MS)
-        found.append((contact_ns, Found(contact_ns, strength, stamp_ns, slack_ms * MS)))
+        found.append((contact_ns, Matched(contact_ns, strength, stamp_ns, slack_ms * MS)))
     return found
 
 
@@ -58,7 +58,7 @@ def test_the_clearest_are_judged():
 
 def test_too_few_or_undated_findings_make_no_verdict():
     assert judge(perceived([40.0] * (LEAST_VERDICT - 1))).agrees is None
-    assert judge([(0, Found(1))] * 20).agrees is None
+    assert judge([(0, Matched(1))] * 20).agrees is None
     assert judge([]).judged == 0
 
 

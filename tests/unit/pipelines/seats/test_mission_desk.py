@@ -15,9 +15,9 @@ from pipelines.mission.tmtc_messages import (
     SendK2aci,
 )
 from pipelines.seats.mission_desk import MissionDesk
+from pipelines.seats.page_requests import ChatRequest, CommandRequest
 from pipelines.seats.radio_words import radio_text
 from pipelines.seats.telemetry_log import level_of
-from pipelines.seats.texts import ChatRequest, CommandRequest
 from pipelines.session.mission_messages import ExperimentShown, TaskListed
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.segments import Segment
@@ -114,7 +114,7 @@ def test_a_telecommand_is_answered_when_it_is_verified(desk):
         "page.1", sent.id, "tasks", "failed", done=True, verified=True, reason="it is running"
     )
     desk.handle_news(failed, 0)
-    assert desk.next_event() == (PAGE, 7, "it is running", 0.0)
+    assert desk.next_event() == (PAGE, 7, "it is running", 0.0, "")
     assert desk.next_event() is None
 
 

@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from pipelines.seats.server import STATIC
 from pipelines.session import seat_roles
+from pipelines.session.web_site import STATIC
 from telepresence.tasks.definitions import ControlMode
-from telepresence.tasks.experiment import Phase, Step
+from telepresence.tasks.experiment import Phase, RunStep
 from telepresence.tmtc.k2aci import PanelMode, TaskResult
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
@@ -33,7 +33,7 @@ def test_the_pages_have_words_for_each_state(name, known):
 
 
 def test_the_pages_have_the_steps_in_their_order():
-    assert re.findall(r'"(.*?)",', table("STEPS")) == [one.value for one in Step]
+    assert re.findall(r'"(.*?)",', table("STEPS")) == [one.value for one in RunStep]
 
 
 @pytest.mark.parametrize("deed", [one for one in seat_roles._MAY if "." in one])

@@ -94,7 +94,7 @@ def test_too_much_or_garbage_closes_the_socket():
     with pytest.raises(ProtocolError):
         for _ in range(200):
             inputs.handle_message(0, picture(0.0), NS_PER_S)
-    for text in ("{", '{"request": 1, "do": "select", "camera": "head"}'):
+    for text in ("{", '{"request": 1, "do": "session", "action": "stop"}'):
         with pytest.raises(ProtocolError):
             inputs.handle_text(0, text, 0)
     with pytest.raises(ProtocolError, match="unknown type"):

@@ -4,11 +4,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_S
-from pipelines.seats.rates import TokenBucket
+from pipelines.seats.rates import MessageRate
 
 
 def test_a_burst_then_the_rate():
-    bucket = TokenBucket(20, 5)
+    bucket = MessageRate(20, 5)
     assert [bucket.handle_message(0) for _ in range(6)] == [True] * 5 + [False]
     assert not bucket.handle_message(NS_PER_S // 20 - 1)
     assert bucket.handle_message(NS_PER_S // 20)
@@ -17,7 +17,7 @@ def test_a_burst_then_the_rate():
 
 @given(st.lists(st.integers(0, NS_PER_S), max_size=200))
 def test_never_more_than_burst_and_rate(gaps_ns):
-    bucket, now_ns, passed = TokenBucket(20, 5), 0, 0
+    bucket, now_ns, passed = MessageRate(20, 5), 0, 0
     for gap_ns in gaps_ns:
         now_ns += gap_ns
         passed += bucket.handle_message(now_ns)

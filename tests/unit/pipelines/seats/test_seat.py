@@ -13,14 +13,15 @@ from kontur_av.media import CaptureStamp, Quality, empty_picture
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
+from pipelines.mission.tmtc_messages import CommandUpdate
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import (
-    CameraAsked,
+from pipelines.seats.seat import Seat
+from pipelines.seats.seat_events import (
     CommandGiven,
     HandMoved,
     RecordingAsked,
-    Seat,
     SessionOrdered,
+    TmtcAsked,
 )
 from pipelines.session.seat_roles import Role
 from pipelines.session.session_switch import Order
@@ -31,6 +32,8 @@ from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 DICTIONARY = built_in_dictionary()
+SELECT_HEAD = {"application": "camera", "name": "select", "arguments": ["head"]}
+NO_ANSWER = "select head: no acknowledgement came"
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"], pages=True)
 KEY, DELTA = b"\0\0\0\1\x67s\0\0\0\1\x68p\0\0\0\1\x65i", b"\0\0\0\1\x41d"
 
@@ -69,7 +72,7 @@ def hand(sequence, *, dead_man=True, x=0.0):
 def give_unit(seat, number, *, key=False, damaged=False, stream=0):
     unit = CodedUnit(data=KEY if key else DELTA, key=key, damaged=damaged, width=64, height=48)
     stamp = CaptureStamp(number * NS_PER_MS, number, "uplink_video", rtp_timestamp=number)
-    seat.handle_unit(stream, unit, stamp, number)
+    seat.media.handle_unit(stream, unit, stamp, number)
 
 
 def units(messages):
@@ -138,14 +141,14 @@ def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits
     seat = seat_of()
     give_unit(seat, 0, key=True)
     give_unit(seat, 5)
-    assert seat.wanted_pictures() == []
+    assert seat.media.wanted_pictures() == []
     page = seat.handle_opened(Role.VIEWER, 0)
     assert units(sent(seat, page)) == []
-    assert seat.wanted_pictures() == [0]
-    assert not seat.handle_decoded(0, KEY, 4)
+    assert seat.media.wanted_pictures() == [0]
+    assert not seat.media.handle_decoded(0, KEY, 4)
     give_unit(seat, 6)
-    assert seat.handle_decoded(0, KEY, 5)
-    assert seat.wanted_pictures() == []
+    assert seat.media.handle_decoded(0, KEY, 5)
+    assert seat.media.wanted_pictures() == []
     assert units(sent(seat, page)) == [(5, 5), (0, 6)]
 
 
@@ -155,13 +158,13 @@ def test_what_the_selected_camera_films_is_wanted_only_while_a_page_waits_for_it
     give_unit(seat, 0, key=True, stream=stream)
     give_unit(seat, 5, stream=stream)
     seat.handle_camera("static", 0)
-    assert seat.wanted_filmed() == {}
+    assert seat.media.wanted_filmed(seat.camera) == {}
     page = seat.handle_opened(Role.VIEWER, 0)
     assert units(sent(seat, page)) == []
-    assert seat.wanted_filmed() == {stream: TOPOLOGY.camera("static").topic}
-    assert not seat.handle_filmed(stream, KEY, 4)
-    assert seat.handle_filmed(stream, KEY, 5)
-    assert seat.wanted_filmed() == {}
+    assert seat.media.wanted_filmed(seat.camera) == {stream: TOPOLOGY.camera("static").topic}
+    assert not seat.media.handle_filmed(stream, KEY, 4)
+    assert seat.media.handle_filmed(stream, KEY, 5)
+    assert seat.media.wanted_filmed(seat.camera) == {}
     give_unit(seat, 6, stream=stream)
     assert units(sent(seat, page))[-1] == (0, 6)
 
@@ -171,9 +174,9 @@ def test_every_page_gets_sound_haptics_and_previews():
     pages = [seat.handle_opened(Role.VIEWER, 0) for _ in range(2)]
     for page in pages:
         sent(seat, page)
-    seat.handle_sound(2, b"\1\0" * 960, CaptureStamp(5, 1, "x", Quality.CONCEALED))
-    seat.handle_haptics(1, np.zeros(BLOCK_ROWS, ROW).tobytes())
-    seat.handle_preview(3, empty_picture(160, 120), CaptureStamp(5, 1, "head"))
+    seat.media.handle_sound(2, b"\1\0" * 960, CaptureStamp(5, 1, "x", Quality.CONCEALED))
+    seat.media.handle_haptics(1, np.zeros(BLOCK_ROWS, ROW).tobytes())
+    seat.media.handle_preview(3, empty_picture(160, 120), CaptureStamp(5, 1, "head"))
     for page in pages:
         assert [message[:3] for message in sent(seat, page)] == [
             *(b"\2\2\1", b"\3\1\x14", b"\4\3\xa0")
@@ -203,7 +206,7 @@ def test_a_viewer_watches_only():
     viewer = seat.handle_opened(Role.VIEWER, 0)
     sent(seat, viewer)
     ask(seat, viewer, "hand", action="take")
-    ask(seat, viewer, "select", camera="head")
+    ask(seat, viewer, "command", **SELECT_HEAD)
     ask(seat, viewer, "joystick", event="halt")
     seat.handle_message(viewer, hand(1), 0)
     assert events(seat) == []
@@ -252,15 +255,45 @@ def test_a_command_is_answered_when_the_joystick_has_carried_it_out():
 def test_the_operator_selects_the_camera():
     seat = seat_of()
     page = seat.handle_opened(Role.OPERATOR, 0)
-    ask(seat, page, "select", camera="head")
+    ask(seat, page, "command", **SELECT_HEAD)
     (asked,) = events(seat)
-    assert asked == CameraAsked(page, 7, "head")
+    command = asked.request
+    assert (command.application, command.name, command.arguments) == ("camera", "select", ("head",))
     sent(seat, page)
-    seat.handle_selection(asked, error="", round_trip_ms=12.5, now_ns=0)
+    end = {"done": True, "ok": True, "verified": True, "round_trip_ms": 12.5}
+    seat.handle_news(CommandUpdate(command.client, command.id, "camera", "completed", **end), 0)
     found = [json.loads(text) for text in sent(seat, page)]
     assert found[0]["round_trip_ms"] == 12.5
     assert found[1]["camera"] == "head"
-    seat.handle_selection(CameraAsked(99, 1, "head"), error="", round_trip_ms=1.0, now_ns=0)
+
+
+@pytest.mark.parametrize(
+    ("update", "error"),
+    [
+        ({"stage": "failed", "reason": "no verification came"}, NO_ANSWER),
+        ({"stage": "failed", "reason": "its end was not verified"}, NO_ANSWER),
+        (
+            {"stage": "failed", "reason": "a later request came"},
+            "select head: a later request came",
+        ),
+        ({"stage": "failed", "reason": "too late", "verified": True}, "too late"),
+        (
+            {"stage": "refused", "reason": "unknown camera head", "mistake": True},
+            "unknown camera head",
+        ),
+    ],
+)
+def test_a_camera_that_is_not_selected(update, error):
+    seat = seat_of()
+    page = seat.handle_opened(Role.OPERATOR, 0)
+    ask(seat, page, "command", **SELECT_HEAD)
+    (asked,) = events(seat)
+    sent(seat, page)
+    command = asked.request
+    seat.handle_news(CommandUpdate(command.client, command.id, "camera", done=True, **update), 0)
+    (answer,) = texts(seat, page, "answer")
+    assert not answer["ok"]
+    assert answer["error"] == error
 
 
 def test_each_seat_does_its_own():
@@ -268,11 +301,11 @@ def test_each_seat_does_its_own():
     for seat in (ground, space):
         page = seat.handle_opened(Role.OPERATOR, 0)
         ask(seat, page, "session", action="stop")
-        ask(seat, page, "select", camera="head")
+        ask(seat, page, "command", **SELECT_HEAD)
         ask(seat, page, "hand", action="take")
         ask(seat, page, "record", action="start")
     assert events(ground) == [SessionOrdered(Order.STOP), RecordingAsked(1, 7, begin=True)]
-    assert [type(event) for event in events(space)] == [SessionOrdered, CameraAsked]
+    assert [type(event) for event in events(space)] == [SessionOrdered, TmtcAsked]
 
 
 def test_in_space_a_session_at_two_machines_is_not_stopped():
@@ -310,7 +343,7 @@ def test_all_pages_of_a_seat_see_one_chat_and_a_plain_one_sees_nothing_else():
     sent(seat, page)
     ask(seat, page, "chat", text="hello")
     give_unit(seat, 0, key=True)
-    seat.handle_haptics(0, np.zeros(BLOCK_ROWS, ROW).tobytes())
+    seat.media.handle_haptics(0, np.zeros(BLOCK_ROWS, ROW).tobytes())
     seat.handle_time(NS_PER_S)
     seen, watched = sent(seat, page), sent(seat, plain)
     chats = [one for one in watched if '"chat"' in one]

@@ -7,18 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.errors import ProtocolError
-from pipelines.seats.texts import (
+from pipelines.seats.page_requests import (
     InputRequest,
     JoystickRequest,
-    SelectRequest,
+    SessionRequest,
     parse_media_request,
     parse_seat_request,
 )
 
 
 def test_requests_of_a_seat():
-    select = parse_seat_request('{"request": 3, "do": "select", "camera": "static"}')
-    assert select == SelectRequest(request=3, camera="static")
+    stop = parse_seat_request('{"request": 3, "do": "session", "action": "stop"}')
+    assert stop == SessionRequest(request=3, action="stop")
     halt = parse_seat_request('{"request": 4, "do": "joystick", "event": "halt"}')
     assert halt == JoystickRequest(request=4, event="halt")
     on = parse_media_request('{"request": 5, "do": "input", "name": "iss_mic", "on": true}')
@@ -31,15 +31,15 @@ def test_requests_of_a_seat():
         "",
         "{}",
         "[" * 4000,
-        '{"request": 1, "do": "select"}',
-        '{"request": -1, "do": "select", "camera": "a"}',
-        '{"request": 1e400, "do": "select", "camera": "a"}',
-        '{"request": 1, "do": "select", "camera": ""}',
-        '{"request": 1, "do": "select", "camera": "a", "more": 1}',
+        '{"request": 1, "do": "session"}',
+        '{"request": -1, "do": "command", "application": "a"}',
+        '{"request": 1e400, "do": "command", "application": "a"}',
+        '{"request": 1, "do": "command", "application": ""}',
+        '{"request": 1, "do": "command", "application": "a", "more": 1}',
         '{"request": 1, "do": "joystick", "event": "fault"}',
         '{"request": 1, "do": "input", "name": "iss_mic", "on": true}',
         '{"request": 1, "do": "quit"}',
-        '{"request": 1, "do": "select", "camera": "\ud800"}',
+        '{"request": 1, "do": "command", "application": "\ud800"}',
     ],
 )
 def test_anything_else_is_refused(text):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.session.access import Access, AccessError, Kind, headers
+from pipelines.session.access import Access, AccessError, AccessKind, headers
 from pipelines.session.seat_roles import Role
 
 OPERATOR, VIEWER = "operator-token", "viewer-token"
@@ -25,10 +25,10 @@ def refused(*args, **changes):
 
 
 def test_the_token_says_what_its_owner_may():
-    assert found(f"/space?token={OPERATOR}")[:2] == (Kind.PAGE, Role.OPERATOR)
-    assert found(f"/space?x=1&token={VIEWER}")[:2] == (Kind.PAGE, Role.VIEWER)
-    assert found(f"/{VIEWER}/static/space.js")[:2] == (Kind.FILE, Role.VIEWER)
-    for path, kind in (("ws", Kind.SEAT), ("media", Kind.MEDIA)):
+    assert found(f"/space?token={OPERATOR}")[:2] == (AccessKind.PAGE, Role.OPERATOR)
+    assert found(f"/space?x=1&token={VIEWER}")[:2] == (AccessKind.PAGE, Role.VIEWER)
+    assert found(f"/{VIEWER}/static/space.js")[:2] == (AccessKind.FILE, Role.VIEWER)
+    for path, kind in (("ws", AccessKind.SEAT), ("media", AccessKind.MEDIA)):
         assert found(f"/{OPERATOR}/{path}", origin=f"http://{HOST}")[:2] == (kind, Role.OPERATOR)
 
 

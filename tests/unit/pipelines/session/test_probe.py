@@ -2,10 +2,12 @@
 
 import pytest
 
-from pipelines.session.figures import DisplayCounters, HapticCounters, PortGauges, ProbeCounters
+from pipelines.media.figures import DisplayFigures
+from pipelines.session.figures import ProbeFigures
 from pipelines.session.probe import FLUSH_NS, Message, Probe, Series
 from pipelines.session.rows import LatenessRow, RxRow, ShownRow
 from pipelines.session.session_switch import Order
+from telepresence.haptics.figures import PortFigures, SamplesSent
 
 
 def told(probe, now_ns):
@@ -17,24 +19,28 @@ def told(probe, now_ns):
 
 def test_counters_are_repeated_and_rows_are_sent_once():
     probe = Probe()
-    sent, port = HapticCounters(sent=4, left_out=0), PortGauges(credit_uj=-5, least_uj=7)
-    probe.count(sent)
-    probe.gauge(port)
-    shown_count = DisplayCounters(frames_displayed=1)
-    probe.count(shown_count, "uplink_video")
+    sent, port = SamplesSent(sent=4, left_out=0), PortFigures(credit_uj=-5, least_uj=7)
+    probe.tell(sent)
+    probe.tell(port)
+    shown_count = DisplayFigures(frames_displayed=1)
+    probe.tell(shown_count, "uplink_video")
     arrivals, shown = probe.series(RxRow), probe.series(ShownRow, "uplink_video")
     arrivals.add(RxRow(1, -3))
     shown.add(ShownRow(7, 8, 9))
     message, rows = told(probe, 0)
-    counters = {(HapticCounters, ""): sent, (DisplayCounters, "uplink_video"): shown_count}
-    assert (message.counters, message.gauges) == (counters, {(PortGauges, ""): port})
+    figures = {
+        (SamplesSent, ""): sent,
+        (PortFigures, ""): port,
+        (DisplayFigures, "uplink_video"): shown_count,
+    }
+    assert message.figures == figures
     assert rows == [
         (RxRow, "", [RxRow(1, -3)]),
         (ShownRow, "uplink_video", [ShownRow(7, 8, 9)]),
     ]
     arrivals.extend([RxRow(2, 4), RxRow(3, 5)])
     message, rows = told(probe, 1)
-    assert message.counters == counters
+    assert message.figures == figures
     assert rows == [(RxRow, "", [RxRow(2, 4), RxRow(3, 5)])]
 
 
@@ -80,4 +86,4 @@ def test_rows_without_a_reader_are_kept_for_a_while_and_dropped_whole():
     arrivals.add(RxRow(5, -5))
     message, rows = told(probe, 2)
     assert rows == [(RxRow, "", [RxRow(5, -5)])]
-    assert message.counters[ProbeCounters, ""].probe_values_dropped == 20_002
+    assert message.figures[ProbeFigures, ""].probe_values_dropped == 20_002

@@ -69,7 +69,7 @@ def test_a_restarted_receiver_knows_the_last_sender_report(context):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as gateway:
         for datagram in (report, report[28:], b"\x80\xcc\x00\x01abcd", b"garbage"):
             gateway.sendto(datagram, rtcp)
-        while before.counts.reports + before.counts.garbage < 4:
+        while before.counts.rtcp_reports + before.counts.garbage < 4:
             incoming.wait(10**9)
     after = receiver()
     Incoming(context, context.setup.uplink_video, after)

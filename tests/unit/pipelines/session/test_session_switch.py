@@ -2,7 +2,13 @@
 
 import pytest
 
-from pipelines.session.session_switch import PATIENCE_NS, Action, Activity, Order, SessionSwitch
+from pipelines.session.session_switch import (
+    PATIENCE_NS,
+    Activity,
+    Order,
+    SessionSwitch,
+    SwitchAction,
+)
 
 
 @pytest.fixture
@@ -17,7 +23,7 @@ def actions(switch):
 def stopped(switch, at_ns=10, ended_ns=20):
     switch.handle_order(Order.STOP, at_ns)
     switch.handle_all_ended(ended_ns)
-    assert actions(switch) == [Action.END]
+    assert actions(switch) == [SwitchAction.END]
     return switch
 
 
@@ -25,7 +31,7 @@ def test_a_stop_ends_all_and_a_start_begins_again(switch):
     stopped(switch)
     assert switch.activity is Activity.STOPPED
     switch.handle_order(Order.START, 50)
-    assert (switch.activity, actions(switch)) == (Activity.RUNNING, [Action.START])
+    assert (switch.activity, actions(switch)) == (Activity.RUNNING, [SwitchAction.START])
     assert switch.stops_ns == [(10, 50)]
 
 
@@ -37,14 +43,14 @@ def test_an_order_that_changes_nothing_is_ignored(switch):
     assert (switch.activity, actions(switch)) == (Activity.STOPPED, [])
     switch.handle_order(Order.START, 40)
     switch.handle_order(Order.START, 41)
-    assert actions(switch) == [Action.START]
+    assert actions(switch) == [SwitchAction.START]
     assert switch.stops_ns == [(10, 40)]
 
 
 def test_a_start_waits_until_all_have_ended_and_a_later_stop_takes_it_back(switch):
     switch.handle_order(Order.STOP, 10)
     switch.handle_order(Order.START, 11)
-    assert (switch.activity, actions(switch)) == (Activity.STOPPING, [Action.END])
+    assert (switch.activity, actions(switch)) == (Activity.STOPPING, [SwitchAction.END])
     switch.handle_order(Order.STOP, 12)
     switch.handle_all_ended(15)
     assert (switch.activity, actions(switch)) == (Activity.STOPPED, [])
@@ -53,7 +59,7 @@ def test_a_start_waits_until_all_have_ended_and_a_later_stop_takes_it_back(switc
     switch.handle_order(Order.START, 22)
     switch.handle_all_ended(25)
     assert switch.activity is Activity.RUNNING
-    assert actions(switch) == [Action.START, Action.END, Action.START]
+    assert actions(switch) == [SwitchAction.START, SwitchAction.END, SwitchAction.START]
     assert switch.stops_ns == [(10, 20), (21, 25)]
 
 
@@ -61,9 +67,9 @@ def test_what_does_not_end_by_itself_is_ended(switch):
     switch.handle_order(Order.STOP, 10)
     assert switch.poll_timeout() == 10 + PATIENCE_NS
     switch.handle_timeout(9 + PATIENCE_NS)
-    assert actions(switch) == [Action.END]
+    assert actions(switch) == [SwitchAction.END]
     switch.handle_timeout(10 + PATIENCE_NS)
-    assert actions(switch) == [Action.KILL]
+    assert actions(switch) == [SwitchAction.KILL]
     assert switch.poll_timeout() is None
     switch.handle_all_ended(11 + PATIENCE_NS)
     assert switch.activity is Activity.STOPPED

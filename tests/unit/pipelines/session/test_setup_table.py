@@ -7,7 +7,6 @@ import pytest
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpSender
-from pipelines.media.choosing import HOUSEKEEPING_INTERVAL_NS
 from pipelines.media.session_streams import REPORT_INTERVAL_NS
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.segments import Segment
@@ -20,10 +19,9 @@ from telepresence.link.arithmetic import (
     TAG_OCTETS,
 )
 from telepresence.link.radio import load_radio
-from telepresence.tmtc import Housekeeping, pack_packet
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import MAX_PACKET_OCTETS
-from telepresence.tmtc.pus.packets import MAX_REPORT_OCTETS
+from telepresence.tmtc.pus.packets import MAX_COMMAND_OCTETS, MAX_REPORT_OCTETS
 
 EVERY_FIELD = """
 name = "wrist"
@@ -209,14 +207,17 @@ def test_reports_and_telemetry_of_a_session_fit_the_reserve():
     )
     rtp.audio_packets(b"\x08", CaptureStamp(0, 0, "test"))
     report = rtp.poll_report(0)
-    state = pack_packet(Housekeeping("taskboard1", contact=True, force_n=1.0), 0)
     octets_per_s = 2 * (TAG_OCTETS + len(report)) * 1e9 / REPORT_INTERVAL_NS
-    octets_per_s += (TAG_OCTETS + RESUME_OCTETS + len(state)) * 1e9 / HOUSEKEEPING_INTERVAL_NS
+    # About a telecommand every ten seconds: accepted, started, completed.
+    verification = MAX_PACKET_OCTETS - MAX_REPORT_OCTETS + 4
+    octets_per_s += 3 * (TAG_OCTETS + RESUME_OCTETS + verification) / 10
     octets_per_s += pus_octets_per_s("ground")
     assert 0 <= RESERVE_BPS / 8 - octets_per_s <= 5
-    # In place of the robot's telemetry, a telecommand every five seconds.
+    # The telecommand.
     octets_per_s = 2 * (TAG_OCTETS + len(report)) * 1e9 / REPORT_INTERVAL_NS
-    octets_per_s += (TAG_OCTETS + RESUME_OCTETS + len(state)) / 5
+    (select,) = built_in_dictionary().application("camera").parameters
+    command = MAX_PACKET_OCTETS - MAX_COMMAND_OCTETS + 1 + select.octets
+    octets_per_s += (TAG_OCTETS + RESUME_OCTETS + command) / 10
     octets_per_s += pus_octets_per_s("space")
     assert 0 <= RESERVE_DOWN_BPS / 8 - octets_per_s <= 5
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from kontur_av.clock import NS_PER_S
-from pipelines.session.figures import TrainerGauges
+from pipelines.session.figures import TrainerFigures
 from pipelines.session.probe import Probe
 from pipelines.session.terminal_lines import MOST_TERMINALS
 from pipelines.session.training import Exercises, Trainer
@@ -47,8 +47,8 @@ def test_each_exercise_lasts_until_its_own_end_and_all_can_be_ended(trainer, pro
     assert ask(trainer, 9 * S, exercise="end")["ok"]
     assert trainer.exercises == Exercises()
     trainer.tell()
-    gauges = probe.message.gauges[TrainerGauges, ""]
-    assert [event.at_ns // S for event in gauges.events] == [5, 6, 7, 7, 9]
+    gauges = probe.message.figures[TrainerFigures, ""]
+    assert [event.at_ns // S for event in gauges.exercises] == [5, 6, 7, 7, 9]
 
 
 @pytest.mark.parametrize(

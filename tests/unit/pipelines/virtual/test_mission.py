@@ -18,7 +18,7 @@ from pipelines.session.mission_messages import (
 from pipelines.session.task_journal import LinkMeanwhile
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.kernel import ChooseCamera, ControlRobot, MoveRobot, PowerRobot, Record
-from telepresence.tasks.panel_picture import DARK, pack_acknowledgement
+from telepresence.tasks.panel_picture import DARK, pack_acknowledgement, parse_picture
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.k2aci import (
     PanelMode,
@@ -59,8 +59,9 @@ class Ground:
                 self.recording = order.on
         while (message := self.core.poll_message()) is not None:
             self.messages.append(message)
-        if self.core.leds.poll_transmit(self.now_ns) is not None:
-            number = self.core.leds._number
+        datagram = self.core.leds.poll_transmit(self.now_ns)
+        if datagram is not None:
+            number, _ = parse_picture(datagram)
             self.core.leds.handle_datagram(pack_acknowledgement(number), self.now_ns)
 
     def go(self, seconds):

@@ -68,7 +68,7 @@ def video(**changed):
         "frames_captured": 3000,
         "frames_displayed": 2400,
         "pauses_s": [],
-        "stale_ms": 0.0,
+        "stale_ns": 0,
         "stale_episodes": 0,
         "latency_ms": {"p50": 48.0, "p99": 60.0, "count": 2400, "stages": {}},
     } | changed

@@ -4,7 +4,7 @@ from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.virtual.campaign.figures import RunFigures
 from pipelines.virtual.campaign.sweep import (
     Case,
-    Spread,
+    SeedSpread,
     Sweep,
     case_figures,
     csv_rows,
@@ -37,7 +37,7 @@ def test_a_case_has_median_least_and_largest_of_its_seeds():
     stuck = RunFigures(key="", seed=3, faults=("stuck",), figures={"force_p99_ms": 9.0})
     runs = [run_of(1, force_p99_ms=2.0), run_of(2, force_p99_ms=3.0), stuck, None, None, None]
     first, second = case_figures(SWEEP, runs)
-    assert first.figures["force_p99_ms"] == Spread(median=3.0, least=2.0, largest=9.0)
+    assert first.figures["force_p99_ms"] == SeedSpread(median=3.0, least=2.0, largest=9.0)
     assert (first.runs, first.usable, first.faults) == (3, 2, {"stuck": 1})
     assert second.figures["force_p99_ms"] is None
     assert headings(SWEEP, [first, second]) == [*SWEEP.fields, "force p99 ms", "verdict"]

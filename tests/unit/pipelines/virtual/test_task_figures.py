@@ -19,7 +19,7 @@ def run(name="aiming", result="finished", seconds=20.0, steps=STEPS):
         "result": result,
         "reason": "",
         "seconds": seconds,
-        "steps": [{"at_s": 1.0, "step": step} for step in steps],
+        "steps": [{"at_ns": 1_000_000_000, "step": step} for step in steps],
     }
 
 

@@ -140,10 +140,10 @@ def test_a_sample_left_out_does_not_count_as_lost():
         assert k < 5 or (felt is not None and felt.contact == (push > 0))
         while (event := joystick.next_event()) is not None:
             events.append(event)
-    report = joystick.report()
-    assert report.received == robot.report().sent < 600
+    report, sent = joystick.received_figures(), robot.sent_figures()
+    assert report.received == sent.sent < 600
     assert report.lost == report.late == report.restarts == report.garbage == 0
-    assert robot.report().left_out + robot.report().sent + report.greetings == 3000
+    assert sent.left_out + sent.sent + report.greetings == 3000
     assert len(events) == 1, "found once, never lost"
     matcher.handle_sent(robot.take_sent_stamps())
     matcher.handle_received(joystick.take_received_stamps())
@@ -157,4 +157,4 @@ def test_without_a_deadband_every_sample_is_sent():
     assert link.poll_transmit(0) is not None
     link.handle_local(REST, NS_PER_MS)
     assert link.poll_transmit(NS_PER_MS) is not None
-    assert link.report().left_out is None
+    assert link.sent_figures().left_out is None

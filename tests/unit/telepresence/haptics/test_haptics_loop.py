@@ -3,7 +3,7 @@
 import pytest
 from haptic_session import begin_session
 
-from telepresence.haptics.figures import HapticLinkFigures
+from telepresence.haptics.figures import SamplesReceived
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.loop import PeerFound, PeerLost, PeerRestarted, joystick_link, robot_link
 from telepresence.haptics.sample import (
@@ -35,8 +35,8 @@ def test_the_newest_sample_wins_and_a_late_one_is_not_used() -> None:
     newest = link.latest(4 * MS)
     assert newest is not None
     assert newest.x_m == pytest.approx(0.0)  # sequence 1 is half a count
-    assert link.report() == HapticLinkFigures(
-        sent=0,
+    assert link.sent == 0
+    assert link.received_figures() == SamplesReceived(
         received=3,
         lost=0,
         late=1,

@@ -4,6 +4,7 @@ import struct
 
 import pytest
 
+from telepresence.haptics.mediated.wall import WallMessage, pack_wall
 from telepresence.link.flows import Level, packet_flow, tmtc_flow, voice_flow
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
@@ -13,7 +14,7 @@ from telepresence.link.received import HapticReceived, PacketReceived
 from telepresence.link.sender import LinkSender
 from telepresence.link.supervision.supervisor import LinkState
 from telepresence.link.virtual import VirtualLink
-from telepresence.tmtc import Housekeeping, SelectAck, SelectCamera, pack_packet
+from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet
 
 MS = 1_000_000
 UP = [packet_flow("tc", Level.TMTC)]
@@ -57,7 +58,6 @@ def test_both_ways_with_a_delay():
         ("ground", b"telemetry", 112_500_000),
     ]
     report = link.ground.report(link.now_ns)
-    assert report.transmit.name == "uplink"
     assert report.transmit.octets["tmtc"] == 6
     assert report.radio.frames_under_way == 12
     assert report.supervision.state == "connected"
@@ -196,22 +196,51 @@ def test_a_peer_that_starts_late_or_restarts_understands_the_next_packet(restart
     assert set(range(after + 1, 45)) <= set(heard)
 
 
+def test_a_reset_of_the_applications_forgets_what_the_peer_sent_before():
+    """Nothing comes for long: header contexts from before are no longer reported as held."""
+    radio = RadioProfile(name="test")
+    link = VirtualLink(
+        uplink_flows=[voice_flow("up")],
+        downlink_flows=[voice_flow("down")],
+        up=radio.path("uplink", seed=1, epoch_ns=0),
+        down=radio.path("downlink", seed=1, epoch_ns=0),
+    )
+    voice = []
+    for number in range(50):
+        packet = struct.pack("!BBHII", 0x80, 97, number, 960 * number, 7) + bytes(20)
+        voice.append((number * 20 * MS, "ground", "up", packet))
+        voice.append((number * 20 * MS, "space", "down", packet))
+    run(link, 1000 * MS, voice, samples=("ground", "space"))
+    ends = (link.ground, link.space)
+    assert all(end.receiver.context_ids()[0] for end in ends)
+    reset = []
+    while not reset:
+        run(link, link.now_ns + 50 * MS)
+        assert link.now_ns < 5000 * MS
+        counts = {end: end.report(link.now_ns).supervision.counts for end in ends}
+        reset = [end for end in ends if counts[end]["resets_idle"] + counts[end]["resets_broken"]]
+    for end in reset:
+        assert not any(end.receiver.context_ids())
+
+
 def test_garbage_on_a_telecommand_port_is_not_sent():
     sender = LinkSender(UPLINK, [tmtc_flow("telemetry")])
-    select = pack_packet(SelectCamera("static", 7), 1)
-    telemetry = Housekeeping("taskboard1", contact=True, force_n=3.0)
-    for message in (telemetry, SelectAck("head", 7, ok=True), SelectCamera("s", 1)):
-        assert sender.handle_packet("telemetry", pack_packet(message, 16_383), 0)
+    select = pack_packet(Telecommand(apid=0x133, count=7, service=8, subtype=1, data=b"\1static"))
+    report = pack_packet(Telemetry(apid=0x133, count=16_383, service=17, subtype=2))
+    wall = pack_wall(WallMessage(1, None), 16_383)
+    for packet in (report, select, wall):
+        assert sender.handle_packet("telemetry", packet, 0)
     garbage = [
         b"",
         bytes(20),
         b"\xff" * 20,
-        select[:-1],
-        select + b"x",
-        b"\x20" + select[1:],  # version 1
-        select[:1] + b"\x02" + select[2:],  # telemetry's APID in a telecommand
-        select[:2] + b"\x00" + select[3:],  # segmented
-        select[:5] + b"\x0d" + select[6:] + b"morethan20",
+        *(packet[:-1] for packet in (select, wall)),
+        *(packet + b"x" for packet in (select, wall)),
+        b"\x38" + select[1:],  # version 1
+        b"\x11" + select[1:],  # without a secondary header
+        wall[:1] + b"\x02" + wall[2:],  # another APID
+        *(packet[:2] + b"\x00" + packet[3:] for packet in (select, wall)),  # segmented
+        select[:4] + b"\x00\xff" + select[6:] + bytes(256 - len(select) + 6),  # too long
     ]
     for count, datagram in enumerate(garbage, 1):
         assert not sender.handle_packet("telemetry", datagram, 0)

@@ -16,7 +16,7 @@ from telepresence.tmtc.pus.user import (
     HousekeepingReport,
     ParameterReport,
 )
-from telepresence.tmtc.pus.verification import Stage
+from telepresence.tmtc.pus.verification import VerificationStage
 
 HOT = {"temperature": 230.0, "door": "closed"}
 
@@ -31,8 +31,8 @@ def test_a_function_is_accepted_started_and_completed() -> None:
     ends.step()
     assert ends.calls == [("FunctionRequest", ("heat", (180.5,)))]
     assert ends.events() == [
-        CommandProgress(number, "oven", Stage.ACCEPTED),
-        CommandProgress(number, "oven", Stage.STARTED),
+        CommandProgress(number, "oven", VerificationStage.ACCEPTED),
+        CommandProgress(number, "oven", VerificationStage.STARTED),
         CommandResult(number, "oven", True, True, "", 0, 1),
     ]
 

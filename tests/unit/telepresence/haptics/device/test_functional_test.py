@@ -3,7 +3,7 @@
 import pytest
 
 from kontur_av.clock import NS_PER_MS
-from telepresence.haptics.device.functional_test import FORCE_N, Outcome, Part
+from telepresence.haptics.device.functional_test import FORCE_N, Outcome, TestPart
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.haptics.device.simulated import FAULTS, Faults, SimulatedDevice
@@ -72,7 +72,7 @@ def test_a_healthy_joystick_passes_and_leads_no_robot_meanwhile():
 
 def test_motors_that_are_too_weak_fail_it():
     report = Session(FAULTS["weak"]).test()
-    assert (report.outcome, report.part) == (Outcome.FAILED, Part.FORCE)
+    assert (report.outcome, report.part) == (Outcome.FAILED, TestPart.FORCE)
     assert report.reason.startswith("stiffness x: 11")
 
 
@@ -81,7 +81,7 @@ def test_an_axis_that_is_stuck_fails_it(axis):
     session = Session(Faults())
     session.device.stuck = axis
     report = session.test()
-    assert (report.outcome, report.part) == (Outcome.FAILED, Part.PLACE)
+    assert (report.outcome, report.part) == (Outcome.FAILED, TestPart.PLACE)
     assert f"axis {'xy'[axis]} does not move" in report.reason
 
 
@@ -89,7 +89,7 @@ def test_without_the_dead_man_button_it_fails_and_never_pushes():
     session = Session()
     session.device.write_leds = lambda mask: None
     report = session.test()
-    assert (report.outcome, report.part) == (Outcome.FAILED, Part.DEAD_MAN)
+    assert (report.outcome, report.part) == (Outcome.FAILED, TestPart.DEAD_MAN)
     assert report.reason == "the dead-man button was not pressed"
     assert {(x_n, y_n) for x_n, y_n, _ in session.pushes} == {(0.0, 0.0)}
 

@@ -15,7 +15,7 @@ from kontur_av.errors import ConfigError
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.device.gamepad import feed, find_gamepads, open_gamepad
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, Operation
+from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, JoystickOperation
 from telepresence.haptics.device.spec import check_joystick
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import RUMBLE_NS, Axis, RumbleMeter, Stick
@@ -167,7 +167,7 @@ def run(operation, milliseconds, now_ns=0):
 
 
 def test_a_stick_at_rest_is_calibrated_and_needs_its_dead_man_button():
-    operation = Operation(Pad())
+    operation = JoystickOperation(Pad())
     now_ns = run(operation, 500)
     assert operation.state is JoystickState.APPLICATION
     assert operation.force_limit_n == 0.0
@@ -178,7 +178,7 @@ def test_a_stick_at_rest_is_calibrated_and_needs_its_dead_man_button():
 
 
 def test_a_stick_that_is_held_is_not_calibrated():
-    operation = Operation(Pad(), automatic=True)
+    operation = JoystickOperation(Pad(), automatic=True)
     operation.device.stick.handle_event(3, 0, 200)
     run(operation, 500)
     assert operation.state is JoystickState.CALIBRATION_ERROR

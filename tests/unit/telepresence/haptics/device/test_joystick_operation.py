@@ -11,7 +11,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.device.device import Reading
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.operation import Operation
+from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
 from telepresence.haptics.device.states import REQUESTS, JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
@@ -168,7 +168,7 @@ def test_silence_halts_it_and_the_first_sample_brings_it_back():
 
 
 def test_a_person_may_halt_and_resume_and_refusals_give_a_reason():
-    operation = Operation(SimulatedDevice(), automatic=False)
+    operation = JoystickOperation(SimulatedDevice(), automatic=False)
     now_ns = 0
 
     def run(milliseconds):
@@ -230,10 +230,11 @@ def test_a_persons_halt_ends_a_calibration_and_outlives_what_follows():
     session = Session()
     session.run(1)
     assert session.operation.state is JoystickState.STANDBY
-    assert hypot(session.device._force_x_n, session.device._force_y_n) > 0.1
+    motors = session.device.joystick
+    assert hypot(motors.motor_x_n, motors.motor_y_n) > 0.1
     assert session.handle.handle_command(JoystickEvent.HALT) == ""
     session.run(0.001)
-    assert (session.device._force_x_n, session.device._force_y_n) == (0.0, 0.0)
+    assert (motors.motor_x_n, motors.motor_y_n) == (0.0, 0.0)
     session.run(10)
     assert session.operation.state is JoystickState.STANDBY
     # A calibration that a person asks for does not end the halt.
@@ -305,7 +306,7 @@ def test_motors_give_up_after_three_retries():
 
 
 def into_application():
-    operation, now_ns = Operation(SimulatedDevice()), 0
+    operation, now_ns = JoystickOperation(SimulatedDevice()), 0
     while operation.state is not JoystickState.APPLICATION:
         now_ns += NS_PER_MS
         operation.handle_reading(now_ns)
@@ -335,8 +336,17 @@ readings = st.builds(
     st.booleans(),
 )
 def test_no_sensor_reading_lets_the_force_exceed_its_limit(script, calibrated):
-    operation, now_ns = deepcopy(CALIBRATED) if calibrated else (Operation(SimulatedDevice()), 0)
+    operation, now_ns = (
+        deepcopy(CALIBRATED) if calibrated else (JoystickOperation(SimulatedDevice()), 0)
+    )
     device = operation.device
+    write_force, written = device.write_force, [(0.0, 0.0)]
+
+    def watch_force(x_n, y_n):
+        written.append((x_n, y_n))
+        write_force(x_n, y_n)
+
+    device.write_force = watch_force
 
     def cycle(reading, force_n):
         nonlocal now_ns
@@ -345,7 +355,7 @@ def test_no_sensor_reading_lets_the_force_exceed_its_limit(script, calibrated):
         operation.handle_reading(now_ns)
         operation.handle_force(force_n, -force_n)
         device.advance(NS_PER_MS)
-        wanted = max(abs(device._force_x_n), abs(device._force_y_n))
+        wanted = max(map(abs, written[-1]))
         if operation.state is JoystickState.APPLICATION:
             assert wanted <= operation.force_limit_n <= FACTS.force_limit_n
             assert operation.reading.dead_man or wanted == 0.0

@@ -171,11 +171,17 @@ def test_unacknowledged_contexts_are_sent_at_a_limited_rate():
         compressor.handle_acknowledgement(0, count)
         if compressor.compress(packet, count)[0] == KIND_CONTEXT:
             counts.append(count)
-        assert len(compressor._possible) <= MOST_POSSIBLE
     distances = [later - earlier for earlier, later in pairwise(counts)]
     assert min(distances) >= 100
     assert counts[-1] > 110_000
     assert len(counts) < 60
+
+
+def test_a_peer_that_acknowledges_nothing_gets_a_limited_number_of_contexts():
+    compressor = RtpCompressor(VOICE, SLOT_NS)
+    compressor.handle_peer(heard=True)
+    kinds = [compressor.compress(packet, count)[0] for count, packet in voice(Random(1), 120)]
+    assert kinds.count(KIND_CONTEXT) == MOST_POSSIBLE
 
 
 def test_a_number_that_may_still_be_acknowledged_is_not_reused():
@@ -253,27 +259,33 @@ def test_a_source_that_becomes_regular_gets_contexts_again(heard):
     assert all(kind >= KIND_BARE or kind == KIND_CONTEXT for kind in kinds[30 * 20 :])
 
 
-def test_an_acknowledgement_shows_which_contexts_did_not_arrive():
+def test_contexts_that_an_acknowledgement_shows_as_lost_make_room_for_others():
     """Contexts sent long before it, and after the one it names, are no longer possible."""
-    compressor = RtpCompressor(VIDEO, SLOT_NS)
+    compressor = RtpCompressor(VOICE, SLOT_NS)
     compressor.handle_peer(heard=True)
-    first = None
-    source = list(video(Random(1), 3)) + [
-        (count + 4000, packet) for count, packet in video(Random(2), 100)
+    sent = {}
+    source = list(voice(Random(1), 3, jitter_ms=0)) + [
+        (count + 4000, packet) for count, packet in voice(Random(2), 100, jitter_ms=0)
     ]
-    for count, packet in source:
+    later = source[-2:]
+    for count, packet in source[:-2]:
         kind, body, _ = compressor.compress(packet, count)
-        if first is None and kind == KIND_CONTEXT:
-            first = body[0]
-        compressor.handle_acknowledgement(first, count)
-    # All contexts of the new source are lost; the sender has kept trying.
-    assert compressor._possible[0].number == first
-    assert 3 < len(compressor._possible) < MOST_POSSIBLE
-    assert all(context.count > count - 30_000 for context in compressor._possible[1:])
+        if kind == KIND_CONTEXT:
+            sent[count] = body[0]
+        # All contexts of the new source are lost; the sender keeps trying.
+        compressor.handle_acknowledgement(next(iter(sent.values())), count)
+    assert len(sent) > MOST_POSSIBLE
+    assert max(sent) > count - 4000
+    # One of them was held after all, and is named too late, or as late as possible.
+    for old_ms, believed in ((34_000, False), (30_000, True)):
+        late = next(number for at, number in sent.items() if at > count - old_ms)
+        compressor.handle_acknowledgement(late, count)
+        count, packet = later.pop(0)
+        assert (compressor.compress(packet, count)[0] >= KIND_BARE) == believed
 
 
 @pytest.mark.parametrize(("heard", "life"), [(True, LIFE_SLOTS), (False, FLEETING_SLOTS)])
-def test_a_context_expires_at_both_ends_at_the_same_time(heard, life):
+def test_a_context_expires_at_the_receiver(heard, life):
     compressor, decompressor = RtpCompressor(VOICE, SLOT_NS), RtpDecompressor(VOICE, SLOT_NS)
     compressor.handle_peer(heard=heard)
     kind, body, _ = compressor.compress(rtp(0, 0), 0)
@@ -282,10 +294,35 @@ def test_a_context_expires_at_both_ends_at_the_same_time(heard, life):
     assert decompressor.context_id == int(heard)
     assert isinstance(decompressor.decompress(KIND_BARE, b"", life), bytes)
     assert decompressor.decompress(KIND_BARE, b"", life + 1) == "no_context"
-    compressor._drop_expired(life)
-    assert len(compressor._possible) == 1
-    compressor._drop_expired(life + 1)
-    assert not compressor._possible
+
+
+@pytest.mark.parametrize("first", [LIFE_SLOTS - 700, LIFE_SLOTS, LIFE_SLOTS + 1])
+def test_a_sender_compresses_as_long_as_the_receiver_holds_the_context(first):
+    """Of all contexts the first one alone arrives; `first`: a frame in which a packet starts."""
+    compressor, decompressor = RtpCompressor(VOICE, SLOT_NS), RtpDecompressor(VOICE, SLOT_NS)
+    compressor.handle_peer(heard=True)
+    compressed = []
+    for count in sorted({0, *range(first % 1000, LIFE_SLOTS + 20_000, 1000)}):
+        packet = rtp(count // 20, count // 20 * 960)
+        kind, body, _ = compressor.compress(packet, count)
+        if kind != KIND_CONTEXT or count == 0:
+            assert decompressor.decompress(kind, body, count) == packet
+        if kind >= KIND_BARE:
+            compressed.append(count)
+        compressor.handle_acknowledgement(decompressor.context_id, count)
+    assert LIFE_SLOTS - 8_000 < compressed[-1] <= LIFE_SLOTS
+
+
+@pytest.mark.parametrize(("pause", "whole"), [(FLEETING_SLOTS, 2), (FLEETING_SLOTS + 1, 3)])
+def test_one_way_a_receiver_holds_none_after_a_long_pause(pause, whole):
+    """Then as many whole headers come first as at the beginning."""
+    path = Path(VOICE, heard=False)
+    assert path.send(0, rtp(0, 0)) == KIND_CONTEXT
+    kinds = [
+        path.send(pause + number * 20, rtp(9_000 + number, 777_777 + number * 960))
+        for number in range(20)
+    ]
+    assert whole == next(number for number, kind in enumerate(kinds) if kind >= KIND_BARE)
 
 
 @pytest.mark.parametrize(

@@ -10,15 +10,15 @@ from telepresence.link.protection.segment import (
     SEGMENT_OCTETS,
     SEGMENT_OVERHEAD_OCTETS,
     STREAM_OCTETS,
+    HandshakeSegment,
     IncomingStream,
     OutgoingStream,
-    Segment,
     SegmentCodec,
 )
 
 ONE, TWO, THREE = (MachineKey.from_seed(bytes([n] * 32)).identity for n in range(3))
 CODEC = SegmentCodec(ONE, TWO)
-SEGMENT = Segment(True, b"sendernn", b"receiver", 7, 9, b"octets")
+SEGMENT = HandshakeSegment(True, b"sendernn", b"receiver", 7, 9, b"octets")
 
 
 def test_only_the_peer_that_knows_both_identities_is_read():
@@ -39,10 +39,10 @@ def test_a_flipped_bit_is_noticed(bit):
 @pytest.mark.parametrize(
     "segment",
     [
-        Segment(False, bytes(8), b"receiver", 0, 0, b""),
-        Segment(False, b"sendernn", bytes(8), STREAM_OCTETS + 1, 0, b""),
-        Segment(False, b"sendernn", bytes(8), 0, STREAM_OCTETS, b"x"),
-        Segment(False, b"sendernn", bytes(8), 0, 0, bytes(DATA_OCTETS + 1)),
+        HandshakeSegment(False, bytes(8), b"receiver", 0, 0, b""),
+        HandshakeSegment(False, b"sendernn", bytes(8), STREAM_OCTETS + 1, 0, b""),
+        HandshakeSegment(False, b"sendernn", bytes(8), 0, STREAM_OCTETS, b"x"),
+        HandshakeSegment(False, b"sendernn", bytes(8), 0, 0, bytes(DATA_OCTETS + 1)),
     ],
 )
 def test_what_no_peer_sends_is_malformed(segment):

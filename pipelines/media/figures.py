@@ -1,0 +1,86 @@
+"""What cameras, microphones, senders and displays count."""
+
+from dataclasses import dataclass
+
+from kontur_av.figures import Most, Newest
+from kontur_av.streams.staleness import State
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureFigures:
+    """A camera or a microphone."""
+
+    #: Pictures or blocks of sound captured.
+    captured: int = 0
+    #: Faults that the source has survived.
+    source_faults: int = 0
+    #: Of the captured ones, those of a browser page; only in a session with pages.
+    from_page: int | None = None
+    #: What pages gave in vain: too old, of another size, or before what was captured last.
+    page_refused: int | None = None
+    #: When it captured last.
+    captured_ns: Most[int] | None = None
+    #: The last fault of its source.
+    source_fault: str | None = None
+    #: `page` while a browser page has the input, else `own`; only in a session with pages.
+    live_source: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StereoFigures:
+    """The merge of two cameras."""
+
+    #: Pictures merged of two.
+    paired: int = 0
+    #: Pictures with one camera only.
+    single: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainFigures:
+    """The cap of a picture that rises while haptic samples are left out."""
+
+    #: What the cap gained from samples that were left out.
+    gained_bits: int = 0
+    #: How often that gain changed.
+    gain_changes: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DisplayFigures:
+    """What a display shows or plays of one stream."""
+
+    #: Pictures or blocks that were shown or played; concealed sound does not count.
+    frames_displayed: int = 0
+    #: How long what was shown was stale.
+    stale_ns: int = 0
+    stale_episodes: int = 0
+    #: How long the picture stood still.
+    frozen_ns: int = 0
+    frozen_episodes: int = 0
+    #: How long what was shown had damage.
+    damaged_ns: int = 0
+    damaged_episodes: int = 0
+    #: How old what is shown is; null before the first picture.
+    age_ns: Newest[int] | None = None
+    state: State = State.NOTHING
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SelectorFigures:
+    """The selector of the camera."""
+
+    #: Changes of the camera.
+    switches: int = 0
+    #: The selected camera.
+    selected: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SnapshotFigures:
+    """The snapshots of the displays."""
+
+    #: Files written.
+    snapshots: int = 0
+    #: Files that could not be written.
+    snapshots_failed: int = 0

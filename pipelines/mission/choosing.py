@@ -1,0 +1,124 @@
+"""The selector on the ground: the application `camera` of telecommands, and tasks, select one."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+
+from pipelines.media.figures import SelectorFigures
+from pipelines.media.following import AGAIN_NS, Choice
+from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValues
+from pipelines.session.probe import Probe
+from telepresence.tmtc.pus.dictionary import Dictionary
+
+CAMERA = "camera"
+SELECT = "select"
+_SUPERSEDED = "a later request came"
+#: Telecommands that wait for the sender; beyond this the oldest is never completed by it.
+_MOST_OPEN = 16
+
+
+class CameraChoice:
+    """Decides which camera the sender of the picture follows. A core.
+
+    After each input publish `poll_choice`, and hand `next_event`'s requests to the TM/TC end of the
+    ground. Pass the sender's confirmations to `handle_confirmed`. Do so again at `poll_timeout`.
+
+    A telecommand is completed when the sender has confirmed the choice that it led to. From then on
+    nothing of another camera is coded or sent. Either process may be killed at any time. A new
+    selector numbers its choice anew, and the repeated telecommand waits for that number. A new
+    sender confirms the first choice that it hears. A choice is told repeatedly, for a sender that
+    starts late.
+
+    cameras: their names. selected: the first one, if it is among them.
+    """
+
+    def __init__(
+        self, cameras: Sequence[str], probe: Probe, *, now_ns: int, selected: str = ""
+    ) -> None:
+        self._cameras = tuple(cameras)
+        self._probe = probe
+        self.selected = selected if selected in cameras else cameras[0]
+        self._switches = 0
+        #: The clock never goes back: a restarted selector's first number is above all before.
+        self._number = now_ns
+        self._confirmed: int | None = None
+        self._told_ns: int | None = None
+        #: Telecommands that wait for the present choice.
+        self._open: deque[FunctionAsked] = deque(maxlen=_MOST_OPEN)
+        self._followed = ""
+        self._requests: deque[FunctionDone | SetValues] = deque()
+
+    def handle_asked(self, asked: FunctionAsked, now_ns: int) -> bool:
+        """A telecommand has come, also one for another application; True if the camera changes."""
+        if (asked.application, asked.function) != (CAMERA, SELECT):
+            return False
+        name = str(asked.arguments[0])
+        if name not in self._cameras:
+            known = ", ".join(self._cameras)
+            self._answer(asked, f"unknown camera {name}: choose one of {known}")
+            return False
+        changed = self.select(name, now_ns)
+        self._open.append(asked)
+        self._complete()
+        return changed
+
+    def select(self, name: str, now_ns: int) -> bool:
+        """The ground selects a camera; True if it is a known one, and another than before."""
+        if name not in self._cameras or name == self.selected:
+            return False
+        while self._open:
+            self._answer(self._open.popleft(), _SUPERSEDED)
+        self.selected = name
+        self._switches += 1
+        self._number = max(now_ns, self._number + 1)
+        self._told_ns = None
+        return True
+
+    def handle_confirmed(self, number: int) -> None:
+        """The sender has confirmed a choice: nothing of an earlier camera is coded or sent."""
+        self._confirmed = number
+        self._complete()
+
+    def poll_choice(self, now_ns: int) -> Choice | None:
+        """What the sender has to know, if it is to be told now."""
+        if self._told_ns is not None and now_ns - self._told_ns < AGAIN_NS:
+            return None
+        self._told_ns = now_ns
+        return Choice(self._number, self.selected)
+
+    def poll_timeout(self) -> int:
+        """When `poll_choice` has something; 0 for at once."""
+        return 0 if self._told_ns is None else self._told_ns + AGAIN_NS
+
+    def next_event(self) -> FunctionDone | SetValues | None:
+        """Return the next request for the TM/TC end, or None."""
+        return self._requests.popleft() if self._requests else None
+
+    def _complete(self) -> None:
+        if self._confirmed is None or self._confirmed < self._number:
+            return
+        if self._followed != self.selected:
+            self._followed = self.selected
+            self._requests.append(SetValues(CAMERA, {CAMERA: self.selected}))
+        while self._open:
+            self._answer(self._open.popleft(), "")
+
+    def _answer(self, asked: FunctionAsked, refusal: str) -> None:
+        self._requests.append(FunctionDone(CAMERA, asked.token, refusal))
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        self._probe.tell(SelectorFigures(selected=self.selected, switches=self._switches))
+
+
+def session_dictionary(dictionary: Dictionary, cameras: Sequence[str]) -> Dictionary:
+    """Return `dictionary` with the cameras of a session, so that others are refused at once."""
+    table = dictionary.application(CAMERA)
+    known = [
+        replace(one, choices=tuple(cameras)) if one.name == CAMERA else one
+        for one in table.parameters
+    ]
+    session = replace(table, parameters=tuple(known))
+    return Dictionary(
+        applications=tuple(session if one is table else one for one in dictionary.applications)
+    )

@@ -1,0 +1,58 @@
+"""What telecommands, telemetry and tasks count."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from pipelines.session.task_journal import TaskRow
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TmtcFigures:
+    """PUS and K2ACI at one end: the console's in space, the selector's on the ground."""
+
+    #: Packets given to the radio.
+    pus_sent: int = 0
+    #: Their octets.
+    pus_sent_octets: int = 0
+    #: Packets that came by radio.
+    pus_received: int = 0
+    #: Packets and requests that could not be read.
+    pus_garbage: int = 0
+    #: Packets that waited for the token bucket.
+    pus_delayed: int = 0
+    #: Reports and news that were dropped because too many waited.
+    pus_dropped: int = 0
+    #: Telecommands sent, with their repetitions.
+    pus_telecommands: int = 0
+    #: Telecommands sent again.
+    pus_telecommands_repeated: int = 0
+    #: Telecommands carried out here.
+    pus_executed: int = 0
+    #: Telecommands that failed here.
+    pus_failed: int = 0
+    #: Telecommands that came again.
+    pus_duplicates: int = 0
+    #: Events reported.
+    pus_events: int = 0
+    #: Housekeeping reports sent.
+    pus_housekeeping: int = 0
+    #: Reports of applications that came in.
+    pus_reports: int = 0
+    #: Messages of K2ACI sent, with their repetitions.
+    k2aci_sent: int = 0
+    #: Messages of K2ACI sent again.
+    k2aci_repeated: int = 0
+    #: Messages of K2ACI that came in.
+    k2aci_arrived: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskFigures:
+    """The process of tasks, and the newest runs. Those before are kept by who is told."""
+
+    #: Runs that should have had a file of their own, and have none.
+    unrecorded: int = 0
+    #: Why the newest of them has none.
+    unrecorded_why: str | None = None
+    #: The runs, by their numbers.
+    runs: Mapping[int, TaskRow] = field(default_factory=dict)

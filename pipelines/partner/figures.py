@@ -1,0 +1,53 @@
+"""What the leg to a partner counts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from kontur_av.figures import Newest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RtcStreamFigures:
+    """One stream of the leg to a partner, in RTP packets."""
+
+    #: Packets sent or received.
+    packets: int = 0
+    #: Octets of their payload.
+    octets: int = 0
+    #: Packets lost, by the reports of who received them.
+    lost: int = 0
+    #: Packets asked for again (NACK).
+    asked: int = 0
+    #: Packets that were sent again.
+    repeated: int = 0
+    #: Key pictures asked for (PLI, FIR).
+    keys_asked: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RtcFigures:
+    """The leg to a partner across the Internet."""
+
+    #: Connections of partners that stood.
+    connections: int = 0
+    #: Restarts of ICE.
+    ice_restarts: int = 0
+    #: Requests of HTTP refused, by reason: `token`, `strangers`, `offers` or `viewers`.
+    refused: Mapping[str, int] = field(default_factory=dict)
+    #: Offers that could not be used, and packets that were not RTP or RTCP.
+    garbage: int = 0
+    #: Haptic samples: `taken` from the partner, `given` to it, or `left_out` for a slow network.
+    samples: Mapping[str, int] = field(default_factory=dict)
+    #: How often the rate of the picture was lowered.
+    rate_lowered: int = 0
+    #: Connections that stand.
+    partners: Newest[int] = 0
+    #: Of the picture that is coded for the partner.
+    rate_bps: Newest[int] = 0
+    #: How the addresses of the newest connection were found, ours and theirs: host, srflx, prflx or
+    #: relay.
+    route: str | None = None
+    #: Of the newest answer to a report.
+    round_trip_ns: Newest[int] | None = None
+    #: `rtc_video`, `rtc_speech` and the downlink's to the partner; `rtc_camera`, `rtc_voice` of it.
+    streams: Mapping[str, RtcStreamFigures] = field(default_factory=dict)

@@ -1,0 +1,53 @@
+"""What the recorder counts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from kontur_av.figures import Newest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedChannel:
+    """One channel of a recording, in messages."""
+
+    #: In the file.
+    kept: int = 0
+    #: Gone before they were read.
+    missed: int = 0
+    #: Dropped because the disk was too slow or full.
+    dropped: int = 0
+
+    @property
+    def lost(self) -> int:
+        return self.missed + self.dropped
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecorderFigures:
+    """What was recorded of the session; of a recorder that was killed, until its last report."""
+
+    #: Files begun.
+    parts: int = 0
+    #: Octets written.
+    octets: int = 0
+    #: How often a file could not be opened or written.
+    disk_faults: int = 0
+    #: Key pictures that came too late: a black one is in their place.
+    late_keys: int = 0
+    #: The newest file; null while nothing is recorded.
+    file: Newest[str] | None = None
+    #: Why nothing can be written; null if all is well.
+    fault: Newest[str] | None = None
+    #: What waits for the disk.
+    waiting_octets: Newest[int] = 0
+    channels: Mapping[str, RecordedChannel] = field(default_factory=dict)
+
+    @property
+    def messages(self) -> int:
+        """How many are in the files."""
+        return sum(one.kept for one in self.channels.values())
+
+    @property
+    def lost(self) -> int:
+        """How many messages are not in the files."""
+        return sum(one.lost for one in self.channels.values())

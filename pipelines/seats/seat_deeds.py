@@ -1,0 +1,84 @@
+"""Does what a seat decides: topics, recorder, launcher and the TM/TC end get it."""
+
+from collections.abc import Callable
+from itertools import count
+
+import numpy as np
+
+from kontur_av.media import CaptureStamp
+from kontur_av.topics.bus import TopicBus
+from pipelines.hand.hand_topics import INPUT_OCTETS, REQUEST_OCTETS, pack_input, pack_request
+from pipelines.mission.tmtc_socket import send_to_tmtc
+from pipelines.seats.own_inputs import Given
+from pipelines.seats.recorder_link import ask_recorder
+from pipelines.seats.seat import Seat
+from pipelines.seats.seat_events import (
+    CommandGiven,
+    HandMoved,
+    RecordingAsked,
+    SessionOrdered,
+    TmtcAsked,
+)
+from pipelines.session.process import Context
+from pipelines.session.serving_loop import ServingLoop
+from pipelines.session.topology import HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC, Segment
+
+
+class SeatDeeds:
+    """What a seat's process does to others. settle: called when the seat was told an answer."""
+
+    def __init__(
+        self,
+        seat: Seat,
+        context: Context,
+        serving: ServingLoop,
+        bus: TopicBus,
+        settle: Callable[[], None],
+    ) -> None:
+        self._seat, self._context, self._serving, self._settle = seat, context, serving, settle
+        self._now_ns = context.clock.now_ns
+        self._numbers = count()
+        self._hand = self._commands = None
+        if seat.plan.segment is Segment.SPACE:
+            self._hand = bus.writer(HAND_INPUT_TOPIC, max_octets=INPUT_OCTETS, wake=False)
+            self._commands = bus.writer(HAND_REQUEST_TOPIC, max_octets=REQUEST_OCTETS, wake=False)
+        self._own = {
+            each.index: bus.writer(
+                each.topic,
+                max_octets=each.size[0] * each.size[1] * 3 // 2 if each.size else 2 * 960,
+            )
+            for each in seat.plan.inputs
+        }
+
+    def do(self) -> None:
+        """Do all that the seat has decided."""
+        while (event := self._seat.next_event()) is not None:
+            match event:
+                case HandMoved(hand) if self._hand is not None:
+                    stamp = CaptureStamp(hand.received_ns, hand.sequence, "page")
+                    self._hand.publish_octets(pack_input(hand), stamp)
+                case CommandGiven(request) if self._commands is not None:
+                    stamp = CaptureStamp(self._now_ns(), next(self._numbers), "page")
+                    self._commands.publish_octets(pack_request(request), stamp)
+                case SessionOrdered(order):
+                    self._context.order(order, self._now_ns())
+                case RecordingAsked():
+                    self._serving.begin(self._record(event))
+                case TmtcAsked(asked):
+                    # One that is not taken now is repeated.
+                    send_to_tmtc(self._context.session, self._seat.plan.segment, asked)
+
+    def publish(self, given: Given) -> None:
+        """Publish what a page's own camera or microphone gives."""
+        writer, size = self._own[given.input.index], given.input.size
+        if size is None:
+            writer.publish_octets(bytes(given.data), given.stamp)
+            return
+        loan = writer.loan_picture(*size)
+        loan.payload[:] = np.frombuffer(given.data, np.uint8)
+        loan.publish(given.stamp)
+
+    async def _record(self, asked: RecordingAsked) -> None:
+        error = await ask_recorder(self._context.session, begin=asked.begin)
+        self._seat.handle_recorder(asked, error)
+        self._settle()

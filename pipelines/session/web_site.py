@@ -1,0 +1,103 @@
+"""The HTTP side of a process with pages: who may open what, its files, and TLS."""
+
+import logging
+import ssl
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from aiohttp import web
+
+from pipelines.session.access import Access, AccessError, AccessKind, Found, headers
+from pipelines.session.page_listener import PageListener
+
+STATIC = Path(__file__).parents[1] / "seats" / "static"
+_TYPES = {
+    ".css": "text/css",
+    ".html": "text/html",
+    ".js": "text/javascript",
+    ".svg": "image/svg+xml",
+}
+#: In an HTML file: where the page's own files are.
+_BASE = "__BASE__"
+#: How long requests may last when the process ends.
+SHUTDOWN_S = 0.5
+
+
+class WebSite:
+    """The pages of one listener.
+
+    seat: the name of its page. others: names of its other pages.
+    """
+
+    def __init__(self, listener: PageListener, *, seat: str, others: Iterable[str] = ()) -> None:
+        self._listener = listener
+        self._access = Access(
+            seat=seat,
+            scheme=listener.scheme,
+            port=listener.port,
+            names=listener.names,
+            operator_token=listener.operator_token,
+            viewer_token=listener.viewer_token,
+            role_tokens=listener.role_tokens,
+            others=others,
+        )
+        #: Requests refused, by reason.
+        self.refused: dict[str, int] = {}
+
+    def find(self, request: web.BaseRequest) -> Found:
+        """Return what a request may have, or raise `AccessError`."""
+        return self._access.find(
+            request.method, request.raw_path, _host(request), request.headers.get("Origin")
+        )
+
+    def refuse(self, refusal: AccessError) -> web.Response:
+        """Count a refusal; its answer."""
+        if refusal.reason:
+            self.refused[refusal.reason] = self.refused.get(refusal.reason, 0) + 1
+        return web.Response(
+            status=refusal.status, text=f"{refusal}\n", headers=headers("localhost")
+        )
+
+    def file(
+        self,
+        request: web.BaseRequest,
+        found: Found,
+        words: Mapping[str, str] = MappingProxyType({}),
+    ) -> web.Response:
+        """Return a page, or one of its files. words: what else is replaced in a page."""
+        page = found.kind is AccessKind.PAGE
+        path = STATIC / (f"{found.name}.html" if page else found.name)
+        if path.suffix not in _TYPES or not path.is_file():
+            raise AccessError(404, "no such file")
+        text = path.read_text(encoding="utf-8")
+        if page:
+            for name, word in {_BASE: f"/{found.token}/static/", **words}.items():
+                text = text.replace(name, word)
+        return web.Response(
+            text=text, content_type=_TYPES[path.suffix], headers=headers(_host(request))
+        )
+
+    async def start(self, runner: web.BaseRunner) -> None:
+        """Serve on the listener's socket."""
+        await runner.setup()
+        await web.SockSite(runner, self._listener.socket, ssl_context=self._tls()).start()
+
+    def _tls(self) -> ssl.SSLContext | None:
+        if self._listener.scheme != "https" or self._listener.certificate is None:
+            return None
+        tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        tls.load_cert_chain(self._listener.certificate)
+        return tls
+
+
+def quiet_log(name: str) -> logging.Logger:
+    """Return the log of a server. Requests that are not HTTP are not logged."""
+    log = logging.getLogger(name)
+    log.addHandler(logging.NullHandler())
+    log.propagate = False
+    return log
+
+
+def _host(request: web.BaseRequest) -> str:
+    return request.headers.get("Host", "")

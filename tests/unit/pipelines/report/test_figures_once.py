@@ -1,0 +1,121 @@
+"""A figure that is declared once is in report, page, recording and documents."""
+
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+
+import pytest
+from told import message
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.figures import marks_of
+from pipelines.media.figures import CaptureFigures
+from pipelines.recording.messages import RecordedFigure
+from pipelines.report import keys
+from pipelines.report.collector import Collector
+from pipelines.report.event_log import ProcessNow
+from pipelines.report.model import SessionReport, to_builtins
+from pipelines.report.seat_figures import SeatFigures
+from pipelines.report.session_report import build_report
+from pipelines.session.figures import TrainerFigures
+from pipelines.session.session_switch import SessionSwitch
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.table import topology_of
+
+SETUP = BUILT_IN["taskboard"]
+#: Of the topology; each may tell any record.
+PROCESSES = ("camera_left", "ground_gateway", "space_gateway")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OneMore(CaptureFigures):
+    """A camera that counts one figure more."""
+
+    #: Pictures that came upside down.
+    upside_down: int = 0
+
+
+def made(hint):
+    """A value of a type, no number of it 0."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is not None and type(None) in arguments:
+        return made(arguments[0])
+    kind = origin or hint
+    if is_dataclass(kind):
+        hints = typing.get_type_hints(kind)
+        return kind(**{one.name: made(hints[one.name]) for one in fields(kind)})
+    if issubclass(kind, Mapping):
+        return {"some": made(arguments[1])} if arguments and arguments[1] is int else {}
+    if issubclass(kind, Enum):
+        return next(iter(kind))
+    return {int: 7, float: 1.5, str: "text"}.get(kind, kind())
+
+
+def names_of(kind):
+    """The names of the numbers and texts of a record, and of the records in it."""
+    hints = typing.get_type_hints(kind)
+    for name in marks_of(kind):
+        value = made(hints[name])
+        if is_dataclass(value):
+            yield from names_of(type(value))
+        elif not isinstance(value, list | tuple | dict) or value:
+            yield name
+
+
+def told(record):
+    """The report, and what pages are told, of a session whose processes have told a record."""
+    collector = Collector(topology_of(SETUP))
+    for process in PROCESSES:
+        collector.handle_message(process, message(record), NS_PER_S)
+    look = [ProcessNow(name=name, restarts=0, running=True, error="") for name in PROCESSES]
+    zeros = dict.fromkeys(PROCESSES, 0)
+    report = build_report(
+        SETUP, collector, seconds=1.0, cpu_s=zeros, restarts=zeros, launcher_cpu_s=0.0
+    )
+    seats = SeatFigures(SETUP, collector)
+    switch = SessionSwitch()
+    seats.handle_look(look, switch=switch, started_ns=0, now_ns=NS_PER_S)
+    seat = seats.message(zeros, launcher_cpu_s=0.0, running_ns=NS_PER_S, now_ns=NS_PER_S)
+    return to_builtins(report), seat.figures
+
+
+def parts_of(report):
+    """All keys of a report, at any depth."""
+    below = report.values() if isinstance(report, dict) else report
+    found = set(report) if isinstance(report, dict) else set()
+    return found.union(*(parts_of(one) for one in below if isinstance(one, dict | list)))
+
+
+def is_among(name, keys_found):
+    """A mapping such as `strangers` has a name for each of its keys among the counts."""
+    return name in keys_found or f"{name}_some" in keys_found
+
+
+#: All but the record that has nothing but a list.
+RECORDS = [kind for kind in keys.TOLD if kind is not TrainerFigures]
+
+
+@pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
+def test_each_figure_of_a_record_is_in_report_page_recording_and_documents(kind):
+    report, figures = told(made(kind))
+    on_page = {part for name in figures for part in name.split(".")}
+    recorded = {RecordedFigure.of(*figure).name for figure in figures.items()}
+    documented = keys.counts_table() + keys.keys_tables(SessionReport)
+    names = set(names_of(kind))
+    assert names, "a record of figures"
+    for name in names:
+        assert is_among(name, parts_of(report)), name
+        assert is_among(name, on_page), name
+        assert any(is_among(name, one.split(".")) for one in recorded), name
+        assert f"`{name}`" in documented or f".{name}`" in documented, name
+
+
+def test_one_line_more_in_a_record_is_a_figure_everywhere(monkeypatch):
+    monkeypatch.setattr(keys, "TOLD", (*keys.TOLD, OneMore))
+    report, figures = told(OneMore(upside_down=3))
+    assert report["processes"]["camera_left"]["counts"]["upside_down"] == 3
+    name = "processes.camera_left.counts.upside_down"
+    assert figures[name] == 3
+    assert RecordedFigure.of(name, figures[name]).number == 3
+    assert "- `upside_down`: Pictures that came upside down." in keys.counts_table()

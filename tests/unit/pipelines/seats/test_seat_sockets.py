@@ -1,0 +1,130 @@
+"""A web socket is written as fast as its page reads, and closed after garbage or a long stall."""
+
+import asyncio
+from contextlib import asynccontextmanager
+
+import aiohttp
+from aiohttp import web
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ProtocolError
+from pipelines.seats.seat_sockets import SeatSockets
+from pipelines.session.access import AccessError
+
+PATIENCE_S = 20
+GARBAGE = b"garbage"
+
+
+class Server:
+    """Serves one kind of socket, which is sent the same message again and again."""
+
+    def __init__(self, message):
+        self.message = message
+        self.now_ns = 0
+        self.taken = []
+        self.sent = 0
+        self.sockets = SeatSockets(lambda: self.now_ns)
+
+    async def next_message(self):
+        if self.message is None:
+            await asyncio.Event().wait()
+        self.sent += 1
+        return self.message
+
+    def take(self, message):
+        if message == GARBAGE:
+            raise ProtocolError("no sense in it")
+        self.taken.append(message)
+
+    async def handle(self, request):
+        try:
+            page = await self.sockets.open(request, 1000)
+        except AccessError as refusal:
+            return web.Response(status=refusal.status, text=str(refusal))
+        sending = asyncio.create_task(page.send(self.next_message))
+        try:
+            await self.sockets.receive(page, self.take)
+        finally:
+            sending.cancel()
+        return page.ws
+
+
+@asynccontextmanager
+async def serving(message=None):
+    server = Server(message)
+    runner = web.ServerRunner(web.Server(server.handle), shutdown_timeout=0.1)
+    await runner.setup()
+    site = web.TCPSite(runner, "127.0.0.1", 0)
+    await site.start()
+    try:
+        async with (
+            aiohttp.ClientSession() as client,
+            asyncio.timeout(PATIENCE_S),
+        ):
+            yield server, client, f"http://127.0.0.1:{runner.addresses[0][1]}/"
+    finally:
+        await runner.cleanup()
+
+
+async def until(condition):
+    while not condition():
+        await asyncio.sleep(0.01)
+
+
+def test_texts_and_octets_are_taken_and_garbage_closes_the_socket():
+    async def run():
+        async with serving() as (server, client, url), client.ws_connect(url) as ws:
+            await ws.send_str("a text")
+            await ws.send_bytes(b"octets")
+            await ws.send_bytes(GARBAGE)
+            closed = await ws.receive()
+            assert (closed.type, closed.data) == (aiohttp.WSMsgType.CLOSE, 1008)
+            assert closed.extra == "no sense in it"
+            assert server.taken == ["a text", b"octets"]
+            sockets = server.sockets
+            assert (sockets.connections, sockets.garbage, sockets.closed) == (1, 1, 1)
+
+    asyncio.run(run())
+
+
+def test_a_request_that_is_no_handshake_is_refused():
+    async def run():
+        async with serving() as (server, client, url), client.get(url) as answer:
+            assert answer.status == 400
+            assert server.sockets.connections == 0
+
+    asyncio.run(run())
+
+
+def test_a_page_that_reads_nothing_is_sent_no_more_and_closed_after_30_s():
+    async def run():
+        async with serving(b"x" * 50_000) as (server, client, url):
+            ws = await client.ws_connect(url, max_msg_size=0)
+            ws._response.connection.transport.pause_reading()
+            sent = -1
+            while sent != server.sent:
+                sent = server.sent
+                await asyncio.sleep(0.3)
+            # Not more than the buffers of two kernels' sockets.
+            assert sent * 50_000 < 10_000_000
+            server.now_ns = 30 * NS_PER_S
+            server.sockets.handle_time(server.now_ns)
+            await asyncio.sleep(0.1)
+            assert len(server.sockets) == 1
+            server.now_ns += 1
+            server.sockets.handle_time(server.now_ns)
+            await until(lambda: len(server.sockets) == 0)
+
+    asyncio.run(run())
+
+
+def test_all_are_told_when_the_server_ends():
+    async def run():
+        async with serving() as (server, client, url), client.ws_connect(url) as ws:
+            reading = asyncio.create_task(ws.receive())
+            await until(lambda: len(server.sockets) == 1)
+            await server.sockets.close()
+            closed = await reading
+            assert (closed.data, closed.extra) == (1001, "the server ends")
+
+    asyncio.run(run())
