@@ -11,7 +11,7 @@ from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd
 from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.mission_ends import both, looking, serve_robot
-from pipelines.hand.partner_arm import follow_owner, letting_go, open_partner, route_to_owner
+from pipelines.hand.partner_arm import follow_owner, open_partner, route_to_owner
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.session.exercises import new_exercises
 from pipelines.session.process import Context
@@ -32,7 +32,6 @@ from pipelines.session.topology import (
 )
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice
-from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership
@@ -81,7 +80,7 @@ def run_robot(context: Context) -> None:
         before: Cycle = desk.step
         route = None
         if ownership is not None:
-            seldom.append(follow_owner(bus, ownership))
+            seldom.append(follow_owner(bus, ownership, end))
             take_partner, to_partner = open_partner(context, end)
             before = both(take_partner, desk.step)
             route = route_to_owner(ownership, to_partner)
@@ -127,8 +126,6 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
             before = None
             if isinstance(device, PageDevice) and HAND_INPUT_TOPIC in reads:
                 before = _hand(bus, device)
-            if setup.partner_arm == "shared" and isinstance(device, SimulatedDevice):
-                seldom.append(letting_go(device, end))
             ports = session_ports(context.topology, JOYSTICK)
             run_loop(context, end, ports, before=before, seldom=seldom)
     finally:

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.operation import JoystickOperation
+from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.figures import JoystickFigures, LoggedTransition
@@ -31,6 +32,7 @@ class OperatedHandle:
     def __init__(self, device: JoystickDevice, *, limits: Limits | None = None) -> None:
         self.device = device
         self.operation = JoystickOperation(device, limits=limits)
+        self._simulated = device if isinstance(device, SimulatedDevice) else None
         self.x_m = self.y_m = 0.0
         self.force_limit_n = 0.0
         self.dead_man = False
@@ -48,8 +50,12 @@ class OperatedHandle:
         """The sum of all steps so far."""
         return self._now_ns
 
-    def handle_feedback(self, feedback: Feedback) -> None:
-        """Take a fresh sample: note that the robot was heard, and light the same LED here."""
+    def handle_feedback(self, feedback: Feedback | None) -> None:
+        """Take a fresh sample, or None: the robot was heard, or not. Light the same LED here."""
+        if self._simulated is not None:
+            self._simulated.handle_robot(feedback is not None, feedback is not None and feedback[8])
+        if feedback is None:
+            return
         now_ns = self._now_ns
         if now_ns >= self._heard_ns:
             self._heard_ns = now_ns + _HEARD_NS
