@@ -29,9 +29,11 @@ class OperatedHandle:
     Its time is the sum of what `step` was told, so it runs on virtual time too.
     """
 
-    def __init__(self, device: JoystickDevice, *, limits: Limits | None = None) -> None:
+    def __init__(
+        self, device: JoystickDevice, *, limits: Limits | None = None, paused: bool = False
+    ) -> None:
         self.device = device
-        self.operation = JoystickOperation(device, limits=limits)
+        self.operation = JoystickOperation(device, limits=limits, paused=paused)
         self._simulated = device if isinstance(device, SimulatedDevice) else None
         self.x_m = self.y_m = 0.0
         self.force_limit_n = 0.0

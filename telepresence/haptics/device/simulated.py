@@ -200,7 +200,8 @@ class SimulatedDevice(Mechanics):
         held = fingers.dead_man
         if hand is not None and self._held_ns >= 0:
             buttons |= hand.buttons
-            held = hand.dead_man
+            # The button comes last, so a joystick that has just started sees it released.
+            held = hand.dead_man and self._held_ns >= _GRIP_NS
         reading = (
             joystick.x_m - self._zero_x,
             joystick.y_m - self._zero_y,
