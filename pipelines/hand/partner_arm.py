@@ -9,6 +9,8 @@ from pipelines.hand.arm_owner import STATE_OCTETS as ARM_STATE_OCTETS
 from pipelines.hand.arm_owner import ArmState
 from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
 from pipelines.hand.haptics import RobotEnd
+from pipelines.hand.safety_ends import follow_stop
+from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
 from pipelines.session.topology import (
@@ -34,7 +36,8 @@ def run_second_robot(context: Context) -> None:
             writer.publish_octets(pack_state(state), stamp)
 
         end = RobotEnd(context.probe, life=new_life())
-        run_loop(context, end, partner_ports(context.setup), publish)
+        stop = follow_stop(KeptOrders(context.session), end)
+        run_loop(context, end, partner_ports(context.setup), publish, seldom=[stop])
 
 
 def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cycle:

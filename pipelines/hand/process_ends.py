@@ -13,7 +13,15 @@ from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.mission_ends import both, looking, serve_robot
 from pipelines.hand.partner_arm import follow_owner, open_partner, route_to_owner
 from pipelines.hand.robot_desk import RobotDesk
+from pipelines.hand.safety_ends import (
+    UNKNOWN_JOYSTICK,
+    UNKNOWN_ROBOT,
+    follow_stop,
+    keep_joystick,
+    keep_robot,
+)
 from pipelines.session.exercises import new_exercises
+from pipelines.session.orders import JoystickOrders, KeptOrders, RobotOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
 from pipelines.session.topology import (
@@ -36,6 +44,7 @@ from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
+from telepresence.tasks.definitions import ControlMode
 from telepresence.world import WorldState
 
 #: Commands of a person that can wait; all that the topic can hold.
@@ -75,8 +84,17 @@ def run_robot(context: Context) -> None:
             if wall is not None and to_gateway is not None:
                 to_gateway(wall)
 
-        desk = RobotDesk(end.side, life=life, tasks=tasks, now_ns=context.clock.now_ns())
-        seldom = [_trace(bus, ROBOT_TRACE_TOPIC, end.trace), serve_robot(bus, desk, tasks=tasks)]
+        kept = KeptOrders(context.session)
+        first = RobotOrders(powered=True, mode=ControlMode.TELEPRESENCE.value)
+        orders = kept.recall(ROBOT, first, UNKNOWN_ROBOT)
+        now_ns = context.clock.now_ns()
+        desk = RobotDesk(end.side, life=life, tasks=tasks, now_ns=now_ns, orders=orders)
+        seldom = [
+            follow_stop(kept, end),
+            _trace(bus, ROBOT_TRACE_TOPIC, end.trace),
+            serve_robot(bus, desk, tasks=tasks),
+            keep_robot(kept, desk),
+        ]
         before: Cycle = desk.step
         route = None
         if ownership is not None:
@@ -105,7 +123,9 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
     hand = Hand() if skill is None else Cosmonaut(Skill(level=skill), seed=context.seed)
     device = open_device(context.topology.options.joystick, hand=hand)
     try:
-        handle = OperatedHandle(device)
+        kept = KeptOrders(context.session)
+        orders = kept.recall(JOYSTICK, JoystickOrders(paused=False), UNKNOWN_JOYSTICK)
+        handle = OperatedHandle(device, paused=orders.paused)
         setup = context.setup
         end = JoystickEnd(
             context.probe,
@@ -116,7 +136,11 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
         )
         with context.open_bus() as bus:
             reads = context.topology.reads(JOYSTICK)
-            seldom = [_trace(bus, JOYSTICK_TRACE_TOPIC, end.trace), _status(bus, handle, reads)]
+            seldom = [
+                _trace(bus, JOYSTICK_TRACE_TOPIC, end.trace),
+                _status(bus, handle, reads),
+                keep_joystick(kept, handle),
+            ]
             if WALL_TOPIC in reads:
                 seldom.append(_walls(bus, end))
             if TRAINER_TOPIC in reads:
@@ -152,7 +176,6 @@ def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycl
     teller = JoystickStatusTeller(handle)
     writer = bus.writer(JOYSTICK_STATE_TOPIC, max_octets=STATUS_OCTETS)
     requests = None
-    # A restarted joystick reads the newest command once more, so a person's halt outlives it.
     if HAND_REQUEST_TOPIC in reads:
         requests = bus.reader(HAND_REQUEST_TOPIC, depth=_REQUESTS)
     commands = bus.reader(JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)

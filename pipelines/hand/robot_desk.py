@@ -4,6 +4,7 @@ from math import hypot
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
+from pipelines.session.orders import RobotOrders
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.sample import STATE_HALTED
 from telepresence.tasks.definitions import ControlMode
@@ -20,13 +21,26 @@ class RobotDesk:
     tasks: the robot is off at first, so that a killed controller is not on again by itself.
     Otherwise it is on, and in telepresence. What was sent before `now_ns` is ignored: it was for an
     earlier life.
+
+    orders: of an earlier life; None for none. In a session with tasks the kernel orders anew.
     """
 
-    def __init__(self, side: RobotSide, *, life: int, tasks: bool, now_ns: int) -> None:
-        mode = ControlMode.POSITION if tasks else ControlMode.TELEPRESENCE
-        self.control = RobotControl(side.robot, powered=not tasks, mode=mode)
-        # Looked up once, because it is called a thousand times a second.
-        self.step = self.control.step
+    def __init__(
+        self,
+        side: RobotSide,
+        *,
+        life: int,
+        tasks: bool,
+        now_ns: int,
+        orders: RobotOrders | None = None,
+    ) -> None:
+        if orders is None or tasks:
+            mode = ControlMode.POSITION if tasks else ControlMode.TELEPRESENCE
+            self.control = RobotControl(side.robot, powered=not tasks, mode=mode)
+        else:
+            mode = ControlMode(orders.mode)
+            self.control = RobotControl(side.robot, powered=orders.powered, mode=mode)
+        self._envelope = side.envelope
         self._link = side.link
         self._life = life
         self._began_ns = now_ns
@@ -36,6 +50,18 @@ class RobotDesk:
         self._told: tuple[object, ...] | None = None
         self._due_ns = now_ns
         self._steps, self._counted_ns, self._step_hz = 0, now_ns, 0.0
+
+    @property
+    def orders(self) -> RobotOrders:
+        """What a restarted controller goes on with."""
+        return RobotOrders(powered=self.control.powered, mode=self.control.mode.value)
+
+    def step(self, now_ns: int) -> None:
+        """Once in each cycle, before the robot moves."""
+        control, envelope = self.control, self._envelope
+        if envelope is not None and envelope.stopped is not control.stopped:
+            control.handle_stop(envelope.stopped)
+        control.step(now_ns)
 
     def handle_order(self, order: RobotOrder, sent_ns: int, now_ns: int) -> None:
         """An order of the kernel. The controller counts those that it refuses."""

@@ -35,7 +35,7 @@ class Handle(Protocol):
 
     x_m, y_m: position (m).
     force_limit_n: the force that its motors can exert now (N).
-    dead_man, buttons, state: the values that the command samples carry.
+    dead_man, buttons, state, stop, blind: the values that the command samples carry.
     """
 
     x_m: float
@@ -44,6 +44,8 @@ class Handle(Protocol):
     dead_man: bool
     buttons: int
     state: int
+    stop: bool
+    blind: bool
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
         """Apply this force (N, N) for `dt_ns` (at most 1 ms) and update the position."""
@@ -126,8 +128,6 @@ class JoystickSide(_Side):
     mediated: the force is that of the newest wall of `handle_wall`, not the robot's delayed one.
 
     force_x_n, force_y_n: the force displayed now (N). For `handle`, see `Handle` and `Joystick`.
-    stop: emergency stop, in every sample while it is set. blind: the picture that the operator sees
-    is too old. Both are the caller's to set.
     """
 
     def __init__(
@@ -145,7 +145,6 @@ class JoystickSide(_Side):
         make = MediatedController if mediated else JoystickController
         self.controller: JoystickController = make(model, passive=passive)
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
-        self.stop = self.blind = False
         self._last_ns = NS_PER_MS
         super().__init__()
 
@@ -163,8 +162,8 @@ class JoystickSide(_Side):
             handle.buttons,
             acted,
             state >= STATE_HALTED,
-            self.stop,
-            self.blind,
+            handle.stop,
+            handle.blind,
         )
         self.link.handle_local(_tuple(Command, command), now_ns)
 

@@ -101,6 +101,7 @@ class SafetyEnvelope:
 
     __slots__ = (
         "_approaching",
+        "_asserted",
         "_blind_ns",
         "_cause",
         "_heard_ns",
@@ -134,6 +135,8 @@ class SafetyEnvelope:
         self._released = False
         self._heard_ns = now_ns
         self._off = False
+        #: The newest command has the emergency stop's bit.
+        self._asserted = False
         self._silent = True
         self._approaching = False
         #: Since when the operator's picture has been too old.
@@ -236,8 +239,13 @@ class SafetyEnvelope:
             return False
         self._heard_ns = now_ns
         _, _, _, pressed, state, _, _, halted, stop, blind = command
-        if stop:
+        if stop and not self._asserted:
             self.handle_stop(now_ns)
+        # It is released here and there; until then its hand leads nothing.
+        self._asserted = stop
+        if stop:
+            self._released = False
+            return False
         if state != STATE_APPLICATION or halted:
             self.require_press(Hold.INACTIVE)
             return False

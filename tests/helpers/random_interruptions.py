@@ -32,7 +32,14 @@ def random_sequence(seed):
     random = Random(seed)
     # From spell to spell; most of them are short.
     spells = {"silent": 0, "pressed": 0, "halted": 0, "stop": 0, "blind": 0, "off": 0}
-    likely = {"silent": 0.25, "pressed": 0.6, "halted": 0.15, "stop": 0.05, "blind": 0.2, "off": 0.1}
+    likely = {
+        "silent": 0.25,
+        "pressed": 0.6,
+        "halted": 0.15,
+        "stop": 0.05,
+        "blind": 0.2,
+        "off": 0.1,
+    }
     on = dict.fromkeys(spells, False)
     x_m = y_m = 0.0
     cycles = []
@@ -73,7 +80,7 @@ def random_sequence(seed):
 def may_move(cycles):
     """Yield for each cycle whether the rules let the hand lead. Written apart from the envelope."""
     released = pressed = False
-    stopped = was_off = False
+    stopped = was_off = asserted = False
     heard = 0
     blind_since = None
     for at, cycle in enumerate(cycles):
@@ -86,8 +93,10 @@ def may_move(cycles):
         active = True
         if command is not None:
             heard = at
-            stopped = stopped or command.stop
+            stopped = stopped or (command.stop and not asserted)
+            asserted = command.stop
             active = command.state == STATE_APPLICATION and not command.halted
+            active = active and not command.stop
             if active:
                 if not command.blind:
                     blind_since = None
