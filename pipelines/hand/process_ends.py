@@ -41,6 +41,7 @@ from pipelines.session.topology import (
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.spec import open_device
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
@@ -70,12 +71,14 @@ def run_robot(context: Context) -> None:
         # Nobody drives until the desk has told who is to.
         ownership = HapticOwnership(None) if setup.partner_arm == "shared" else None
         life = new_life()
+        kept = KeptOrders(context.session)
         end = RobotEnd(
             context.probe,
             life=life,
             deadband=setup.deadband != "off",
             mediated=mediated,
             ownership=ownership,
+            envelope=SafetyEnvelope(stopped=kept.stopped),
         )
         to_gateway = context.sender(topology.entry_port(TELEMETRY)) if mediated else None
 
@@ -84,7 +87,6 @@ def run_robot(context: Context) -> None:
             if wall is not None and to_gateway is not None:
                 to_gateway(wall)
 
-        kept = KeptOrders(context.session)
         first = RobotOrders(powered=True, mode=ControlMode.TELEPRESENCE.value)
         orders = kept.recall(ROBOT, first, UNKNOWN_ROBOT)
         now_ns = context.clock.now_ns()

@@ -28,7 +28,7 @@ class Cycle:
 
 
 def random_sequence(seed):
-    """Return the cycles of one sequence: spells of silence, presses and states, and single events."""
+    """Return the cycles of one sequence."""
     random = Random(seed)
     # From spell to spell; most of them are short.
     spells = {"silent": 0, "pressed": 0, "halted": 0, "stop": 0, "blind": 0, "off": 0}

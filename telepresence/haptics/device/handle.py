@@ -24,7 +24,7 @@ class OperatedHandle:
     x_m, y_m: calibrated position; it rests while there is no calibration.
     force_limit_n: 0 outside the application and while the dead-man button is released.
     dead_man, buttons, state: the values that the command samples carry.
-    stop: emergency stop. blind: the picture that the operator sees is too old. The caller sets both.
+    stop: emergency stop. blind: the operator's picture is too old. The caller sets both.
     pressed: how often a button went down.
 
     Its time is the sum of what `step` was told, so it runs on virtual time too.
