@@ -56,6 +56,22 @@ def unpack_request(data: bytes) -> HandRequest | None:
     return None if event is None else HandRequest(_NUMBER.unpack_from(data)[0], event)
 
 
+class RobotOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What outlives the controller.
+
+    powered, mode: as `telepresence.tasks.robot_control.RobotControl` has them.
+    """
+
+    powered: bool
+    mode: str
+
+
+class JoystickOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What outlives the process. paused: a person halted it, and must let it go on."""
+
+    paused: bool
+
+
 class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """The joystick as its operator must know it.
 

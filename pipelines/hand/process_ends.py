@@ -5,7 +5,12 @@ from itertools import count
 
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.hand_topics import STATUS_OCTETS, unpack_input
+from pipelines.hand.hand_topics import (
+    STATUS_OCTETS,
+    JoystickOrders,
+    RobotOrders,
+    unpack_input,
+)
 from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd
@@ -21,7 +26,7 @@ from pipelines.hand.safety_ends import (
     keep_robot,
 )
 from pipelines.session.exercises import new_exercises
-from pipelines.session.orders import JoystickOrders, KeptOrders, RobotOrders
+from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
 from pipelines.session.topology import (

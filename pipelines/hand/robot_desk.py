@@ -3,8 +3,8 @@
 from math import hypot
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.hand.hand_topics import RobotOrders
 from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
-from pipelines.session.orders import RobotOrders
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.sample import STATE_HALTED
 from telepresence.tasks.definitions import ControlMode

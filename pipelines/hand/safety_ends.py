@@ -1,9 +1,10 @@
 """What robot and joystick do about orders that outlive a process: emergency stop, halt, power."""
 
+from pipelines.hand.hand_topics import JoystickOrders, RobotOrders
 from pipelines.hand.haptic_loop import Cycle
 from pipelines.hand.haptics import RobotEnd
 from pipelines.hand.robot_desk import RobotDesk
-from pipelines.session.orders import JoystickOrders, KeptOrders, RobotOrders
+from pipelines.session.orders import KeptOrders
 from pipelines.session.topology import JOYSTICK, ROBOT
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.tasks.definitions import ControlMode

@@ -22,19 +22,6 @@ T = TypeVar("T", bound=msgspec.Struct)
 _MOST_CHARACTERS = 120
 
 
-class RobotOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """powered, mode: as `telepresence.tasks.robot_control.RobotControl` has them."""
-
-    powered: bool
-    mode: str
-
-
-class JoystickOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """paused: a person halted or stopped the joystick, so it waits for a person."""
-
-    paused: bool
-
-
 class KeptOrders:
     """The orders of one session, for one process."""
 

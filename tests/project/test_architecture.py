@@ -126,6 +126,7 @@ SHELL_FOLDERS = ("pipelines/commands/",)
 
 #: Modules that read or write files. Cores are handed what is in them.
 FILES = {
+    "pipelines/session/orders.py",
     "kontur_av/sources/file.py",
     "kontur_av/sources/recording.py",
     "pipelines/report/charts.py",
