@@ -41,6 +41,7 @@ _COMMANDS = {
     "select": "switch the camera of a running session",
     "tc": "send a telecommand, and print its verification",
     "task": "list, select, start and abort tasks of a running session",
+    "stop": "emergency stop of the robot, or its release",
     "owner": "say who drives the robot, or hand it to a partner",
     "record": "record a running session, and leave it again",
     "trainer": "give a running session an exercise: no signal, a fault, a lost camera",

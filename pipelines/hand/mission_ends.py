@@ -53,7 +53,7 @@ def serve_robot(bus: TopicBus, desk: RobotDesk, *, tasks: bool) -> Cycle:
                 desk.handle_order(order, orders.newest_ns, now_ns)
         # One at a time, so that each has its own answer.
         if (command := commands.next()) is not None:
-            desk.handle_command(command, commands.newest_ns)
+            desk.handle_command(command, commands.newest_ns, now_ns)
         status = desk.poll_status(now_ns)
         if status is not None:
             writer.publish(status, now_ns)

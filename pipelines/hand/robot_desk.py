@@ -6,6 +6,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.hand_topics import RobotOrders
 from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
 from telepresence.haptics.bilateral import RobotSide
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.sample import STATE_HALTED
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
@@ -40,7 +41,7 @@ class RobotDesk:
         else:
             mode = ControlMode(orders.mode)
             self.control = RobotControl(side.robot, powered=orders.powered, mode=mode)
-        self._envelope = side.envelope
+        self._envelope = side.envelope or SafetyEnvelope()
         self._link = side.link
         self._life = life
         self._began_ns = now_ns
@@ -59,7 +60,7 @@ class RobotDesk:
     def step(self, now_ns: int) -> None:
         """Once in each cycle, before the robot moves."""
         control, envelope = self.control, self._envelope
-        if envelope is not None and envelope.stopped is not control.stopped:
+        if envelope.stopped is not control.stopped:
             control.handle_stop(envelope.stopped)
         control.step(now_ns)
 
@@ -78,16 +79,20 @@ class RobotDesk:
         else:
             control.reset()
 
-    def handle_command(self, command: RobotCommand, sent_ns: int) -> None:
+    def handle_command(self, command: RobotCommand, sent_ns: int, now_ns: int) -> None:
         """A telecommand. The status answers it."""
         if sent_ns < self._began_ns:
             return
-        self._commanded, self._refusal = command.number, self._carry_out(command)
+        self._commanded, self._refusal = command.number, self._carry_out(command, now_ns)
 
     def poll_status(self, now_ns: int) -> RobotStatus | None:
         """Return the status if it is due: after what others asked for, at faults, every 50 ms."""
         control = self.control
-        present = (control.powered, control.mode, control.fault, self._handled, self._commanded)
+        hold = self._envelope.hold
+        present = (
+            (control.powered, control.mode, control.fault, hold, self._envelope.stopped),
+            (self._handled, self._commanded),
+        )
         if now_ns < self._due_ns and present == self._told:
             return None
         self._due_ns, self._told = now_ns + STATUS_NS, present
@@ -100,6 +105,8 @@ class RobotDesk:
             self._step_hz = (steps - self._steps) / ((now_ns - self._counted_ns) / NS_PER_S)
             self._steps, self._counted_ns = steps, now_ns
         control, robot, command = self.control, self.control.robot, self._link.latest(now_ns)
+        envelope = self._envelope
+        safety = envelope.report()
         return RobotStatus(
             life=self._life,
             powered=control.powered,
@@ -117,10 +124,14 @@ class RobotDesk:
             commanded=self._commanded,
             command_refusal=self._refusal,
             step_hz=self._step_hz,
+            hold=safety.hold.value,
+            waiting=safety.waiting,
+            stopped=envelope.stopped,
+            offset_mm=safety.offset_mm,
         )
 
-    def _carry_out(self, command: RobotCommand) -> str:
-        control = self.control
+    def _carry_out(self, command: RobotCommand, now_ns: int) -> str:
+        control, envelope = self.control, self._envelope
         match command.function:
             case "power_on":
                 return control.set_power(True)
@@ -128,6 +139,11 @@ class RobotDesk:
                 return control.set_power(False)
             case "reset_error":
                 return control.reset()
+            case "emergency_stop":
+                envelope.handle_stop(now_ns)
+                return ""
+            case "release_stop":
+                return envelope.handle_stop_released(now_ns)
             case "set_mode":
                 return control.set_mode(command.mode)
         return f"the robot has no function {command.function}"

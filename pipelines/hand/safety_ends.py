@@ -27,8 +27,12 @@ def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:
         elif known and not ordered:
             envelope.handle_stop_released(now_ns)
         elif envelope.stopped and not ordered:
-            kept.stop("the joystick")
+            kept.stop("the joystick or a telecommand")
             ordered = True
+        elif ordered and not envelope.stopped:
+            # By a telecommand.
+            kept.release()
+            ordered = False
         known = ordered
 
     return follow

@@ -47,7 +47,8 @@ from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
 from pipelines.session.figures import LoopFigures, ProbeFigures
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.topology import HapticRow
+from pipelines.session.topology import ROBOT, HapticRow
+from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import (
     JoystickFigures,
     PortFigures,
@@ -119,6 +120,7 @@ def build_report(
         exercises=exercises(collector, _radio_epoch_ns(collector)),
         rtc=rtc_report(collector, seconds),
         arm=arm_report(collector, _radio_epoch_ns(collector)),
+        safety=collector.process(ROBOT).find(SafetyFigures),
         second_arm=second_arm_report(collector),
         tasks=task_runs(collector, _radio_epoch_ns(collector)),
     )

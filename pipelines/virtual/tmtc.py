@@ -156,6 +156,6 @@ class SimulatedTmtc:
         command = self._robot.handle_asked(asked)
         if command is None or self._robot_desk is None:
             return False
-        self._robot_desk.handle_command(command, now_ns)
+        self._robot_desk.handle_command(command, now_ns, now_ns)
         self._robot.handle_status(self._robot_desk.status(now_ns), now_ns)
         return True

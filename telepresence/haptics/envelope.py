@@ -173,11 +173,16 @@ class SafetyEnvelope:
             self._set_hold(Hold.STOPPED, now_ns)
         self._cause, self._released = Hold.STOPPED, False
 
-    def handle_stop_released(self, now_ns: int) -> None:
-        """Somebody who may has released the emergency stop. Motion needs a new press."""
-        if self.stopped:
-            self.stopped = False
-            self._cause, self._released = Hold.STOPPED, False
+    def handle_stop_released(self, now_ns: int) -> str:
+        """Release the emergency stop; return "", or why not. Motion needs a new press.
+
+        A joystick that still orders a stop is followed no more either, until it releases its own.
+        """
+        if not self.stopped:
+            return "no emergency stop holds the robot"
+        self.stopped = False
+        self._cause, self._released = Hold.STOPPED, False
+        return ""
 
     def admit(self, command: Command | None, x_m: float, y_m: float, now_ns: int) -> Command | None:
         """Return the command that the controller may follow.

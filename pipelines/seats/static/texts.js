@@ -227,12 +227,13 @@
  * none. error: its kind, a `telepresence.tasks.robot_control.Fault`. halted: the newest sample of
  * the joystick says that it is. commanded: number of the newest `RobotCommand`; None for none.
  * command_refusal: why that was refused, "" if it was carried out. step_hz: cycles of the
- * controller, in the last second.
+ * controller, in the last second. hold: why it follows no hand, in words, "" if it does. waiting:
+ * for a new press. stopped: an emergency stop holds. offset_mm: the robot's place less the hand's.
  * @typedef {{kind: "robot", life: number, powered: boolean, mode: "position" | "torque" |
  *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
  *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
- *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number}}
- *   RobotText
+ *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,
+ *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number]}} RobotText
  */
 
 /** @typedef {HelloText
