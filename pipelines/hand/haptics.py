@@ -2,7 +2,7 @@
 
 from typing import Generic, TypeVar
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.figures import WallFigures
 from pipelines.hand.haptic_trace import HapticTrace, flags_of
 from pipelines.session.probe import Probe
@@ -90,9 +90,10 @@ class RobotEnd(_End[RobotSide]):
         ownership: HapticOwnership | None = None,
         envelope: SafetyEnvelope | None = None,
     ) -> None:
-        link = robot_link(life=life, deadband=deadband)
         self.envelope = envelope = envelope or SafetyEnvelope()
         limits = envelope.limits
+        max_age_ns = round(limits.command_max_age_s * NS_PER_S)
+        link = robot_link(life=life, max_age_ns=max_age_ns, deadband=deadband)
         model = RobotControllerModel(
             speed_m_s=limits.speed_m_s,
             force_limit_n=limits.force_n,

@@ -20,6 +20,7 @@ from pipelines.session.topology import (
     SECOND_ROBOT_TOPIC,
     partner_ports,
 )
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.ownership import HapticOwnership, Owner
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.world import WorldState
@@ -35,7 +36,8 @@ def run_second_robot(context: Context) -> None:
             stamp = CaptureStamp(state.time_ns, next(numbers), SECOND_ROBOT)
             writer.publish_octets(pack_state(state), stamp)
 
-        end = RobotEnd(context.probe, life=new_life())
+        envelope = SafetyEnvelope(context.setup.safety)
+        end = RobotEnd(context.probe, life=new_life(), envelope=envelope)
         stop = follow_stop(KeptOrders(context.session), end)
         run_loop(context, end, partner_ports(context.setup), publish, seldom=[stop])
 

@@ -24,6 +24,8 @@ from pipelines.hand.safety_ends import (
     follow_stop,
     keep_joystick,
     keep_robot,
+    look_at_picture,
+    watch_camera,
 )
 from pipelines.session.exercises import new_exercises
 from pipelines.session.orders import KeptOrders
@@ -83,7 +85,7 @@ def run_robot(context: Context) -> None:
             deadband=setup.deadband != "off",
             mediated=mediated,
             ownership=ownership,
-            envelope=SafetyEnvelope(stopped=kept.stopped),
+            envelope=SafetyEnvelope(setup.safety, stopped=kept.stopped),
         )
         to_gateway = context.sender(topology.entry_port(TELEMETRY)) if mediated else None
 
@@ -101,6 +103,7 @@ def run_robot(context: Context) -> None:
             _trace(bus, ROBOT_TRACE_TOPIC, end.trace),
             serve_robot(bus, desk, tasks=tasks),
             keep_robot(kept, desk),
+            watch_camera(bus, context.setup, end),
         ]
         before: Cycle = desk.step
         route = None
@@ -147,6 +150,7 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
                 _trace(bus, JOYSTICK_TRACE_TOPIC, end.trace),
                 _status(bus, handle, reads),
                 keep_joystick(kept, handle),
+                look_at_picture(bus, context.topology, handle),
             ]
             if WALL_TOPIC in reads:
                 seldom.append(_walls(bus, end))

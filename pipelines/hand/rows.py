@@ -3,6 +3,7 @@
 from pipelines.session.topology import (
     ARM_ORDER_TOPIC,
     ARM_STATE_TOPIC,
+    HALVES_TOPIC,
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
     JOYSTICK,
@@ -21,6 +22,7 @@ from pipelines.session.topology import (
     ROBOT_TRACE_TOPIC,
     SECOND_ROBOT,
     SECOND_ROBOT_TOPIC,
+    SELECTED_TOPIC,
     TRAINER_TOPIC,
     WALL_TOPIC,
     ProcessRow,
@@ -45,7 +47,14 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             stage=Stage.LINK,
             run="pipelines.hand.process_ends:run_robot",
             priority=LOOP_PRIORITY,
-            reads=(ROBOT_COMMAND_TOPIC, ROBOT_ORDER_TOPIC, ARM_ORDER_TOPIC),
+            reads=(
+                ROBOT_COMMAND_TOPIC,
+                ROBOT_ORDER_TOPIC,
+                ARM_ORDER_TOPIC,
+                # What the operator looks at: a change of it holds the robot.
+                SELECTED_TOPIC,
+                HALVES_TOPIC,
+            ),
             writes=(
                 ROBOT_TOPIC,
                 ROBOT_STATUS_TOPIC,
@@ -84,6 +93,8 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             priority=LOOP_PRIORITY,
             reads=(
                 WALL_TOPIC,
+                # How old the picture is that the operator sees.
+                session.video(setup.uplink_video.name).lag_topic,
                 *given(options.joystick == PAGE, HAND_INPUT_TOPIC),
                 HAND_REQUEST_TOPIC,
                 JOYSTICK_COMMAND_TOPIC,

@@ -17,6 +17,7 @@ import msgspec
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
+from pipelines.hand.operator_view import CameraWatch
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
@@ -27,7 +28,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
 from pipelines.session.probe import FLUSH_NS, Probe
-from pipelines.session.setup.table import Setup
+from pipelines.session.setup.table import STEREO, Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
 from pipelines.virtual.agenda import FAR_NS, Agenda, Timer
@@ -40,6 +41,7 @@ from pipelines.virtual.workers import Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.envelope import Hold, SafetyEnvelope
 from telepresence.haptics.mediated.wall import is_wall
 from telepresence.haptics.session import LIVES
 from telepresence.link.gateway import Gateway
@@ -143,7 +145,10 @@ class Simulation:
         telling.add(self._joystick.tell)
         #: None while a recording drives the robot.
         self.robot_desk: RobotDesk | None = None
+        self._watch: CameraWatch | None = None
         if isinstance(self._robot, RobotEnd):
+            envelope = self._robot.envelope
+            self._watch = CameraWatch(STEREO, 0, lambda: envelope.require_press(Hold.CAMERA))
             life = self._life(self.topology.haptic("up").sender)
             self.robot_desk = RobotDesk(
                 self._robot.side, life=life, tasks=plan is not None, now_ns=start_ns
@@ -310,6 +315,7 @@ class Simulation:
             life=self._life(up.sender),
             deadband=deadband,
             mediated=self._mediated,
+            envelope=SafetyEnvelope(self.setup.safety),
         )
         joystick = JoystickEnd(
             self._probe(up.receiver),
@@ -447,6 +453,8 @@ class Simulation:
         self._choice_timer.set(self._choice.poll_timeout(), now_ns)
 
     def _follow(self, choice: Choice, now_ns: int) -> None:
+        if self._watch is not None:
+            self._watch.handle_choice(choice.camera)
         if self._media is None:
             self._choice.handle_confirmed(choice.number)
         else:

@@ -2,12 +2,12 @@
 
 | rule | the robot holds still |
 |---|---|
-| S1 | while no command is fresh (`HapticLink.max_age_ns`) |
-| S2 | until a new press, after commands were missing for longer than `resume_within_ns` |
+| S1 | while no command is fresh (`command_max_age_s`) |
+| S2 | until a new press, after commands were missing for longer than `resume_within_s` |
 | S3 | until a new press, after a start of the robot or the joystick, a change of owner, camera or \
 application, a halt, or a power off |
 | S4 | while the dead-man button is released |
-| S5 | until a new press, after the operator's picture was too old for `picture_hold_ns` |
+| S5 | until a new press, after the operator's picture was too old for `picture_hold_s` |
 | S6 | from an emergency stop until it is released on purpose, and then until a new press |
 
 A new press is a command with the button released, then one with it pressed, both from a joystick
@@ -19,10 +19,10 @@ force and workspace have limits always (S9), which `RobotController` keeps.
 In each cycle: call `admit`, give the controller what it returns, and `speed_m_s` as its limit.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_S
 from kontur_av.figures import Newest
 from telepresence.haptics.sample import STATE_APPLICATION, Command
 
@@ -32,23 +32,46 @@ _CAUGHT_UP_M = 0.002
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SafetyLimits:
-    """Limits of a setup; all chosen.
+    """Limits of a setup; the defaults are chosen. ValueError for limits that cannot work.
 
-    resume_within_ns: a drop-out of the commands up to this resumes by itself. A pass has many.
+    command_max_age_s: an older newest command is none.
+    resume_within_s: a drop-out of the commands up to this resumes by itself. A pass has many.
     approach_m_s: how fast the robot then catches up with the hand.
-    slow_m_s: its speed while the operator's picture is too old.
-    picture_hold_ns: it holds after so long with such a picture.
+    picture_max_age_s: an older picture of the operator is too old. The radio's delay, and what the
+    setup grants the stream (`Setup.stale_after_ns`), come on top.
+    slow_m_s: speed while the operator's picture is too old.
+    picture_hold_s: the robot holds after so long with such a picture.
     speed_m_s, force_n, half_width_m, half_height_m: of the reference, in any case.
     """
 
-    resume_within_ns: int = 300 * NS_PER_MS
+    command_max_age_s: float = 0.02
+    resume_within_s: float = 0.3
     approach_m_s: float = 0.1
+    picture_max_age_s: float = 0.5
     slow_m_s: float = 0.03
-    picture_hold_ns: int = NS_PER_S
+    picture_hold_s: float = 1.0
     speed_m_s: float = 0.5
     force_n: float = 30.0
     half_width_m: float = 0.15
     half_height_m: float = 0.10
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            # Compared this way round, so that NaN is refused, too.
+            if not 0.0 < value < 1000.0:
+                raise ValueError(f"safety.{each.name} is {value:g}: take more than 0")
+        if self.resume_within_s < self.command_max_age_s:
+            raise ValueError(
+                f"safety.resume_within_s is {self.resume_within_s:g}: take at least "
+                f"command_max_age_s, {self.command_max_age_s:g}"
+            )
+        for name in ("approach_m_s", "slow_m_s"):
+            if getattr(self, name) > self.speed_m_s:
+                raise ValueError(
+                    f"safety.{name} is {getattr(self, name):g}: take at most speed_m_s, "
+                    f"{self.speed_m_s:g}"
+                )
 
 
 class Hold(StrEnum):
@@ -97,6 +120,8 @@ class SafetyEnvelope:
     waiting: a new press is missing.
     offset_m: the robot's place less the hand's, taken at the newest press.
     speed_m_s: the limit of the reference's speed now.
+    blind: the caller sets it while it knows that what the operator sees is too old, such as half of
+    a merged picture; the commands say the rest.
     """
 
     __slots__ = (
@@ -106,8 +131,11 @@ class SafetyEnvelope:
         "_cause",
         "_heard_ns",
         "_off",
+        "_picture_hold_ns",
         "_released",
+        "_resume_ns",
         "_silent",
+        "blind",
         "hold",
         "limits",
         "offset_m",
@@ -122,12 +150,15 @@ class SafetyEnvelope:
     def __init__(
         self, limits: SafetyLimits | None = None, *, stopped: bool = False, now_ns: int = 0
     ) -> None:
-        self.limits = limits or SafetyLimits()
+        self.limits = limits = limits or SafetyLimits()
+        self._resume_ns = round(limits.resume_within_s * NS_PER_S)
+        self._picture_hold_ns = round(limits.picture_hold_s * NS_PER_S)
         self.stopped = stopped
+        self.blind = False
         self.hold = Hold.STARTED
         self.since_ns = now_ns
         self.offset_m = (0.0, 0.0)
-        self.speed_m_s = self.limits.speed_m_s
+        self.speed_m_s = limits.speed_m_s
         self.presses = self.resumed = self.stops = 0
         #: Why a new press is needed; NONE: it has come.
         self._cause = Hold.STARTED
@@ -237,7 +268,7 @@ class SafetyEnvelope:
 
     def _may_follow(self, command: Command | None, now_ns: int) -> bool:
         """Take a cycle's command; return whether the hand may lead now."""
-        if now_ns - self._heard_ns > self.limits.resume_within_ns:
+        if now_ns - self._heard_ns > self._resume_ns:
             # Also if this process was stopped itself, and the newest command came just now.
             self.require_press(Hold.LOST)
         if command is None:
@@ -254,7 +285,7 @@ class SafetyEnvelope:
         if state != STATE_APPLICATION or halted:
             self.require_press(Hold.INACTIVE)
             return False
-        self._handle_picture(blind, now_ns)
+        self._handle_picture(blind or self.blind, now_ns)
         if not pressed:
             self._released = True
             if self._cause is _NONE:
@@ -267,7 +298,7 @@ class SafetyEnvelope:
             self._blind_ns = None
         elif self._blind_ns is None:
             self._blind_ns = now_ns
-        elif now_ns - self._blind_ns >= self.limits.picture_hold_ns:
+        elif now_ns - self._blind_ns >= self._picture_hold_ns:
             self.require_press(Hold.PICTURE)
 
     def _waits_for(self, otherwise: Hold) -> Hold:

@@ -10,7 +10,7 @@ from telepresence.haptics.sample import STATE_APPLICATION, STATE_HALTED, Command
 
 MS = 1_000_000
 #: Shorter than a setup's, so that a sequence needs no seconds.
-LIMITS = SafetyLimits(resume_within_ns=15 * MS, picture_hold_ns=12 * MS)
+LIMITS = SafetyLimits(command_max_age_s=0.001, resume_within_s=0.015, picture_hold_s=0.012)
 CYCLES = 160
 #: The robot has come to rest this long after it may not move any more.
 _REST = 60
@@ -86,7 +86,7 @@ def may_move(cycles):
     for at, cycle in enumerate(cycles):
         command = cycle.command
         broken = cycle.interruption is not None or (cycle.off and not was_off)
-        broken = broken or (at - heard) * MS > LIMITS.resume_within_ns
+        broken = broken or (at - heard) * MS > 15 * MS
         was_off = cycle.off
         if cycle.stop_released and stopped:
             stopped, broken = False, True
@@ -102,7 +102,7 @@ def may_move(cycles):
                     blind_since = None
                 elif blind_since is None:
                     blind_since = at
-                elif (at - blind_since) * MS >= LIMITS.picture_hold_ns:
+                elif (at - blind_since) * MS >= 12 * MS:
                     broken = True
         if broken or stopped or not active:
             released = pressed = False
