@@ -15,7 +15,7 @@ from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd
 from pipelines.hand.joystick_status import JoystickStatusTeller
-from pipelines.hand.mission_ends import both, looking, serve_robot
+from pipelines.hand.mission_ends import both, looking, seeing, serve_robot
 from pipelines.hand.partner_arm import follow_owner, open_partner, route_to_owner
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.hand.safety_ends import (
@@ -47,6 +47,7 @@ from pipelines.session.topology import (
 )
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice
+from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
@@ -158,6 +159,8 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
                 seldom.append(_exercises(bus, handle))
             if isinstance(hand, Cosmonaut):
                 seldom.append(looking(bus, hand, handle))
+            elif ROBOT_TOPIC in reads and isinstance(device, SimulatedDevice):
+                seldom.append(seeing(bus, hand))
             before = None
             if isinstance(device, PageDevice) and HAND_INPUT_TOPIC in reads:
                 before = _hand(bus, device)

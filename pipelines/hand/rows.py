@@ -99,10 +99,10 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 HAND_REQUEST_TOPIC,
                 JOYSTICK_COMMAND_TOPIC,
                 TRAINER_TOPIC,
-                # A simulated cosmonaut looks at the task board and its LEDs.
+                # A simulated person looks at the task board, its LEDs and the robot.
                 MISSION_PANEL_TOPIC,
                 MISSION_LEDS_TOPIC,
-                *given(options.tasks, ROBOT_TOPIC),
+                ROBOT_TOPIC,
             ),
             writes=(JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC),
             what="1 kHz loop of the operator's joystick",

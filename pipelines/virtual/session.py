@@ -6,7 +6,7 @@ Everything happens in the order of its instant, so the same seed gives the same 
 machine.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from random import Random
@@ -41,6 +41,7 @@ from pipelines.virtual.workers import Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.envelope import Hold, SafetyEnvelope
 from telepresence.haptics.mediated.wall import is_wall
 from telepresence.haptics.session import LIVES
@@ -240,6 +241,7 @@ class Simulation:
         next_state, advance = robot.next_event, self._advance
         samples_down, samples_up = self._samples_down, self._samples_up
         poll_wall = robot.poll_wall if isinstance(robot, RobotEnd) and self._mediated else None
+        see = self._sight()
         half_ns = CYCLE_NS // 2
         slot_ns = self._next_slot_ns
         while slot_ns < until_ns:
@@ -270,6 +272,8 @@ class Simulation:
             state = next_state()
             if state is not None:
                 self._state = state
+                if see is not None:
+                    see(state.x_m, state.y_m)
             slot_ns += CYCLE_NS
         self._next_slot_ns = slot_ns
         advance(until_ns)
@@ -331,6 +335,18 @@ class Simulation:
         if self._device is not None:
             return OperatedHandle(self._device)
         return None if self._cosmonaut is None else HeldJoystick(hand=self._cosmonaut)
+
+    def _sight(self) -> Callable[[float, float], None] | None:
+        """What shows the robot to a simulated hand."""
+        if not isinstance(self._joystick, JoystickEnd):
+            return None
+        handle = self._joystick.side.handle
+        if isinstance(handle, HeldJoystick):
+            return handle.hand.see
+        device = handle.device if isinstance(handle, OperatedHandle) else None
+        if isinstance(device, SimulatedDevice) and device.hand is not None:
+            return device.hand.see
+        return None
 
     def _life(self, process: str) -> int:
         return self._random(f"{process} life").randrange(1, LIVES)

@@ -205,6 +205,11 @@ class Hand:
         elif followed:
             self._way = (x_m, y_m), self._now_ns
 
+    def see(self, x_m: float, y_m: float) -> None:
+        """The robot's tip is at (x_m, y_m), in the picture: wait there for the next press."""
+        if not self.grip.following:
+            self._place = (x_m, y_m)
+
     def let_go(self, x_m: float, y_m: float) -> None:
         """Take the handle at (x_m, y_m), without the dead-man button at first."""
         self.grip.let_go(self._now_ns)
