@@ -16,8 +16,8 @@ from kontur_av.clock import MonotonicClock
 from kontur_av.media import AccessUnit, CaptureStamp
 from pipelines.partner.description import Kind
 from pipelines.partner.ice_servers import IceServers
-from pipelines.partner.keeper import Keeper
 from pipelines.partner.peer import RtcPeer
+from pipelines.partner.whip import Keeper
 
 _HEAD = struct.Struct("<I?")
 _RATES: dict[Kind, int] = {"video": 1_500_000, "audio": 32_000}

@@ -21,10 +21,9 @@ from pipelines.report.result_file import write_result
 from pipelines.session.children import ended_alike
 from pipelines.virtual.campaign.chart import chart
 from pipelines.virtual.campaign.figures import RunFigures, crashed, run_figures
-from pipelines.virtual.campaign.here import code_digest
-from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
-from pipelines.virtual.campaign.progress import Progress
-from pipelines.virtual.campaign.sessions import session_results
+from pipelines.virtual.campaign.pass_figures import Crash, Result, SessionTask
+from pipelines.virtual.campaign.places import add_place_arguments, cluster_of, code_digest, jobs_of
+from pipelines.virtual.campaign.sessions import Progress, session_results
 from pipelines.virtual.campaign.sweep import (
     Sweep,
     case_figures,
@@ -35,7 +34,6 @@ from pipelines.virtual.campaign.sweep import (
     task_key,
 )
 from pipelines.virtual.campaign.sweep_file import load_sweep
-from pipelines.virtual.campaign.tasks import Crash, Result, SessionTask
 from pipelines.virtual.inputs import check_virtual_sources
 
 #: The runs that are over are kept this often.

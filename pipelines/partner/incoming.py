@@ -1,10 +1,11 @@
-"""One stream of the partner: access units and blocks of sound as they come. Cores."""
+"""One stream of the partner: access units and blocks of sound as they come, and when. Cores."""
 
+from collections import deque
 from dataclasses import dataclass
 
 from aiortc.rate import RemoteBitrateEstimator
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.rtp.header_extensions import ABS_SEND_TIME, elements_of
@@ -215,3 +216,31 @@ def _numbers(packet: bytes) -> tuple[int, int, int]:
         int.from_bytes(packet[2:4], "big"),
         int.from_bytes(packet[4:8], "big"),
     )
+
+
+#: The least is that of this time, so that clocks may drift and networks may change.
+_WINDOW_NS = 30 * NS_PER_S
+_BUCKET_NS = NS_PER_S
+
+
+class PartnerTime:
+    """Moves capture times of one partner to our clock, so that none lies after its arrival."""
+
+    def __init__(self) -> None:
+        #: By second: when it began, and the least difference in it.
+        self._least: deque[tuple[int, int]] = deque()
+
+    def capture_ns(self, told_ns: int, now_ns: int) -> int:
+        """Return the capture time on our clock of what came at `now_ns`.
+
+        told_ns: its capture time by the partner's reports.
+        """
+        difference_ns = now_ns - told_ns
+        least = self._least
+        if least and now_ns - least[-1][0] < _BUCKET_NS:
+            least[-1] = least[-1][0], min(least[-1][1], difference_ns)
+        else:
+            least.append((now_ns, difference_ns))
+        while now_ns - least[0][0] > _WINDOW_NS:
+            least.popleft()
+        return told_ns + min(one for _, one in least)

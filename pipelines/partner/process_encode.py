@@ -10,8 +10,7 @@ from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_oft
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import SentTopic
 from pipelines.media.following import Choice
-from pipelines.partner.rate import PicturePlan
-from pipelines.partner.wish import Wish
+from pipelines.partner.decisions import PicturePlan, Wish
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.sample_topic import SampleTopic
 from pipelines.session.setup.table import GROUND_MIC

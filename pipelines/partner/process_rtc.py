@@ -14,19 +14,16 @@ from kontur_av.streams.voice_player import VoicePlayer
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.media.unit_history import KeptUnit, UnitHistory
+from pipelines.partner.decisions import WISH_OCTETS, RateFollower, Wish
 from pipelines.partner.description import Kind
 from pipelines.partner.figures import RtcFigures
 from pipelines.partner.ice_servers import IceServers
+from pipelines.partner.incoming import PartnerTime
 from pipelines.partner.media import PictureCame, SoundCame
-from pipelines.partner.partner_time import PartnerTime
-from pipelines.partner.peer import RtcPeer
-from pipelines.partner.programme import Programme
-from pipelines.partner.rate import RateFollower
-from pipelines.partner.rtc_samples import SamplePorts
-from pipelines.partner.sample_tally import SampleTally
+from pipelines.partner.peer import Programme, RtcPeer
+from pipelines.partner.samples import SamplePorts
 from pipelines.partner.server import RtcServer
-from pipelines.partner.tally import Tally
-from pipelines.partner.wish import WISH_OCTETS, Wish
+from pipelines.partner.tally import SampleTally, Tally
 from pipelines.session.feeds import Feed
 from pipelines.session.messages import UNKNOWN_US
 from pipelines.session.process import Context

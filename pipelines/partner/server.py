@@ -18,12 +18,11 @@ from aiohttp import web
 
 from kontur_av.clock import Clock
 from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.partner.decisions import Door, Refusal
 from pipelines.partner.description import MOST_SDP_OCTETS, read_candidates, write_candidates
-from pipelines.partner.door import Door, Refusal
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.media import PictureCame, SoundCame
-from pipelines.partner.peer import RtcPeer
-from pipelines.partner.programme import Programme
+from pipelines.partner.peer import Programme, RtcPeer
 from pipelines.partner.samples import SamplePeer
 from pipelines.session.access import AccessError
 from pipelines.session.page_listener import PageListener

@@ -1,18 +1,49 @@
 """The cameras and microphones of pages: who has taken which input over, and what they give."""
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from kontur_av.clock import NS_PER_US
+from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
-from pipelines.seats.page_clock import PageClock
-from pipelines.seats.page_requests import parse_media_request
+from pipelines.seats.open_page import MessageRate
 from pipelines.seats.plan import SeatInput, SeatPlan
-from pipelines.seats.rates import MessageRate
-from pipelines.seats.texts import AnswerText, pack_text
+from pipelines.seats.texts import AnswerText, pack_text, parse_media_request
 from pipelines.session.messages import OwnPicture, Ping, pack_pong, parse_media_message
 from pipelines.session.seat_roles import VIEWER_WORDS, Role
+
+#: Pings from which the offset is taken: 16 s of them, so that the clocks may drift apart.
+_KEPT = 16
+#: What a page captured is never older, and never from the future.
+_OLDEST_NS = 500 * NS_PER_MS
+
+
+class PageClock:
+    """Maps the instants of one page to the session's clock, by the ping that took least time.
+
+    So every instant comes out later by the least time that a message takes from the page: less than
+    1 ms on one machine. A page cannot claim more than 500 ms.
+    """
+
+    def __init__(self) -> None:
+        self._offsets_ns: deque[int] = deque(maxlen=_KEPT)
+
+    def handle_ping(self, page_ms: float, now_ns: int) -> None:
+        """A ping has come that was sent at `page_ms`."""
+        self._offsets_ns.append(now_ns - _ns(page_ms))
+
+    def instant_ns(self, page_ms: float, now_ns: int) -> int:
+        """Return `page_ms` on the session's clock, from 500 ms ago to now."""
+        if not self._offsets_ns:
+            return now_ns
+        instant_ns = _ns(page_ms) + min(self._offsets_ns)
+        return min(max(instant_ns, now_ns - _OLDEST_NS), now_ns)
+
+
+def _ns(page_ms: float) -> int:
+    return int(page_ms * NS_PER_MS)
+
 
 _TEXT_HZ = _PING_HZ = 20
 _SOUND_HZ, _SOUND_BURST = 60, 50

@@ -5,16 +5,18 @@ from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
 
+import numpy as np
 from msgspec.structs import replace
 
 from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
 from pipelines.media.previewing import preview_size
-from pipelines.seats.passes_ahead import passes_ahead
 from pipelines.seats.telemetry_log import application_texts
 from pipelines.seats.texts import (
     BoardText,
     CameraText,
     InputText,
+    PassText,
     PreviewText,
     SeatText,
     StreamText,
@@ -43,6 +45,8 @@ from pipelines.session.topology import (
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_controller import RobotControllerModel
+from telepresence.link.radio.orbit import next_overflight, parse_elements
+from telepresence.link.radio.profile import RadioProfile
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary import Dictionary
 
@@ -305,3 +309,37 @@ def _input_text(one: SeatInput) -> InputText:
     return InputText(
         index=one.index, name=one.name, kind="video", width=width, height=height, fps=one.fps
     )
+
+
+_MOST = 5
+
+
+def passes_ahead(profile: RadioProfile) -> tuple[PassText, ...]:
+    """Return this session's pass and the next four; none of a radio without an orbit."""
+    return tuple(_passes(profile))
+
+
+def _passes(profile: RadioProfile) -> Iterator[PassText]:
+    contact = profile.contact
+    if contact is None:
+        return
+    elements = parse_elements(contact.elements)
+    station = contact.latitude_deg, contact.longitude_deg, contact.altitude_m
+    after, first = contact.after, None
+    for _ in range(_MOST):
+        try:
+            flight = next_overflight(
+                elements, station, after, contact.horizon_deg, contact.least_peak_deg
+            )
+        except ConfigError:
+            return
+        rise = np.datetime64(flight.rise.removesuffix("Z"), "s")
+        first = rise if first is None else first
+        acquisition_s = float((rise - first).astype(int))
+        yield PassText(
+            acquisition=flight.rise,
+            acquisition_s=acquisition_s,
+            loss_s=round(acquisition_s + flight.visible_s, 1),
+            peak_deg=round(max(flight.elevations_deg), 1),
+        )
+        after = f"{rise + np.timedelta64(round(flight.visible_s) + 60, 's')}Z"

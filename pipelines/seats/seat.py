@@ -10,19 +10,17 @@ from msgspec.structs import asdict, replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ProtocolError
-from pipelines.hand.hand_topics import JoystickStatus
-from pipelines.mission.tmtc_messages import TmtcNews
+from pipelines.hand.hand_topics import HandRequest, JoystickStatus
+from pipelines.mission.tmtc_messages import TmtcNews, TmtcRequest
 from pipelines.seats import texts
-from pipelines.seats.client_queue import ClientQueue, Message
-from pipelines.seats.figures import HOLDER
-from pipelines.seats.figures_log import FiguresLog
-from pipelines.seats.hand_gate import HandGate
-from pipelines.seats.joystick_desk import JoystickDesk
+from pipelines.seats.figures import HOLDER, FiguresLog
+from pipelines.seats.handle_desk import HandGate, HandleOwnership, JoystickDesk
 from pipelines.seats.mission_desk import MissionDesk
-from pipelines.seats.open_page import OpenPage
+from pipelines.seats.open_page import ClientQueue, Message, OpenPage
 from pipelines.seats.own_inputs import OwnInputs
-from pipelines.seats.ownership import HandleOwnership
-from pipelines.seats.page_requests import (
+from pipelines.seats.plan import SeatPlan, Shown
+from pipelines.seats.seat_media import SeatMedia
+from pipelines.seats.texts import (
     ChatRequest,
     CommandRequest,
     HandleRequest,
@@ -32,21 +30,48 @@ from pipelines.seats.page_requests import (
     SessionRequest,
     parse_seat_request,
 )
-from pipelines.seats.plan import SeatPlan, Shown
-from pipelines.seats.seat_events import (
-    CommandGiven,
-    HandMoved,
-    RecordingAsked,
-    SeatEvent,
-    SessionOrdered,
-    TmtcAsked,
-)
-from pipelines.seats.seat_media import SeatMedia
 from pipelines.session.messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
+
+
+class HandMoved(NamedTuple):
+    """What to tell the joystick of the hand."""
+
+    hand: PageInput
+
+
+class CommandGiven(NamedTuple):
+    """A command for the joystick."""
+
+    request: HandRequest
+
+
+class SessionOrdered(NamedTuple):
+    """The launcher is to stop or to start the session."""
+
+    order: Order
+
+
+class RecordingAsked(NamedTuple):
+    """The recorder is to begin or to end; pass its answer to `Seat.handle_recorder`."""
+
+    page: int
+    request: int
+    begin: bool
+
+
+class TmtcAsked(NamedTuple):
+    """The TM/TC end of this segment is to be told this."""
+
+    request: TmtcRequest
+
+
+SeatEvent = HandMoved | CommandGiven | SessionOrdered | RecordingAsked | TmtcAsked
+
 
 HEARTBEAT_NS = 100 * NS_PER_MS
 

@@ -29,8 +29,7 @@ from pipelines.session.setup.table import (
     VoiceStream,
 )
 from pipelines.session.topology import Topology
-from pipelines.virtual.agenda import Agenda
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import Agenda, CodingCosts, Telling
 from pipelines.virtual.inputs import Camera, Microphone, ShowPicture, Stereo
 from pipelines.virtual.receivers import Display, VideoReceiveProcess, VoiceReceiveProcess
 from pipelines.virtual.senders import RecordedVideoProcess, VideoSendProcess, VoiceSendProcess
@@ -41,7 +40,6 @@ from pipelines.virtual.studio import (
     VoiceDecoding,
     VoiceStudio,
 )
-from pipelines.virtual.telling import Telling
 from pipelines.virtual.workers import Coder, Worker, Workers
 from telepresence.link.backlog import Backlog
 from telepresence.link.gateway import Gateway

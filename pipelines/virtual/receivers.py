@@ -21,8 +21,7 @@ from pipelines.media.stream_figures import (
 )
 from pipelines.media.watching import Recall, tell_click, tell_light
 from pipelines.session.probe import Probe
-from pipelines.virtual.agenda import Agenda, Timer
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import Agenda, CodingCosts, Timer
 from pipelines.virtual.workers import Batch, Worker
 
 

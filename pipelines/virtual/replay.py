@@ -26,7 +26,7 @@ from pipelines.recording.recorded_session import RecordedSession, SentUnit
 from pipelines.report.model import ReplayedStream, ReplayReport, SessionReport
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.media import WALL_OFFSET_NS, Media, Scene
 from pipelines.virtual.receivers import VideoReceiveProcess
 from pipelines.virtual.senders import RecordedVideoProcess, RecordedVoiceProcess

@@ -14,8 +14,7 @@ from pipelines.media.stream_figures import Outgoing, tell_sender
 from pipelines.media.tip_region import TipRegion
 from pipelines.media.video_sending import LinkedVideoSender
 from pipelines.session.probe import Probe
-from pipelines.virtual.agenda import Agenda, Timer
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import Agenda, CodingCosts, Timer
 from pipelines.virtual.studio import Picture
 from pipelines.virtual.workers import Job, Worker
 from telepresence.link.backlog import Backlog

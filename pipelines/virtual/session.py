@@ -30,12 +30,9 @@ from pipelines.session.probe import FLUSH_NS, Probe
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
-from pipelines.virtual.agenda import FAR_NS, Agenda, Timer
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import FAR_NS, Agenda, CodingCosts, Telling, Timer
 from pipelines.virtual.media import Consumer, Media, Scene
-from pipelines.virtual.mission import SimulatedMission
-from pipelines.virtual.telling import Telling
-from pipelines.virtual.tmtc import SimulatedTmtc
+from pipelines.virtual.mission import SimulatedMission, SimulatedTmtc
 from pipelines.virtual.workers import Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.device.device import JoystickDevice

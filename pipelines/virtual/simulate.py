@@ -7,7 +7,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.recording.recorded_session import RecordedSession
 from pipelines.report.model import SessionReport
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.replay import Replay
 from pipelines.virtual.session import Selection, Simulation
 from pipelines.virtual.workers import Workers

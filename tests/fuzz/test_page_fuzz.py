@@ -15,10 +15,9 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.seats.client_queue import MOST_UNITS
+from pipelines.seats.open_page import MOST_UNITS
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import Seat
-from pipelines.seats.seat_events import HandMoved
+from pipelines.seats.seat import HandMoved, Seat
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment

@@ -12,8 +12,7 @@ from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.session.probe import Probe
 from pipelines.session.setup.table import VIDEO_PAYLOAD_OCTETS, VideoStream
-from pipelines.virtual.agenda import Agenda
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import Agenda, CodingCosts
 from pipelines.virtual.senders import VideoSendProcess
 from pipelines.virtual.workers import Job
 

@@ -19,8 +19,7 @@ from pipelines.media.session_streams import video_sender
 from pipelines.media.tip_region import tip_region
 from pipelines.session.probe import Probe
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.virtual.agenda import Agenda
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import Agenda, CodingCosts
 from pipelines.virtual.senders import VideoSendProcess
 from pipelines.virtual.studio import Shot, VideoStudio
 from pipelines.virtual.workers import Job

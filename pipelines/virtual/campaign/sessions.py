@@ -1,8 +1,14 @@
-"""Sessions on virtual time, each in a process of its own, several at a time."""
+"""Sessions on virtual time, each in a process of its own, several at a time.
+
+The process of one is `python -m pipelines.virtual.campaign.sessions REPORT`. It reads a pickled
+`SessionTask` from its standard input, which only the process that started it writes. The session
+ends when that input is closed, so that no session outlives its starter.
+"""
 
 import json
 import os
 import pickle
+import select
 import subprocess
 import sys
 import time
@@ -12,11 +18,47 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.errors import ConfigError
+from pipelines.report.report_file import write_report
 from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all
-from pipelines.virtual.campaign.cluster import Cluster
-from pipelines.virtual.campaign.session import REFUSED
-from pipelines.virtual.campaign.tasks import Crash, Result, SessionResult, SessionTask
+from pipelines.virtual.campaign.pass_figures import Crash, Result, SessionResult, SessionTask
+from pipelines.virtual.campaign.places import Cluster
+from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.simulate import simulate
+
+#: Between two lines where they cannot be written over.
+_EVERY_S = 10.0
+
+
+class Progress:
+    """Tells `done` of `total` things. what: their name in the plural."""
+
+    def __init__(self, total: int, what: str) -> None:
+        self._total, self._what = total, what
+        self._began_s = time.monotonic()
+        self._told_s = self._began_s - _EVERY_S
+        self._terminal = sys.stderr.isatty()
+
+    def told(self, done: int, note: str = "") -> None:
+        """`done` are over by now. note: about the last of them."""
+        now_s = time.monotonic()
+        last = done == self._total
+        if not (self._terminal or last or now_s - self._told_s >= _EVERY_S):
+            return
+        self._told_s = now_s
+        left = self._left(done, now_s - self._began_s)
+        line = f"{done} of {self._total} {self._what}{left}{note and '; ' + note}"
+        end = "\n" if last or not self._terminal else ""
+        print(f"\r\x1b[K{line}" if self._terminal else line, end=end, file=sys.stderr, flush=True)
+
+    def _left(self, done: int, took_s: float) -> str:
+        if not 0 < done < self._total:
+            return f" in {took_s:.0f} s" if done else ""
+        left_s = took_s / done * (self._total - done)
+        return (
+            f", about {left_s / 60:.0f} min left" if left_s > 90 else f", about {left_s:.0f} s left"
+        )
+
 
 _LOOK_EVERY_S = 0.05
 
@@ -33,7 +75,7 @@ class _Session:
         with self._errors.open("wb") as errors:
             # A session of its own: this process takes Ctrl-C and ends the others itself.
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "pipelines.virtual.campaign.session", str(self._report)],
+                [sys.executable, "-m", "pipelines.virtual.campaign.sessions", str(self._report)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=errors,
@@ -109,3 +151,37 @@ def run_session(task: SessionTask) -> Result:
     """The result of one session. Raises ConfigError if its setup cannot run on this machine."""
     [(_, result)] = run_sessions([task], jobs=1)
     return result
+
+
+#: The exit codes of a session that ran, and of one that its setup forbids.
+RAN, REFUSED = 0, 2
+
+
+def main() -> int:
+    """Run the session; the report of one that was ended early shows fewer seconds."""
+    task = pickle.load(sys.stdin.buffer)
+    assert isinstance(task, SessionTask)
+    try:
+        check_virtual_sources(task.setup)
+        report = simulate(
+            task.setup,
+            seconds=task.seconds,
+            seed=task.seed,
+            media=task.media,
+            plan=task.plan,
+            stopped=_left_alone,
+        )
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        return REFUSED
+    write_report(Path(sys.argv[1]), report)
+    return RAN
+
+
+def _left_alone() -> bool:
+    """Whether standard input is closed: nothing more is ever written to it."""
+    return bool(select.select([sys.stdin], [], [], 0)[0])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -8,9 +8,8 @@ from typing import TypeAlias
 
 from pipelines.report.result import Headline
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.campaign.figures import FIGURES, RunFigures
-from pipelines.virtual.campaign.task_figures import task_names
-from pipelines.virtual.campaign.tasks import SessionTask
+from pipelines.virtual.campaign.figures import FIGURES, RunFigures, task_names
+from pipelines.virtual.campaign.pass_figures import SessionTask
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
 

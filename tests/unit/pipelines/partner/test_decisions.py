@@ -1,9 +1,7 @@
 """Decisions about a partner: who is admitted, when to connect again, how to code the picture."""
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.partner.attempts import Attempts, Doing
-from pipelines.partner.door import Door
-from pipelines.partner.rate import LEAST_BPS, PicturePlan, RateFollower
+from pipelines.partner.decisions import LEAST_BPS, Attempts, Doing, Door, PicturePlan, RateFollower
 
 
 def test_only_the_token_opens_the_door():

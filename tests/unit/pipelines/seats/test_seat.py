@@ -15,11 +15,11 @@ from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.mission.tmtc_messages import CommandUpdate
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import Seat
-from pipelines.seats.seat_events import (
+from pipelines.seats.seat import (
     CommandGiven,
     HandMoved,
     RecordingAsked,
+    Seat,
     SessionOrdered,
     TmtcAsked,
 )

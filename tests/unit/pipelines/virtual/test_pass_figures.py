@@ -8,13 +8,14 @@ from pipelines.report.result import JsonReader
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.virtual.campaign.figures import run_figures
 from pipelines.virtual.campaign.pass_figures import (
+    Crash,
     LongestPauses,
+    SessionTask,
     faults,
     pass_figures,
     signal_s,
     usable_window,
 )
-from pipelines.virtual.campaign.tasks import Crash, SessionTask
 
 S = 1_000_000_000
 TASK = SessionTask(setup=BUILT_IN["spacejustin"], seconds=100.0, seed=1)
