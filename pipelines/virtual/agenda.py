@@ -13,6 +13,8 @@ from pipelines.session.probe import Probe
 Action = Callable[[int], None]
 
 FAR_NS = 1 << 62
+#: The instants of virtual time are Unix times.
+WALL_OFFSET_NS = 0
 
 
 class Agenda:
@@ -98,7 +100,7 @@ class Telling:
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
         self._probes: dict[str, Probe] = {}
-        self._fills: list[Callable[[], None]] = []
+        self._fills: list[Callable[[], object]] = []
 
     @property
     def processes(self) -> list[str]:
@@ -110,7 +112,7 @@ class Telling:
         probe = self._probes[process] = Probe()
         return probe
 
-    def add(self, fill: Callable[[], None]) -> None:
+    def add(self, fill: Callable[[], object]) -> None:
         """Call `fill` before each flush, to put counters into its probe."""
         self._fills.append(fill)
 

@@ -1,6 +1,7 @@
 """The inputs of a simulated session: when each captures, and what it sees or hears."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import cast
 
 from kontur_av.clock import NS_PER_S
@@ -12,15 +13,14 @@ from kontur_av.sources.page import PAGE
 from kontur_av.sources.stereo import StereoPairer
 from pipelines.media.capturing import Capturing
 from pipelines.media.figures import StereoFigures
-from pipelines.session.probe import Probe
 from pipelines.session.setup.sources import check_sources
-from pipelines.session.setup.table import VOICE_PACKETS_PER_S, Setup
-from pipelines.virtual.agenda import Agenda
+from pipelines.session.setup.table import STEREO, VOICE_PACKETS_PER_S, Setup
 from pipelines.virtual.studio import Picture, Shot
-from pipelines.virtual.workers import Job, Worker
+from pipelines.virtual.workers import Job, Scene, Worker
 from telepresence.world import WorldState
 
-#: Takes a captured picture: (picture, stamp, now), or a block of sound: (stamp, world, now).
+#: Takes a captured picture: (picture, stamp, now), or a block of sound: (stamp, world, now). The
+#: world is None for a file's.
 ShowPicture = Callable[[Picture, CaptureStamp, int], None]
 ShowSound = Callable[[CaptureStamp, WorldState | None, int], None]
 
@@ -38,21 +38,39 @@ def check_virtual_sources(setup: Setup) -> None:
 
 
 class _Input:
-    """Base of both kinds of inputs: it captures at its instants, with or without readers."""
+    """Captures at its instants, with or without readers.
 
-    def __init__(self, name: str, agenda: Agenda, worker: Worker | None, probe: Probe) -> None:
-        self._name = name
-        self._agenda = agenda
-        self._film = worker
+    film: plays its file; None for a scene, which is captured at `pace`. take: called with each.
+    job: asks for the file's next picture or block. block_ns: what is captured began so long before.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        name: str,
+        film: Worker | None,
+        pace: Pace,
+        take: ShowSound,
+        *,
+        job: str | None = None,
+        block_ns: int = 0,
+    ) -> None:
+        self._name, self._agenda, self._state_at = name, scene.agenda, scene.state_at
+        self._film, self._pace, self._take = film, pace, take
+        self._job, self._block_ns = job, block_ns
         self._coming: Job | None = None
         self._sequence = 0
-        self._capturing = Capturing(probe)
-        self.tell = self._capturing.tell
+        self._capturing = Capturing(scene.telling.probe(scene.topology.input(name).process))
+        scene.telling.add(self._capturing.tell)
+        if film is None:
+            self._agenda.at(pace.due_ns(scene.start_ns), self._capture)
+        else:
+            self._ask(film)
+            self._agenda.at(scene.start_ns, self._wait)
 
-    def _ask(self, job: str | None) -> None:
+    def _ask(self, film: Worker) -> None:
         """Begin to prepare the file's next picture or block."""
-        if self._film is not None:
-            self._coming = self._film.submit(job)
+        self._coming = film.submit(self._job)
 
     def _stamp(self, capture_ns: int) -> CaptureStamp:
         stamp = CaptureStamp(capture_ns, self._sequence, self._name)
@@ -60,111 +78,59 @@ class _Input:
         self._capturing.handle_captured(stamp)
         return stamp
 
+    def _capture(self, now_ns: int) -> None:
+        self._take(self._stamp(now_ns - self._block_ns), self._state_at(now_ns), now_ns)
+        self._pace.handle_taken()
+        self._agenda.at(self._pace.due_ns(now_ns), self._capture)
+
+    def _wait(self, now_ns: int) -> None:
+        assert self._coming is not None and self._film is not None
+        capture_ns = self._coming.result()
+        if capture_ns is not None:
+            self._ask(self._film)
+            self._agenda.at(max(capture_ns + self._block_ns, now_ns), self._play)
+
+    def _play(self, now_ns: int) -> None:
+        self._take(self._stamp(now_ns - self._block_ns), None, now_ns)
+        self._wait(now_ns)
+
 
 class Camera(_Input):
     """Captures pictures of a scene at its rate, or pictures of a file at the file's instants.
 
-    worker: plays the file; None for a scene. show: called `cost_ns` after each capture.
+    film: plays the file; None for a scene. show: called the cost of a capture after each.
     """
 
     def __init__(
-        self,
-        name: str,
-        fps: int,
-        *,
-        agenda: Agenda,
-        worker: Worker | None,
-        probe: Probe,
-        state_at: Callable[[int], WorldState],
-        cost_ns: int,
-        show: ShowPicture,
-        now_ns: int,
+        self, scene: Scene, name: str, fps: int, film: Worker | None, show: ShowPicture
     ) -> None:
-        super().__init__(name, agenda, worker, probe)
-        self._state_at = state_at
-        self._cost_ns = cost_ns
-        self._show = show
-        if worker is None:
-            # All cameras capture at the same instants. Live scenes have phases to spread the load
-            # of the machine; here the encoders of the same instant share the cores.
-            self._pace = Pace(fps, now_ns)
-            agenda.at(self._pace.due_ns(now_ns), self._capture)
-        else:
-            self._ask(name)
-            agenda.at(now_ns, self._wait)
+        self._cost_ns, self._show = scene.costs.ns("capture"), show
+        # All cameras capture at the same instants. Live scenes have phases to spread the load of
+        # the machine; here the encoders of the same instant share the cores.
+        super().__init__(scene, name, film, Pace(fps, scene.start_ns), self._shoot, job=name)
 
-    def _capture(self, now_ns: int) -> None:
-        stamp = self._stamp(now_ns)
-        self._publish(Shot(self._name, stamp.sequence, self._state_at(now_ns)), stamp)
-        self._pace.handle_taken()
-        self._agenda.at(self._pace.due_ns(now_ns), self._capture)
-
-    def _wait(self, now_ns: int) -> None:
-        assert self._coming is not None
-        capture_ns = self._coming.result()
-        if capture_ns is not None:
-            self._ask(self._name)
-            self._agenda.at(max(capture_ns, now_ns), self._play)
-
-    def _play(self, now_ns: int) -> None:
-        stamp = self._stamp(now_ns)
-        self._publish(Shot(self._name, stamp.sequence, None), stamp)
-        self._wait(now_ns)
-
-    def _publish(self, shot: Shot, stamp: CaptureStamp) -> None:
-        show = self._show
-        self._agenda.at(stamp.capture_ns + self._cost_ns, lambda now: show((shot,), stamp, now))
+    def _shoot(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
+        shots = (Shot(self._name, stamp.sequence, state),)
+        self._agenda.at(now_ns + self._cost_ns, partial(self._show, shots, stamp))
 
 
 class Microphone(_Input):
-    """Captures sound in blocks of 20 ms. show: called when a block is complete."""
+    """Captures sound in blocks of 20 ms. film: as of `Camera`. show: called with a whole block."""
 
-    def __init__(
-        self,
-        name: str,
-        *,
-        agenda: Agenda,
-        worker: Worker | None,
-        probe: Probe,
-        state_at: Callable[[int], WorldState],
-        show: ShowSound,
-        now_ns: int,
-    ) -> None:
-        super().__init__(name, agenda, worker, probe)
-        self._state_at = state_at
-        self._show = show
-        if worker is None:
-            self._pace = Pace(VOICE_PACKETS_PER_S, now_ns, patience=2)
-            agenda.at(self._pace.due_ns(now_ns), self._capture)
-        else:
-            self._ask(None)
-            agenda.at(now_ns, self._wait)
-
-    def _capture(self, now_ns: int) -> None:
-        self._show(self._stamp(now_ns - BLOCK_NS), self._state_at(now_ns), now_ns)
-        self._pace.handle_taken()
-        self._agenda.at(self._pace.due_ns(now_ns), self._capture)
-
-    def _wait(self, now_ns: int) -> None:
-        assert self._coming is not None
-        capture_ns = self._coming.result()
-        if capture_ns is not None:
-            self._ask(None)
-            self._agenda.at(max(capture_ns + BLOCK_NS, now_ns), self._play)
-
-    def _play(self, now_ns: int) -> None:
-        self._show(self._stamp(now_ns - BLOCK_NS), None, now_ns)
-        self._wait(now_ns)
+    def __init__(self, scene: Scene, name: str, film: Worker | None, show: ShowSound) -> None:
+        pace = Pace(VOICE_PACKETS_PER_S, scene.start_ns, patience=2)
+        super().__init__(scene, name, film, pace, show, block_ns=BLOCK_NS)
 
 
 class Stereo:
     """Pairs the pictures of the two cameras. Drawing comes later, when a pair is encoded."""
 
-    def __init__(self, fps: int, *, agenda: Agenda, probe: Probe, show: ShowPicture) -> None:
+    def __init__(self, scene: Scene, fps: int, show: ShowPicture) -> None:
         self._pairer = StereoPairer(period_ns=NS_PER_S // fps)
-        self._agenda = agenda
-        self._probe = probe
-        self._show = show
+        self._agenda, self._show = scene.agenda, show
+        merged = scene.topology.topic(scene.topology.camera(STEREO).topic)
+        self._probe = scene.telling.probe(merged.writer)
+        scene.telling.add(self.tell)
 
     def handle_picture(
         self, picture: Picture, stamp: CaptureStamp, now_ns: int, *, right: bool

@@ -1,20 +1,12 @@
 """The media of a simulated session, joined: inputs, senders and receivers with their coders."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
-from random import Random
 
 from kontur_av.media import CaptureStamp
-from kontur_av.rtp.sender import RtpIdentity
+from kontur_av.streams.video_sender import VideoSender
 from pipelines.media.following import CameraFollower, Choice
-from pipelines.media.gain import gain_of
-from pipelines.media.session_streams import (
-    video_receiver,
-    video_sender,
-    voice_receiver,
-    voice_sender,
-)
+from pipelines.media.session_streams import video_sender
 from pipelines.media.showing import Showing
 from pipelines.media.tip_region import tip_region
 from pipelines.media.watching import OPERATORS
@@ -24,52 +16,19 @@ from pipelines.session.setup.table import (
     ISS_MIC,
     STEREO,
     STEREO_INPUTS,
-    Setup,
     VideoStream,
     VoiceStream,
 )
-from pipelines.session.topology import Topology
-from pipelines.virtual.agenda import Agenda, CodingCosts, Telling
-from pipelines.virtual.inputs import Camera, Microphone, ShowPicture, Stereo
+from pipelines.virtual.agenda import WALL_OFFSET_NS
+from pipelines.virtual.inputs import Camera, Microphone, Stereo
 from pipelines.virtual.receivers import Display, VideoReceiveProcess, VoiceReceiveProcess
-from pipelines.virtual.senders import RecordedVideoProcess, VideoSendProcess, VoiceSendProcess
-from pipelines.virtual.studio import (
-    Picture,
-    VideoDecoding,
-    VideoStudio,
-    VoiceDecoding,
-    VoiceStudio,
-)
-from pipelines.virtual.workers import Coder, Worker, Workers
+from pipelines.virtual.senders import VideoProcess, VideoSendProcess, VoiceSendProcess
+from pipelines.virtual.studio import Picture, VideoDecoding, VideoStudio, VoiceStudio
+from pipelines.virtual.workers import Coder, Scene, Worker
 from telepresence.link.backlog import Backlog
-from telepresence.link.gateway import Gateway
-from telepresence.world import WorldState
-
-#: The instants of virtual time are Unix times.
-WALL_OFFSET_NS = 0
 
 #: Takes the datagrams of a flow that come out of the link, with the instant.
 Consumer = Callable[[bytes, int], object]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scene:
-    """What the parts of a simulated session share.
-
-    ground, space: the gateways. state_at: the newest state of the robot. start_ns: when it begins.
-    """
-
-    setup: Setup
-    topology: Topology
-    costs: CodingCosts
-    seed: int
-    agenda: Agenda
-    telling: Telling
-    workers: Workers
-    ground: Gateway
-    space: Gateway
-    state_at: Callable[[int], WorldState]
-    start_ns: int
 
 
 class Media:
@@ -97,14 +56,14 @@ class Media:
         self._send_uplink_video()
         if setup.uplink_voice is not None:
             self._receive_voice(setup.uplink_voice, pictures)
-            self._send_voice(setup.uplink_voice, GROUND_MIC, scene.ground)
+            self._send_voice(setup.uplink_voice, GROUND_MIC)
         pictures_down = None
         if setup.downlink_video is not None:
             pictures_down = self._receive_video(setup.downlink_video)
             self._send_downlink_video(setup.downlink_video)
         if setup.downlink_voice is not None:
             self._receive_voice(setup.downlink_voice, pictures_down)
-            self._send_voice(setup.downlink_voice, ISS_MIC, scene.space)
+            self._send_voice(setup.downlink_voice, ISS_MIC)
 
     def settle(self, until_ns: int, now_ns: int) -> None:
         """Wait for all that was decoded by `until_ns`; it is `now_ns`."""
@@ -118,7 +77,7 @@ class Media:
         setup, stream = self._scene.setup, self._scene.setup.uplink_video
         tip = tip_region(setup)
         studio = self._studio(stream, setup.camera_inputs, regions=tip is not None)
-        sender = self._video_sender(stream, self._scene.ground, studio)
+        sender = self._video_sender(stream, studio)
         sender.tip = None if tip is None else (tip, self._scene.state_at)
         follower = sender.follower = CameraFollower()
         sender.on_confirmed = self._on_confirmed
@@ -130,12 +89,7 @@ class Media:
 
         stereo = None
         if STEREO in setup.cameras:
-            merged = self._scene.topology.topic(self._scene.topology.camera(STEREO).topic)
-            probe = self._scene.telling.probe(merged.writer)
-            stereo = Stereo(
-                stream.fps, agenda=self._scene.agenda, probe=probe, show=partial(select, STEREO)
-            )
-            self._scene.telling.add(stereo.tell)
+            stereo = Stereo(self._scene, stream.fps, partial(select, STEREO))
 
         def show(camera: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
             if stereo is not None and camera in STEREO_INPUTS:
@@ -143,12 +97,12 @@ class Media:
             select(camera, picture, stamp, now_ns)
 
         for name in setup.camera_inputs:
-            self._camera(name, stream, self._film(name, studio), partial(show, name))
+            Camera(self._scene, name, stream.fps, self._film(name, studio), partial(show, name))
 
     def _send_downlink_video(self, stream: VideoStream) -> None:
         studio = self._studio(stream, [ISS_CAMERA])
-        sender = self._video_sender(stream, self._scene.space, studio)
-        self._camera(ISS_CAMERA, stream, self._film(ISS_CAMERA, studio), sender.handle_picture)
+        show = self._video_sender(stream, studio).handle_picture
+        Camera(self._scene, ISS_CAMERA, stream.fps, self._film(ISS_CAMERA, studio), show)
 
     def handle_choice(self, choice: Choice, now_ns: int) -> None:
         """The selector says which camera to take."""
@@ -167,91 +121,33 @@ class Media:
         """What plays the file of an input; None for a scene."""
         return None if self._scene.setup.source(name).startswith("scene:") else studio
 
-    def _camera(
-        self, name: str, stream: VideoStream, film: Worker | None, show: ShowPicture
-    ) -> None:
-        scene = self._scene
-        camera = Camera(
-            name,
-            stream.fps,
-            agenda=scene.agenda,
-            worker=film,
-            probe=scene.telling.probe(scene.topology.input(name).process),
-            state_at=scene.state_at,
-            cost_ns=scene.costs.ns("capture"),
-            show=show,
-            now_ns=scene.start_ns,
-        )
-        scene.telling.add(camera.tell)
-
-    def _video_sender(
-        self, stream: VideoStream, gateway: Gateway, studio: Worker
-    ) -> VideoSendProcess:
-        scene = self._scene
-        identity = self._identity(stream.name)
-        sender = VideoSendProcess(
-            stream.name,
-            video_sender(scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS),
-            scene.telling.probe(scene.topology.media(stream.name).sender),
-            gain_of(scene.setup, stream),
-            agenda=scene.agenda,
-            gateway=gateway,
-            studio=studio,
-            costs=scene.costs,
-        )
+    def _video_sender(self, stream: VideoStream, studio: Worker) -> VideoSendProcess:
+        gateway = self._scene.sending_gateway(stream.name)
+        sender = VideoSendProcess(self._scene, stream, self._core(stream), gateway, studio)
         self._add_sender(stream, sender)
         return sender
 
-    def _add_sender(
-        self, stream: VideoStream, sender: VideoSendProcess | RecordedVideoProcess
-    ) -> None:
+    def _core(self, stream: VideoStream) -> VideoSender:
+        identity = self._scene.identity(stream.name)
+        return video_sender(self._scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS)
+
+    def _add_sender(self, stream: VideoStream, sender: VideoProcess) -> None:
         scene = self._scene
-        scene.telling.add(sender.tell)
         self.consumers[scene.topology.video(stream.name).feedback] = sender.handle_feedback
         self.backlogs[scene.setup.profile_of(stream).name] = sender.handle_backlog
 
-    def _send_voice(self, stream: VoiceStream, name: str, gateway: Gateway) -> None:
+    def _send_voice(self, stream: VoiceStream, name: str) -> None:
         scene = self._scene
         spec = scene.setup.source(name)
         studio = scene.workers.start(partial(VoiceStudio, stream, name, spec, scene.start_ns))
-        identity = self._identity(stream.name)
-        sender = VoiceSendProcess(
-            stream.name,
-            voice_sender(scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS),
-            scene.telling.probe(scene.topology.media(stream.name).sender),
-            agenda=scene.agenda,
-            gateway=gateway,
-            studio=studio,
-            costs=scene.costs,
-        )
-        microphone = Microphone(
-            name,
-            agenda=scene.agenda,
-            worker=None if spec.startswith("scene:") else studio,
-            probe=scene.telling.probe(scene.topology.input(name).process),
-            state_at=scene.state_at,
-            show=sender.handle_sound,
-            now_ns=scene.start_ns,
-        )
-        scene.telling.add(sender.tell)
-        scene.telling.add(microphone.tell)
+        sender = VoiceSendProcess(scene, stream, studio)
+        Microphone(scene, name, self._film(name, studio), sender.handle_sound)
 
     def _receive_video(self, stream: VideoStream) -> VideoReceiveProcess:
-        scene, display = self._scene, self._display(stream.name)
-        probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
-        far = scene.space if stream is scene.setup.uplink_video else scene.ground
+        display = self._display(stream.name)
         watched = (stream.width, stream.height) if stream.name in OPERATORS else None
-        ssrc = Random(f"{scene.seed} {stream.name} receiver").getrandbits(32)
-        receiver = VideoReceiveProcess(
-            stream.name,
-            video_receiver(stream, ssrc=ssrc, wall_offset_ns=WALL_OFFSET_NS),
-            probe,
-            display,
-            agenda=scene.agenda,
-            decoder=scene.workers.start(self._decoding(stream, watched)),
-            costs=scene.costs,
-            ask=partial(far.handle_datagram, scene.topology.video(stream.name).feedback),
-        )
+        make = self._decoding(stream, watched)
+        receiver = VideoReceiveProcess(self._scene, stream, display, make)
         self._add_receiver(stream.name, receiver)
         self._video_receivers[stream.name] = receiver
         return receiver
@@ -263,17 +159,7 @@ class Media:
         return partial(VideoDecoding, watched)
 
     def _receive_voice(self, stream: VoiceStream, pictures: VideoReceiveProcess | None) -> None:
-        scene, display = self._scene, self._display(stream.name)
-        probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
-        receiver = VoiceReceiveProcess(
-            stream.name,
-            voice_receiver(scene.topology, stream, wall_offset_ns=WALL_OFFSET_NS),
-            probe,
-            display,
-            agenda=scene.agenda,
-            decoder=scene.workers.start(partial(VoiceDecoding, watched=stream.name in OPERATORS)),
-            costs=scene.costs,
-        )
+        receiver = VoiceReceiveProcess(self._scene, stream, self._display(stream.name))
         if pictures is not None:
             pictures.on_shown = receiver.handle_picture_shown
         self._add_receiver(stream.name, receiver)
@@ -284,7 +170,6 @@ class Media:
         self.consumers[stream] = receiver.handle_packet
         self.consumers[f"{stream}_rtcp"] = receiver.handle_report
         self._receivers.append(receiver)
-        self._scene.telling.add(receiver.tell)
 
     def _display(self, stream: str) -> Display:
         """The display that shows `stream`."""
@@ -296,6 +181,3 @@ class Media:
             telling.add(lambda: showing.tell(self._settled_ns))
             self._displays[name] = Display(showing)
         return self._displays[name]
-
-    def _identity(self, stream: str) -> RtpIdentity:
-        return RtpIdentity.draw(Random(f"{self._scene.seed} {stream}").getrandbits)

@@ -7,6 +7,8 @@ and the simulation waits for them only when figures are reported (`settle`).
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from random import Random
+from typing import Generic, TypeVar
 
 from kontur_av.codecs.h264 import DecoderCounts
 from kontur_av.media import CaptureStamp
@@ -14,15 +16,14 @@ from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
+from pipelines.media.session_streams import video_receiver, voice_receiver
 from pipelines.media.showing import Showing
-from pipelines.media.stream_figures import (
-    note_arrivals,
-    note_unit,
-)
-from pipelines.media.watching import Recall, tell_click, tell_light
-from pipelines.session.probe import Probe
-from pipelines.virtual.agenda import Agenda, CodingCosts, Timer
-from pipelines.virtual.workers import Batch, Worker
+from pipelines.media.stream_figures import note_arrivals, note_unit
+from pipelines.media.watching import OPERATORS, Recall, tell_click, tell_light
+from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.virtual.agenda import WALL_OFFSET_NS, Timer
+from pipelines.virtual.studio import VoiceDecoding
+from pipelines.virtual.workers import Batch, Coder, Scene
 
 
 class Display:
@@ -48,40 +49,32 @@ class Display:
             pass
 
 
-class VideoReceiveProcess:
-    """Receives RTP and reports, decodes every access unit, and shows the pictures."""
+_Receiver = TypeVar("_Receiver", VideoReceiver, VoiceReceiver)
+
+
+class _ReceiveProcess(Generic[_Receiver]):
+    """Receives RTP and reports. make: makes the decoder, in the process of its worker."""
 
     def __init__(
         self,
+        scene: Scene,
         stream: str,
-        receiver: VideoReceiver,
-        probe: Probe,
+        receiver: _Receiver,
         display: Display,
-        *,
-        agenda: Agenda,
-        decoder: Worker,
-        costs: CodingCosts,
-        ask: Callable[[bytes, int], object],
+        make: Callable[[], Coder],
     ) -> None:
-        self._stream = stream
-        self._receiver = receiver
-        self._probe = probe
-        self._display = display
-        self._agenda = agenda
-        self._decoder = Batch(decoder)
-        self._ask = ask
-        #: Called with (instant, latency) of each picture when it is shown.
-        self.on_shown: Callable[[int, int], None] | None = None
-        #: Called with each access unit that was received.
-        self.on_unit: Callable[[ReceivedUnit], None] | None = None
-        #: PSNR of each picture against its original, where that is known.
-        self.quality_db: list[float] = []
-        self._cost_ns = costs.ns("decode")
-        self._free_ns = 0
-        self._decoding: deque[tuple[int, int, int | None]] = deque()
-        self._timer = Timer(agenda, self._expire)
-        self._counts = DecoderCounts()
+        self._receiver: _Receiver = receiver
+        self._stream, self._display = stream, display
+        self._agenda = scene.agenda
+        self._probe = scene.telling.probe(scene.topology.media(stream).receiver)
+        self._decoder = Batch(scene.workers.start(make))
         self._recall = Recall()
+        self._timer = Timer(scene.agenda, self._expire)
+        scene.telling.add(self.tell)
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        self._probe.tell(self._receiver.counts)
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
         """An RTP packet comes out of the link."""
@@ -92,6 +85,41 @@ class VideoReceiveProcess:
         """An RTCP packet comes out of the link."""
         self._receiver.handle_report(datagram, now_ns)
         self._drain(now_ns)
+
+    def _expire(self, now_ns: int) -> None:
+        self._drain(now_ns)
+
+    def _drain(self, now_ns: int) -> None:
+        raise NotImplementedError
+
+
+class VideoReceiveProcess(_ReceiveProcess[VideoReceiver]):
+    """Decodes every access unit, and shows the pictures."""
+
+    def __init__(
+        self, scene: Scene, stream: VideoStream, display: Display, make: Callable[[], Coder]
+    ) -> None:
+        ssrc = Random(f"{scene.seed} {stream.name} receiver").getrandbits(32)
+        receiver = video_receiver(stream, ssrc=ssrc, wall_offset_ns=WALL_OFFSET_NS)
+        super().__init__(scene, stream.name, receiver, display, make)
+        row = scene.topology.video(stream.name)
+        far = scene.gateways[row.direction.receiver]
+        self._ask = partial(far.handle_datagram, row.feedback)
+        #: Called with (instant, latency) of each picture when it is shown.
+        self.on_shown: Callable[[int, int], None] | None = None
+        #: Called with each access unit that was received.
+        self.on_unit: Callable[[ReceivedUnit], None] | None = None
+        #: PSNR of each picture against its original, where that is known.
+        self.quality_db: list[float] = []
+        self._cost_ns = scene.costs.ns("decode")
+        self._free_ns = 0
+        self._decoding: deque[tuple[int, int, int | None]] = deque()
+        self._counts = DecoderCounts()
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        super().tell()
+        self._probe.tell(self._counts)
 
     def _expire(self, now_ns: int) -> None:
         self._receiver.handle_timeout(now_ns)
@@ -136,53 +164,19 @@ class VideoReceiveProcess:
             for light in lights:
                 tell_light(self._display.probe, self._stream, light, self._recall.captured_ns)
 
-    def tell(self) -> None:
-        """Put the counters into the probe."""
-        self._probe.tell(self._receiver.counts)
-        self._probe.tell(self._counts)
 
+class VoiceReceiveProcess(_ReceiveProcess[VoiceReceiver]):
+    """Plays each block of sound at its instant."""
 
-class VoiceReceiveProcess:
-    """Receives RTP and reports, and plays each block of sound at its instant."""
-
-    def __init__(
-        self,
-        stream: str,
-        receiver: VoiceReceiver,
-        probe: Probe,
-        display: Display,
-        *,
-        agenda: Agenda,
-        decoder: Worker,
-        costs: CodingCosts,
-    ) -> None:
-        self._stream = stream
-        self._receiver = receiver
-        self._probe = probe
-        self._display = display
-        self._agenda = agenda
-        self._decoder = Batch(decoder)
-        self._cost_ns = costs.ns("voice_decode")
+    def __init__(self, scene: Scene, stream: VoiceStream, display: Display) -> None:
+        receiver = voice_receiver(scene.topology, stream, wall_offset_ns=WALL_OFFSET_NS)
+        make = partial(VoiceDecoding, watched=stream.name in OPERATORS)
+        super().__init__(scene, stream.name, receiver, display, make)
+        self._cost_ns = scene.costs.ns("voice_decode")
         self._decoding: deque[tuple[int, PlayoutBlock, int | None]] = deque()
-        self._recall = Recall()
-        self._timer = Timer(agenda, self._expire)
         self.handle_picture_shown = receiver.handle_picture_shown
 
-    def tell(self) -> None:
-        """Put the counters into the probe."""
-        self._probe.tell(self._receiver.counts)
-
-    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
-        """An RTP packet comes out of the link."""
-        self._receiver.handle_packet(datagram, now_ns)
-        self._expire(now_ns)
-
-    def handle_report(self, datagram: bytes, now_ns: int) -> None:
-        """An RTCP packet comes out of the link."""
-        self._receiver.handle_report(datagram, now_ns)
-        self._expire(now_ns)
-
-    def _expire(self, now_ns: int) -> None:
+    def _drain(self, now_ns: int) -> None:
         note_arrivals(self._probe, self._receiver)
         self._receiver.handle_timeout(now_ns)
         while (block := self._receiver.next_event()) is not None:

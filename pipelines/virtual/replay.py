@@ -16,23 +16,21 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import ReceivedUnit, join_annex_b, split_annex_b
-from kontur_av.streams.video_sender import VideoSender
 from pipelines.hand.replaying import ReplayedEnd, ReplayTime
 from pipelines.media.following import Choice
-from pipelines.media.gain import gain_of
-from pipelines.media.session_streams import video_sender, voice_sender
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.recorded_session import RecordedSession, SentUnit
 from pipelines.report.model import ReplayedStream, ReplayReport, SessionReport
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY
 from pipelines.virtual.agenda import CodingCosts
-from pipelines.virtual.media import WALL_OFFSET_NS, Media, Scene
+from pipelines.virtual.inputs import Camera
+from pipelines.virtual.media import Media
 from pipelines.virtual.receivers import VideoReceiveProcess
-from pipelines.virtual.senders import RecordedVideoProcess, RecordedVoiceProcess
+from pipelines.virtual.senders import VideoProcess, VoiceProcess
 from pipelines.virtual.session import HapticEnd, Simulation
 from pipelines.virtual.studio import SAME_DB, Originals, VideoDecoding, VideoStudio
-from pipelines.virtual.workers import Coder, Workers
+from pipelines.virtual.workers import Coder, Scene, Workers
 from telepresence.link.gateway import Gateway
 
 #: The link begins this and two round trips before the first instant, so that it is connected then.
@@ -160,12 +158,9 @@ class ReplayedMedia(Media):
         return {name: tally.report() for name, tally in self._tallies.items()}
 
     def _send_uplink_video(self) -> None:
-        self._send_pictures(self._scene.setup.uplink_video, self._scene.ground)
+        self._send_downlink_video(self._scene.setup.uplink_video)
 
     def _send_downlink_video(self, stream: VideoStream) -> None:
-        self._send_pictures(stream, self._scene.space)
-
-    def _send_pictures(self, stream: VideoStream, gateway: Gateway) -> None:
         scene, units = self._scene, self._session.pictures.get(stream.name)
         if not units:
             return
@@ -174,17 +169,11 @@ class ReplayedMedia(Media):
             films = {camera: f"mcap:{self._recode}#/{stream.name}/sent"}
             first_ns = self._time.at(units[0].capture_ns)
             studio = scene.workers.start(partial(VideoStudio, stream, films, first_ns))
-            encoding = self._video_sender(stream, gateway, studio)
-            self._camera(camera, stream, studio, encoding.handle_picture)
+            show = self._video_sender(stream, studio).handle_picture
+            Camera(scene, camera, stream.fps, studio, show)
             return
-        sender = RecordedVideoProcess(
-            stream.name,
-            self._core(stream),
-            scene.telling.probe(scene.topology.media(stream.name).sender),
-            gain_of(scene.setup, stream),
-            agenda=scene.agenda,
-            gateway=gateway,
-        )
+        gateway = scene.sending_gateway(stream.name)
+        sender = VideoProcess(scene, stream, self._core(stream), gateway)
         self._add_sender(stream, sender)
         cost_ns = scene.costs.ns("capture") + scene.costs.ns("encode")
 
@@ -193,19 +182,11 @@ class ReplayedMedia(Media):
 
         self._feed(stream.name, units, cost_ns, send)
 
-    def _send_voice(self, stream: VoiceStream, name: str, gateway: Gateway) -> None:
+    def _send_voice(self, stream: VoiceStream, name: str) -> None:
         scene, units = self._scene, self._session.voices.get(stream.name)
         if not units:
             return
-        identity = self._identity(stream.name)
-        sender = RecordedVoiceProcess(
-            stream.name,
-            voice_sender(scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS),
-            scene.telling.probe(scene.topology.media(stream.name).sender),
-            agenda=scene.agenda,
-            gateway=gateway,
-        )
-        scene.telling.add(sender.tell)
+        sender = VoiceProcess(scene, stream)
 
         def send(unit: SentUnit, stamp: CaptureStamp, now_ns: int) -> None:
             sender.handle_packet(unit.data, stamp, now_ns)
@@ -244,10 +225,6 @@ class ReplayedMedia(Media):
         dated = [(core.timestamp(self._time.at(unit.capture_ns)), unit.data) for unit in units]
         originals = Originals(dated, (stream.width, stream.height))
         return lambda: VideoDecoding(watched, originals)
-
-    def _core(self, stream: VideoStream) -> VideoSender:
-        identity = self._identity(stream.name)
-        return video_sender(self._scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS)
 
 
 class _Tally:

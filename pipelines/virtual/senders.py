@@ -3,50 +3,50 @@
 from collections import deque
 from collections.abc import Callable
 from functools import partial
+from typing import Generic, TypeVar
 
 from kontur_av.codecs.region import Region
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_sender import VoiceSender
 from pipelines.media.following import CameraFollower, Choice
-from pipelines.media.gain import CapGain
+from pipelines.media.gain import gain_of
+from pipelines.media.session_streams import voice_sender
 from pipelines.media.stream_figures import Outgoing, tell_sender
 from pipelines.media.tip_region import TipRegion
 from pipelines.media.video_sending import LinkedVideoSender
-from pipelines.session.probe import Probe
-from pipelines.virtual.agenda import Agenda, CodingCosts, Timer
+from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.virtual.agenda import WALL_OFFSET_NS, Timer
 from pipelines.virtual.studio import Picture
-from pipelines.virtual.workers import Job, Worker
+from pipelines.virtual.workers import Job, Scene, Worker
 from telepresence.link.backlog import Backlog
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 
+_Sender = TypeVar("_Sender", VideoSender, VoiceSender)
 
-class SendProcess:
-    """Sends packets that are due, and encodes what its sender asks for."""
 
-    def __init__(
-        self,
-        stream: str,
-        sender: VideoSender | VoiceSender,
-        probe: Probe,
-        *,
-        agenda: Agenda,
-        gateway: Gateway,
-    ) -> None:
-        self._sender = sender
-        self._probe = probe
-        self._agenda = agenda
-        self._gateway = gateway
+class _SendProcess(Generic[_Sender]):
+    """Sends packets that are due, into `gateway`."""
+
+    def __init__(self, scene: Scene, stream: str, sender: _Sender, gateway: Gateway) -> None:
+        self._sender: _Sender = sender
+        self._agenda = scene.agenda
+        self._probe = scene.telling.probe(scene.topology.media(stream).sender)
         self._outgoing = Outgoing(
             sender,
-            probe,
+            self._probe,
             partial(gateway.handle_datagram, stream),
             partial(gateway.handle_datagram, f"{stream}_rtcp"),
         )
         #: Whether a picture or block is being encoded.
         self._busy = False
-        self._timer = Timer(agenda, self._wake)
+        self._timer = Timer(scene.agenda, self._wake)
+        scene.telling.add(self.tell)
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        tell_sender(self._probe, self._sender)
 
     def _wake(self, now_ns: int) -> None:
         self._send_due(now_ns)
@@ -56,7 +56,31 @@ class SendProcess:
         self._timer.set(self._sender.poll_timeout(), now_ns)
 
 
-class VideoSendProcess(SendProcess):
+class VideoProcess(_SendProcess[VideoSender]):
+    """Sends access units: those of a recording, each at its instant."""
+
+    def __init__(
+        self, scene: Scene, stream: VideoStream, sender: VideoSender, gateway: Gateway
+    ) -> None:
+        super().__init__(scene, stream.name, sender, gateway)
+        self._linked = LinkedVideoSender(sender, gain_of(scene.setup, stream))
+        self.handle_feedback = sender.handle_feedback
+
+    def tell(self) -> None:
+        """Put the counters into the probe."""
+        tell_sender(self._probe, self._sender, self._linked.gain)
+
+    def handle_unit(self, unit: AccessUnit, now_ns: int) -> None:
+        """A recorded unit is due."""
+        self._sender.handle_coded(unit, now_ns)
+        self._send_due(now_ns)
+
+    def handle_backlog(self, backlog: Backlog, now_ns: int) -> None:
+        """The gateway's report, which can only raise the cap."""
+        self._linked.handle_backlog(backlog, now_ns, now_ns)
+
+
+class VideoSendProcess(VideoProcess):
     """Encodes the newest picture when the stream's budget has room for one.
 
     Packets leave meanwhile: the live process encodes in a thread.
@@ -64,21 +88,14 @@ class VideoSendProcess(SendProcess):
 
     def __init__(
         self,
-        stream: str,
+        scene: Scene,
+        stream: VideoStream,
         sender: VideoSender,
-        probe: Probe,
-        gain: CapGain | None = None,
-        *,
-        agenda: Agenda,
         gateway: Gateway,
         studio: Worker,
-        costs: CodingCosts,
     ) -> None:
-        super().__init__(stream, sender, probe, agenda=agenda, gateway=gateway)
-        self._core = sender
-        self._linked = LinkedVideoSender(sender, gain)
-        self._studio = studio
-        self._cost_ns = costs.ns("encode")
+        super().__init__(scene, stream, sender, gateway)
+        self._studio, self._cost_ns = studio, scene.costs.ns("encode")
         self._newest: tuple[Picture, CaptureStamp] | None = None
         #: Of a sender that follows the selected camera.
         self.follower: CameraFollower | None = None
@@ -86,16 +103,11 @@ class VideoSendProcess(SendProcess):
         #: With the newest state of the robot: where pictures are coded finer.
         self.tip: tuple[TipRegion, Callable[[int], WorldState]] | None = None
         self._reported: tuple[Backlog, int] | None = None
-        self.handle_feedback = sender.handle_feedback
-
-    def tell(self) -> None:
-        """Put the counters into the probe."""
-        tell_sender(self._probe, self._core, self._linked.gain)
 
     def handle_picture(self, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture comes, and replaces the one before if that was not encoded."""
         self._newest = picture, stamp
-        self._core.handle_picture(stamp, now_ns)
+        self._sender.handle_picture(stamp, now_ns)
         self._wake(now_ns)
 
     def handle_backlog(self, backlog: Backlog, now_ns: int) -> None:
@@ -114,7 +126,7 @@ class VideoSendProcess(SendProcess):
         follower = self.follower
         if follower is None:
             return
-        idle = not self._busy and not self._core.backlog_octets
+        idle = not self._busy and not self._sender.backlog_octets
         ended = follower.handle_sender(idle=idle)
         number = follower.poll_confirmed(now_ns)
         if number is not None and self.on_confirmed is not None:
@@ -147,7 +159,7 @@ class VideoSendProcess(SendProcess):
         (picture, stamp), self._newest = self._newest, None
         self._busy = True
         job = self._studio.submit((picture, coding, self._region(now_ns)))
-        self._agenda.at(now_ns + self._cost_ns, lambda now: self._finish(job, stamp, now))
+        self._agenda.at(now_ns + self._cost_ns, partial(self._finish, job, stamp))
 
     def _region(self, now_ns: int) -> Region | None:
         if self.tip is None or self.follower is None:
@@ -160,38 +172,37 @@ class VideoSendProcess(SendProcess):
     def _finish(self, job: Job, stamp: CaptureStamp, now_ns: int) -> None:
         data, keyframe = job.result()
         self._read_backlog(now_ns)
-        self._core.handle_access_unit(AccessUnit(data, stamp, keyframe), now_ns)
+        self._sender.handle_access_unit(AccessUnit(data, stamp, keyframe), now_ns)
         self._busy = False
         self._send_due(now_ns)
         self._look(now_ns)
 
 
-class VoiceSendProcess(SendProcess):
+class VoiceProcess(_SendProcess[VoiceSender]):
+    """Sends Opus packets: those of a recording, each at its instant."""
+
+    def __init__(self, scene: Scene, stream: VoiceStream) -> None:
+        identity, gateway = scene.identity(stream.name), scene.sending_gateway(stream.name)
+        sender = voice_sender(scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS)
+        super().__init__(scene, stream.name, sender, gateway)
+
+    def handle_packet(self, opus: bytes, stamp: CaptureStamp, now_ns: int) -> None:
+        """A recorded packet is due."""
+        if self._sender.handle_block(stamp, now_ns):
+            self._sender.handle_packet(opus, stamp, now_ns)
+        self._send_due(now_ns)
+
+
+class VoiceSendProcess(VoiceProcess):
     """Encodes every block of sound as it comes.
 
     No packet leaves meanwhile, as in the live process.
     """
 
-    def __init__(
-        self,
-        stream: str,
-        sender: VoiceSender,
-        probe: Probe,
-        *,
-        agenda: Agenda,
-        gateway: Gateway,
-        studio: Worker,
-        costs: CodingCosts,
-    ) -> None:
-        super().__init__(stream, sender, probe, agenda=agenda, gateway=gateway)
-        self._core = sender
-        self._studio = studio
-        self._cost_ns = costs.ns("voice_encode")
+    def __init__(self, scene: Scene, stream: VoiceStream, studio: Worker) -> None:
+        super().__init__(scene, stream)
+        self._studio, self._cost_ns = studio, scene.costs.ns("voice_encode")
         self._waiting: deque[tuple[CaptureStamp, WorldState | None]] = deque(maxlen=8)
-
-    def tell(self) -> None:
-        """Put the counters into the probe."""
-        tell_sender(self._probe, self._core)
 
     def handle_sound(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
         """A block of sound is complete; state: of the world, None for a file's."""
@@ -205,69 +216,14 @@ class VoiceSendProcess(SendProcess):
     def _look(self, now_ns: int) -> None:
         while self._waiting and not self._busy:
             stamp, state = self._waiting.popleft()
-            if not self._core.handle_block(stamp, now_ns):
+            if not self._sender.handle_block(stamp, now_ns):
                 continue
             self._busy = True
             job = self._studio.submit((stamp.sequence, now_ns, state))
-            self._agenda.at(now_ns + self._cost_ns, self._finishing(job, stamp))
+            self._agenda.at(now_ns + self._cost_ns, partial(self._finish, job, stamp))
 
-    def _finishing(self, job: Job, stamp: CaptureStamp) -> Callable[[int], None]:
-        def finish(now_ns: int) -> None:
-            self._core.handle_packet(job.result(), stamp, now_ns)
-            self._busy = False
-            self._send_due(now_ns)
-            self._look(now_ns)
-
-        return finish
-
-
-class RecordedVideoProcess(SendProcess):
-    """Sends the access units of a recording, each at its instant."""
-
-    def __init__(
-        self,
-        stream: str,
-        sender: VideoSender,
-        probe: Probe,
-        gain: CapGain | None = None,
-        *,
-        agenda: Agenda,
-        gateway: Gateway,
-    ) -> None:
-        super().__init__(stream, sender, probe, agenda=agenda, gateway=gateway)
-        self._core = sender
-        self._linked = LinkedVideoSender(sender, gain)
-        self.handle_feedback = sender.handle_feedback
-
-    def tell(self) -> None:
-        """Put the counters into the probe."""
-        tell_sender(self._probe, self._core, self._linked.gain)
-
-    def handle_unit(self, unit: AccessUnit, now_ns: int) -> None:
-        """A recorded unit is due."""
-        self._core.handle_coded(unit, now_ns)
+    def _finish(self, job: Job, stamp: CaptureStamp, now_ns: int) -> None:
+        self._sender.handle_packet(job.result(), stamp, now_ns)
+        self._busy = False
         self._send_due(now_ns)
-
-    def handle_backlog(self, backlog: Backlog, now_ns: int) -> None:
-        """The gateway's report, which can only raise the cap."""
-        self._linked.handle_backlog(backlog, now_ns, now_ns)
-
-
-class RecordedVoiceProcess(SendProcess):
-    """Sends the Opus packets of a recording, each at its instant."""
-
-    def __init__(
-        self, stream: str, sender: VoiceSender, probe: Probe, *, agenda: Agenda, gateway: Gateway
-    ) -> None:
-        super().__init__(stream, sender, probe, agenda=agenda, gateway=gateway)
-        self._core = sender
-
-    def tell(self) -> None:
-        """Put the counters into the probe."""
-        tell_sender(self._probe, self._core)
-
-    def handle_packet(self, opus: bytes, stamp: CaptureStamp, now_ns: int) -> None:
-        """A recorded packet is due."""
-        if self._core.handle_block(stamp, now_ns):
-            self._core.handle_packet(opus, stamp, now_ns)
-        self._send_due(now_ns)
+        self._look(now_ns)

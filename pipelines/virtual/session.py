@@ -31,9 +31,9 @@ from pipelines.session.setup.table import Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
 from pipelines.virtual.agenda import FAR_NS, Agenda, CodingCosts, Telling, Timer
-from pipelines.virtual.media import Consumer, Media, Scene
+from pipelines.virtual.media import Consumer, Media
 from pipelines.virtual.mission import SimulatedMission, SimulatedTmtc
-from pipelines.virtual.workers import Workers
+from pipelines.virtual.workers import Scene, Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
@@ -129,6 +129,7 @@ class Simulation:
         self._samples_down: list[bytes] = []
         ground_end, space_end = self._gateway(Segment.GROUND), self._gateway(Segment.SPACE)
         self._ground, self._space = ground_end.gateway, space_end.gateway
+        self._gateways = {Segment.GROUND: self._ground, Segment.SPACE: self._space}
         self._slots_of = [ground_end.slots, space_end.slots]
         # When the next frame arrives: asked twice a slot, so without a detour.
         self._up_timeout = self._ground.radio.poll_timeout
@@ -156,7 +157,7 @@ class Simulation:
                 Segment.GROUND: partial(self._ground.handle_datagram, TELEMETRY),
                 Segment.SPACE: partial(self._space.handle_datagram, TELECOMMAND),
             },
-            gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
+            gateways=self._gateways,
             state_at=self._state_at,
             robot=self.robot_desk,
             handle=end.side.handle if isinstance(end, JoystickEnd) else None,
@@ -183,16 +184,14 @@ class Simulation:
                 agenda=agenda,
                 telling=telling,
                 workers=workers,
-                ground=self._ground,
-                space=self._space,
+                gateways=self._gateways,
                 state_at=self._state_at,
                 start_ns=start_ns,
             )
             self._media = self._make_media(scene)
-        consumers: dict[str, Consumer] = self._media.consumers if self._media else {}
-        self._consumers = {
-            **consumers,
-            TELECOMMAND: self._take_telecommand,
+        self._consumers: dict[str, Consumer] = {
+            **(self._media.consumers if self._media else {}),
+            TELECOMMAND: partial(tmtc.handle_packet, Segment.GROUND),
             TELEMETRY: self._take_telemetry,
         }
         self._work_choice(start_ns)
@@ -208,7 +207,7 @@ class Simulation:
             cosmonaut,
             robot=robot,
             joystick=joystick,
-            gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
+            gateways=self._gateways,
             tmtc=self.tmtc,
             choice=self._choice,
             select=self._select_below,
@@ -301,27 +300,20 @@ class Simulation:
     def _make_ends(self) -> tuple[HapticEnd, HapticEnd]:
         """Robot and joystick."""
         up = self.topology.haptic("up")
-        deadband = self.setup.deadband != "off"
-        robot = RobotEnd(
-            self._probe(up.sender),
-            life=self._life(up.sender),
-            deadband=deadband,
-            mediated=self._mediated,
-        )
+        deadband, mediated = self.setup.deadband != "off", self._mediated
+        #: The joystick in a hand; None for the one that taps targets.
+        handle: Handle | None = None
+        if self._device is not None:
+            handle = OperatedHandle(self._device)
+        elif self._cosmonaut is not None:
+            handle = HeldJoystick(hand=self._cosmonaut)
+        probe, life = self._probe(up.sender), self._life(up.sender)
+        robot = RobotEnd(probe, life=life, deadband=deadband, mediated=mediated)
+        probe, life = self._probe(up.receiver), self._life(up.receiver)
         joystick = JoystickEnd(
-            self._probe(up.receiver),
-            life=self._life(up.receiver),
-            deadband=deadband,
-            mediated=self._mediated,
-            handle=self._make_handle(),
+            probe, life=life, deadband=deadband, mediated=mediated, handle=handle
         )
         return robot, joystick
-
-    def _make_handle(self) -> Handle | None:
-        """The joystick in a hand; None for the one that taps targets."""
-        if self._device is not None:
-            return OperatedHandle(self._device)
-        return None if self._cosmonaut is None else HeldJoystick(hand=self._cosmonaut)
 
     def _life(self, process: str) -> int:
         return self._random(f"{process} life").randrange(1, LIVES)
@@ -385,10 +377,7 @@ class Simulation:
             first_ns=self.start_ns,
         )
 
-        def tell() -> None:
-            end.tell(self._now_ns)
-
-        self._telling.add(tell)
+        self._telling.add(lambda: end.tell(self._now_ns))
         return end
 
     def _probe(self, process: str) -> Probe:
@@ -420,9 +409,6 @@ class Simulation:
             return
         if isinstance(self._joystick, JoystickEnd) and is_wall(data):
             self._joystick.handle_wall(data)
-
-    def _take_telecommand(self, data: bytes, now_ns: int) -> None:
-        self.tmtc.handle_packet(Segment.GROUND, data, now_ns)
 
     def _take_asked(self, news: TmtcNews, now_ns: int) -> None:
         if isinstance(news, FunctionAsked):

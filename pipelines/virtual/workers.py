@@ -1,5 +1,7 @@
 """Worker processes that code pictures and sounds while virtual time goes on, one a stream's end.
 
+`Scene` is what the parts of a simulated session share, these workers among it.
+
 A coding step takes a fixed virtual time. So it begins at once, and its result is needed only when
 that time is over. Results depend on the jobs and their order alone.
 """
@@ -9,15 +11,22 @@ import pickle
 import signal
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from types import TracebackType
+from random import Random
 from typing import Any, Self
 
 import cv2
 
+from kontur_av.rtp.sender import RtpIdentity
 from pipelines.session.launcher import keep_memory
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import Segment, Topology
+from pipelines.virtual.agenda import Agenda, CodingCosts, Telling
+from telepresence.link.gateway import Gateway
+from telepresence.world import WorldState
 
 #: Jobs in a batch.
 _BATCH = 8
@@ -147,14 +156,36 @@ class Workers:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for worker in self._workers:
             worker.close()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What the parts of a simulated session share.
+
+    state_at: the newest state of the robot. start_ns: when it begins.
+    """
+
+    setup: Setup
+    topology: Topology
+    costs: CodingCosts
+    seed: int
+    agenda: Agenda
+    telling: Telling
+    workers: Workers
+    gateways: Mapping[Segment, Gateway]
+    state_at: Callable[[int], WorldState]
+    start_ns: int
+
+    def sending_gateway(self, stream: str) -> Gateway:
+        """The gateway into which a stream goes."""
+        return self.gateways[self.topology.media(stream).direction.sender]
+
+    def identity(self, stream: str) -> RtpIdentity:
+        """The numbers of a stream's RTP packets."""
+        return RtpIdentity.draw(Random(f"{self.seed} {stream}").getrandbits)
 
 
 def _work(make: Callable[[], Coder], link: Connection, others: list[Connection]) -> None:
