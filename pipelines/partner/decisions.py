@@ -7,6 +7,7 @@ from typing import NamedTuple, Self
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import Coding
+from kontur_av.meters import RateMeter
 from pipelines.session.access import is_token
 
 _FIRST_NS = 500 * NS_PER_MS
@@ -269,3 +270,39 @@ class Wish(NamedTuple):
     def unpack(cls, octets: bytes) -> Self:
         """Return the wish that `pack` packed."""
         return cls(*_FORMAT.unpack(octets))
+
+
+class UplinkWish:
+    """What to tell the process that codes for partners, and when its picture lacks a part.
+
+    rate: the rate that partners can take.
+    """
+
+    def __init__(self, *, most_bps: int) -> None:
+        self.rate = RateFollower(most_bps=most_bps)
+        self._sent = RateMeter()
+        self._keys = 0
+        self._next: int | None = None
+
+    def handle_unit(self, sequence: int, octets: int, *, key: bool, now_ns: int) -> bool:
+        """A coded unit goes to partners; return whether a key picture is wanted now.
+
+        Between the processes units may be lost: what refers to them is damaged.
+        """
+        wanted = self._next is not None and sequence != self._next and not key
+        self._next = sequence + 1
+        self._sent.add(now_ns, octets)
+        self._keys += wanted
+        return wanted
+
+    def handle_key_wanted(self) -> None:
+        """A partner needs a key picture."""
+        self._keys += 1
+
+    def handle_time(self, wish_bps: int | None, now_ns: int) -> None:
+        """Follow the lowest estimate of the partners, as `RateFollower.handle_wish`."""
+        self.rate.handle_wish(wish_bps, self._sent.last_bps(now_ns), now_ns)
+
+    def wish(self, *, watched: bool) -> Wish:
+        """Return the wish of now. watched: a partner is connected."""
+        return Wish(self.rate.bps if watched else 0, self._keys)

@@ -6,7 +6,7 @@ accepted, so that a stranger's messages are not even read.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from aiortc import (
@@ -43,7 +43,15 @@ _EXTENSIONS: dict[Kind, dict[str, int]] = {
     "audio": {MID: 1, ABS_SEND_TIME: 2},
     "video": {MID: 1, ABS_SEND_TIME: 2, PLAYOUT_DELAY: 3},
 }
+_FMTP: dict[Kind, str] = {
+    "audio": "minptime=10;useinbandfec=1",
+    "video": "level-asymmetry-allowed=1;packetization-mode=1;profile-level-id=42e01f",
+}
 _FEEDBACK = (("nack", None), ("nack", "pli"), ("ccm", "fir"), ("goog-remb", None))
+_CODECS: dict[Kind, tuple[str, int]] = {
+    "audio": ("opus", AUDIO_CLOCK_HZ),
+    "video": ("h264", VIDEO_CLOCK_HZ),
+}
 #: Profiles of H.264 by preference: constrained baseline, baseline, main, high.
 _PROFILES = ("42e0", "4200", "4d00", "6400")
 _DISCARD_PORT = 9
@@ -128,7 +136,7 @@ def wanted_line(
         if kind == "video"
         else frozenset(),
         ssrc=ssrc,
-        fmtp=_fmtp(kind),
+        fmtp=_FMTP[kind],
     )
 
 
@@ -187,17 +195,10 @@ def common_line(offered: MediaLine, *, sends: bool, receives: bool) -> MediaLine
         return None
     ours = _EXTENSIONS[offered.kind]
     known = {_feedback_text(pair) for pair in _FEEDBACK}
-    return MediaLine(
-        mid=offered.mid,
-        kind=offered.kind,
-        sends=sends,
-        receives=receives,
-        payload_type=offered.payload_type,
-        extensions={uri: number for uri, number in offered.extensions.items() if uri in ours},
-        feedback=frozenset(offered.feedback & known),
-        ssrc=offered.ssrc,
-        peer_ssrc=offered.peer_ssrc,
-        fmtp=offered.fmtp,
+    extensions = {uri: number for uri, number in offered.extensions.items() if uri in ours}
+    feedback = offered.feedback & known
+    return replace(
+        offered, sends=sends, receives=receives, extensions=extensions, feedback=feedback
     )
 
 
@@ -320,22 +321,11 @@ def _read_section(media: MediaDescription, ssrcs: dict[Kind, int]) -> MediaLine 
 
 
 def _codec(codecs: Iterable[RTCRtpCodecParameters], kind: Kind) -> RTCRtpCodecParameters | None:
+    name, clock_hz = _CODECS[kind]
+    usable = [one for one in codecs if (one.name.lower(), one.clockRate) == (name, clock_hz)]
     if kind == "audio":
-        return next(
-            (
-                one
-                for one in codecs
-                if one.name.lower() == "opus" and one.clockRate == AUDIO_CLOCK_HZ
-            ),
-            None,
-        )
-    usable = [
-        one
-        for one in codecs
-        if one.name.lower() == "h264"
-        and one.clockRate == VIDEO_CLOCK_HZ
-        and str(one.parameters.get("packetization-mode", "0")) == "1"
-    ]
+        return usable[0] if usable else None
+    usable = [one for one in usable if str(one.parameters.get("packetization-mode", "0")) == "1"]
     return min(usable, key=_rank, default=None)
 
 
@@ -400,12 +390,6 @@ def _bare(kind: str, profile: str, formats: list[Any], transport: Transport) -> 
         role=transport.role,
     )
     return media
-
-
-def _fmtp(kind: Kind) -> str:
-    if kind == "video":
-        return "level-asymmetry-allowed=1;packetization-mode=1;profile-level-id=42e01f"
-    return "minptime=10;useinbandfec=1"
 
 
 def _fmtp_of(codec: RTCRtpCodecParameters) -> str:

@@ -11,14 +11,14 @@ from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.rtp.wire import (
     AnyRtcpPacket,
-    RtcpByePacket,
     RtcpRrPacket,
     RtcpSrPacket,
     parse_rtcp,
 )
 from pipelines.partner.description import Kind, MediaLine
-from pipelines.partner.incoming import IncomingFigures, IncomingPicture, IncomingVoice
-from pipelines.partner.outgoing import OutgoingFigures, OutgoingTrack
+from pipelines.partner.incoming import IncomingPicture, IncomingVoice
+from pipelines.partner.outgoing import OutgoingTrack
+from pipelines.partner.tally import MediaFigures
 
 _LEAST_RTP_OCTETS = 12
 #: Longer packets are no RTP of a network with the usual limit.
@@ -43,15 +43,6 @@ class SoundCame:
 
     block: PlayoutBlock
     capture_ns: int | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MediaFigures:
-    """Figures of a connection. garbage: packets that were not RTP or RTCP of it."""
-
-    sent: dict[Kind, OutgoingFigures]
-    received: dict[Kind, IncomingFigures]
-    garbage: int
 
 
 class RtcMedia:
@@ -109,8 +100,6 @@ class RtcMedia:
         self._report_ns: int | None = None
         self._heard_ns: int | None = None
         self._garbage = 0
-        #: The source of each stream has said goodbye.
-        self.ended = False
 
     def send_unit(self, unit: AccessUnit, now_ns: int) -> None:
         """Send an access unit, if the partner takes pictures."""
@@ -137,10 +126,8 @@ class RtcMedia:
 
     def handle_rtp(self, packet: bytes, now_ns: int) -> None:
         """Handle a decrypted RTP packet. Garbage is counted."""
-        if not _LEAST_RTP_OCTETS <= len(packet) <= _MOST_OCTETS:
-            self._garbage += 1
-            return
-        stream = self._by_type.get(packet[1] & 0x7F)
+        whole = _LEAST_RTP_OCTETS <= len(packet) <= _MOST_OCTETS
+        stream = self._by_type.get(packet[1] & 0x7F) if whole else None
         if stream is None:
             self._garbage += 1
             return
@@ -160,8 +147,6 @@ class RtcMedia:
                 track.handle_feedback(packet, now_ns)
             if isinstance(packet, RtcpSrPacket):
                 self._handle_report(packet, now_ns)
-            elif isinstance(packet, RtcpByePacket):
-                self.ended = True
 
     def handle_timeout(self, now_ns: int) -> None:
         """Do what is due at `now_ns`."""
@@ -191,9 +176,9 @@ class RtcMedia:
 
     def next_event(self) -> PictureCame | SoundCame | None:
         """Return the next unit or block of the partner, or None."""
-        if self.picture is not None and (unit := self.picture.next_unit()) is not None:
+        if self.picture is not None and (unit := self.picture.receiver.next_event()) is not None:
             return PictureCame(unit, self.picture.receiver.capture_ns(unit.timestamp))
-        if self.voice is not None and (block := self.voice.next_block()) is not None:
+        if self.voice is not None and (block := self.voice.receiver.next_event()) is not None:
             return SoundCame(block, self.voice.receiver.capture_ns(block.timestamp))
         return None
 
@@ -209,14 +194,9 @@ class RtcMedia:
     @property
     def figures(self) -> MediaFigures:
         """The figures so far."""
-        received: dict[Kind, IncomingFigures] = {}
-        if self.picture is not None:
-            received["video"] = self.picture.figures
-        if self.voice is not None:
-            received["audio"] = self.voice.figures
         return MediaFigures(
             sent={kind: track.figures for kind, track in self.outgoing.items()},
-            received=received,
+            received={stream.line.kind: stream.figures for stream in self._streams()},
             garbage=self._garbage,
         )
 

@@ -71,7 +71,6 @@ class RtcPeer:
         )
         self._local: Transport | None = None
         self._offered: list[MediaLine] = []
-        self._lines: list[MediaLine] = []
         self._wake = asyncio.Event()
         self._restarting: asyncio.Future[None] | None = None
         self._connecting: tuple[Transport, str] | None = None
@@ -238,7 +237,6 @@ class RtcPeer:
             await asyncio.sleep(0)
 
     def _begin(self, lines: list[MediaLine], peer: Transport, role: str) -> None:
-        self._lines = lines
         self._connecting = peer, role
         self.media = RtcMedia(
             lines,

@@ -12,7 +12,6 @@
 import asyncio
 import secrets
 from collections.abc import Awaitable, Callable, Iterable
-from typing import Protocol
 
 from aiohttp import web
 
@@ -23,7 +22,7 @@ from pipelines.partner.description import MOST_SDP_OCTETS, read_candidates, writ
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.partner.peer import Programme, RtcPeer
-from pipelines.partner.samples import SamplePeer
+from pipelines.partner.samples import SamplePeer, SamplePorts
 from pipelines.session.access import AccessError
 from pipelines.session.page_listener import PageListener
 from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
@@ -48,19 +47,6 @@ class _Session:
         self.task: asyncio.Task[None] | None = None
 
 
-class Samples(Protocol):
-    """What a partner's joystick drives."""
-
-    def join(self, peer: SamplePeer) -> None:
-        """The robot's samples go to this partner; ConfigError if they cannot."""
-
-    def leave(self) -> None:
-        """The partner is gone."""
-
-    def handle(self, sample: bytes) -> None:
-        """A sample of the partner has come."""
-
-
 class RtcServer:
     """Serves partners on a bound socket.
 
@@ -81,7 +67,7 @@ class RtcServer:
         servers: Callable[[], IceServers] = IceServers,
         most_bps: int = 1_500_000,
         wall_offset_ns: int = 0,
-        samples: Samples | None = None,
+        samples: SamplePorts | None = None,
     ) -> None:
         self._samples = samples
         self._clock, self._handle = clock, handle
@@ -212,7 +198,7 @@ class RtcServer:
         want_key.append(peer)
         return peer
 
-    async def _begin_hand(self, offer: str, samples: Samples) -> web.Response:
+    async def _begin_hand(self, offer: str, samples: SamplePorts) -> web.Response:
         """Take the partner's joystick; a newer connection takes the place of the older."""
         peer = SamplePeer(self._servers(), samples.handle)
 

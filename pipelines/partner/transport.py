@@ -178,7 +178,6 @@ class RtcTransport:
         self._next: Connection | None = None
         self._route: Route | None = None
         self.restarts = 0
-        self.sent = 0
 
     @property
     def state(self) -> str:
@@ -273,7 +272,6 @@ class RtcTransport:
             await self._dtls.send_packet(packet)
         except ConnectionError:
             return False
-        self.sent += 1
         return True
 
     async def close(self) -> None:
