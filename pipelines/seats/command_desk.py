@@ -2,7 +2,7 @@
 
 from collections import OrderedDict, deque
 from itertools import count
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
 from msgspec.structs import replace
 
@@ -16,6 +16,7 @@ from pipelines.mission.tmtc_messages import (
     SendK2aci,
 )
 from pipelines.mission.tmtc_words import selection_error
+from pipelines.seats.open_page import Answered
 from pipelines.seats.texts import ChatLine, ChatText, CommandLine, CommandRequest, CommandsText
 from telepresence.tmtc.k2aci import MAX_CHAT_OCTETS, Chat, ChatRole
 
@@ -60,22 +61,11 @@ class Outbox(Generic[_Request]):
         return None
 
 
+#: What a line takes from its updates.
+_TOLD = ("stage", "done", "ok", "verified", "reason", "round_trip_ms", "tries")
 _MOST_LINES = 60
 _MOST_OPEN = 8
 _SILENT = "telecommands of this end do not answer"
-
-
-class CommandAnswered(NamedTuple):
-    """What became of the request of a page.
-
-    error: "" if it was carried out. camera: the one that it has selected; else "".
-    """
-
-    page: int
-    request: int
-    error: str
-    round_trip_ms: float
-    camera: str = ""
 
 
 class CommandDesk:
@@ -96,7 +86,7 @@ class CommandDesk:
         self._open: dict[int, tuple[int, int]] = {}
         #: By number: the camera that it selects.
         self._selects: dict[int, str] = {}
-        self._events: deque[CommandAnswered] = deque()
+        self._events: deque[Answered] = deque()
 
     @property
     def text(self) -> CommandsText:
@@ -117,13 +107,10 @@ class CommandDesk:
         self._open[number] = page, asked.request
         if (asked.application, asked.name) == (CAMERA, SELECT) and asked.arguments:
             self._selects[number] = str(asked.arguments[0])
-        words = " ".join(
-            [asked.application, asked.name or asked.verb, *(str(one) for one in asked.arguments)]
-        )
-        at_us = now_ns // NS_PER_US
-        self._lines.append(
-            CommandLine(number=number, at_us=at_us, who=who, words=words, stage="sent")
-        )
+        given = (asked.application, asked.name or asked.verb, *asked.arguments)
+        words, at_us = " ".join(map(str, given)), now_ns // NS_PER_US
+        line = CommandLine(number=number, at_us=at_us, who=who, words=words, stage="sent")
+        self._lines.append(line)
 
     def handle_update(self, update: CommandUpdate) -> bool:
         """What became of a telecommand; False if it is of another process."""
@@ -136,28 +123,19 @@ class CommandDesk:
     def poll_transmit(self, now_ns: int) -> SendCommand | None:
         """Return a request for this end's socket, or None."""
         while (number := self._outbox.next_event(now_ns)) is not None:
-            self._settle(
-                CommandUpdate(self._client, number, "", "refused", done=True, reason=_SILENT)
-            )
+            given_up = CommandUpdate(self._client, number, "", "refused", done=True, reason=_SILENT)
+            self._settle(given_up)
         return self._outbox.poll_transmit(now_ns)
 
-    def next_event(self) -> CommandAnswered | None:
+    def next_event(self) -> Answered | None:
         """Return the next answer for a page, or None."""
         return self._events.popleft() if self._events else None
 
     def _settle(self, update: CommandUpdate) -> None:
         for index, line in enumerate(self._lines):
             if line.number == update.id and not line.done:
-                self._lines[index] = replace(
-                    line,
-                    stage=update.stage,
-                    done=update.done,
-                    ok=update.ok,
-                    verified=update.verified,
-                    reason=update.reason,
-                    round_trip_ms=update.round_trip_ms,
-                    tries=update.tries,
-                )
+                told = {name: getattr(update, name) for name in _TOLD}
+                self._lines[index] = replace(line, **told)
         if not update.done:
             return
         if update.verified or update.ok:
@@ -170,10 +148,10 @@ class CommandDesk:
             error = "" if update.ok else update.reason or update.stage
             if camera and error:
                 camera, error = "", selection_error(camera, update)
-            self._events.append(CommandAnswered(*opened, error, update.round_trip_ms, camera))
+            self._events.append(Answered(*opened, error, update.round_trip_ms, camera))
 
     def _answer(self, page: int, request: int, error: str) -> None:
-        self._events.append(CommandAnswered(page, request, error, 0.0))
+        self._events.append(Answered(page, request, error, 0.0))
 
 
 _MOST_CHAT_LINES = 100
@@ -238,15 +216,9 @@ class ChatLog:
 
     def _add(self, sender: ChatRole, text: str, state: str, now_ns: int) -> int:
         number = next(self._numbers)
-        self._lines.append(
-            ChatLine(
-                number=number,
-                at_us=now_ns // NS_PER_US,
-                sender=str(sender),
-                text=text,
-                state=state,
-            )
-        )
+        at_us = now_ns // NS_PER_US
+        line = ChatLine(number=number, at_us=at_us, sender=str(sender), text=text, state=state)
+        self._lines.append(line)
         return number
 
     def _settle(self, number: int, state: str, reason: str, round_trip_ms: float) -> None:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from pipelines.hand.hand_topics import HandRequest, JoystickStatus
+from pipelines.seats.open_page import Answered
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import JoystickEvent
 
@@ -152,14 +153,6 @@ class HandGate:
 _MOST_WAITING = 8
 #: The joystick answers within 100 ms; it may be restarting.
 _PATIENCE_NS = NS_PER_S
-
-
-class Answered(NamedTuple):
-    """What became of the request of a page. error: "" if it was carried out."""
-
-    page: int
-    request: int
-    error: str
 
 
 class _Waiting(NamedTuple):

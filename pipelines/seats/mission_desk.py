@@ -13,7 +13,8 @@ from pipelines.mission.tmtc_messages import (
     TmtcNews,
     TmtcRequest,
 )
-from pipelines.seats.command_desk import ChatLog, CommandAnswered, CommandDesk
+from pipelines.seats.command_desk import ChatLog, CommandDesk
+from pipelines.seats.open_page import Answered
 from pipelines.seats.telemetry_log import TelemetryLog
 from pipelines.seats.texts import ChatRequest, CommandRequest, RadioText, pack_text
 from pipelines.session.seat_roles import Role, chat_role, refusal
@@ -48,8 +49,6 @@ def radio_text(
 
 
 _SIGNAL_EVENTS = {"signal_acquired": True, "signal_lost": False}
-#: Of each end's gateway: the application that says whether it hears the other end.
-_GATEWAYS = {Segment.SPACE: "space_gateway", Segment.GROUND: "ground_gateway"}
 
 
 class MissionDesk:
@@ -114,7 +113,7 @@ class MissionDesk:
                 self._changed.add("chat")
         elif isinstance(news, Reported):
             self._telemetry.handle_report(news, now_ns)
-            if news.application == _GATEWAYS[self._segment.peer]:
+            if news.application == f"{self._segment.peer.value}_gateway":
                 self._handle_peer(news)
             self._changed |= {"values", "radio"}
             if news.kind != "housekeeping":
@@ -136,7 +135,7 @@ class MissionDesk:
         """Return a request for this end's socket, or None."""
         return self._commands.poll_transmit(now_ns) or self._chat.poll_transmit(now_ns)
 
-    def next_event(self) -> CommandAnswered | None:
+    def next_event(self) -> Answered | None:
         """Return the next answer for a page, or None."""
         return self._commands.next_event()
 
@@ -145,11 +144,8 @@ class MissionDesk:
         fresh = {}
         for kind in sorted(self._changed):
             maker = self._makers.get(kind)
-            if maker is None:
-                shown = named(self._shown[kind])
-                fresh[kind] = pack_text({"kind": kind} | shown)
-            else:
-                fresh[kind] = pack_text(maker())
+            shown = {"kind": kind} | named(self._shown[kind]) if maker is None else maker()
+            fresh[kind] = pack_text(shown)
         self._changed.clear()
         self.texts |= fresh
         return fresh

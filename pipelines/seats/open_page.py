@@ -20,6 +20,7 @@ A replay is as long as the history from which it is taken, and there is one at a
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from pipelines.session.seat_roles import Role
@@ -220,6 +221,19 @@ class ClientQueue:
 
 _TEXT_HZ = _PING_HZ = 20
 _HAND_HZ = 1200
+
+
+class Answered(NamedTuple):
+    """What became of the request of a page.
+
+    error: "" if it was carried out. camera: the one that it has selected; else "".
+    """
+
+    page: int
+    request: int
+    error: str
+    round_trip_ms: float | None = None
+    camera: str = ""
 
 
 @dataclass

@@ -16,7 +16,7 @@ from pipelines.seats import texts
 from pipelines.seats.figures import HOLDER, FiguresLog
 from pipelines.seats.handle_desk import HandGate, HandleOwnership, JoystickDesk
 from pipelines.seats.mission_desk import MissionDesk
-from pipelines.seats.open_page import ClientQueue, Message, OpenPage
+from pipelines.seats.open_page import Answered, ClientQueue, Message, OpenPage
 from pipelines.seats.own_inputs import OwnInputs
 from pipelines.seats.plan import SeatPlan, Shown
 from pipelines.seats.seat_media import SeatMedia
@@ -38,24 +38,6 @@ from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 
 
-class HandMoved(NamedTuple):
-    """What to tell the joystick of the hand."""
-
-    hand: PageInput
-
-
-class CommandGiven(NamedTuple):
-    """A command for the joystick."""
-
-    request: HandRequest
-
-
-class SessionOrdered(NamedTuple):
-    """The launcher is to stop or to start the session."""
-
-    order: Order
-
-
 class RecordingAsked(NamedTuple):
     """The recorder is to begin or to end; pass its answer to `Seat.handle_recorder`."""
 
@@ -64,14 +46,9 @@ class RecordingAsked(NamedTuple):
     begin: bool
 
 
-class TmtcAsked(NamedTuple):
-    """The TM/TC end of this segment is to be told this."""
-
-    request: TmtcRequest
-
-
-SeatEvent = HandMoved | CommandGiven | SessionOrdered | RecordingAsked | TmtcAsked
-
+#: What to tell: the joystick of the hand or of a command, the launcher of an order, the recorder
+#: and the TM/TC end of this segment of what is asked.
+SeatEvent = PageInput | HandRequest | Order | RecordingAsked | TmtcRequest
 
 HEARTBEAT_NS = 100 * NS_PER_MS
 
@@ -116,6 +93,12 @@ class Seat:
         self._pages: dict[int, OpenPage] = {}
         self.media = SeatMedia(plan.streams, self._pages)
         self._hand = HandleOwnership()
+        self._hand_over: Mapping[str, Callable[[int], str]] = {
+            "take": self._hand.handle_take,
+            "give": self._hand.handle_give,
+            "ask": self._hand.handle_ask,
+            "refuse": self._hand.handle_refuse,
+        }
         self._gate = HandGate(self._hand)
         self._desk = JoystickDesk(first_command)
         self.mission = MissionDesk(
@@ -219,7 +202,7 @@ class Seat:
             raise ProtocolError("too many positions of the hand")
         hand = self._gate.handle_input(number, message)
         if hand is not None:
-            self._events.append(HandMoved(hand))
+            self._events.append(hand)
 
     def handle_text(self, number: int, text: str, now_ns: int) -> None:
         """A page has sent a text."""
@@ -229,7 +212,7 @@ class Seat:
         request = parse_seat_request(text)
         error = self._handle_request(page, request, now_ns)
         if error is not None:
-            self._answer(number, request.request, error)
+            self._answer(Answered(number, request.request, error))
         self._settle_hand(now_ns)
         self._settle_desk(now_ns)
         self._settle_mission(now_ns)
@@ -258,25 +241,16 @@ class Seat:
                 event = JoystickEvent(request.event)
                 self._desk.handle_request(number, request.request, event)
             case HandleRequest():
-                return self._hand_over(number, request.action)
+                return self._hand_over[request.action](number)
             case SessionRequest():
                 if not self.plan.orders:
                     return "ground control starts and stops the session"
-                self._events.append(SessionOrdered(Order(request.action)))
+                self._events.append(Order(request.action))
                 return ""
             case RecordingRequest():
                 begin = request.action == "start"
                 self._events.append(RecordingAsked(number, request.request, begin))
         return None
-
-    def _hand_over(self, number: int, action: str) -> str:
-        handlers: dict[str, Callable[[int], str]] = {
-            "take": self._hand.handle_take,
-            "give": self._hand.handle_give,
-            "ask": self._hand.handle_ask,
-            "refuse": self._hand.handle_refuse,
-        }
-        return handlers[action](number)
 
     # What topics and the launcher tell
 
@@ -319,7 +293,7 @@ class Seat:
 
     def handle_recorder(self, asked: RecordingAsked, error: str) -> None:
         """The recorder's answer. error: "" if it does what was asked."""
-        self._answer(asked.page, asked.request, error)
+        self._answer(Answered(asked.page, asked.request, error))
 
     def handle_figures(self, text: bytes, now_ns: int) -> None:
         """A message of the launcher; pages get it unchanged."""
@@ -374,7 +348,7 @@ class Seat:
         """The holder may have changed: the hand before lets go, and all pages are told."""
         released = self._gate.poll_release(now_ns)
         if released is not None:
-            self._events.append(HandMoved(released))
+            self._events.append(released)
         if self._hand.next_event() is not None:
             self._tell_state(now_ns)
 
@@ -386,28 +360,23 @@ class Seat:
 
     def _settle_mission(self, now_ns: int) -> None:
         while (request := self.mission.poll_transmit(now_ns)) is not None:
-            self._events.append(TmtcAsked(request))
+            self._events.append(request)
         while (answered := self.mission.next_event()) is not None:
-            self._answer(answered.page, answered.request, answered.error, answered.round_trip_ms)
+            self._answer(answered)
             if answered.camera:
                 self.handle_camera(answered.camera, now_ns)
 
     def _settle_desk(self, now_ns: int) -> None:
         while (answered := self._desk.next_event()) is not None:
-            self._answer(answered.page, answered.request, answered.error)
+            self._answer(answered)
         command = self._desk.poll_transmit(now_ns)
         if command is not None:
-            self._events.append(CommandGiven(command))
+            self._events.append(command)
 
-    def _answer(
-        self, number: int, request: int, error: str, round_trip_ms: float | None = None
-    ) -> None:
-        page = self._pages.get(number)
-        if page is not None:
-            page.queue.put_answer(
-                texts.pack_text(
-                    texts.AnswerText(
-                        request=request, ok=not error, error=error, round_trip_ms=round_trip_ms
-                    )
-                )
+    def _answer(self, answered: Answered) -> None:
+        number, request, error, round_trip_ms, _ = answered
+        if number in self._pages:
+            text = texts.AnswerText(
+                request=request, ok=not error, error=error, round_trip_ms=round_trip_ms
             )
+            self._pages[number].queue.put_answer(texts.pack_text(text))

@@ -11,17 +11,16 @@ import numpy as np
 
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.hand_topics import INPUT_OCTETS, REQUEST_OCTETS, pack_input, pack_request
+from pipelines.hand.hand_topics import (
+    INPUT_OCTETS,
+    REQUEST_OCTETS,
+    HandRequest,
+    pack_input,
+    pack_request,
+)
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.own_inputs import Given
-from pipelines.seats.seat import (
-    CommandGiven,
-    HandMoved,
-    RecordingAsked,
-    Seat,
-    SessionOrdered,
-    TmtcAsked,
-)
+from pipelines.seats.seat import RecordingAsked, Seat
 from pipelines.session.process import Context
 from pipelines.session.recorder_control import recorder_path
 from pipelines.session.recorder_requests import (
@@ -35,7 +34,9 @@ from pipelines.session.recorder_requests import (
     parse_record_answer,
 )
 from pipelines.session.serving_loop import ServingLoop
+from pipelines.session.session_switch import Order
 from pipelines.session.topology import HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC, Segment
+from telepresence.haptics.device.page import PageInput
 
 
 class SeatDeeds:
@@ -68,19 +69,21 @@ class SeatDeeds:
         """Do all that the seat has decided."""
         while (event := self._seat.next_event()) is not None:
             match event:
-                case HandMoved(hand) if self._hand is not None:
-                    stamp = CaptureStamp(hand.received_ns, hand.sequence, "page")
-                    self._hand.publish_octets(pack_input(hand), stamp)
-                case CommandGiven(request) if self._commands is not None:
-                    stamp = CaptureStamp(self._now_ns(), next(self._numbers), "page")
-                    self._commands.publish_octets(pack_request(request), stamp)
-                case SessionOrdered(order):
-                    self._context.order(order, self._now_ns())
+                case PageInput():
+                    if self._hand is not None:
+                        stamp = CaptureStamp(event.received_ns, event.sequence, "page")
+                        self._hand.publish_octets(pack_input(event), stamp)
+                case HandRequest():
+                    if self._commands is not None:
+                        stamp = CaptureStamp(self._now_ns(), next(self._numbers), "page")
+                        self._commands.publish_octets(pack_request(event), stamp)
+                case Order():
+                    self._context.order(event, self._now_ns())
                 case RecordingAsked():
                     self._serving.begin(self._record(event))
-                case TmtcAsked(asked):
+                case _:
                     # One that is not taken now is repeated.
-                    send_to_tmtc(self._context.session, self._seat.plan.segment, asked)
+                    send_to_tmtc(self._context.session, self._seat.plan.segment, event)
 
     def publish(self, given: Given) -> None:
         """Publish what a page's own camera or microphone gives."""

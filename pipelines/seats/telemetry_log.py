@@ -4,20 +4,21 @@ from collections import deque
 from collections.abc import Iterator
 from math import isfinite
 
+import msgspec
+from msgspec.structs import replace
+
 from kontur_av.clock import NS_PER_US
 from pipelines.mission.tmtc_messages import Reported
 from pipelines.seats.texts import (
     ApplicationText,
     EventLine,
     EventsText,
-    FunctionText,
     Level,
     ParameterText,
-    StructureText,
     ValuesText,
     ValueText,
 )
-from telepresence.tmtc.pus.dictionary import Application, Dictionary
+from telepresence.tmtc.pus.dictionary import Application, Dictionary, Monitor
 from telepresence.tmtc.pus.values import Parameter, Value
 
 _MOST_EVENTS = 100
@@ -51,38 +52,18 @@ def application_texts(dictionary: Dictionary) -> tuple[ApplicationText, ...]:
 
 def _application_text(one: Application) -> ApplicationText:
     limits = {monitor.parameter: monitor for monitor in one.monitors}
-    return ApplicationText(
-        name=one.name,
-        end=one.end,
-        text=one.text,
-        parameters=tuple(
-            ParameterText(
-                name=each.name,
-                unit=each.unit,
-                text=each.text,
-                low=_first(each.low, limits[each.name].low if each.name in limits else None),
-                high=_first(each.high, limits[each.name].high if each.name in limits else None),
-            )
-            for each in one.parameters
-        ),
-        structures=tuple(
-            StructureText(
-                name=each.name,
-                parameters=each.parameters,
-                interval_s=each.interval_s,
-                on=each.on,
-            )
-            for each in one.structures
-        ),
-        functions=tuple(
-            FunctionText(name=each.name, arguments=each.arguments, text=each.text)
-            for each in one.functions
-        ),
+    said = msgspec.convert(one, ApplicationText, from_attributes=True)
+    return replace(
+        said, parameters=tuple(_limited(each, limits.get(each.name)) for each in said.parameters)
     )
 
 
-def _first(one: float | None, other: float | None) -> float | None:
-    return other if one is None else one
+def _limited(one: ParameterText, monitor: Monitor | None) -> ParameterText:
+    """A parameter without limits of its own has those of its monitor."""
+    if monitor is None:
+        return one
+    low = monitor.low if one.low is None else one.low
+    return replace(one, low=low, high=monitor.high if one.high is None else one.high)
 
 
 class TelemetryLog:
