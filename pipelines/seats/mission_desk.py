@@ -88,6 +88,9 @@ class MissionDesk:
         refused = refusal(role, self._segment, asked.deed)
         if refused:
             return refused
+        if "" in asked.arguments:
+            number = asked.arguments.index("") + 1
+            return f"{asked.name}: argument {number} is empty: write a value into each field"
         self._commands.handle_request(page, asked, role.words, now_ns)
         self._changed.add("commands")
         return None

@@ -294,7 +294,14 @@ def pack_text(text: msgspec.Struct | dict[str, object]) -> str:
 
 _Number = Annotated[int, msgspec.Meta(ge=0, le=1 << 53)]
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
-_Value = bool | Annotated[int, msgspec.Meta(ge=-(1 << 31), le=1 << 32)] | float | _Name
+_WHOLE = 1 << 53
+#: What a person types for an argument; whether it fits, the dictionary says.
+_Value = (
+    bool
+    | Annotated[int, msgspec.Meta(ge=-_WHOLE, le=_WHOLE)]
+    | float
+    | Annotated[str, msgspec.Meta(max_length=64)]
+)
 
 
 class _Request(msgspec.Struct, frozen=True, tag_field="do", forbid_unknown_fields=True):

@@ -257,6 +257,23 @@ def test_the_operator_selects_the_camera():
     assert found[1]["camera"] == "head"
 
 
+def test_an_argument_that_does_not_fit_is_answered_and_the_page_stays_open():
+    seat = seat_of()
+    page = seat.handle_opened(Role.OPERATOR, 0)
+    ask(seat, page, "command", application="camera", name="select", arguments=[""])
+    (answer,) = texts(seat, page, "answer")
+    assert (answer["ok"], answer["error"]) == (
+        False,
+        "select: argument 1 is empty: write a value into each field",
+    )
+    assert events(seat) == []
+    # What is typed goes to the end, which knows what fits.
+    for typed in (1 << 40, -(1 << 40), 1e300, "x" * 64):
+        ask(seat, page, "command", application="camera", name="select", arguments=[typed])
+        (command,) = events(seat)
+        assert command.arguments == (typed,)
+
+
 @pytest.mark.parametrize(
     ("update", "error"),
     [
