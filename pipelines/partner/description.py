@@ -57,14 +57,7 @@ _PROFILES = ("42e0", "4200", "4d00", "6400")
 _DISCARD_PORT = 9
 _ANY_HOST = "0.0.0.0"
 #: What the parser raises for garbage.
-_MALFORMED = (
-    ValueError,
-    AssertionError,
-    LookupError,
-    AttributeError,
-    TypeError,
-    StopIteration,
-)
+_MALFORMED = (ValueError, AssertionError, LookupError, AttributeError, TypeError, StopIteration)
 
 
 @dataclass(frozen=True, kw_only=True)

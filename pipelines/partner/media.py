@@ -9,12 +9,7 @@ from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.sender import RtpIdentity
-from kontur_av.rtp.wire import (
-    AnyRtcpPacket,
-    RtcpRrPacket,
-    RtcpSrPacket,
-    parse_rtcp,
-)
+from kontur_av.rtp.wire import AnyRtcpPacket, RtcpRrPacket, RtcpSrPacket, parse_rtcp
 from pipelines.partner.description import Kind, MediaLine
 from pipelines.partner.incoming import IncomingPicture, IncomingVoice
 from pipelines.partner.outgoing import OutgoingTrack

@@ -58,12 +58,6 @@ def run_rtc_camera(context: Context) -> None:
                     loan.publish(seen)
                     topics.handle_picture(picture, seen)
                 came = ReceivedUnit(
-                    unit.data,
-                    timestamp,
-                    unit.key,
-                    unit.damaged,
-                    0,
-                    clock.now_ns(),
-                    clock.now_ns(),
+                    unit.data, timestamp, unit.key, unit.damaged, 0, clock.now_ns(), clock.now_ns()
                 )
                 topics.handle_unit(came, stamp.capture_ns)

@@ -63,10 +63,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.GROUND,
             stage=Stage.SINK,
             run="pipelines.media.process_display:run_display",
-            arguments={
-                "streams": (partner_camera(leg), partner_voice(leg)),
-                "for_lip_sync": False,
-            },
+            arguments={"streams": (partner_camera(leg), partner_voice(leg)), "for_lip_sync": False},
             reads=(RTC_CAMERA_TOPIC, RTC_VOICE_TOPIC),
             writes=(RTC_DISPLAYED_TOPIC,),
             what="shows the partner's pictures and plays its voice",

@@ -56,11 +56,7 @@ class PageServer:
     """
 
     def __init__(
-        self,
-        context: Context,
-        segment: Segment,
-        bus: TopicBus,
-        tasks: Catalogue | None = None,
+        self, context: Context, segment: Segment, bus: TopicBus, tasks: Catalogue | None = None
     ) -> None:
         self._context, self._now_ns = context, context.clock.now_ns
         self._site = WebSite(

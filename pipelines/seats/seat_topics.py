@@ -175,8 +175,8 @@ class SeatTopics:
                 yield _Fed(each.topic, partial(self._unit, each.index), always=True)
         for end, topic in plan.traces.items():
             yield _Fed(topic, partial(self._haptics, end))
-        for preview in plan.previews:
-            yield _Fed(preview.topic, partial(self._preview, preview.index), 1)
+        for preview, topic in plan.previews.items():
+            yield _Fed(topic, partial(self._preview, preview), 1)
         if plan.segment is Segment.SPACE:
             yield _Fed(JOYSTICK_STATE_TOPIC, self._status)
 

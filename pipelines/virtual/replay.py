@@ -75,13 +75,7 @@ class Replay(Simulation):
         start_ns = max(0, first_ns - lead_ns) // NS_PER_MS * NS_PER_MS
         self.end_ns = last_ns + longest_ns + _TAIL_NS
         super().__init__(
-            setup,
-            workers,
-            seed=seed,
-            media=media,
-            costs=costs,
-            start_ns=start_ns,
-            epoch_ns=lead_ns,
+            setup, workers, seed=seed, media=media, costs=costs, start_ns=start_ns, epoch_ns=lead_ns
         )
         for stream, gateway in ((TELECOMMAND, self._space), (TELEMETRY, self._ground)):
             for packet in session.packets.get(stream, ()):

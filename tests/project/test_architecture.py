@@ -282,7 +282,6 @@ LIBRARIES = {
     "pipelines/session/access.py": ({"hmac"}, "compares tokens in constant time"),
     "pipelines/seats/command_desk.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/seats/mission_desk.py": ({"msgspec"}, "texts as JSON"),
-    "pipelines/seats/plan.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/seats/seat.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/seats/figures.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/media/local_key.py": ({"av"}, "codes one picture"),

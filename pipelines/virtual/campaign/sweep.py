@@ -55,11 +55,7 @@ class Sweep:
         """All runs: case by case, and in each its seeds."""
         return [
             SessionTask(
-                setup=case.setup,
-                seconds=self.seconds,
-                seed=seed,
-                media=self.media,
-                plan=self.plan,
+                setup=case.setup, seconds=self.seconds, seed=seed, media=self.media, plan=self.plan
             )
             for case in self.cases
             for seed in self.seeds
