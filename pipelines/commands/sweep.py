@@ -128,7 +128,7 @@ def _figures(sweep: Sweep, task: SessionTask, result: Result) -> RunFigures:
     key = _key(sweep, task)
     if isinstance(result, Crash):
         return crashed(task, key, result)
-    return run_figures(task, key, result.report, sweep.keys)
+    return run_figures(task, key, result, sweep.keys)
 
 
 def _keep(path: Path | None, sweep: Sweep, runs: Sequence[RunFigures | None]) -> None:

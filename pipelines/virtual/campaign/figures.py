@@ -9,9 +9,10 @@ from pipelines.report.result import JsonReader
 from pipelines.session.task_journal import OPEN, STEPS
 from pipelines.virtual.campaign.pass_figures import (
     Crash,
-    PassFigures,
     SessionTask,
+    cap_share,
     faults,
+    least_energy_uj,
     pass_figures,
 )
 from telepresence.tasks.experiment import RunStep
@@ -133,46 +134,39 @@ class SweepFigure:
 
     name: str
     heading: str
-    of: Callable[[PassFigures], float | None]
+    of: Callable[[JsonReader], float | None]
 
 
-def _latency(latency_ms: Mapping[str, float] | None, percentile: str) -> float | None:
+def _latency(percentile: str, *place: str) -> Callable[[JsonReader], float | None]:
     """None for what carried nothing."""
-    return latency_ms[percentile] if latency_ms and latency_ms.get("count") else None
 
-
-def _haptic(direction: str) -> Callable[[PassFigures], float | None]:
-    def found(of: PassFigures) -> float | None:
-        return _latency(of.haptic_ms.get(direction), "p99")
+    def found(report: JsonReader) -> float | None:
+        carried = report.number_or_none(*place, "latency_ms", "count")
+        return report.number(*place, "latency_ms", percentile) if carried else None
 
     return found
 
 
-def _stream(name: str, percentile: str) -> Callable[[PassFigures], float | None]:
-    def found(of: PassFigures) -> float | None:
-        stream = of.streams.get(name)
-        return None if stream is None else _latency(stream.latency_ms, percentile)
+def _lost(number: int) -> Callable[[JsonReader], float | None]:
+    def found(report: JsonReader) -> float | None:
+        _, link = list(report.items("link"))[number]
+        frames = link.count("frames")
+        return 100.0 * link.count("frames_lost") / frames if frames else None
 
     return found
 
 
-def _lost(number: int) -> Callable[[PassFigures], float | None]:
-    def found(of: PassFigures) -> float | None:
-        link = list(of.frames.values())[number]
-        return 100.0 * link.frames_lost / link.frames if link.frames else None
-
-    return found
-
-
-def _shown_hz(of: PassFigures) -> float | None:
-    stream = of.streams.get("uplink_video")
-    if stream is None or stream.frames_displayed is None or not of.signal_s:
-        return None
-    return stream.frames_displayed / of.signal_s
+def _shown_hz(report: JsonReader) -> float | None:
+    """Pictures a second with a signal, at the end that had less of it."""
+    ends = [of for _, of in report.items("gateways") if of.has("supervision")]
+    contact_ns = min((of.number("supervision", "contact_ns") for of in ends), default=0.0)
+    shown = report.number_or_none("streams", "uplink_video", "frames_displayed")
+    return None if shown is None or not contact_ns else shown / (contact_ns / NS_PER_S)
 
 
-def _cap(of: PassFigures) -> float | None:
-    return max((100.0 * stream.cap_share for stream in of.streams.values()), default=None)
+def _cap(report: JsonReader) -> float | None:
+    share = cap_share(report, "1s")
+    return None if share is None else 100.0 * share
 
 
 #: In the order of the table. lost: of all frames. skew: the picture after the force. cap: the
@@ -180,15 +174,17 @@ def _cap(of: PassFigures) -> float | None:
 FIGURES = (
     SweepFigure("lost_up_pct", "lost up %", _lost(0)),
     SweepFigure("lost_down_pct", "lost down %", _lost(1)),
-    SweepFigure("force_p99_ms", "force p99 ms", _haptic("up")),
-    SweepFigure("position_p99_ms", "position p99 ms", _haptic("down")),
-    SweepFigure("video_p50_ms", "video p50 ms", _stream("uplink_video", "p50")),
-    SweepFigure("video_p99_ms", "video p99 ms", _stream("uplink_video", "p99")),
+    SweepFigure("force_p99_ms", "force p99 ms", _latency("p99", "haptic", "up")),
+    SweepFigure("position_p99_ms", "position p99 ms", _latency("p99", "haptic", "down")),
+    SweepFigure("video_p50_ms", "video p50 ms", _latency("p50", "streams", "uplink_video")),
+    SweepFigure("video_p99_ms", "video p99 ms", _latency("p99", "streams", "uplink_video")),
     SweepFigure("shown_hz", "shown/s", _shown_hz),
-    SweepFigure("voice_p99_ms", "voice p99 ms", _stream("uplink_voice", "p99")),
-    SweepFigure("skew_p95_ms", "skew p95 ms", lambda of: of.skew_p95_ms),
+    SweepFigure("voice_p99_ms", "voice p99 ms", _latency("p99", "streams", "uplink_voice")),
+    SweepFigure(
+        "skew_p95_ms", "skew p95 ms", lambda of: of.number_or_none("skew_ms", "video_haptic", "p95")
+    ),
     SweepFigure("cap_pct", "cap %", _cap),
-    SweepFigure("least_uj", "least µJ", lambda of: of.least_energy_uj),
+    SweepFigure("least_uj", "least µJ", least_energy_uj),
 )
 
 
@@ -209,9 +205,8 @@ class RunFigures:
 
 def run_figures(task: SessionTask, key: str, report: JsonReader, keys: Sequence[str]) -> RunFigures:
     """The figures of the run of `task`. keys: of further numbers in the report, with dots."""
-    found = pass_figures(report, start_s=task.setup.radio_profile.start_s)
-    figures = {figure.name: _rounded(figure.of(found)) for figure in FIGURES}
-    wrong = faults(found)
+    figures = {figure.name: _rounded(figure.of(report)) for figure in FIGURES}
+    wrong = faults(pass_figures(report, start_s=task.setup.radio_profile.start_s))
     if task.plan is not None:
         tasks = task_figures(report)
         wrong += task_faults(tasks)

@@ -26,21 +26,14 @@ class SessionTask:
 
 
 @dataclass(frozen=True, slots=True)
-class SessionResult:
-    """The report of a session. wall_s: how long it ran in real time."""
-
-    report: JsonReader
-    wall_s: float
-
-
-@dataclass(frozen=True, slots=True)
 class Crash:
     """A session without a report. error: its last words."""
 
     error: str
 
 
-Result = SessionResult | Crash
+#: What became of a session: its report, or none.
+Result = JsonReader | Crash
 
 
 #: The least share of the usable time that the orbit predicts.
@@ -57,57 +50,24 @@ BURST_SHARE = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frames:
-    """Frames of one direction of the link."""
-
-    frames: int
-    frames_lost: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LongestPauses:
-    """The longest pause (s) with a signal: of any stream, and of samples in any direction."""
-
-    shown: float
-    felt: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stream:
-    """One media stream. frames_displayed: None for a voice.
-
-    latency_ms: percentiles, `max` and `count`. cap_share, burst_share: the largest rate over 1 s
-    and over 100 ms, as shares of the cap.
-    """
-
-    latency_ms: dict[str, float]
-    cap_share: float
-    burst_share: float
-    frames_displayed: int | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PassFigures:
-    """One session.
+    """What a session is judged by.
 
     predicted_s, usable_s: the time that the orbit predicts as usable, and what of it had a signal;
-    None where the radio has no contact. longest_delay_s: of the radio. signal_s: time with a
-    signal, at the end that had less. skew_p95_ms: of the picture after the force.
-    least_energy_uj: the least energy that a passivity observer saw.
+    None where the radio has no contact. longest_delay_s: of the radio. longest_pause_s: with a
+    signal, as `LONGEST_PAUSE_S`. cap_share, burst_share: the largest rate over 1 s and over 100 ms,
+    as shares of a stream's cap. least_energy_uj: the least that a passivity observer saw.
     """
 
     seconds: float
     predicted_s: float | None
     usable_s: float | None
     longest_delay_s: float
-    signal_s: float
-    frames: dict[str, Frames]
-    haptic_ms: dict[str, dict[str, float]]
-    longest_pause_s: LongestPauses
-    streams: dict[str, Stream]
-    skew_p95_ms: float | None
+    longest_pause_s: Mapping[str, float]
+    cap_share: float | None
+    burst_share: float | None
     least_energy_uj: float | None
-    failures: list[str]
+    failed: bool
 
 
 def pass_figures(report: JsonReader, *, start_s: float = 0.0) -> PassFigures:
@@ -116,49 +76,30 @@ def pass_figures(report: JsonReader, *, start_s: float = 0.0) -> PassFigures:
     start_s: when the session began, after the acquisition of signal.
     """
     window = usable_window(report, start_s)
-    gateways = dict(report.items("gateways"))
-    ends = {end: of.at("supervision") for end, of in gateways.items() if of.has("supervision")}
-    radio = report.at("gateways", "ground")
+    delay_ns = report.at("gateways", "ground").number_or_none("radio", "delay_max_ns")
     return PassFigures(
         seconds=report.number("seconds"),
         predicted_s=None if window is None else round(window[1] - window[0], 3),
         usable_s=None if window is None else round(signal_s(report, *window), 3),
-        longest_delay_s=(radio.number_or_none("radio", "delay_max_ns") or 0) / NS_PER_S,
-        signal_s=min((of.number("contact_ns") / NS_PER_S for of in ends.values()), default=0.0),
-        frames={
-            name: Frames(frames=link.count("frames"), frames_lost=link.count("frames_lost"))
-            for name, link in report.items("link")
+        longest_delay_s=(delay_ns or 0) / NS_PER_S,
+        longest_pause_s={
+            name: _longest_pause_s(report, channels, window)
+            for name, channels in (("shown", "streams"), ("felt", "haptic"))
         },
-        haptic_ms={name: _numbers(of.at("latency_ms")) for name, of in report.items("haptic")},
-        longest_pause_s=LongestPauses(
-            shown=_longest_pause_s(report, "streams", window),
-            felt=_longest_pause_s(report, "haptic", window),
-        ),
-        streams={name: _stream(stream) for name, stream in report.items("streams")},
-        skew_p95_ms=report.number_or_none("skew_ms", "video_haptic", "p95"),
+        cap_share=cap_share(report, "1s"),
+        burst_share=cap_share(report, "100ms"),
         least_energy_uj=least_energy_uj(report),
-        failures=[failure.text() for failure in report.elements("failures")],
+        failed=any(True for _ in report.elements("failures")),
     )
 
 
-def _numbers(of: JsonReader) -> dict[str, float]:
-    """The numbers of an object, without its other values."""
-    return {
-        name: value.number()
-        for name, value in of.items()
-        if isinstance(value.value, int | float) and not isinstance(value.value, bool)
-    }
-
-
-def _stream(stream: JsonReader) -> Stream:
-    cap_bps = stream.number("cap_bps")
-    shown = "frames_displayed"
-    return Stream(
-        latency_ms=_numbers(stream.at("latency_ms")),
-        cap_share=round(stream.number("payload_bps_max_1s") / cap_bps, 4),
-        burst_share=round(stream.number("payload_bps_max_100ms") / cap_bps, 4),
-        frames_displayed=stream.count(shown) if stream.has(shown) else None,
+def cap_share(report: JsonReader, over: str) -> float | None:
+    """The largest rate of any stream over "1s" or "100ms", as a share of its cap."""
+    shares = (
+        round(stream.number(f"payload_bps_max_{over}") / stream.number("cap_bps"), 4)
+        for _, stream in report.items("streams")
     )
+    return max(shares, default=None)
 
 
 def usable_window(report: JsonReader, start_s: float) -> tuple[float, float] | None:
@@ -234,27 +175,22 @@ def faults(session: PassFigures | Crash) -> list[str]:
         return ["crashed"]
     found = []
     predicted_s, usable_s = session.predicted_s, session.usable_s
+    # The acquisition of signal takes a while at the beginning, with the radio's delay.
+    acquired_s = 0.1 + session.longest_delay_s if predicted_s == session.seconds else 0.0
     if (
         predicted_s is None
         or usable_s is None
-        or usable_s < USABLE_SHARE * predicted_s - _acquisition_s(session)
+        or usable_s < USABLE_SHARE * predicted_s - acquired_s
     ):
         found.append("unusable")
     pauses = session.longest_pause_s
     felt_s = LONGEST_PAUSE_S["felt"] + HAPTIC_BEGIN_DELAYS * session.longest_delay_s
-    if pauses.shown > LONGEST_PAUSE_S["shown"] or pauses.felt > felt_s:
+    if pauses["shown"] > LONGEST_PAUSE_S["shown"] or pauses["felt"] > felt_s:
         found.append("stuck")
     if session.least_energy_uj is not None and session.least_energy_uj < -ROUNDING_UJ:
         found.append("unstable")
-    if any(of.cap_share > 1 or of.burst_share > BURST_SHARE for of in session.streams.values()):
+    if (session.cap_share or 0) > 1 or (session.burst_share or 0) > BURST_SHARE:
         found.append("over its cap")
-    if session.failures:
+    if session.failed:
         found.append("failed")
     return found
-
-
-def _acquisition_s(session: PassFigures) -> float:
-    """How long the acquisition of signal may take at the beginning, with the radio's delay."""
-    if session.predicted_s != session.seconds:
-        return 0.0
-    return 0.1 + session.longest_delay_s

@@ -21,7 +21,7 @@ from kontur_av.errors import ConfigError
 from pipelines.report.report_file import write_report
 from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all
-from pipelines.virtual.campaign.pass_figures import Crash, Result, SessionResult, SessionTask
+from pipelines.virtual.campaign.pass_figures import Crash, Result, SessionTask
 from pipelines.virtual.campaign.places import Cluster
 from pipelines.virtual.inputs import check_virtual_sources
 from pipelines.virtual.simulate import simulate
@@ -71,7 +71,6 @@ class _Session:
         self._task = task
         self._report = directory / f"{number}.json"
         self._errors = directory / f"{number}.txt"
-        self._began_s = time.monotonic()
         with self._errors.open("wb") as errors:
             # A session of its own: this process takes Ctrl-C and ends the others itself.
             self.process = subprocess.Popen(
@@ -102,7 +101,7 @@ class _Session:
         self._report.unlink()
         if report.number("seconds") < round(self._task.seconds, 3):
             return Crash(f"ended early, after {report.number('seconds'):g} s")
-        return SessionResult(report, round(time.monotonic() - self._began_s, 1))
+        return report
 
     def close(self) -> None:
         """Close its input, which ends it."""
