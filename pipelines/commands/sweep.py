@@ -34,7 +34,7 @@ from pipelines.virtual.campaign.sweep import (
     task_key,
 )
 from pipelines.virtual.campaign.sweep_file import load_sweep
-from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.media import check_virtual_sources
 
 #: The runs that are over are kept this often.
 _KEEP_EVERY_S = 5.0

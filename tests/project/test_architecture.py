@@ -162,10 +162,8 @@ USERS_OF_SHELLS = {
     "pipelines/session/web_site.py": "the files of pages, and TLS",
     "pipelines/report/live.py": "the terminal, and the launcher's processes",
     "pipelines/report/seat_feed.py": "the launcher's processes",
-    "pipelines/virtual/inputs.py": "workers draw and play files",
     "pipelines/virtual/media.py": "starts workers",
     "pipelines/virtual/receivers.py": "workers decode",
-    "pipelines/virtual/replay.py": "workers decode",
     "pipelines/virtual/senders.py": "workers encode",
     "pipelines/virtual/mission.py": "subscribes to PUS",
     "pipelines/virtual/session.py": "starts workers",
@@ -300,7 +298,7 @@ LIBRARIES = {
     "pipelines/partner/description.py": ({"aiortc"}, "session descriptions as text"),
     "pipelines/partner/ice_servers.py": ({"aiortc", "hmac"}, "credentials from a secret"),
     "pipelines/partner/incoming.py": ({"aiortc"}, "the estimate of a rate"),
-    "pipelines/virtual/replay.py": ({"msgspec"}, "copies a part of the report"),
+    "pipelines/virtual/simulate.py": ({"msgspec"}, "copies a part of the report"),
     "pipelines/virtual/session.py": ({"msgspec"}, "copies a part of the report"),
 }
 

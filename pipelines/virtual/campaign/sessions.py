@@ -23,7 +23,7 @@ from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all
 from pipelines.virtual.campaign.pass_figures import Crash, Result, SessionTask
 from pipelines.virtual.campaign.places import Cluster
-from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.simulate import simulate
 
 #: Between two lines where they cannot be written over.
