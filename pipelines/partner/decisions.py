@@ -57,7 +57,6 @@ class Attempts:
         return True
 
     def handle_connected(self, now_ns: int) -> None:
-        """The connection stands, or stands again."""
         if self.doing is Doing.CONNECTING:
             self.stood += 1
             self._since_ns = now_ns
@@ -226,11 +225,9 @@ class PicturePlan:
         self.skipped = 0
 
     def handle_rate(self, bps: int) -> None:
-        """The encoder shall have this rate from now on."""
         self._bps = bps
 
     def handle_key_request(self) -> None:
-        """A partner needs a key picture."""
         self._key = True
 
     def handle_picture(self, now_ns: int) -> Coding | None:
@@ -268,7 +265,6 @@ class Wish(NamedTuple):
 
     @classmethod
     def unpack(cls, octets: bytes) -> Self:
-        """Return the wish that `pack` packed."""
         return cls(*_FORMAT.unpack(octets))
 
 
@@ -296,7 +292,6 @@ class UplinkWish:
         return wanted
 
     def handle_key_wanted(self) -> None:
-        """A partner needs a key picture."""
         self._keys += 1
 
     def handle_time(self, wish_bps: int | None, now_ns: int) -> None:

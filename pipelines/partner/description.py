@@ -117,7 +117,6 @@ class Offer:
 def wanted_line(
     kind: Kind, *, mid: str, ssrc: int, sends: bool = False, receives: bool = False
 ) -> MediaLine:
-    """Return a line to offer."""
     return MediaLine(
         mid=mid,
         kind=kind,

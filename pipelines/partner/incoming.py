@@ -121,7 +121,6 @@ class IncomingPicture(_Incoming):
 
     @property
     def figures(self) -> TrackFigures:
-        """The figures so far."""
         counts, asker = self.receiver.counts, self._asker
         return TrackFigures(
             packets=counts.rtp.rtp_packets,
@@ -164,7 +163,6 @@ class IncomingVoice(_Incoming):
 
     @property
     def figures(self) -> TrackFigures:
-        """The figures so far."""
         rtp = self.receiver.counts.rtp
         return TrackFigures(
             packets=rtp.rtp_packets, lost=rtp.rtp_lost, octets=rtp.rtp_payload_octets

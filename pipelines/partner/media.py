@@ -144,7 +144,6 @@ class RtcMedia:
                 self._handle_report(packet, now_ns)
 
     def handle_timeout(self, now_ns: int) -> None:
-        """Do what is due at `now_ns`."""
         for stream in self._streams():
             stream.handle_timeout(now_ns)
 
@@ -170,7 +169,6 @@ class RtcMedia:
         return min([one for one in due if one is not None] + [now_ns + _LONGEST_NS])
 
     def next_event(self) -> PictureCame | SoundCame | None:
-        """Return the next unit or block of the partner, or None."""
         if self.picture is not None and (unit := self.picture.receiver.next_event()) is not None:
             return PictureCame(unit, self.picture.receiver.capture_ns(unit.timestamp))
         if self.voice is not None and (block := self.voice.receiver.next_event()) is not None:
@@ -188,7 +186,6 @@ class RtcMedia:
 
     @property
     def figures(self) -> MediaFigures:
-        """The figures so far."""
         return MediaFigures(
             sent={kind: track.figures for kind, track in self.outgoing.items()},
             received={stream.line.kind: stream.figures for stream in self._streams()},

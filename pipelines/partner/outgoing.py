@@ -104,7 +104,6 @@ class OutgoingTrack:
 
     @property
     def ssrc(self) -> int:
-        """The SSRC of what is sent."""
         return self._rtp.ssrc
 
     def _drop_waiting(self) -> None:
@@ -192,7 +191,6 @@ class OutgoingTrack:
 
     @property
     def figures(self) -> TrackFigures:
-        """The figures so far."""
         history, reception = self._history, self._reader.figures
         return TrackFigures(
             packets=self._rtp.packets_sent,

@@ -87,7 +87,6 @@ class RtcPeer:
 
     @property
     def restarts(self) -> int:
-        """How often ICE was restarted."""
         return self._transport.restarts
 
     @property
@@ -102,7 +101,6 @@ class RtcPeer:
         return silent or self._transport.lost
 
     async def offer(self) -> str:
-        """Return the offer to send to the partner."""
         self._local = await self._transport.gather()
         kinds: list[Kind] = [
             kind for kind in ("audio", "video") if kind in self._sends or kind in self._receives
@@ -177,13 +175,11 @@ class RtcPeer:
         await self._transport.add_candidates(told.candidates, last=told.complete)
 
     def send_unit(self, unit: AccessUnit) -> None:
-        """Send an access unit."""
         if self.media is not None and self.connected:
             self.media.send_unit(unit, self._clock.now_ns())
             self._wake.set()
 
     def send_opus(self, opus: bytes, stamp: CaptureStamp) -> None:
-        """Send an Opus packet."""
         if self.media is not None and self.connected:
             self.media.send_opus(opus, stamp, self._clock.now_ns())
             self._wake.set()
@@ -289,12 +285,10 @@ class Programme:
         self.peers: set[RtcPeer] = set()
 
     def send_unit(self, unit: AccessUnit) -> None:
-        """Send an access unit to all."""
         for peer in self.peers:
             peer.send_unit(unit)
 
     def send_opus(self, opus: bytes, stamp: CaptureStamp) -> None:
-        """Send an Opus packet to all."""
         for peer in self.peers:
             peer.send_opus(opus, stamp)
 

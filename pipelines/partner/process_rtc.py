@@ -97,7 +97,6 @@ class _Leg:
         self._tally = Tally()
 
     async def run(self) -> None:
-        """Serve until the process shall end."""
         self._context.on_flush(self._tell)
         await self._server.start()
         self._uplink.open()
@@ -330,7 +329,6 @@ class _Partner:
         self._numbers, self._sounds = count(), count()
 
     def handle(self, event: PictureCame | SoundCame) -> None:
-        """Publish what has come."""
         now_ns = self._clock.now_ns()
         told_ns = event.capture_ns
         capture_ns = now_ns if told_ns is None else self._time.capture_ns(told_ns, now_ns)

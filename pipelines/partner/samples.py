@@ -71,11 +71,9 @@ class SamplePeer:
 
     @property
     def connected(self) -> bool:
-        """Whether samples can be sent."""
         return self._channel is not None and self._channel.readyState == "open"
 
     async def offer(self) -> str:
-        """Return the offer to send to the other end."""
         self._take(self._connection.createDataChannel(_LABEL, ordered=False, maxRetransmits=0))
         await self._connection.setLocalDescription(await self._connection.createOffer())
         return self._connection.localDescription.sdp
@@ -190,12 +188,10 @@ class SamplePorts:
         self._loop.add_reader(udp, forward)
 
     def leave(self) -> None:
-        """The partner is gone."""
         udp, self._from_robot = self._from_robot, None
         if udp is not None:
             self._loop.remove_reader(udp)
             udp.close()
 
     def handle(self, sample: bytes) -> None:
-        """A sample of the partner has come."""
         self._to_robot.send(sample)

@@ -92,7 +92,6 @@ class RtcServer:
         return [peer for peer in peers if isinstance(peer, RtcPeer)]
 
     async def start(self) -> None:
-        """Serve from now on."""
         application = web.Application(client_max_size=MOST_SDP_OCTETS)
         # One handler: the address tells a stranger nothing before the token is known.
         application.router.add_route("*", "/{path:.*}", self._answer)

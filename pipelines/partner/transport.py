@@ -275,7 +275,6 @@ class RtcTransport:
         return True
 
     async def close(self) -> None:
-        """End it."""
         await self._dtls.stop()
         self._path.close()
         await self._drop_next()

@@ -37,11 +37,9 @@ class Outbox(Generic[_Request]):
         self._waiting: OrderedDict[int, tuple[_Request, int, int]] = OrderedDict()
 
     def put(self, number: int, request: _Request, now_ns: int) -> None:
-        """Send this."""
         self._waiting[number] = request, 0, now_ns
 
     def handle_answer(self, number: int) -> None:
-        """The end has it."""
         self._waiting.pop(number, None)
 
     def poll_transmit(self, now_ns: int) -> _Request | None:
@@ -128,7 +126,6 @@ class CommandDesk:
         return self._outbox.poll_transmit(now_ns)
 
     def next_event(self) -> Answered | None:
-        """Return the next answer for a page, or None."""
         return self._events.popleft() if self._events else None
 
     def _settle(self, update: CommandUpdate) -> None:
@@ -174,7 +171,6 @@ class ChatLog:
 
     @property
     def text(self) -> ChatText:
-        """All lines that are kept."""
         return ChatText(lines=tuple(self._lines))
 
     def handle_said(self, sender: ChatRole, text: str, now_ns: int) -> str:

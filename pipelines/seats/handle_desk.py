@@ -178,19 +178,16 @@ class JoystickDesk:
         self._events: deque[Answered] = deque()
 
     def handle_request(self, page: int, request: int, event: JoystickEvent) -> None:
-        """A page asks for something."""
         if len(self._waiting) >= _MOST_WAITING:
             self._events.append(Answered(page, request, "too many commands wait"))
         else:
             self._waiting.append(_Waiting(page, request, event))
 
     def handle_status(self, status: JoystickStatus) -> None:
-        """The joystick has told its state."""
         if self._open is not None and status.answered == self._number:
             self._answer(status.refusal)
 
     def handle_timeout(self, now_ns: int) -> None:
-        """Time has passed."""
         if self._open is not None and now_ns >= self._until_ns:
             self._answer("the joystick does not answer")
 
@@ -204,7 +201,6 @@ class JoystickDesk:
         return HandRequest(self._number, self._open.event)
 
     def next_event(self) -> Answered | None:
-        """Return the next answer for a page, or None."""
         return self._events.popleft() if self._events else None
 
     def _answer(self, error: str) -> None:

@@ -139,11 +139,9 @@ class MissionDesk:
         return self._commands.poll_transmit(now_ns) or self._chat.poll_transmit(now_ns)
 
     def next_event(self) -> Answered | None:
-        """Return the next answer for a page, or None."""
         return self._commands.next_event()
 
     def poll_texts(self) -> dict[str, str]:
-        """Return by kind what changed."""
         fresh = {}
         for kind in sorted(self._changed):
             maker = self._makers.get(kind)

@@ -80,7 +80,6 @@ class Lane:
         return len(self._replay) + len(self._units)
 
     def put_replay(self, messages: Iterable[bytes]) -> None:
-        """Open the gate with these messages."""
         self._clear()
         self._replay.extend(messages)
         self.open = self._begun = True
@@ -103,7 +102,6 @@ class Lane:
         self._octets += len(message)
 
     def pop(self) -> bytes | None:
-        """Return the next message, or None."""
         if self._replay:
             return self._replay.popleft()
         if not self._units:
@@ -140,7 +138,6 @@ class ClientQueue:
         self._previews: dict[int, bytes] = {}
 
     def __len__(self) -> int:
-        """Messages that wait."""
         lines: list[Sequence[Message] | Lane | dict[int, bytes] | dict[str, str]] = [
             *(self._answers, self._pongs, self._figures, self._newest, self._previews),
             *self._lanes.values(),
@@ -155,7 +152,6 @@ class ClientQueue:
         return self.sound_left_out + sum(lane.left_out for lane in self._lanes.values())
 
     def lane(self, stream: int) -> Lane:
-        """The lane of a picture."""
         return self._lanes[stream]
 
     def closed_lanes(self) -> Iterator[int]:

@@ -86,7 +86,6 @@ class OwnInputs:
         return {each.name: self._owners.get(index) for index, each in self._inputs.items()}
 
     def handle_opened(self, link: int, role: Role) -> None:
-        """A socket was opened."""
         self._links[link] = _Link(role)
 
     def handle_closed(self, link: int) -> None:

@@ -65,12 +65,10 @@ class SeatStream:
 
     @property
     def index(self) -> int:
-        """The stream's number in messages."""
         return self.text.index
 
     @property
     def via(self) -> Via:
-        """How pages get it."""
         return self.text.via
 
 

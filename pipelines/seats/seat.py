@@ -116,7 +116,6 @@ class Seat:
 
     @property
     def watching(self) -> int:
-        """How many pages are open."""
         return len(self._pages)
 
     @property
@@ -184,13 +183,11 @@ class Seat:
         return message
 
     def next_event(self) -> SeatEvent | None:
-        """Return what is to be done, or None."""
         return self._events.popleft() if self._events else None
 
     # What pages send
 
     def handle_message(self, number: int, data: bytes, now_ns: int) -> None:
-        """A page has sent octets."""
         page = self._pages[number]
         message = parse_seat_message(data, now_ns)
         if isinstance(message, Ping):
@@ -205,7 +202,6 @@ class Seat:
             self._events.append(hand)
 
     def handle_text(self, number: int, text: str, now_ns: int) -> None:
-        """A page has sent a text."""
         page = self._pages[number]
         if not page.texts.handle_message(now_ns):
             raise ProtocolError("too many requests")
@@ -255,7 +251,6 @@ class Seat:
     # What topics and the launcher tell
 
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
-        """The joystick's state."""
         told = texts.JoystickText(
             state=JoystickState(status.state).words,
             reason=status.reason,
@@ -286,7 +281,6 @@ class Seat:
         self.mission.handle_shown(kind, shown)
 
     def handle_camera(self, camera: str, now_ns: int) -> None:
-        """The selected camera."""
         if camera != self.camera:
             self.camera = camera
             self._tell_state(now_ns)

@@ -66,7 +66,6 @@ class SeatDeeds:
         }
 
     def do(self) -> None:
-        """Do all that the seat has decided."""
         while (event := self._seat.next_event()) is not None:
             match event:
                 case PageInput():

@@ -44,7 +44,6 @@ class SeatMedia:
         return list(self._histories)
 
     def handle_unit(self, stream: int, unit: CodedUnit, stamp: CaptureStamp, now_ns: int) -> None:
-        """An access unit of a stream."""
         history = self._histories[stream]
         kept = history.handle_unit(unit, stamp, now_ns)
         if kept is None or not self._pages:
@@ -87,7 +86,6 @@ class SeatMedia:
         }
 
     def handle_sound(self, stream: int, samples: bytes, stamp: CaptureStamp) -> None:
-        """A block of sound of a stream."""
         message = pack_sound(
             stream,
             stamp.sequence,
@@ -99,13 +97,11 @@ class SeatMedia:
             page.queue.put_sound(stream, message)
 
     def handle_haptics(self, end: int, block: bytes) -> None:
-        """A block of haptic samples of an end."""
         message = pack_haptic(end, rows_of(block))
         for page in self._seeing():
             page.queue.put_haptics(end, message)
 
     def handle_preview(self, preview: int, picture: I420, stamp: CaptureStamp) -> None:
-        """A small picture of an input."""
         message = pack_preview(preview, stamp.capture_ns // NS_PER_US, picture)
         for page in self._seeing():
             page.queue.put_preview(preview, message)

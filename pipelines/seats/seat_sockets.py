@@ -33,7 +33,6 @@ class SeatSockets:
         self._open: set[SeatSocket] = set()
 
     def __len__(self) -> int:
-        """Sockets that are open."""
         return len(self._open)
 
     async def open(self, request: web.BaseRequest, most_octets: int) -> "SeatSocket":

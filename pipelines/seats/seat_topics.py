@@ -69,7 +69,6 @@ class KeyPictures:
         self._fetch_filmed()
 
     def close(self) -> None:
-        """Leave all topics."""
         for feed in (*self._decoded.values(), *(feed for _, feed, _ in self._filmed.values())):
             feed.close()
         self._maker.close()
@@ -195,7 +194,6 @@ class SeatTopics:
             )
 
     def open(self) -> None:
-        """Read what is read always."""
         for feed in self._always:
             feed.open()
 
@@ -215,7 +213,6 @@ class SeatTopics:
                 handle(told, now_ns)
 
     def close(self) -> None:
-        """Leave all topics."""
         for feed in (*self._always, *self._live):
             feed.close()
 

@@ -288,7 +288,6 @@ class PassText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def pack_text(text: msgspec.Struct | dict[str, object]) -> str:
-    """Return a text as JSON."""
     return _ENCODER.encode(text).decode()
 
 

@@ -108,7 +108,6 @@ class Telling:
         return list(self._probes)
 
     def probe(self, process: str) -> Probe:
-        """The probe of a new process."""
         probe = self._probes[process] = Probe()
         return probe
 

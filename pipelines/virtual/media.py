@@ -155,7 +155,6 @@ class Stereo:
     def handle_picture(
         self, picture: Picture, stamp: CaptureStamp, now_ns: int, *, right: bool
     ) -> None:
-        """One of the two cameras has a picture."""
         handle = self._pairer.handle_right if right else self._pairer.handle_left
         # The pairer reads stamps only, so a Shot can stand in for a picture.
         handle(VideoFrame(cast(I420, picture[0]), stamp), now_ns)
@@ -177,7 +176,6 @@ class Stereo:
             self._show((left, right), pair.stamp, now_ns)
 
     def tell(self) -> None:
-        """Put the counters into the probe."""
         pairer = self._pairer
         self._probe.tell(StereoFigures(paired=pairer.paired, single=pairer.single))
 
@@ -327,7 +325,6 @@ class Media:
         self._receivers.append(receiver)
 
     def _display(self, stream: str) -> Display:
-        """The display that shows `stream`."""
         telling, topology = self._scene.telling, self._scene.topology
         name = topology.media(stream).display
         if name not in self._displays:

@@ -34,7 +34,6 @@ class Display:
         self.probe = showing.probe
 
     def handle_shown(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
-        """A picture or a block of sound is shown."""
         self._showing.handle_shown(stream, stamp, now_ns)
         self._draw()
 
@@ -73,16 +72,13 @@ class _ReceiveProcess(Generic[_Receiver]):
         scene.telling.add(self.tell)
 
     def tell(self) -> None:
-        """Put the counters into the probe."""
         self._probe.tell(self._receiver.counts)
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
-        """An RTP packet comes out of the link."""
         self._receiver.handle_packet(datagram, now_ns)
         self._drain(now_ns)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> None:
-        """An RTCP packet comes out of the link."""
         self._receiver.handle_report(datagram, now_ns)
         self._drain(now_ns)
 
@@ -117,7 +113,6 @@ class VideoReceiveProcess(_ReceiveProcess[VideoReceiver]):
         self._counts = DecoderCounts()
 
     def tell(self) -> None:
-        """Put the counters into the probe."""
         super().tell()
         self._probe.tell(self._counts)
 

@@ -45,7 +45,6 @@ class _SendProcess(Generic[_Sender]):
         scene.telling.add(self.tell)
 
     def tell(self) -> None:
-        """Put the counters into the probe."""
         tell_sender(self._probe, self._sender)
 
     def _wake(self, now_ns: int) -> None:
@@ -67,11 +66,9 @@ class VideoProcess(_SendProcess[VideoSender]):
         self.handle_feedback = sender.handle_feedback
 
     def tell(self) -> None:
-        """Put the counters into the probe."""
         tell_sender(self._probe, self._sender, self._linked.gain)
 
     def handle_unit(self, unit: AccessUnit, now_ns: int) -> None:
-        """A recorded unit is due."""
         self._sender.handle_coded(unit, now_ns)
         self._send_due(now_ns)
 
@@ -187,7 +184,6 @@ class VoiceProcess(_SendProcess[VoiceSender]):
         super().__init__(scene, stream.name, sender, gateway)
 
     def handle_packet(self, opus: bytes, stamp: CaptureStamp, now_ns: int) -> None:
-        """A recorded packet is due."""
         if self._sender.handle_block(stamp, now_ns):
             self._sender.handle_packet(opus, stamp, now_ns)
         self._send_due(now_ns)

@@ -298,7 +298,6 @@ class Simulation:
         return self.setup.hand == "mediated"
 
     def _make_ends(self) -> tuple[HapticEnd, HapticEnd]:
-        """Robot and joystick."""
         up = self.topology.haptic("up")
         deadband, mediated = self.setup.deadband != "off", self._mediated
         #: The joystick in a hand; None for the one that taps targets.

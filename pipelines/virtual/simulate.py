@@ -241,11 +241,9 @@ class _Tally:
         self._receiver = receiver
 
     def handle_unit(self, unit: ReceivedUnit) -> None:
-        """A unit came."""
         self._came[_normal(unit.data)] += 1
 
     def report(self) -> ReplayedStream:
-        """What became of the stream."""
         quality = np.array(self._receiver.quality_db)
         recorded = self._recorded
         known = len(quality) > 0

@@ -50,7 +50,6 @@ class Job:
         return self._result
 
     def set(self, result: Any) -> None:
-        """Store the coder's result."""
         self._result, self._done = result, True
 
 
@@ -90,7 +89,6 @@ class Worker:
         return waiting
 
     def receive(self) -> None:
-        """Wait for the next result."""
         try:
             # Unpickling is safe: only our own process writes to this pipe.
             fault, result = pickle.loads(self._link.recv_bytes())
@@ -101,7 +99,6 @@ class Worker:
         self._open.popleft().set(result)
 
     def close(self) -> None:
-        """End the process."""
         self._link.close()
         self._process.join(5)
         if self._process.is_alive():
@@ -121,7 +118,6 @@ class Batch:
         self._results: deque[Any] = deque()
 
     def submit(self, job: Any) -> None:
-        """Add `job` to the present batch."""
         self._jobs.append(job)
         if len(self._jobs) == _BATCH:
             self._begin()

@@ -96,7 +96,6 @@ def in_order(run: Run) -> bool:
 
 
 def task_faults(tasks: TaskRunFigures) -> list[str]:
-    """What is wrong with the tasks of a session, a word or two each."""
     found = []
     if not any(run.result == TaskResult.FINISHED for run in tasks.runs):
         found.append("no task finished")
@@ -217,7 +216,6 @@ def run_figures(task: SessionTask, key: str, report: JsonReader, keys: Sequence[
 
 
 def crashed(task: SessionTask, key: str, crash: Crash) -> RunFigures:
-    """A run without a report."""
     return RunFigures(
         key=key, seed=task.seed, faults=tuple(faults(crash)), figures={}, error=crash.error
     )

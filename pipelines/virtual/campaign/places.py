@@ -221,7 +221,6 @@ def processors() -> int:
 
 
 def add_place_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--jobs` and `--cluster`."""
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="runs at a time (default: one for each processor)"
     )

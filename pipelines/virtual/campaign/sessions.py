@@ -104,7 +104,6 @@ class _Session:
         return report
 
     def close(self) -> None:
-        """Close its input, which ends it."""
         assert self.process.stdin is not None
         with suppress(BrokenPipeError):
             self.process.stdin.close()

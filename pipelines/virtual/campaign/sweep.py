@@ -47,7 +47,6 @@ class Sweep:
 
     @property
     def figures(self) -> list[str]:
-        """The names of all figures."""
         tasks = task_names(None if self.plan is None else self.plan[0])
         return [*(figure.name for figure in FIGURES), *tasks, *self.keys]
 

@@ -173,7 +173,6 @@ def _built(setup: str, values: Mapping[str, object]) -> Setup:
 
 
 def _inputs(table: Mapping[str, Any]) -> set[str]:
-    """The inputs of a setup's table."""
     others = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
     # What is no list is refused when the setup is built.
     cameras = found if isinstance(found := table.get("cameras"), list | tuple) else ()
