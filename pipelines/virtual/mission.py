@@ -1,8 +1,7 @@
 """PUS and tasks on virtual time: experimenter and robot below, panel and cosmonaut above."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
-from random import Random
 
 from kontur_av.clock import NS_PER_S
 from pipelines.hand.hand_topics import JoystickStatus, unpack_status
@@ -24,14 +23,14 @@ from pipelines.mission.tmtc_messages import (
 )
 from pipelines.mission.tmtc_sources import SAMPLE_NS, GatewaySource, JoystickSource, RobotSource
 from pipelines.session.setup.segments import Segment
-from pipelines.session.setup.table import Setup
 from pipelines.session.task_journal import LinkMeanwhile
-from pipelines.virtual.agenda import Agenda, Timer
+from pipelines.session.topology import TELECOMMAND, TELEMETRY
+from pipelines.virtual.agenda import Timer
+from pipelines.virtual.workers import Scene
 from telepresence.haptics.bilateral import Handle
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.joystick import Joystick
 from telepresence.haptics.sample import STATE_HALTED
-from telepresence.link.gateway import Gateway
 from telepresence.link.supervision.message import LinkState
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut
 from telepresence.tasks.definitions import Catalogue
@@ -42,7 +41,6 @@ from telepresence.tasks.plan import SessionPlan
 from telepresence.tmtc.k2aci import K2aciMessage
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.packets import COUNT_MODULUS
-from telepresence.world import WorldState
 
 #: Takes news of a segment, with the instant.
 TakeNews = Callable[[TmtcNews, int], object]
@@ -51,7 +49,6 @@ TakeNews = Callable[[TmtcNews, int], object]
 class SimulatedTmtc:
     """The TM/TC ends of a simulation, by segment.
 
-    send: gives a packet of a segment to its gateway. state_at: the newest state of the robot.
     robot: its controller; None: there is none, and nobody carries out its functions.
     handle: of the joystick; None: there is none, and nobody carries out its functions.
     silent: send nothing, because a recording has the packets.
@@ -59,24 +56,20 @@ class SimulatedTmtc:
 
     def __init__(
         self,
-        setup: Setup,
-        agenda: Agenda,
+        scene: Scene,
         *,
-        send: Mapping[Segment, Callable[[bytes, int], object]],
-        gateways: Mapping[Segment, Gateway],
-        state_at: Callable[[int], WorldState],
         robot: RobotDesk | None,
         handle: Handle | None,
-        random: Random,
-        now_ns: int,
         silent: bool = False,
     ) -> None:
-        self._agenda = agenda
-        self._send = send
-        self._gateways = gateways
-        self._state_at = state_at
-        self._handle = handle
-        self._silent = silent
+        setup, now_ns, random = scene.setup, scene.start_ns, scene.random("tmtc")
+        self._agenda, self._gateways, self._state_at = scene.agenda, scene.gateways, scene.state_at
+        streams = {Segment.GROUND: TELEMETRY, Segment.SPACE: TELECOMMAND}
+        self._send = {
+            segment: partial(gateway.handle_datagram, streams[segment])
+            for segment, gateway in scene.gateways.items()
+        }
+        self._handle, self._silent = handle, silent
         self._takers: dict[Segment, list[TakeNews]] = {segment: [] for segment in Segment}
         self.ends = {
             segment: TmtcEnd(
@@ -89,7 +82,9 @@ class SimulatedTmtc:
             )
             for segment in Segment
         }
-        self._timers = {segment: Timer(agenda, partial(self._work, segment)) for segment in Segment}
+        self._timers = {
+            segment: Timer(scene.agenda, partial(self._work, segment)) for segment in Segment
+        }
         self._sources = {
             segment: GatewaySource(end, f"{segment.value}_gateway")
             for segment, end in self.ends.items()
@@ -101,7 +96,7 @@ class SimulatedTmtc:
         if isinstance(handle, OperatedHandle):
             self._teller = JoystickStatusTeller(handle)
             self._teller.handle_watched(watched=True)
-        agenda.at(now_ns + SAMPLE_NS, self._sample)
+        scene.agenda.at(now_ns + SAMPLE_NS, self._sample)
 
     def subscribe(self, segment: Segment, take: TakeNews) -> None:
         """Call `take` with all news of a segment from now on."""
@@ -198,21 +193,20 @@ class SimulatedMission:
         plan: SessionPlan,
         catalogue: Catalogue,
         cosmonaut: Cosmonaut,
+        scene: Scene,
         *,
         robot: RobotDesk,
         joystick: JoystickEnd,
-        gateways: dict[Segment, Gateway],
         tmtc: SimulatedTmtc,
         choice: CameraChoice,
         select: Callable[[str, int], None],
-        agenda: Agenda,
-        now_ns: int,
     ) -> None:
+        now_ns, agenda = scene.start_ns, scene.agenda
         self._ground = MissionGround(catalogue, plan, now_ns=now_ns)
         self._panel = MissionPanel()
         self._cosmonaut = cosmonaut
         self._robot, self._joystick = robot, joystick.side
-        self._gateways, self._tmtc = gateways, tmtc
+        self._gateways, self._tmtc = scene.gateways, tmtc
         self._choice, self._select = choice, select
         self._agenda = agenda
         self._leds = LedPanel()

@@ -7,7 +7,6 @@ and the simulation waits for them only when figures are reported (`settle`).
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from random import Random
 from typing import Generic, TypeVar
 
 from kontur_av.codecs.h264 import DecoderCounts
@@ -95,7 +94,7 @@ class VideoReceiveProcess(_ReceiveProcess[VideoReceiver]):
     def __init__(
         self, scene: Scene, stream: VideoStream, display: Display, make: Callable[[], Coder]
     ) -> None:
-        ssrc = Random(f"{scene.seed} {stream.name} receiver").getrandbits(32)
+        ssrc = scene.random(f"{stream.name} receiver").getrandbits(32)
         receiver = video_receiver(stream, ssrc=ssrc, wall_offset_ns=WALL_OFFSET_NS)
         super().__init__(scene, stream.name, receiver, display, make)
         row = scene.topology.video(stream.name)

@@ -129,7 +129,18 @@ class Simulation:
         self._samples_down: list[bytes] = []
         ground_end, space_end = self._gateway(Segment.GROUND), self._gateway(Segment.SPACE)
         self._ground, self._space = ground_end.gateway, space_end.gateway
-        self._gateways = {Segment.GROUND: self._ground, Segment.SPACE: self._space}
+        scene = self._scene = Scene(
+            setup=setup,
+            topology=self.topology,
+            costs=self._costs,
+            seed=seed,
+            agenda=agenda,
+            telling=telling,
+            workers=workers,
+            gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
+            state_at=self._state_at,
+            start_ns=start_ns,
+        )
         self._slots_of = [ground_end.slots, space_end.slots]
         # When the next frame arrives: asked twice a slot, so without a detour.
         self._up_timeout = self._ground.radio.poll_timeout
@@ -151,18 +162,9 @@ class Simulation:
         telling.add(self._choice.tell)
         end = self._joystick
         self.tmtc = tmtc = SimulatedTmtc(
-            setup,
-            agenda,
-            send={
-                Segment.GROUND: partial(self._ground.handle_datagram, TELEMETRY),
-                Segment.SPACE: partial(self._space.handle_datagram, TELECOMMAND),
-            },
-            gateways=self._gateways,
-            state_at=self._state_at,
+            scene,
             robot=self.robot_desk,
             handle=end.side.handle if isinstance(end, JoystickEnd) else None,
-            random=self._random("tmtc"),
-            now_ns=start_ns,
             silent=self._recorded,
         )
         telling.add(partial(tmtc.ends[Segment.GROUND].tell, ground_probe))
@@ -174,21 +176,7 @@ class Simulation:
         self.answers: dict[int, CommandUpdate] = {}
         for number, selection in enumerate(selections):
             agenda.at(selection.instant_ns, partial(self._select, number, selection.camera))
-        self._media: Media | None = None
-        if media:
-            scene = Scene(
-                setup=setup,
-                topology=self.topology,
-                costs=self._costs,
-                seed=seed,
-                agenda=agenda,
-                telling=telling,
-                workers=workers,
-                gateways=self._gateways,
-                state_at=self._state_at,
-                start_ns=start_ns,
-            )
-            self._media = self._make_media(scene)
+        self._media = self._make_media(scene) if media else None
         self._consumers: dict[str, Consumer] = {
             **(self._media.consumers if self._media else {}),
             TELECOMMAND: partial(tmtc.handle_packet, Segment.GROUND),
@@ -205,14 +193,12 @@ class Simulation:
             plan,
             catalogue,
             cosmonaut,
+            self._scene,
             robot=robot,
             joystick=joystick,
-            gateways=self._gateways,
             tmtc=self.tmtc,
             choice=self._choice,
             select=self._select_below,
-            agenda=self._agenda,
-            now_ns=self.start_ns,
         )
 
     def run(self, until_ns: int) -> None:

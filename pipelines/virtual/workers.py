@@ -179,9 +179,13 @@ class Scene:
         """The gateway into which a stream goes."""
         return self.gateways[self.topology.media(stream).direction.sender]
 
+    def random(self, what: str) -> Random:
+        """The random numbers of one part, the same with the same seed."""
+        return Random(f"{self.seed} {what}")
+
     def identity(self, stream: str) -> RtpIdentity:
         """The numbers of a stream's RTP packets."""
-        return RtpIdentity.draw(Random(f"{self.seed} {stream}").getrandbits)
+        return RtpIdentity.draw(self.random(stream).getrandbits)
 
 
 def _work(make: Callable[[], Coder], link: Connection, others: list[Connection]) -> None:
