@@ -295,6 +295,8 @@ def _read_section(media: MediaDescription, ssrcs: dict[Kind, int]) -> MediaLine 
     receives = direction in ("sendonly", "sendrecv")
     if codec is None or codec.payloadType is None or not (sends or receives):
         return None
+    given = codec.parameters.items()
+    fmtp = ";".join(name if value is None else f"{name}={value}" for name, value in given)
     # A port of 0 rejects a section, unless it is bundled with one that has a port.
     return MediaLine(
         mid=media.rtp.muxId,
@@ -308,7 +310,7 @@ def _read_section(media: MediaDescription, ssrcs: dict[Kind, int]) -> MediaLine 
         ),
         ssrc=ssrcs.get(kind, 0),
         peer_ssrc=media.ssrc[0].ssrc if media.ssrc else None,
-        fmtp=_fmtp_of(codec),
+        fmtp=fmtp,
     )
 
 
@@ -382,12 +384,6 @@ def _bare(kind: str, profile: str, formats: list[Any], transport: Transport) -> 
         role=transport.role,
     )
     return media
-
-
-def _fmtp_of(codec: RTCRtpCodecParameters) -> str:
-    return ";".join(
-        name if value is None else f"{name}={value}" for name, value in codec.parameters.items()
-    )
 
 
 def _feedback(text: str) -> RTCRtcpFeedback:

@@ -99,12 +99,14 @@ class _Leg:
     async def run(self) -> None:
         self._context.on_flush(self._tell)
         await self._server.start()
-        self._uplink.open()
-        self._downlink.open()
+        feeds = (*self._uplink.feeds, *self._downlink.feeds)
+        for feed in feeds:
+            feed.open()
         try:
             await self._serving.run()
         finally:
-            self._uplink.close()
+            for feed in feeds:
+                feed.close()
             self._downlink.close()
             await self._server.close()
 
@@ -170,22 +172,14 @@ class _Uplink:
     ) -> None:
         self._clock = context.clock
         sends: dict[Kind, int] = {"video": leg.video_bps}
-        self._feeds = [Feed(loop, bus, RTC_VIDEO_TOPIC, self._unit, depth=_DEPTH)]
+        self.feeds = [Feed(loop, bus, RTC_VIDEO_TOPIC, self._unit, depth=_DEPTH)]
         if context.setup.uplink_voice is not None:
             sends["audio"] = leg.voice_bps
-            self._feeds.append(Feed(loop, bus, RTC_SPEECH_TOPIC, self._packet, depth=_DEPTH))
+            self.feeds.append(Feed(loop, bus, RTC_SPEECH_TOPIC, self._packet, depth=_DEPTH))
         self.programme = Programme(UPLINK, sends=sends, want_key=lambda _: self._want_key())
         self.wish = UplinkWish(most_bps=leg.video_bps)
         self._wishes = bus.writer(RTC_WISH_TOPIC, max_octets=WISH_OCTETS)
         self._numbers = count()
-
-    def open(self) -> None:
-        for feed in self._feeds:
-            feed.open()
-
-    def close(self) -> None:
-        for feed in self._feeds:
-            feed.close()
 
     def handle_time(self) -> None:
         """Follow the partners' wishes, and tell the coding process, also one that began since."""
@@ -223,7 +217,7 @@ class _Downlink:
     def __init__(self, context: Context, bus: TopicBus, loop: asyncio.AbstractEventLoop) -> None:
         setup, self._clock, self._loop, self._bus = context.setup, context.clock, loop, bus
         sends: dict[Kind, int] = {}
-        self._feeds: list[Feed] = []
+        self.feeds: list[Feed] = []
         self._decoded_topic = ""
         for stream in (setup.downlink_video, setup.downlink_voice):
             if stream is None:
@@ -232,7 +226,7 @@ class _Downlink:
             video = isinstance(stream, VideoStream)
             sends["video" if video else "audio"] = stream.cap_bps
             handle = self._unit if video else self._packet
-            self._feeds.append(Feed(loop, bus, row.coded_topic, handle, depth=_DEPTH))
+            self.feeds.append(Feed(loop, bus, row.coded_topic, handle, depth=_DEPTH))
             if isinstance(row, VideoRow):
                 self._decoded_topic = row.decoded_topic
         self.programme = Programme(DOWNLINK, sends=sends, want_key=self._want_key)
@@ -242,13 +236,7 @@ class _Downlink:
         self._maker = KeyPictureMaker()
         self._coding: asyncio.Future[bytes] | None = None
 
-    def open(self) -> None:
-        for feed in self._feeds:
-            feed.open()
-
     def close(self) -> None:
-        for feed in self._feeds:
-            feed.close()
         self._forget_pictures()
         self._maker.close()
 

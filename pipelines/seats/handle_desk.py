@@ -99,12 +99,9 @@ class HandGate:
     """Passes the inputs of the page that holds the handle, with numbers of its own.
 
     Call `poll_release` after each change of the holder: the handle is let go when it changes hands.
-
-    passed, refused: inputs of the holder that were passed, and all others.
     """
 
     def __init__(self, ownership: HandleOwnership) -> None:
-        self.passed = self.refused = 0
         self._ownership = ownership
         self._holder: int | None = None
         self._held = False
@@ -118,7 +115,6 @@ class HandGate:
         its place is not from -1 to 1.
         """
         if not self._ownership.may_move(page):
-            self.refused += 1
             return None
         if page != self._holder:
             released = self.poll_release(hand.received_ns)
@@ -130,11 +126,9 @@ class HandGate:
         ahead = 1 if newest is None else (hand.sequence - newest) % _SEQUENCES
         # A NaN fails the comparisons, too.
         if not (0 < ahead < _SEQUENCES // 2 and -1.0 <= hand.x <= 1.0 and -1.0 <= hand.y <= 1.0):
-            self.refused += 1
             return None
         self._newest = hand.sequence
         self._held = hand.dead_man
-        self.passed += 1
         return self._numbered(hand)
 
     def poll_release(self, now_ns: int) -> PageInput | None:

@@ -18,7 +18,7 @@ A replay is as long as the history from which it is taken, and there is one at a
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -130,7 +130,7 @@ class ClientQueue:
         self._lanes = {index: Lane() for index in lanes}
         self._answers: deque[str] = deque()
         self._pongs: deque[bytes] = deque(maxlen=_MOST_PONGS)
-        self._state: str | None = None
+        self._state: deque[str] = deque(maxlen=1)
         self._newest: dict[str, str] = {}
         self._figures: deque[str] = deque(maxlen=_MOST_FIGURES)
         self._haptics: dict[int, deque[bytes]] = {}
@@ -138,13 +138,13 @@ class ClientQueue:
         self._previews: dict[int, bytes] = {}
 
     def __len__(self) -> int:
-        lines: list[Sequence[Message] | Lane | dict[int, bytes] | dict[str, str]] = [
-            *(self._answers, self._pongs, self._figures, self._newest, self._previews),
-            *self._lanes.values(),
-            *self._haptics.values(),
-            *self._sounds.values(),
-        ]
-        return sum(len(line) for line in lines) + (self._state is not None)
+        others = len(self._newest) + len(self._figures) + len(self._previews)
+        return others + sum(map(len, self._urgent)) + sum(map(len, self._lanes.values()))
+
+    @property
+    def _urgent(self) -> list[deque[bytes] | deque[str]]:
+        blocks = (*self._sounds.values(), *self._haptics.values())
+        return [self._pongs, self._answers, self._state, *blocks]
 
     @property
     def units_left_out(self) -> int:
@@ -169,7 +169,7 @@ class ClientQueue:
         self._pongs.append(message)
 
     def put_state(self, text: str) -> None:
-        self._state = text
+        self._state.append(text)
 
     def put_newest(self, kind: str, text: str) -> None:
         """A text that holds all that is known of its kind."""
@@ -193,16 +193,9 @@ class ClientQueue:
 
     def pop(self) -> Message | None:
         """Return the next message, the most urgent first; None if nothing waits."""
-        if self._pongs:
-            return self._pongs.popleft()
-        if self._answers:
-            return self._answers.popleft()
-        if self._state is not None:
-            state, self._state = self._state, None
-            return state
-        for blocks in (*self._sounds.values(), *self._haptics.values()):
-            if blocks:
-                return blocks.popleft()
+        for line in self._urgent:
+            if line:
+                return line.popleft()
         for lane in self._lanes.values():
             if (unit := lane.pop()) is not None:
                 return unit

@@ -102,7 +102,7 @@ class OwnInputs:
         if one.role is Role.VIEWER:
             error = VIEWER_WORDS
         else:
-            error = self._take(link, request.name) if request.on else self._give(link, request.name)
+            error = self._settle(link, request.name, on=request.on)
         return pack_text(AnswerText(request=request.request, ok=not error, error=error))
 
     def handle_message(self, link: int, data: bytes, now_ns: int) -> bytes | Given | None:
@@ -133,19 +133,14 @@ class OwnInputs:
             link.media[given.index] = MessageRate(hz, burst)
         return link.media[given.index]
 
-    def _find(self, name: str) -> int | None:
-        return next((index for index, one in self._inputs.items() if one.name == name), None)
-
-    def _take(self, link: int, name: str) -> str:
-        index = self._find(name)
-        if index is None:
-            return f"{name}: no page can give this input here"
-        if self._owners.setdefault(index, link) != link:
-            return f"{name}: another page has it"
-        return ""
-
-    def _give(self, link: int, name: str) -> str:
-        index = self._find(name)
+    def _settle(self, link: int, name: str, *, on: bool) -> str:
+        """Take an input over, or give it back; return why not, or ""."""
+        index = next((index for index, one in self._inputs.items() if one.name == name), None)
+        if on:
+            if index is None:
+                return f"{name}: no page can give this input here"
+            mine = self._owners.setdefault(index, link) == link
+            return "" if mine else f"{name}: another page has it"
         if index is None or self._owners.get(index) != link:
             return f"{name}: this page does not have it"
         del self._owners[index]

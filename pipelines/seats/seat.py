@@ -301,10 +301,6 @@ class Seat:
 
     # Time
 
-    def poll_timeout(self) -> int | None:
-        """When `handle_time` is due; None while nobody looks."""
-        return self._due_ns if self._pages else None
-
     def handle_time(self, now_ns: int) -> None:
         """Send the heartbeat if it is due."""
         self._desk.handle_timeout(now_ns)

@@ -5,7 +5,7 @@ import socket
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 
-from aiohttp import WSMessage, WSMsgType, web
+from aiohttp import WSMsgType, web
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
@@ -93,7 +93,9 @@ class SeatSocket:
     async def receive(self, take: Take) -> None:
         """Pass messages on until the socket is closed. ProtocolError for garbage."""
         async for message in self.ws:
-            take(_data_of(message))
+            if message.type not in (WSMsgType.BINARY, WSMsgType.TEXT):
+                raise ProtocolError("no message of a page")
+            take(message.data)
 
     async def send(self, next_message: Callable[[], Awaitable[Message]]) -> None:
         """Send what `next_message` returns, as fast as the page takes it, until it is gone."""
@@ -125,10 +127,3 @@ class SeatSocket:
             async with asyncio.timeout(_CLOSE_S):
                 # A close frame has room for 123 octets of reason (RFC 6455 section 5.5).
                 await self.ws.close(code=code, message=words.encode()[:120])
-
-
-def _data_of(message: WSMessage) -> Message:
-    if message.type not in (WSMsgType.BINARY, WSMsgType.TEXT):
-        raise ProtocolError("no message of a page")
-    data: Message = message.data
-    return data

@@ -83,8 +83,11 @@ class KeyPictures:
         for index, topic in wanted.items():
             if index not in self._filmed:
                 kept: deque[tuple[int, I420]] = deque(maxlen=_FILMED)
-                feed = self._feed(topic, partial(_keep, kept), depth=_DEPTH)
+                feed = self._feed(topic, partial(self._keep, kept), depth=_DEPTH)
                 self._filmed[index] = topic, feed, kept
+
+    def _keep(self, kept: deque[tuple[int, I420]], lease: Lease) -> None:
+        kept.append((lease.stamp.capture_ns, lease.video().data.copy()))
 
     def _feed(self, topic: str, handle: Callable[[Lease], None], *, depth: int) -> Feed:
         feed = Feed(self._serving.loop, self._bus, topic, handle, depth=depth)
@@ -106,10 +109,6 @@ class KeyPictures:
         self._coding.discard(stream)
         taken(key)
         self._settle()
-
-
-def _keep(kept: deque[tuple[int, I420]], lease: Lease) -> None:
-    kept.append((lease.stamp.capture_ns, lease.video().data.copy()))
 
 
 #: As many news of telecommands and telemetry as their topic keeps.

@@ -10,7 +10,7 @@ from pipelines.report.collector import Collector
 from pipelines.session.probe import Probe
 
 #: Called with the instant at which it is due.
-Action = Callable[[int], None]
+Action = Callable[[int], object]
 
 FAR_NS = 1 << 62
 #: The instants of virtual time are Unix times.

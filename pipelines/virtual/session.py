@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from random import Random
-from typing import Protocol
 
 import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
+from pipelines.hand.replaying import ReplayedEnd
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
@@ -60,18 +60,8 @@ class Selection:
     camera: str
 
 
-class HapticEnd(Protocol):
-    """Robot or joystick, one cycle at a time; see `pipelines.hand.haptics`."""
-
-    def handle_datagram(self, data: bytes, now_ns: int) -> None: ...
-
-    def handle_cycle(self, now_ns: int, advance_ns: int) -> None: ...
-
-    def poll_transmit(self, now_ns: int) -> bytes | None: ...
-
-    def next_event(self) -> WorldState | None: ...
-
-    def tell(self) -> None: ...
+#: Robot or joystick, one cycle at a time; a recording drives both.
+HapticEnd = RobotEnd | JoystickEnd | ReplayedEnd
 
 
 class Simulation:

@@ -33,7 +33,6 @@ from pipelines.virtual.session import HapticEnd, Selection, Simulation
 from pipelines.virtual.studio import SAME_DB, Originals, VideoDecoding, VideoStudio
 from pipelines.virtual.workers import Coder, Scene, Workers
 from telepresence.haptics.device.device import JoystickDevice
-from telepresence.link.gateway import Gateway
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
 
@@ -85,7 +84,7 @@ class Replay(Simulation):
             for packet in session.packets.get(stream, ()):
                 self._agenda.at(
                     max(self.time.at(packet.sent_ns), self.start_ns),
-                    partial(_send, gateway, stream, packet.data),
+                    partial(gateway.handle_datagram, stream, packet.data),
                 )
 
     def report(self) -> SessionReport:
@@ -125,10 +124,6 @@ class Replay(Simulation):
     def _follow(self, choice: Choice, now_ns: int) -> None:
         """Confirm at once. The pictures are those of the recording, whatever is selected."""
         self._confirm(choice.number, now_ns)
-
-
-def _send(gateway: Gateway, stream: str, data: bytes, now_ns: int) -> None:
-    gateway.handle_datagram(stream, data, now_ns)
 
 
 class ReplayedMedia(Media):

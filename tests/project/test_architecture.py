@@ -283,7 +283,6 @@ LIBRARIES = {
     "pipelines/seats/seat.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/seats/figures.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/media/local_key.py": ({"av"}, "codes one picture"),
-    "pipelines/seats/telemetry_log.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/seats/texts.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/session/recorder_requests.py": ({"msgspec"}, "requests and answers as JSON"),
     "pipelines/recording/": (

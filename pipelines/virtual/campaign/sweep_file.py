@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,7 @@ def _sweep(path: Path, file: _File) -> Sweep:
     if not file.grid:
         raise ConfigError("it has no [[grid]]: write one, like radio_delay_ms = [0, 25] in it")
     grids = [dict(_fields(grid, number)) for number, grid in enumerate(file.grid, 1)]
-    runs = len(seeds) * sum(_size(grid) for grid in grids)
+    runs = len(seeds) * sum(prod(map(len, grid.values())) for grid in grids)
     if runs > _MOST_RUNS:
         raise ConfigError(
             f"{runs} runs are too many: take fewer values or seeds, {_MOST_RUNS} in all"
@@ -112,13 +113,6 @@ def _seeds(seeds: int | tuple[int, ...]) -> tuple[int, ...]:
             f"seeds is {seeds}: take a number of seeds from 1, or a list of different ones from 0"
         )
     return found
-
-
-def _size(grid: Mapping[str, list[object]]) -> int:
-    size = 1
-    for values in grid.values():
-        size *= len(values)
-    return size
 
 
 def _fields(
@@ -176,12 +170,10 @@ def _inputs(table: Mapping[str, Any]) -> set[str]:
     others = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
     # What is no list is refused when the setup is built.
     cameras = found if isinstance(found := table.get("cameras"), list | tuple) else ()
-    names = {name for camera in cameras for name in _camera_inputs(str(camera))}
+    names = {str(camera) for camera in cameras}
+    if STEREO in names:
+        names = names - {STEREO} | {*STEREO_INPUTS}
     return names | {name for stream, name in others.items() if stream in table}
-
-
-def _camera_inputs(camera: str) -> tuple[str, ...]:
-    return STEREO_INPUTS if camera == STEREO else (camera,)
 
 
 def _set(table: dict[str, object], name: str, value: object) -> None:
