@@ -50,9 +50,7 @@ async def take_part(base: str, token: str, units: Sequence[tuple[bytes, bool]]) 
         return RtcPeer(clock=clock, sends={}, receives=("audio", "video"), servers=servers)
 
     def sending(servers: IceServers) -> RtcPeer:
-        return RtcPeer(
-            clock=clock, sends=_RATES, servers=servers, wall_offset_ns=clock.wall_offset_ns
-        )
+        return RtcPeer(clock=clock, sends=_RATES, servers=servers)
 
     keepers = [
         Keeper(f"{base}/{path}", token=token, make_peer=make, servers=IceServers, clock=clock)

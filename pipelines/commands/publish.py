@@ -51,7 +51,6 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
             sends=sends,
             want_key=lambda: sources.want_key(),
             servers=found,
-            wall_offset_ns=clock.wall_offset_ns,
         )
 
     keeper = Keeper(

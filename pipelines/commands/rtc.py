@@ -103,7 +103,6 @@ async def _serve(args: argparse.Namespace) -> RtcCommandReport:
             clock=clock,
             handle=output.handle,
             servers=servers,
-            wall_offset_ns=clock.wall_offset_ns,
         )
         with CodedSources(
             args, clock, send_unit=programme.send_unit, send_opus=programme.send_opus

@@ -54,7 +54,6 @@ async def _watch(args: argparse.Namespace) -> RtcCommandReport:
                 receives=("audio", "video"),
                 handle=output.handle,
                 servers=found,
-                wall_offset_ns=clock.wall_offset_ns,
             )
 
         keeper = Keeper(

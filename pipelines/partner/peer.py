@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from kontur_av.clock import NS_PER_S, Clock
+from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AccessUnit, CaptureStamp
 from pipelines.partner.description import (
@@ -38,28 +38,25 @@ class RtcPeer:
     sends: by kind, the usual bit/s of what this end sends. receives: kinds that it takes.
     handle: called with each event, on the event loop. It must not block.
     want_key: called when the partner needs a key picture, as it does at first.
-    most_bps: of the partner's picture. wall_offset_ns: Unix time minus the clock's time.
+    most_bps: of the partner's picture.
     """
 
     def __init__(
         self,
         *,
-        clock: Clock,
+        clock: MonotonicClock,
         sends: dict[Kind, int],
         receives: Sequence[Kind] = (),
         handle: Callable[[Event], None] = lambda _: None,
         want_key: Callable[[], None] = lambda: None,
         servers: IceServers | None = None,
         most_bps: int = 1_500_000,
-        wall_offset_ns: int = 0,
         offers: bool = True,
     ) -> None:
         self._clock, self._sends, self._receives = clock, dict(sends), tuple(receives)
         self._handle, self._want_key, self._most_bps = handle, want_key, most_bps
-        self._wall_offset_ns = wall_offset_ns
         self._session = secrets.randbits(62)
-        self._cname = secrets.token_hex(8)
-        self._stream = secrets.token_hex(8)
+        self._cname, self._stream = secrets.token_hex(8), secrets.token_hex(8)
         self._ssrcs: dict[Kind, int] = {
             kind: secrets.randbits(31) + 1 for kind in ("audio", "video")
         }
@@ -240,7 +237,7 @@ class RtcPeer:
             bps=self._sends,
             most_bps=self._most_bps,
             cname=self._cname,
-            wall_offset_ns=self._wall_offset_ns,
+            wall_offset_ns=self._clock.wall_offset_ns,
         )
 
     def _write(self, lines: list[MediaLine], local: Transport, answers: Offer | None = None) -> str:

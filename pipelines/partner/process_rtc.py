@@ -90,7 +90,6 @@ class _Leg:
             handle=self._partner.handle,
             servers=servers,
             most_bps=leg.taken_bps,
-            wall_offset_ns=context.clock.wall_offset_ns,
             samples=None if context.setup.partner_arm == "none" else SamplePorts(context, loop),
         )
         self._hands = SampleTally()

@@ -53,7 +53,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             name=f"{RTC_CAMERA}_receive",
             segment=Segment.GROUND,
             stage=Stage.SINK,
-            run="pipelines.partner.process_camera:run_rtc_camera",
+            run="pipelines.partner.process_coding:run_rtc_camera",
             reads=(RTC_UNITS_TOPIC,),
             writes=(RTC_CODED_CAMERA_TOPIC, RTC_DECODED_CAMERA_TOPIC, RTC_CAMERA_TOPIC),
             what="decodes the partner's pictures",
@@ -72,7 +72,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             name=f"{RTC}_encode",
             segment=Segment.GROUND,
             stage=Stage.SENDER,
-            run="pipelines.partner.process_encode:run_rtc_encode",
+            run="pipelines.partner.process_coding:run_rtc_encode",
             reads=(
                 SELECTED_TOPIC,
                 *(row.topic for row in session.cameras),

@@ -15,7 +15,7 @@ from collections.abc import Awaitable, Callable, Iterable
 
 from aiohttp import web
 
-from kontur_av.clock import Clock
+from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.partner.decisions import Door, Refusal
 from pipelines.partner.description import MOST_SDP_OCTETS, read_candidates, write_candidates
@@ -53,7 +53,7 @@ class RtcServer:
     listener: where; its operator token is the partner's. programmes: what can be watched.
     handle: called with what the partner sends; None: nothing is taken.
     servers: called for the STUN and TURN servers of each new connection.
-    most_bps: of the partner's picture. wall_offset_ns: Unix time minus the clock's time.
+    most_bps: of the partner's picture.
     samples: what its joystick drives; None: nothing.
     """
 
@@ -62,17 +62,15 @@ class RtcServer:
         listener: PageListener,
         programmes: Iterable[Programme],
         *,
-        clock: Clock,
+        clock: MonotonicClock,
         handle: Callable[[PictureCame | SoundCame], None] | None,
         servers: Callable[[], IceServers] = IceServers,
         most_bps: int = 1_500_000,
-        wall_offset_ns: int = 0,
         samples: SamplePorts | None = None,
     ) -> None:
         self._samples = samples
         self._clock, self._handle = clock, handle
         self._servers, self._most_bps = servers, most_bps
-        self._wall_offset_ns = wall_offset_ns
         self.programmes = {programme.name: programme for programme in programmes}
         self.door = Door(token=listener.operator_token)
         self._site = WebSite(listener, seat="rtc")
@@ -191,7 +189,6 @@ class RtcServer:
             want_key=lambda: None if programme is None else programme.want_key(want_key[0]),
             servers=self._servers(),
             most_bps=self._most_bps,
-            wall_offset_ns=self._wall_offset_ns,
             offers=False,
         )
         want_key.append(peer)

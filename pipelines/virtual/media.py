@@ -32,8 +32,14 @@ from pipelines.session.setup.table import (
     VoiceStream,
 )
 from pipelines.virtual.agenda import WALL_OFFSET_NS
-from pipelines.virtual.receivers import Display, VideoReceiveProcess, VoiceReceiveProcess
-from pipelines.virtual.senders import VideoProcess, VideoSendProcess, VoiceSendProcess
+from pipelines.virtual.streams import (
+    Display,
+    VideoProcess,
+    VideoReceiveProcess,
+    VideoSendProcess,
+    VoiceReceiveProcess,
+    VoiceSendProcess,
+)
 from pipelines.virtual.studio import Picture, Shot, VideoDecoding, VideoStudio, VoiceStudio
 from pipelines.virtual.workers import Coder, Job, Scene, Worker
 from telepresence.link.backlog import Backlog

@@ -27,9 +27,8 @@ from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY
 from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.media import Camera, Media
-from pipelines.virtual.receivers import VideoReceiveProcess
-from pipelines.virtual.senders import VideoProcess, VoiceProcess
 from pipelines.virtual.session import HapticEnd, Selection, Simulation
+from pipelines.virtual.streams import VideoProcess, VideoReceiveProcess, VoiceProcess
 from pipelines.virtual.studio import SAME_DB, Originals, VideoDecoding, VideoStudio
 from pipelines.virtual.workers import Coder, Scene, Workers
 from telepresence.haptics.device.device import JoystickDevice
@@ -170,28 +169,21 @@ class ReplayedMedia(Media):
         self._add_sender(stream, sender)
         cost_ns = scene.costs.ns("capture") + scene.costs.ns("encode")
 
-        def send(unit: SentUnit, stamp: CaptureStamp, now_ns: int) -> None:
-            sender.handle_unit(AccessUnit(unit.data, stamp, unit.key), now_ns)
-
-        self._feed(stream.name, units, cost_ns, send)
+        self._feed(stream.name, units, cost_ns, sender)
 
     def _send_voice(self, stream: VoiceStream, name: str) -> None:
         scene, units = self._scene, self._session.voices.get(stream.name)
         if not units:
             return
-        sender = VoiceProcess(scene, stream)
-
-        def send(unit: SentUnit, stamp: CaptureStamp, now_ns: int) -> None:
-            sender.handle_packet(unit.data, stamp, now_ns)
-
-        self._feed(stream.name, units, BLOCK_NS + scene.costs.ns("voice_encode"), send)
+        cost_ns = BLOCK_NS + scene.costs.ns("voice_encode")
+        self._feed(stream.name, units, cost_ns, VoiceProcess(scene, stream))
 
     def _feed(
         self,
         name: str,
         units: Sequence[SentUnit],
         cost_ns: int,
-        send: Callable[[SentUnit, CaptureStamp, int], None],
+        sender: VideoProcess | VoiceProcess,
     ) -> None:
         """Send each unit `cost_ns` after its capture."""
         agenda, start_ns, numbered = self._scene.agenda, self._scene.start_ns, enumerate(units)
@@ -204,7 +196,7 @@ class ReplayedMedia(Media):
             stamp = CaptureStamp(capture_ns, number, name)
 
             def go(due_ns: int) -> None:
-                send(unit, stamp, due_ns)
+                sender.handle_unit(AccessUnit(unit.data, stamp, unit.key), due_ns)
                 enter(due_ns)
 
             agenda.at(max(capture_ns + cost_ns, now_ns), go)

@@ -26,7 +26,6 @@ def receiving(events):
             receives=("video", "audio"),
             handle=events.append,
             servers=servers,
-            wall_offset_ns=CLOCK.wall_offset_ns,
         )
 
     return make
@@ -34,7 +33,7 @@ def receiving(events):
 
 def sending(servers):
     """Make a partner that sends."""
-    return RtcPeer(clock=CLOCK, sends=SENDS, servers=servers, wall_offset_ns=CLOCK.wall_offset_ns)
+    return RtcPeer(clock=CLOCK, sends=SENDS, servers=servers)
 
 
 @contextlib.asynccontextmanager

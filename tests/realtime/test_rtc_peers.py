@@ -48,7 +48,6 @@ async def serving(handle=None, samples=None):
             [programme],
             clock=clock,
             handle=handle,
-            wall_offset_ns=clock.wall_offset_ns,
             samples=samples,
         )
         await server.start()

@@ -13,7 +13,7 @@ from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.session.setup.table import VIDEO_PAYLOAD_OCTETS, VideoStream
 from pipelines.virtual.agenda import Agenda, CodingCosts
-from pipelines.virtual.senders import VideoSendProcess
+from pipelines.virtual.streams import VideoSendProcess
 from pipelines.virtual.workers import Job
 
 STREAM = VideoStream(name="video", cap_bps=512_000)

@@ -20,7 +20,7 @@ from pipelines.media.session_streams import video_sender
 from pipelines.media.tip_region import tip_region
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.virtual.agenda import Agenda, CodingCosts
-from pipelines.virtual.senders import VideoSendProcess
+from pipelines.virtual.streams import VideoSendProcess
 from pipelines.virtual.studio import Shot, VideoStudio
 from pipelines.virtual.workers import Job
 from telepresence.world import render, scripted_state

@@ -89,22 +89,19 @@ class Cluster:
         try:
             self._client.wait_for_workers(1, timeout=_CONNECT_S)
         except TimeoutError:
-            raise ConfigError(
-                f"--cluster {self._address}: it has no worker; start `dask worker {self._address}`"
-            ) from None
+            words = f"it has no worker; start `dask worker {self._address}`"
+            raise _refusal(self._address, words) from None
         try:
             found: Mapping[str, Mapping[str, str]] = self._client.run(facts)
         except ImportError:
             raise self._without_program() from None
         for worker, theirs in found.items():
             if differing := _differing(self._facts, theirs):
-                raise ConfigError(f"--cluster {self._address}: worker {worker} has {differing}")
+                raise _refusal(self._address, f"worker {worker} has {differing}")
 
     def _without_program(self) -> ConfigError:
-        return ConfigError(
-            f"--cluster {self._address}: a worker or the scheduler lacks this kontur-av: "
-            "install it there with the extra cluster"
-        )
+        words = "a worker or the scheduler lacks this kontur-av: install it there with the extra"
+        return _refusal(self._address, f"{words} cluster")
 
     def results(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
@@ -123,17 +120,15 @@ class Cluster:
         try:
             for future in as_completed(futures, loop=self._client.loop):
                 if future.status not in ("finished", "error"):
-                    raise ConfigError(
-                        f"--cluster {self._address}: its scheduler has gone; start it and its "
-                        "workers, and give the same command again"
-                    )
+                    words = "start it and its workers, and give the same command again"
+                    raise _refusal(self._address, f"its scheduler has gone; {words}")
                 error = future.exception() if future.status == "error" else None
                 if isinstance(error, KilledWorker):
                     yield numbers[future.key], Crash("each worker that began it died")
                 elif isinstance(error, ImportError):
                     raise self._without_program()
                 elif isinstance(error, ConfigError):
-                    raise ConfigError(f"--cluster {self._address}: {error}")
+                    raise _refusal(self._address, str(error))
                 elif error is not None:
                     raise error
                 else:
@@ -149,13 +144,15 @@ class Cluster:
         self._client.close()
 
 
+def _refusal(address: str, words: str) -> ConfigError:
+    return ConfigError(f"--cluster {address}: {words}")
+
+
 def _connected(address: str) -> "Client":
     if not re.fullmatch(r"tcp://(\[[0-9a-fA-F:]+\]|[^:/\s]+):\d{1,5}", address):
         raise ConfigError(f"--cluster {address}: write tcp://HOST:PORT, as `dask scheduler` says")
     if find_spec("distributed") is None:
-        raise ConfigError(
-            f"--cluster {address}: Dask is missing (pip install 'kontur-av[cluster]')"
-        )
+        raise _refusal(address, "Dask is missing (pip install 'kontur-av[cluster]')")
     from distributed import Client
 
     # Its log tells of workers that went; what matters of it is told by us.
@@ -167,7 +164,7 @@ def _connected(address: str) -> "Client":
         try:
             return Client(address, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, RuntimeError) as error:
-            raise ConfigError(f"--cluster {address}: its scheduler has gone: {error}") from None
+            raise _refusal(address, f"its scheduler has gone: {error}") from None
 
 
 def _check_scheduler(address: str) -> None:
@@ -176,16 +173,12 @@ def _check_scheduler(address: str) -> None:
         theirs = asyncio.run(_asked(address))
     # What else listens at the port, and Dask of another age, make it raise anything.
     except Exception:
-        raise ConfigError(
-            f"--cluster {address}: no scheduler of Dask {version('distributed')} answers; start "
-            "`dask scheduler` there"
-        ) from None
+        words = f"no scheduler of Dask {version('distributed')} answers"
+        raise _refusal(address, f"{words}; start `dask scheduler` there") from None
     for name in _DASK:
         if theirs[name] != version(name):
-            raise ConfigError(
-                f"--cluster {address}: the scheduler has {name} {theirs[name]}, and this machine "
-                f"{version(name)}: install the same"
-            )
+            words = f"and this machine {version(name)}: install the same"
+            raise _refusal(address, f"the scheduler has {name} {theirs[name]}, {words}")
 
 
 async def _asked(address: str) -> Mapping[str, str]:
