@@ -207,34 +207,21 @@ def read_candidates(text: str) -> Transport:
     """Return what a fragment for trickle ICE says. Raises ProtocolError for garbage."""
     if len(text) > MOST_SDP_OCTETS:
         raise ProtocolError(f"a fragment of {len(text)} octets: {MOST_SDP_OCTETS} are most")
-    ufrag = password = ""
-    candidates: list[RTCIceCandidate] = []
-    complete = False
-    for line in text.splitlines():
-        key, _, value = line.strip().partition(":")
-        if key == "a=ice-ufrag":
-            ufrag = ufrag or value
-        elif key == "a=ice-pwd":
-            password = password or value
-        elif key == "a=end-of-candidates":
-            complete = True
-        elif key == "a=candidate":
-            candidates.append(_candidate(value))
+    said = [line.strip().partition(":") for line in text.splitlines()]
+    ufrag = next((value for key, _, value in said if key == "a=ice-ufrag" and value), "")
+    password = next((value for key, _, value in said if key == "a=ice-pwd" and value), "")
+    try:
+        candidates = [candidate_from_sdp(value) for key, _, value in said if key == "a=candidate"]
+    except _MALFORMED as error:
+        raise ProtocolError(f"not a candidate of ICE: {error}") from error
     if not ufrag or not password:
         raise ProtocolError("a fragment without ICE's user name and password")
     return Transport(
         ufrag=ufrag,
         password=password,
         candidates=tuple(candidates[:MOST_CANDIDATES]),
-        complete=complete,
+        complete=any(key == "a=end-of-candidates" for key, _, _ in said),
     )
-
-
-def _candidate(value: str) -> RTCIceCandidate:
-    try:
-        return candidate_from_sdp(value)
-    except _MALFORMED as error:
-        raise ProtocolError(f"not a candidate of ICE: {error}") from error
 
 
 def _read(parsed: SessionDescription, *, answers: bool, ssrcs: dict[Kind, int]) -> Offer:
@@ -320,12 +307,9 @@ def _codec(codecs: Iterable[RTCRtpCodecParameters], kind: Kind) -> RTCRtpCodecPa
     if kind == "audio":
         return usable[0] if usable else None
     usable = [one for one in usable if str(one.parameters.get("packetization-mode", "0")) == "1"]
-    return min(usable, key=_rank, default=None)
-
-
-def _rank(codec: RTCRtpCodecParameters) -> int:
-    profile = str(codec.parameters.get("profile-level-id", "42e01f")).lower()[:4]
-    return _PROFILES.index(profile) if profile in _PROFILES else len(_PROFILES)
+    names = [str(one.parameters.get("profile-level-id", "42e01f")).lower()[:4] for one in usable]
+    ranks = [_PROFILES.index(name) if name in _PROFILES else len(_PROFILES) for name in names]
+    return usable[ranks.index(min(ranks))] if usable else None
 
 
 def _section(line: MediaLine, transport: Transport, *, cname: str, stream: str) -> MediaDescription:
@@ -347,7 +331,10 @@ def _section(line: MediaLine, transport: Transport, *, cname: str, stream: str) 
             clockRate=VIDEO_CLOCK_HZ if video else AUDIO_CLOCK_HZ,
             channels=None if video else 2,
             payloadType=line.payload_type,
-            rtcpFeedback=[_feedback(text) for text in sorted(line.feedback)],
+            rtcpFeedback=[
+                RTCRtcpFeedback(type=kind, parameter=parameter or None)
+                for kind, _, parameter in (text.partition(" ") for text in sorted(line.feedback))
+            ],
             parameters={line.fmtp: None} if line.fmtp else {},
         )
     ]
@@ -384,11 +371,6 @@ def _bare(kind: str, profile: str, formats: list[Any], transport: Transport) -> 
         role=transport.role,
     )
     return media
-
-
-def _feedback(text: str) -> RTCRtcpFeedback:
-    kind, _, parameter = text.partition(" ")
-    return RTCRtcpFeedback(type=kind, parameter=parameter or None)
 
 
 def _feedback_text(pair: tuple[str, str | None]) -> str:

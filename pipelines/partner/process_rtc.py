@@ -60,12 +60,12 @@ def run_rtc(context: Context, *, servers: Callable[[], IceServers] = IceServers)
 
     servers: called for the STUN and TURN servers of each connection.
     """
-    asyncio.run(_serve(context, servers))
 
+    async def serve() -> None:
+        with context.open_bus() as bus:
+            await _Leg(context, bus, servers).run()
 
-async def _serve(context: Context, servers: Callable[[], IceServers]) -> None:
-    with context.open_bus() as bus:
-        await _Leg(context, bus, servers).run()
+    asyncio.run(serve())
 
 
 class _Leg:

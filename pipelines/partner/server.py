@@ -135,7 +135,10 @@ class RtcServer:
         if wanted is None:
             return web.Response(status=404)
         if request.method == "OPTIONS":
-            return self._options()
+            answer = web.Response(status=204, headers={"Accept-Post": _SDP})
+            for link in self._servers().link_headers():
+                answer.headers.add("Link", link)
+            return answer
         if request.method != "POST":
             return web.Response(status=405, headers={"Allow": "POST, OPTIONS"})
         if request.content_type != _SDP:
@@ -148,12 +151,6 @@ class RtcServer:
         if path == _HAPTICS and self._samples is not None:
             return await self._begin_hand(offer, self._samples)
         return await self._begin(offer, programme)
-
-    def _options(self) -> web.Response:
-        answer = web.Response(status=204, headers={"Accept-Post": _SDP})
-        for link in self._servers().link_headers():
-            answer.headers.add("Link", link)
-        return answer
 
     async def _begin(self, offer: str, programme: Programme | None) -> web.Response:
         """Take the partner's media, or send it a programme."""

@@ -197,21 +197,17 @@ class RtcTransport:
     @property
     def route(self) -> Route | None:
         """The pair of candidates in use, or last in use; None before the first."""
-        self._route = self._present_route() or self._route
-        return self._route
-
-    def _present_route(self) -> Route | None:
         # aioice names the pair only here.
         pair: Any = getattr(self._connection, "_nominated", {}).get(1)
-        if pair is None:
-            return None
-        remote = pair.remote_candidate
-        return Route(
-            local=pair.local_candidate.type,
-            remote=remote.type,
-            remote_host=remote.host,
-            remote_port=remote.port,
-        )
+        if pair is not None:
+            local, remote = pair.local_candidate.type, pair.remote_candidate
+            self._route = Route(
+                local=local,
+                remote=remote.type,
+                remote_host=remote.host,
+                remote_port=remote.port,
+            )
+        return self._route
 
     async def gather(self) -> Transport:
         """Gather addresses of this end; what to tell the partner.

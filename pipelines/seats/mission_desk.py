@@ -85,7 +85,11 @@ class TelemetryLog:
     """Takes reports of both ends' applications. A core."""
 
     def __init__(self, dictionary: Dictionary) -> None:
-        self._applications = {one.name: one for one in dictionary.applications}
+        self._known = {
+            (one.name, parameter.name): (one, parameter)
+            for one in dictionary.applications
+            for parameter in one.parameters
+        }
         self._values: dict[tuple[str, str], tuple[Value, int]] = {}
         self._events: deque[EventLine] = deque(maxlen=_MOST_EVENTS)
         self._number = 0
@@ -119,19 +123,13 @@ class TelemetryLog:
             )
 
     def _rows(self) -> Iterator[ValueText]:
-        for (name, parameter_name), (value, at_us) in self._values.items():
-            application = self._applications.get(name)
-            if application is None:
-                continue
-            for parameter in application.parameters:
-                if parameter.name == parameter_name:
-                    yield ValueText(
-                        application=name,
-                        name=parameter_name,
-                        value=_plain(value),
-                        level=level_of(application, parameter, value),
-                        at_us=at_us,
-                    )
+        for (name, parameter), (value, at_us) in self._values.items():
+            if (name, parameter) in self._known:
+                level = level_of(*self._known[name, parameter], value)
+                plain = _plain(value)
+                yield ValueText(
+                    application=name, name=parameter, value=plain, level=level, at_us=at_us
+                )
 
 
 def _plain(value: Value) -> Value | None:

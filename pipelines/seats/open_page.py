@@ -226,17 +226,23 @@ class Answered(NamedTuple):
 
 
 @dataclass
-class OpenPage:
+class PageTalker:
+    """A socket of a page: who is there, and how much it may send."""
+
+    role: Role
+    texts: MessageRate = field(default_factory=lambda: MessageRate(_TEXT_HZ, _TEXT_HZ))
+    pings: MessageRate = field(default_factory=lambda: MessageRate(_PING_HZ, _PING_HZ))
+
+
+@dataclass(kw_only=True)
+class OpenPage(PageTalker):
     """A page that is open. plain: without pictures, sound and haptics.
 
     idle: it has taken all that there was, so it would take more at once.
     """
 
     number: int
-    role: Role
     queue: ClientQueue
     plain: bool = False
     idle: bool = True
-    texts: MessageRate = field(default_factory=lambda: MessageRate(_TEXT_HZ, _TEXT_HZ))
-    pings: MessageRate = field(default_factory=lambda: MessageRate(_PING_HZ, _PING_HZ))
     hands: MessageRate = field(default_factory=lambda: MessageRate(_HAND_HZ, _HAND_HZ))

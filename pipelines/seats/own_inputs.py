@@ -7,7 +7,7 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
-from pipelines.seats.open_page import MessageRate
+from pipelines.seats.open_page import MessageRate, PageTalker
 from pipelines.seats.plan import SeatInput, SeatPlan
 from pipelines.seats.texts import AnswerText, pack_text, parse_media_request
 from pipelines.session.messages import OwnPicture, Ping, pack_pong, parse_media_message
@@ -45,7 +45,6 @@ def _ns(page_ms: float) -> int:
     return int(page_ms * NS_PER_MS)
 
 
-_TEXT_HZ = _PING_HZ = 20
 _SOUND_HZ, _SOUND_BURST = 60, 50
 
 
@@ -58,11 +57,8 @@ class Given(NamedTuple):
 
 
 @dataclass
-class _Link:
-    role: Role
+class _Link(PageTalker):
     clock: PageClock = field(default_factory=PageClock)
-    texts: MessageRate = field(default_factory=lambda: MessageRate(_TEXT_HZ, _TEXT_HZ))
-    pings: MessageRate = field(default_factory=lambda: MessageRate(_PING_HZ, _PING_HZ))
     media: dict[int, MessageRate] = field(default_factory=dict)
 
 

@@ -12,9 +12,8 @@ from pipelines.seats.figures import PageFigures
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
-from pipelines.seats.seat_deeds import SeatDeeds
 from pipelines.seats.seat_sockets import Message, SeatSockets
-from pipelines.seats.seat_topics import KeyPictures, SeatTopics
+from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
 from pipelines.session.access import AccessError, AccessKind
 from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
@@ -31,12 +30,12 @@ def run_page(context: Context, *, segment: Segment, tasks: Catalogue | None = No
 
     tasks: those of the session, for the panel.
     """
-    asyncio.run(_serve(context, segment, tasks))
 
+    async def serve() -> None:
+        with context.open_bus() as bus:
+            await PageServer(context, segment, bus, tasks).run()
 
-async def _serve(context: Context, segment: Segment, tasks: Catalogue | None) -> None:
-    with context.open_bus() as bus:
-        await PageServer(context, segment, bus, tasks).run()
+    asyncio.run(serve())
 
 
 #: Sockets beyond these are refused.

@@ -134,7 +134,9 @@ class Seat:
         """A page has come; return its number. plain: it gets no picture, sound or haptics."""
         number = next(self._numbers)
         lanes = () if plain else self.media.lanes
-        page = self._pages[number] = OpenPage(number, role, ClientQueue(lanes), plain)
+        page = self._pages[number] = OpenPage(
+            role, number=number, queue=ClientQueue(lanes), plain=plain
+        )
         if role is Role.OPERATOR or not refusal(role, self.plan.segment, "hand"):
             self._hand.handle_joined(number)
         seat = replace(self.plan.text, streams=(), previews=()) if plain else self.plan.text
@@ -225,13 +227,7 @@ class Seat:
         refused = "" if page.role is Role.OPERATOR else refusal(page.role, segment, rule.deed)
         if refused or segment not in rule.at:
             return refused or rule.elsewhere
-        return self._carry_out(page.number, request)
-
-    def _carry_out(
-        self,
-        number: int,
-        request: JoystickRequest | HandleRequest | SessionRequest | RecordingRequest,
-    ) -> str | None:
+        number = page.number
         match request:
             case JoystickRequest():
                 event = JoystickEvent(request.event)

@@ -246,12 +246,18 @@ class SimulatedMission:
     def _tick(self, now_ns: int) -> None:
         """What happens on the ground."""
         self._agenda.at(now_ns + TICK_NS, self._tick)
+        reports = [gateway.report(now_ns) for gateway in self._gateways.values()]
+        link = LinkMeanwhile(
+            frames=sum(report.receive.frames_received for report in reports),
+            frames_lost=sum(report.receive.frames_lost for report in reports),
+            delay_ns=max(report.radio.delay_ns for report in reports),
+        )
         seen = Seen(
             robot=self._robot.status(now_ns),
             camera=self._choice.selected,
             recording=self._recording,
             signal=self._connected(Segment.GROUND),
-            link=self._meanwhile(now_ns),
+            link=link,
         )
         self._ground.handle_tick(seen, now_ns)
         self._settle(now_ns)
@@ -260,14 +266,6 @@ class SimulatedMission:
             self._leds.handle_datagram(octets, now_ns)
             while (answer := self._leds.poll_transmit(now_ns)) is not None:
                 sender.handle_datagram(answer, now_ns)
-
-    def _meanwhile(self, now_ns: int) -> LinkMeanwhile:
-        reports = [gateway.report(now_ns) for gateway in self._gateways.values()]
-        return LinkMeanwhile(
-            frames=sum(report.receive.frames_received for report in reports),
-            frames_lost=sum(report.receive.frames_lost for report in reports),
-            delay_ns=max(report.radio.delay_ns for report in reports),
-        )
 
     def _settle(self, now_ns: int) -> None:
         while (order := self._ground.poll_order()) is not None:

@@ -80,7 +80,6 @@ SHELLS = {
     "pipelines/session/process.py": "what every process has",
     "pipelines/commands/raw_pictures.py": "a file or a FIFO",
     "pipelines/commands/receive.py": "a command",
-    "pipelines/seats/seat_deeds.py": "topics, and the sockets of other processes",
     "pipelines/session/feeds.py": "topics on an event loop",
     "pipelines/media/key_picture_maker.py": "a thread",
     "pipelines/seats/process_page.py": "the sockets of browsers",

@@ -10,8 +10,8 @@ from pipelines.session.task_journal import OPEN, STEPS
 from pipelines.virtual.campaign.pass_figures import (
     Crash,
     SessionTask,
-    cap_share,
     faults,
+    largest_cap_pct,
     least_energy_uj,
     pass_figures,
 )
@@ -163,11 +163,6 @@ def _shown_hz(report: JsonReader) -> float | None:
     return None if shown is None or not contact_ns else shown / (contact_ns / NS_PER_S)
 
 
-def _cap(report: JsonReader) -> float | None:
-    share = cap_share(report, "1s")
-    return None if share is None else 100.0 * share
-
-
 #: In the order of the table. lost: of all frames. skew: the picture after the force. cap: the
 #: largest second of any stream, as a share of its cap.
 FIGURES = (
@@ -182,7 +177,7 @@ FIGURES = (
     SweepFigure(
         "skew_p95_ms", "skew p95 ms", lambda of: of.number_or_none("skew_ms", "video_haptic", "p95")
     ),
-    SweepFigure("cap_pct", "cap %", _cap),
+    SweepFigure("cap_pct", "cap %", largest_cap_pct),
     SweepFigure("least_uj", "least µJ", least_energy_uj),
 )
 

@@ -102,6 +102,12 @@ def cap_share(report: JsonReader, over: str) -> float | None:
     return max(shares, default=None)
 
 
+def largest_cap_pct(report: JsonReader) -> float | None:
+    """The largest second of any stream in % of its cap."""
+    share = cap_share(report, "1s")
+    return None if share is None else 100.0 * share
+
+
 def usable_window(report: JsonReader, start_s: float) -> tuple[float, float] | None:
     """Begin and end (s) of the usable contact in the session, as the orbit predicts it.
 

@@ -167,18 +167,14 @@ def main() -> int:
             seed=task.seed,
             media=task.media,
             plan=task.plan,
-            stopped=_left_alone,
+            # Standard input is closed: nothing more is ever written to it.
+            stopped=lambda: bool(select.select([sys.stdin], [], [], 0)[0]),
         )
     except ConfigError as error:
         print(error, file=sys.stderr)
         return REFUSED
     write_report(Path(sys.argv[1]), report)
     return RAN
-
-
-def _left_alone() -> bool:
-    """Whether standard input is closed: nothing more is ever written to it."""
-    return bool(select.select([sys.stdin], [], [], 0)[0])
 
 
 if __name__ == "__main__":

@@ -102,7 +102,10 @@ def _sweep(path: Path, file: _File) -> Sweep:
         x=file.plot.x,
         y=file.plot.y or ("video_p99_ms" if file.media else "force_p99_ms"),
     )
-    _check_plot(sweep)
+    if sweep.x is not None and sweep.x not in sweep.fields:
+        raise ConfigError(f"plot.x is {sweep.x!r}: take one of {', '.join(sweep.fields)}")
+    if sweep.y not in sweep.figures:
+        raise ConfigError(f"plot.y is {sweep.y!r}: take one of {', '.join(sweep.figures)}")
     return sweep
 
 
@@ -203,10 +206,3 @@ def _shown(value: object) -> Value:
     if isinstance(value, list):
         return "+".join(str(_shown(each)) for each in value)
     return json.dumps(value, default=str)
-
-
-def _check_plot(sweep: Sweep) -> None:
-    if sweep.x is not None and sweep.x not in sweep.fields:
-        raise ConfigError(f"plot.x is {sweep.x!r}: take one of {', '.join(sweep.fields)}")
-    if sweep.y not in sweep.figures:
-        raise ConfigError(f"plot.y is {sweep.y!r}: take one of {', '.join(sweep.figures)}")
