@@ -47,7 +47,7 @@ _FMTP: dict[Kind, str] = {
     "audio": "minptime=10;useinbandfec=1",
     "video": "level-asymmetry-allowed=1;packetization-mode=1;profile-level-id=42e01f",
 }
-_FEEDBACK = (("nack", None), ("nack", "pli"), ("ccm", "fir"), ("goog-remb", None))
+_FEEDBACK = frozenset(("nack", "nack pli", "ccm fir", "goog-remb"))
 _CODECS: dict[Kind, tuple[str, int]] = {
     "audio": ("opus", AUDIO_CLOCK_HZ),
     "video": ("h264", VIDEO_CLOCK_HZ),
@@ -57,7 +57,7 @@ _PROFILES = ("42e0", "4200", "4d00", "6400")
 _DISCARD_PORT = 9
 _ANY_HOST = "0.0.0.0"
 #: What the parser raises for garbage.
-_MALFORMED = (ValueError, AssertionError, LookupError, AttributeError, TypeError, StopIteration)
+MALFORMED = (ValueError, AssertionError, LookupError, AttributeError, TypeError, StopIteration)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,9 +124,7 @@ def wanted_line(
         receives=receives,
         payload_type=VIDEO_PAYLOAD_TYPE if kind == "video" else AUDIO_PAYLOAD_TYPE,
         extensions=dict(_EXTENSIONS[kind]),
-        feedback=frozenset(_feedback_text(pair) for pair in _FEEDBACK)
-        if kind == "video"
-        else frozenset(),
+        feedback=_FEEDBACK if kind == "video" else frozenset(),
         ssrc=ssrc,
         fmtp=_FMTP[kind],
     )
@@ -151,15 +149,14 @@ def write_description(
     description.msid_semantic.append(GroupDescription(semantic="WMS", items=["*"]))
     by_mid = {line.mid: line for line in lines}
     order = [(line.mid, "", "") for line in lines] if answers is None else list(answers.mids)
-    bundled: list[str] = []
     for mid, kind, rest in order:
         line = by_mid.get(mid)
-        if line is None:
-            description.media.append(_rejected(mid, kind, rest, transport))
-            continue
-        bundled.append(mid)
-        description.media.append(_section(line, transport, cname=cname, stream=stream))
-    group: list[int | str] = list(bundled)
+        description.media.append(
+            _rejected(mid, kind, rest, transport)
+            if line is None
+            else _section(line, transport, cname=cname, stream=stream)
+        )
+    group: list[int | str] = [mid for mid, _, _ in order if mid in by_mid]
     description.group.append(GroupDescription(semantic="BUNDLE", items=group))
     text = str(description)
     # RTCP of any size may travel alone (RFC 5506); sets of candidates may grow (RFC 8838).
@@ -176,7 +173,7 @@ def read_description(text: str, *, answers: bool, ssrcs: dict[Kind, int]) -> Off
     try:
         parsed = SessionDescription.parse(text)
         return _read(parsed, answers=answers, ssrcs=ssrcs)
-    except _MALFORMED as error:
+    except MALFORMED as error:
         raise ProtocolError(f"not a session description: {error}") from error
 
 
@@ -186,9 +183,8 @@ def common_line(offered: MediaLine, *, sends: bool, receives: bool) -> MediaLine
     if not (sends or receives):
         return None
     ours = _EXTENSIONS[offered.kind]
-    known = {_feedback_text(pair) for pair in _FEEDBACK}
     extensions = {uri: number for uri, number in offered.extensions.items() if uri in ours}
-    feedback = offered.feedback & known
+    feedback = offered.feedback & _FEEDBACK
     return replace(
         offered, sends=sends, receives=receives, extensions=extensions, feedback=feedback
     )
@@ -212,7 +208,7 @@ def read_candidates(text: str) -> Transport:
     password = next((value for key, _, value in said if key == "a=ice-pwd" and value), "")
     try:
         candidates = [candidate_from_sdp(value) for key, _, value in said if key == "a=candidate"]
-    except _MALFORMED as error:
+    except MALFORMED as error:
         raise ProtocolError(f"not a candidate of ICE: {error}") from error
     if not ufrag or not password:
         raise ProtocolError("a fragment without ICE's user name and password")
@@ -293,7 +289,7 @@ def _read_section(media: MediaDescription, ssrcs: dict[Kind, int]) -> MediaLine 
         payload_type=codec.payloadType,
         extensions={one.uri: one.id for one in media.rtp.headerExtensions if 1 <= one.id <= 14},
         feedback=frozenset(
-            _feedback_text((one.type, one.parameter or None)) for one in codec.rtcpFeedback
+            f"{one.type} {one.parameter or ''}".rstrip() for one in codec.rtcpFeedback
         ),
         ssrc=ssrcs.get(kind, 0),
         peer_ssrc=media.ssrc[0].ssrc if media.ssrc else None,
@@ -371,8 +367,3 @@ def _bare(kind: str, profile: str, formats: list[Any], transport: Transport) -> 
         role=transport.role,
     )
     return media
-
-
-def _feedback_text(pair: tuple[str, str | None]) -> str:
-    kind, parameter = pair
-    return kind if parameter is None else f"{kind} {parameter}"

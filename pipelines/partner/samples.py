@@ -19,7 +19,7 @@ from aiortc import (
 from aiortc.exceptions import InvalidAccessError, InvalidStateError
 
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.partner.description import MOST_SDP_OCTETS
+from pipelines.partner.description import MALFORMED, MOST_SDP_OCTETS
 from pipelines.partner.ice_servers import IceServers
 from pipelines.session.datagrams import listen, newest_sample, outlet
 from pipelines.session.process import LOOPBACK, Context
@@ -30,15 +30,7 @@ _LABEL = "haptics"
 _HERE = b"\0"
 _TELL_S, _SILENT_S, _CONNECT_S = 0.5, 4.0, 20.0
 #: What aiortc raises for a description that it cannot use.
-_UNUSABLE = (
-    ValueError,
-    AssertionError,
-    LookupError,
-    AttributeError,
-    TypeError,
-    InvalidAccessError,
-    InvalidStateError,
-)
+_UNUSABLE = (*MALFORMED, InvalidAccessError, InvalidStateError)
 
 
 class SamplePeer:

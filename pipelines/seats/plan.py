@@ -168,7 +168,7 @@ def seat_plan(
             TaskText(name=one.name, text=one.text)
             for one in (() if tasks is None else tasks.tasks.values())
         ),
-        passes=passes_ahead(setup.radio_profile) if ground else (),
+        passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
     )
     return SeatPlan(
         segment=segment,
@@ -276,12 +276,8 @@ def _input_text(one: SeatInput) -> InputText:
 _MOST = 5
 
 
-def passes_ahead(profile: RadioProfile) -> tuple[PassText, ...]:
-    """Return this session's pass and the next four; none of a radio without an orbit."""
-    return tuple(_passes(profile))
-
-
-def _passes(profile: RadioProfile) -> Iterator[PassText]:
+def passes_ahead(profile: RadioProfile) -> Iterator[PassText]:
+    """This session's pass and the next four; none of a radio without an orbit."""
     contact = profile.contact
     if contact is None:
         return

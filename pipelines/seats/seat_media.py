@@ -111,12 +111,9 @@ class SeatMedia:
         for stream in list(page.queue.closed_lanes()):
             units = self._histories[stream].replay()
             if units is not None:
-                page.queue.lane(stream).put_replay(
-                    [
-                        *(_packed(stream, unit, REPLAYED) for unit in units[:-1]),
-                        _packed(stream, units[-1]),
-                    ]
-                )
+                *before, last = units
+                messages = [*(_packed(stream, unit, REPLAYED) for unit in before)]
+                page.queue.lane(stream).put_replay([*messages, _packed(stream, last)])
 
     def _seeing(self) -> list[OpenPage]:
         """Pages with pictures, sound and haptics."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pipelines.report.charts import COLOURS, new_figure
-from pipelines.virtual.campaign.figures import FIGURES
+from pipelines.virtual.campaign.figures import HEADINGS
 from pipelines.virtual.campaign.sweep import CaseFigures, SeedSpread, Sweep, Value
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def chart(sweep: Sweep, cases: Sequence[CaseFigures]) -> "Figure":
     figure = new_figure(4.5)
     axes = figure.add_subplot()
     axes.set_xlabel(x)
-    axes.set_ylabel({each.name: each.heading for each in FIGURES}.get(sweep.y, sweep.y))
+    axes.set_ylabel(HEADINGS.get(sweep.y, sweep.y))
     title = f"{sweep.name}: {sweep.seconds:g} s, {len(sweep.seeds)} seeds"
     axes.set_title(title, fontsize="medium")
     axes.grid(alpha=0.4)

@@ -182,6 +182,9 @@ FIGURES = (
 )
 
 
+HEADINGS = {figure.name: figure.heading for figure in FIGURES}
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunFigures:
     """One run. key: a digest of what was run. faults: of the pass and of its tasks; none: usable.

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from pipelines.report.result import Headline
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.campaign.figures import FIGURES, RunFigures, task_names
+from pipelines.virtual.campaign.figures import FIGURES, HEADINGS, RunFigures, task_names
 from pipelines.virtual.campaign.pass_figures import SessionTask
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
@@ -131,8 +131,7 @@ def _spread(runs: Sequence[RunFigures], name: str) -> SeedSpread | None:
 
 def headings(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[str]:
     """Of the columns of `rows`: no column for a figure that no case has."""
-    names = {figure.name: figure.heading for figure in FIGURES}
-    return [*sweep.fields, *(names.get(name, name) for name in _had(sweep, cases)), "verdict"]
+    return [*sweep.fields, *(HEADINGS.get(name, name) for name in _had(sweep, cases)), "verdict"]
 
 
 def rows(sweep: Sweep, cases: Sequence[CaseFigures]) -> Iterator[list[str]]:
@@ -188,7 +187,6 @@ def csv_rows(sweep: Sweep, runs: Sequence[RunFigures | None]) -> Iterator[list[V
 
 def headlines(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[Headline]:
     """Each case for the page of measurements: usable runs, and the medians of its figures."""
-    names = {figure.name: figure.heading for figure in FIGURES}
     found = []
     for case in cases:
         group = ", ".join(f"{name} {_text(value)}" for name, value in case.values.items())
@@ -204,6 +202,6 @@ def headlines(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[Headline]:
         )
         for name, spread in case.figures.items():
             if spread is not None:
-                what = f"{names.get(name, name)}: median of the runs"
+                what = f"{HEADINGS.get(name, name)}: median of the runs"
                 found.append(Headline(group=group, what=what, unit="", value=spread.median))
     return found
