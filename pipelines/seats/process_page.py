@@ -1,7 +1,6 @@
 """The process that serves a segment's browser pages."""
 
 import asyncio
-from contextlib import suppress
 from functools import partial
 
 from aiohttp import web
@@ -148,19 +147,16 @@ class PageServer:
         if self._seat.watching == 1:
             self._watch()
         self._wakes[number] = asyncio.Event()
-        sending = asyncio.create_task(page.send(partial(self._next_message, number)))
         self._settle()
+        take, send = partial(self._take_seat, number), partial(self._next_message, number)
         try:
-            await self._sockets.receive(page, partial(self._take_seat, number))
+            await self._sockets.serve(page, take, send)
         finally:
-            sending.cancel()
             self._wakes.pop(number)
             self._seat.handle_closed(number, self._now_ns())
             self._settle()
             if not self._seat.watching:
                 self._watch()
-            with suppress(asyncio.CancelledError):
-                await sending
         return page.ws
 
     async def _next_message(self, number: int) -> Message:
@@ -190,15 +186,11 @@ class PageServer:
         number = seat.handle_media_opened(role)
         self._media += 1
         answers: asyncio.Queue[Message] = asyncio.Queue(_MOST_ANSWERS)
-        sending = asyncio.create_task(page.send(answers.get))
         try:
-            await self._sockets.receive(page, partial(self._take_media, number, answers))
+            await self._sockets.serve(page, partial(self._take_media, number, answers), answers.get)
         finally:
-            sending.cancel()
             self._media -= 1
             seat.inputs.handle_closed(number)
-            with suppress(asyncio.CancelledError):
-                await sending
         return page.ws
 
     def _take_media(self, number: int, answers: "asyncio.Queue[Message]", message: Message) -> None:

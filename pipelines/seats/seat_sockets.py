@@ -22,6 +22,7 @@ _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
 
 Message = bytes | str
 Take = Callable[[Message], None]
+Next = Callable[[], Awaitable[Message]]
 
 
 class SeatSockets:
@@ -48,9 +49,10 @@ class SeatSockets:
         self.connections += 1
         return SeatSocket(ws, request.transport, self._now_ns)
 
-    async def receive(self, one: "SeatSocket", take: Take) -> None:
-        """Take what comes until the socket is closed; close it after garbage."""
+    async def serve(self, one: "SeatSocket", take: Take, next_message: Next) -> None:
+        """Take what comes and send what there is, until it is closed; close it after garbage."""
         self._open.add(one)
+        sending = asyncio.create_task(one.send(next_message))
         try:
             await one.receive(take)
         except ProtocolError as error:
@@ -59,6 +61,9 @@ class SeatSockets:
             await one.close(_POLICY_VIOLATION, str(error))
         finally:
             self._open.discard(one)
+            sending.cancel()
+            with suppress(asyncio.CancelledError):
+                await sending
 
     def handle_time(self, now_ns: int) -> None:
         """Close sockets whose pages have stalled."""
@@ -97,7 +102,7 @@ class SeatSocket:
                 raise ProtocolError("no message of a page")
             take(message.data)
 
-    async def send(self, next_message: Callable[[], Awaitable[Message]]) -> None:
+    async def send(self, next_message: Next) -> None:
         """Send what `next_message` returns, as fast as the page takes it, until it is gone."""
         sent = 0
         with suppress(ConnectionError):

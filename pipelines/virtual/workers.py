@@ -12,11 +12,11 @@ import signal
 import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from random import Random
-from typing import Any, Self
+from typing import Any
 
 import cv2
 
@@ -135,26 +135,19 @@ class Batch:
         self._jobs = []
 
 
-class Workers:
+class Workers(ExitStack):
     """All workers of a simulation. A context manager, which ends them."""
 
     def __init__(self) -> None:
-        self._workers: list[Worker] = []
+        super().__init__()
         self._links: list[Connection] = []
 
     def start(self, make: Callable[[], Coder]) -> Worker:
         """Start a process. make: called there to make its coder."""
         worker = Worker(make, self._links)
         worker.start()
-        self._workers.append(worker)
+        self.callback(worker.close)
         return worker
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for worker in self._workers:
-            worker.close()
 
 
 @dataclass(frozen=True, kw_only=True)
