@@ -160,7 +160,14 @@ class RtcMedia:
                 return datagram
         if self.picture is not None and (asked := self.picture.poll_feedback(now_ns)) is not None:
             return asked
-        return self._poll_report(now_ns)
+        if self._report_ns is not None and now_ns < self._report_ns:
+            return None
+        blocks = [stream.block(now_ns) for stream in self._streams()]
+        known = [block for block in blocks if block is not None]
+        if not known:
+            return None
+        self._report_ns = now_ns + _REPORT_NS
+        return bytes(RtcpRrPacket(self._ssrc, known))
 
     def poll_timeout(self, now_ns: int) -> int:
         """Return when to call `handle_timeout` and `poll_transmit` next; within 100 ms."""
@@ -201,13 +208,3 @@ class RtcMedia:
         for stream in self._streams():
             if stream.source in (None, report.ssrc) or stream.line.peer_ssrc == report.ssrc:
                 stream.handle_report(report, bytes(alone), now_ns)
-
-    def _poll_report(self, now_ns: int) -> bytes | None:
-        if self._report_ns is not None and now_ns < self._report_ns:
-            return None
-        blocks = [stream.block(now_ns) for stream in self._streams()]
-        known = [block for block in blocks if block is not None]
-        if not known:
-            return None
-        self._report_ns = now_ns + _REPORT_NS
-        return bytes(RtcpRrPacket(self._ssrc, known))

@@ -66,7 +66,7 @@ class OutgoingTrack:
         wall_offset_ns: int = 0,
     ) -> None:
         video = line.kind == "video"
-        self.line = line
+        self.line, self.ssrc = line, identity.ssrc
         self._rtp = RtpSender(
             payload_type=line.payload_type,
             clock_rate_hz=VIDEO_CLOCK_HZ if video else AUDIO_CLOCK_HZ,
@@ -101,10 +101,6 @@ class OutgoingTrack:
         #: The newest rate that the partner can take (REMB); None: it said none.
         self.wish_bps: int | None = None
         self._dropped = self._keys_asked = 0
-
-    @property
-    def ssrc(self) -> int:
-        return self._rtp.ssrc
 
     def _drop_waiting(self) -> None:
         self._dropped += len(self._units_waiting)

@@ -94,7 +94,8 @@ class CommandDesk:
     def handle_request(self, page: int, asked: CommandRequest, who: str, now_ns: int) -> None:
         """A page asks for a telecommand that it may give. who: its person."""
         if len(self._open) >= _MOST_OPEN:
-            self._answer(page, asked.request, "too many telecommands are open")
+            refused = Answered(page, asked.request, "too many telecommands are open", 0.0)
+            self._events.append(refused)
             return
         self._number += 1
         number = self._number
@@ -146,9 +147,6 @@ class CommandDesk:
             if camera and error:
                 camera, error = "", selection_error(camera, update)
             self._events.append(Answered(*opened, error, update.round_trip_ms, camera))
-
-    def _answer(self, page: int, request: int, error: str) -> None:
-        self._events.append(Answered(page, request, error, 0.0))
 
 
 _MOST_CHAT_LINES = 100

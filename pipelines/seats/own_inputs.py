@@ -111,7 +111,11 @@ class OwnInputs:
             one.clock.handle_ping(message.page_ms, now_ns)
             return pack_pong(message.page_ms, now_ns // NS_PER_US)
         given = self._inputs[message.input]
-        if not self._bucket(one, given).handle_message(now_ns):
+        if given.index not in one.media:
+            sound = given.size is None
+            hz = _SOUND_HZ if sound else given.fps * 3 // 2 + 1
+            one.media[given.index] = MessageRate(hz, _SOUND_BURST if sound else given.fps)
+        if not one.media[given.index].handle_message(now_ns):
             raise ProtocolError(f"too much for {given.name}")
         if self._owners.get(given.index) != link:
             return None
@@ -121,13 +125,6 @@ class OwnInputs:
             number = message.sequence
         capture_ns = one.clock.instant_ns(message.page_ms, now_ns)
         return Given(given, message.data, CaptureStamp(capture_ns, number, given.name))
-
-    def _bucket(self, link: _Link, given: SeatInput) -> MessageRate:
-        if given.index not in link.media:
-            hz = _SOUND_HZ if given.size is None else given.fps * 3 // 2 + 1
-            burst = _SOUND_BURST if given.size is None else given.fps
-            link.media[given.index] = MessageRate(hz, burst)
-        return link.media[given.index]
 
     def _settle(self, link: int, name: str, *, on: bool) -> str:
         """Take an input over, or give it back; return why not, or ""."""

@@ -39,7 +39,6 @@ from pipelines.session.recorder_requests import (
     MAX_LINE_OCTETS,
     START,
     STOP,
-    RecordAnswer,
     RecordingWish,
     RecordRequest,
     pack_line,
@@ -163,11 +162,8 @@ class _Fed(NamedTuple):
     always: bool = False
 
 
-class _Looked(NamedTuple):
-    """A topic that changes too often to wake for it; its newest sample is read at each look."""
-
-    topic: str
-    handle: Callable[[bytes, int], None]
+#: A topic that changes too often to wake for it; its newest sample is read at each look.
+_Looked = tuple[str, Callable[[bytes, int], None]]
 
 
 class SeatTopics:
@@ -197,7 +193,7 @@ class SeatTopics:
         ]
         self._always = [feed for feed, one in zip(feeds, fed, strict=True) if one.always]
         self._live = [feed for feed, one in zip(feeds, fed, strict=True) if not one.always]
-        self._looked = [(TopicState(bus, one.topic), one.handle) for one in self._states()]
+        self._looked = [(TopicState(bus, topic), handle) for topic, handle in self._states()]
 
     def _fed(self) -> Iterator[_Fed]:
         plan = self._seat.plan
@@ -216,14 +212,14 @@ class SeatTopics:
 
     def _states(self) -> Iterator[_Looked]:
         plan, seat = self._seat.plan, self._seat
-        yield _Looked(
+        yield (
             plan.backlog_topic,
             lambda told, now_ns: seat.handle_signal(Backlog.unpack(told).peer_heard, now_ns),
         )
         for kind, (topic, unpack) in plan.shown.items():
-            yield _Looked(topic, partial(self._shown, kind, unpack))
+            yield topic, partial(self._shown, kind, unpack)
         if plan.segment is Segment.GROUND:
-            yield _Looked(
+            yield (
                 SELECTED_TOPIC,
                 lambda told, now_ns: seat.handle_camera(Choice.unpack(told).camera, now_ns),
             )
@@ -366,17 +362,12 @@ async def ask_recorder(session: str, *, begin: bool) -> str:
         return "the session's recorder is not running"
     try:
         writer.write(pack_line(request))
-        answer = await _answer(reader)
+        async with asyncio.timeout(_PATIENCE_S):
+            answer = parse_record_answer(await reader.readline())
+    except (OSError, ValueError, TimeoutError):
+        answer = None
     finally:
         writer.close()
     if answer is None:
         return "the session's recorder has ended before it answered"
     return "" if answer.ok else answer.error
-
-
-async def _answer(reader: asyncio.StreamReader) -> RecordAnswer | None:
-    try:
-        async with asyncio.timeout(_PATIENCE_S):
-            return parse_record_answer(await reader.readline())
-    except (OSError, ValueError, TimeoutError):
-        return None

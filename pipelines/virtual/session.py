@@ -26,7 +26,7 @@ from pipelines.report.arm_figures import run_since
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
-from pipelines.session.probe import FLUSH_NS, Probe
+from pipelines.session.probe import FLUSH_NS
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
@@ -107,10 +107,11 @@ class Simulation:
         if plan is not None:
             seed_of_hand = self._random("cosmonaut").getrandbits(32)
             self._cosmonaut = Cosmonaut(Skill(level=plan[0].skill), seed=seed_of_hand)
-        self._device = joystick
+        self._device, self._mediated = joystick, setup.hand == "mediated"
         self._costs = costs or CodingCosts()
         self._agenda = agenda = Agenda()
         self._telling = telling = Telling(self.collector)
+        self._probe = telling.probe
         self._epoch_ns = epoch_ns
         self.start_ns = self._now_ns = self._next_slot_ns = start_ns
         self._state: WorldState | None = None
@@ -269,10 +270,6 @@ class Simulation:
         tasks = None if rows is None else [run_since(self.start_ns, row) for row in rows]
         return msgspec.structs.replace(report, simulation=simulation, tasks=tasks)
 
-    @property
-    def _mediated(self) -> bool:
-        return self.setup.hand == "mediated"
-
     def _make_ends(self) -> tuple[HapticEnd, HapticEnd]:
         up = self.topology.haptic("up")
         deadband, mediated = self.setup.deadband != "off", self._mediated
@@ -354,9 +351,6 @@ class Simulation:
 
         self._telling.add(lambda: end.tell(self._now_ns))
         return end
-
-    def _probe(self, process: str) -> Probe:
-        return self._telling.probe(process)
 
     def _random(self, what: str) -> Random:
         return Random(f"{self._seed} {what}")

@@ -71,7 +71,12 @@ def load_sweep(path: Path) -> Sweep:
 def _sweep(path: Path, file: _File) -> Sweep:
     if not 0 < file.seconds <= _MOST_SECONDS:
         raise ConfigError(f"seconds is {file.seconds:g}: take more than 0, at most {_MOST_SECONDS}")
-    seeds = _seeds(file.seeds)
+    seeds = tuple(range(1, file.seeds + 1)) if isinstance(file.seeds, int) else file.seeds
+    if not seeds or min(seeds) < 0 or len({*seeds}) < len(seeds):
+        raise ConfigError(
+            f"seeds is {file.seeds}: take a number of seeds from 1, or a list of different ones "
+            "from 0"
+        )
     if not file.grid:
         raise ConfigError("it has no [[grid]]: write one, like radio_delay_ms = [0, 25] in it")
     grids = [dict(_fields(grid, number)) for number, grid in enumerate(file.grid, 1)]
@@ -107,15 +112,6 @@ def _sweep(path: Path, file: _File) -> Sweep:
     if sweep.y not in sweep.figures:
         raise ConfigError(f"plot.y is {sweep.y!r}: take one of {', '.join(sweep.figures)}")
     return sweep
-
-
-def _seeds(seeds: int | tuple[int, ...]) -> tuple[int, ...]:
-    found = tuple(range(1, seeds + 1)) if isinstance(seeds, int) else seeds
-    if not found or min(found) < 0 or len({*found}) < len(found):
-        raise ConfigError(
-            f"seeds is {seeds}: take a number of seeds from 1, or a list of different ones from 0"
-        )
-    return found
 
 
 def _fields(
