@@ -20,8 +20,14 @@ from pipelines.report.report_file import check_writable, write_text
 from pipelines.report.result_file import write_result
 from pipelines.session.children import ended_alike
 from pipelines.virtual.campaign.chart import chart
-from pipelines.virtual.campaign.figures import RunFigures, crashed, run_figures
-from pipelines.virtual.campaign.pass_figures import Crash, Result, SessionTask
+from pipelines.virtual.campaign.figures import (
+    Crash,
+    Result,
+    RunFigures,
+    SessionTask,
+    crashed,
+    run_figures,
+)
 from pipelines.virtual.campaign.places import add_place_arguments, cluster_of, code_digest, jobs_of
 from pipelines.virtual.campaign.sessions import Progress, session_results
 from pipelines.virtual.campaign.sweep import (

@@ -121,35 +121,24 @@ class RtcPeer:
         for line in said.lines:
             wanted = next((one for one in self._offered if one.mid == line.mid), None)
             if wanted is None or wanted.kind != line.kind:
-                raise ProtocolError(
-                    f"an answer with the section {line.mid!r}, which was not offered"
-                )
+                words = f"an answer with the section {line.mid!r}, which was not offered"
+                raise ProtocolError(words)
             common = common_line(line, sends=wanted.sends, receives=wanted.receives)
-            if common is not None:
-                lines.append(common)
-        role = "server" if said.transport.role == "client" else "client"
-        self._begin(lines, said.transport, role)
+            lines += [] if common is None else [common]
+        self._begin(lines, said.transport)
 
     async def answer(self, offer: str) -> str:
         """Return the answer to a partner's offer. ProtocolError if the offer cannot be used."""
         said = read_description(offer, answers=False, ssrcs=self._ssrcs)
-        lines = [
-            line
-            for offered in said.lines
-            if (
-                line := common_line(
-                    offered,
-                    sends=offered.kind in self._sends,
-                    receives=offered.kind in self._receives,
-                )
-            )
-        ]
+        wanted = (
+            common_line(one, sends=one.kind in self._sends, receives=one.kind in self._receives)
+            for one in said.lines
+        )
+        lines = [line for line in wanted if line is not None]
         if not lines:
             raise ProtocolError("an offer of nothing that is wanted here")
         self._local = await self._transport.gather()
-        # The partner's choice if it made one; else it waits and this end begins.
-        role = "server" if said.transport.role == "client" else "client"
-        self._begin(lines, said.transport, role)
+        role = self._begin(lines, said.transport)
         return self._write(lines, replace(self._local, role=role), answers=said)
 
     async def restart(self, peer: Transport | None = None) -> Transport:
@@ -229,7 +218,10 @@ class RtcPeer:
             # The loop's other work goes on.
             await asyncio.sleep(0)
 
-    def _begin(self, lines: list[MediaLine], peer: Transport, role: str) -> None:
+    def _begin(self, lines: list[MediaLine], peer: Transport) -> str:
+        """Make the media; return this end's role in the DTLS handshake."""
+        # The partner's choice if it made one; else it waits and this end begins.
+        role = "server" if peer.role == "client" else "client"
         self._connecting = peer, role
         self.media = RtcMedia(
             lines,
@@ -239,6 +231,7 @@ class RtcPeer:
             cname=self._cname,
             wall_offset_ns=self._clock.wall_offset_ns,
         )
+        return role
 
     def _write(self, lines: list[MediaLine], local: Transport, answers: Offer | None = None) -> str:
         return write_description(

@@ -7,6 +7,7 @@ session, at which ICE is restarted and the session is deleted. `Keeper` keeps on
 import asyncio
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from typing import Self
 from urllib.parse import urljoin, urlsplit
 
@@ -216,9 +217,7 @@ class Keeper:
         async with WhipClient(self._url, token=self._token) as client:
             servers = self._servers()
             if not servers.servers:
-                servers = IceServers(
-                    servers=await client.ice_servers(), relay_only=servers.relay_only
-                )
+                servers = replace(servers, servers=await client.ice_servers())
             peer = self.peer = self._make_peer(servers)
             offer = await peer.offer()
             await peer.accept(await client.post(offer))

@@ -5,7 +5,7 @@ full: those with a field too many, or one of another type, are refused.
 """
 
 from enum import Enum
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import msgspec
 
@@ -367,22 +367,23 @@ SeatRequest = (
     | ChatRequest
 )
 
-_SEAT = msgspec.json.Decoder(SeatRequest)
+_Asked = TypeVar("_Asked")
+_SEAT: msgspec.json.Decoder[SeatRequest] = msgspec.json.Decoder(SeatRequest)
 _MEDIA = msgspec.json.Decoder(InputRequest)
 
 
 def parse_seat_request(text: str) -> SeatRequest:
     """Return a request on the socket of a seat; ProtocolError for anything else."""
-    try:
-        request: SeatRequest = _SEAT.decode(text)
-    except (msgspec.MsgspecError, RecursionError, UnicodeEncodeError) as error:
-        raise ProtocolError(f"no request: {error}") from None
-    return request
+    return _parsed(_SEAT, text)
 
 
 def parse_media_request(text: str) -> InputRequest:
     """Return a request on the socket of a camera or microphone; ProtocolError otherwise."""
+    return _parsed(_MEDIA, text)
+
+
+def _parsed(decoder: msgspec.json.Decoder[_Asked], text: str) -> _Asked:
     try:
-        return _MEDIA.decode(text)
+        return decoder.decode(text)
     except (msgspec.MsgspecError, RecursionError, UnicodeEncodeError) as error:
         raise ProtocolError(f"no request: {error}") from None

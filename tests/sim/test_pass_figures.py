@@ -6,7 +6,7 @@ import pytest
 
 from pipelines.report.result import JsonReader, as_json
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.virtual.campaign.pass_figures import (
+from pipelines.virtual.campaign.figures import (
     faults,
     pass_figures,
 )

@@ -1,23 +1,210 @@
-"""The figures of one run of a sweep, and of the tasks that were done in it. A core."""
+"""A session of a campaign, its figures and those of its tasks, and the verdict. A core."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 
 from kontur_av.clock import NS_PER_S
 from pipelines.report.result import JsonReader
+from pipelines.session.setup.table import Setup
 from pipelines.session.task_journal import OPEN, STEPS
-from pipelines.virtual.campaign.pass_figures import (
-    Crash,
-    SessionTask,
-    faults,
-    largest_cap_pct,
-    least_energy_uj,
-    pass_figures,
-)
+from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.experiment import RunStep
 from telepresence.tasks.plan import SessionPlan
 from telepresence.tmtc.k2aci import TaskResult
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionTask:
+    """A session on virtual time, whole: no file is needed to run it, but those of its sources.
+
+    seconds: of virtual time. media: False leaves haptics and telecommands alone. plan: as of
+    `pipelines.virtual.simulate.simulate`.
+    """
+
+    setup: Setup
+    seconds: float
+    seed: int
+    media: bool = True
+    plan: tuple[SessionPlan, Catalogue] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Crash:
+    """A session without a report. error: its last words."""
+
+    error: str
+
+
+#: What became of a session: its report, or none.
+Result = JsonReader | Crash
+
+
+#: The least share of the usable time that the orbit predicts.
+USABLE_SHARE = 0.99
+#: A stream that shows nothing, or a channel that moves no sample, is stuck after this time with a
+#: signal in the predicted window.
+LONGEST_PAUSE_S = {"shown": 3.0, "felt": 1.0}
+#: One-way delays that a session of samples takes to begin (docs/haptics-sample.md).
+HAPTIC_BEGIN_DELAYS = 5
+#: Rounding down at both ports makes the observed energy too small by this at most (µJ).
+ROUNDING_UJ = 2
+#: The largest rate over 100 ms, as a share of the cap (docs/video.md).
+BURST_SHARE = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassFigures:
+    """What a session is judged by.
+
+    predicted_s, usable_s: the time that the orbit predicts as usable, and what of it had a signal;
+    None where the radio has no contact. longest_delay_s: of the radio. longest_pause_s: with a
+    signal, as `LONGEST_PAUSE_S`. cap_share, burst_share: the largest rate over 1 s and over 100 ms,
+    as shares of a stream's cap. least_energy_uj: the least that a passivity observer saw.
+    """
+
+    seconds: float
+    predicted_s: float | None
+    usable_s: float | None
+    longest_delay_s: float
+    longest_pause_s: Mapping[str, float]
+    cap_share: float | None
+    burst_share: float | None
+    least_energy_uj: float | None
+    failed: bool
+
+
+def pass_figures(report: JsonReader, *, start_s: float = 0.0) -> PassFigures:
+    """The figures of a session.
+
+    start_s: when the session began, after the acquisition of signal.
+    """
+    window = usable_window(report, start_s)
+    delay_ns = report.at("gateways", "ground").number_or_none("radio", "delay_max_ns")
+    return PassFigures(
+        seconds=report.number("seconds"),
+        predicted_s=None if window is None else round(window[1] - window[0], 3),
+        usable_s=None if window is None else round(signal_s(report, *window), 3),
+        longest_delay_s=(delay_ns or 0) / NS_PER_S,
+        longest_pause_s={
+            name: _longest_pause_s(report, channels, window)
+            for name, channels in (("shown", "streams"), ("felt", "haptic"))
+        },
+        cap_share=cap_share(report, "1s"),
+        burst_share=cap_share(report, "100ms"),
+        least_energy_uj=least_energy_uj(report),
+        failed=any(True for _ in report.elements("failures")),
+    )
+
+
+def cap_share(report: JsonReader, over: str) -> float | None:
+    """The largest rate of any stream over "1s" or "100ms", as a share of its cap."""
+    shares = (
+        round(stream.number(f"payload_bps_max_{over}") / stream.number("cap_bps"), 4)
+        for _, stream in report.items("streams")
+    )
+    return max(shares, default=None)
+
+
+def largest_cap_pct(report: JsonReader) -> float | None:
+    """The largest second of any stream in % of its cap."""
+    share = cap_share(report, "1s")
+    return None if share is None else 100.0 * share
+
+
+def usable_window(report: JsonReader, start_s: float) -> tuple[float, float] | None:
+    """Begin and end (s) of the usable contact in the session, as the orbit predicts it.
+
+    The whole session where the radio has no orbit; None where the session misses the contact.
+    """
+    ground, seconds = report.at("gateways", "ground"), report.number("seconds")
+    if not ground.has("radio", "contact"):
+        return 0.0, seconds
+    contact = ground.at("radio", "contact")
+    begin_s = max(0.0, contact.number("usable_from_s") - start_s)
+    end_s = min(seconds, contact.number("usable_to_s") - start_s)
+    return (begin_s, end_s) if end_s > begin_s else None
+
+
+def signal_s(report: JsonReader, begin_s: float, end_s: float) -> float:
+    """The time (s) between two instants in which an end had a signal, at the end that had less."""
+    heard = []
+    for _, gateway in report.items("gateways"):
+        total_ns = 0.0
+        for acquired_ns, lost_ns in _windows_ns(gateway):
+            last_ns = end_s * NS_PER_S if lost_ns is None else min(lost_ns, end_s * NS_PER_S)
+            total_ns += max(0, last_ns - max(acquired_ns, begin_s * NS_PER_S))
+        heard.append(total_ns / NS_PER_S)
+    return min(heard, default=0.0)
+
+
+def _windows_ns(gateway: JsonReader) -> Iterator[tuple[float, float | None]]:
+    """(acquisition, loss) of each contact of one end; None for one that lasts."""
+    if gateway.has("supervision", "contacts"):
+        for window in gateway.elements("supervision", "contacts"):
+            yield window.number("acquired_ns"), window.number_or_none("lost_ns")
+
+
+def _longest_pause_s(
+    report: JsonReader, channels: str, window: tuple[float, float] | None
+) -> float:
+    """The longest part of a pause of one of `channels` with a signal throughout, in the window."""
+    if window is None:
+        return 0.0
+    longest_s = 0.0
+    for name, channel in report.items(channels):
+        # The signal at the receiving end counts.
+        end = "space" if name.startswith("up") else "ground"
+        contacts = list(_windows_ns(report.at("gateways", end)))
+        for pause in channel.elements("pauses_s"):
+            begin_s, end_s = (instant.number() for instant in pause.elements())
+            for acquired_ns, lost_ns in contacts:
+                last_s = report.number("seconds") if lost_ns is None else lost_ns / NS_PER_S
+                first_s = max(begin_s, acquired_ns / NS_PER_S, window[0])
+                longest_s = max(longest_s, min(end_s, last_s, window[1]) - first_s)
+    return round(longest_s, 3)
+
+
+def least_energy_uj(report: JsonReader) -> float | None:
+    """The least energy (µJ) that a passivity observer has seen; None if there is none."""
+    places = (report.at(name) for name in ("haptic", "processes") if report.has(name))
+    return min((least for place in places for least in _values("least_uj", place)), default=None)
+
+
+def _values(name: str, table: JsonReader) -> Iterator[float]:
+    for key, part in table.items():
+        if isinstance(part.value, Mapping):
+            yield from _values(name, part)
+        elif key == name and part.value is not None:
+            yield part.number()
+
+
+def faults(session: PassFigures | Crash) -> list[str]:
+    """What is wrong with a session, one word each; an empty list means a usable pass."""
+    if isinstance(session, Crash):
+        return ["crashed"]
+    found = []
+    predicted_s, usable_s = session.predicted_s, session.usable_s
+    # The acquisition of signal takes a while at the beginning, with the radio's delay.
+    acquired_s = 0.1 + session.longest_delay_s if predicted_s == session.seconds else 0.0
+    if (
+        predicted_s is None
+        or usable_s is None
+        or usable_s < USABLE_SHARE * predicted_s - acquired_s
+    ):
+        found.append("unusable")
+    pauses = session.longest_pause_s
+    felt_s = LONGEST_PAUSE_S["felt"] + HAPTIC_BEGIN_DELAYS * session.longest_delay_s
+    if pauses["shown"] > LONGEST_PAUSE_S["shown"] or pauses["felt"] > felt_s:
+        found.append("stuck")
+    if session.least_energy_uj is not None and session.least_energy_uj < -ROUNDING_UJ:
+        found.append("unstable")
+    if (session.cap_share or 0) > 1 or (session.burst_share or 0) > BURST_SHARE:
+        found.append("over its cap")
+    if session.failed:
+        found.append("failed")
+    return found
+
 
 #: A run that is not over this long (s) after the last loss of signal is left hanging.
 LONGEST_END_S = 30.0

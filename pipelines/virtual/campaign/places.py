@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from kontur_av.errors import ConfigError
-from pipelines.virtual.campaign.pass_figures import Crash
+from pipelines.virtual.campaign.figures import Crash
 
 if TYPE_CHECKING:
     from distributed import Client

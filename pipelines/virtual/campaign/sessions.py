@@ -21,7 +21,7 @@ from kontur_av.errors import ConfigError
 from pipelines.report.report_file import write_report
 from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all
-from pipelines.virtual.campaign.pass_figures import Crash, Result, SessionTask
+from pipelines.virtual.campaign.figures import Crash, Result, SessionTask
 from pipelines.virtual.campaign.places import Cluster
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.simulate import simulate

@@ -8,8 +8,13 @@ from typing import TypeAlias
 
 from pipelines.report.result import Headline
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.campaign.figures import FIGURES, HEADINGS, RunFigures, task_names
-from pipelines.virtual.campaign.pass_figures import SessionTask
+from pipelines.virtual.campaign.figures import (
+    FIGURES,
+    HEADINGS,
+    RunFigures,
+    SessionTask,
+    task_names,
+)
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
 

@@ -6,12 +6,12 @@ import pytest
 
 from pipelines.report.result import JsonReader
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.virtual.campaign.figures import run_figures
-from pipelines.virtual.campaign.pass_figures import (
+from pipelines.virtual.campaign.figures import (
     Crash,
     SessionTask,
     faults,
     pass_figures,
+    run_figures,
     signal_s,
     usable_window,
 )
