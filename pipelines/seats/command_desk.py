@@ -16,8 +16,14 @@ from pipelines.mission.tmtc_messages import (
     SendK2aci,
 )
 from pipelines.mission.tmtc_words import selection_error
-from pipelines.seats.open_page import Answered
-from pipelines.seats.texts import ChatLine, ChatText, CommandLine, CommandRequest, CommandsText
+from pipelines.seats.texts import (
+    Answered,
+    ChatLine,
+    ChatText,
+    CommandLine,
+    CommandRequest,
+    CommandsText,
+)
 from telepresence.tmtc.k2aci import MAX_CHAT_OCTETS, Chat, ChatRole
 
 AGAIN_NS = NS_PER_S

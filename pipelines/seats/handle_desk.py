@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from pipelines.hand.hand_topics import HandRequest, JoystickStatus
-from pipelines.seats.open_page import Answered
+from pipelines.seats.texts import Answered
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import JoystickEvent
 

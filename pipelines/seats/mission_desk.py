@@ -17,8 +17,8 @@ from pipelines.mission.tmtc_messages import (
     TmtcRequest,
 )
 from pipelines.seats.command_desk import ChatLog, CommandDesk
-from pipelines.seats.open_page import Answered
 from pipelines.seats.texts import (
+    Answered,
     ApplicationText,
     ChatRequest,
     CommandRequest,

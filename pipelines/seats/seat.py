@@ -16,11 +16,11 @@ from pipelines.seats import texts
 from pipelines.seats.figures import HOLDER, FiguresLog
 from pipelines.seats.handle_desk import HandGate, HandleOwnership, JoystickDesk
 from pipelines.seats.mission_desk import MissionDesk
-from pipelines.seats.open_page import Answered, ClientQueue, Message, OpenPage
+from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
 from pipelines.seats.own_inputs import OwnInputs
 from pipelines.seats.plan import SeatPlan, Shown
-from pipelines.seats.seat_media import SeatMedia
 from pipelines.seats.texts import (
+    Answered,
     ChatRequest,
     CommandRequest,
     HandleRequest,

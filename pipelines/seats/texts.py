@@ -5,7 +5,7 @@ full: those with a field too many, or one of another type, are refused.
 """
 
 from enum import Enum
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import msgspec
 
@@ -151,6 +151,19 @@ class AnswerText(
     ok: bool
     error: str
     round_trip_ms: float | None = None
+
+
+class Answered(NamedTuple):
+    """What became of the request of a page.
+
+    error: "" if it was carried out. camera: the one that it has selected; else "".
+    """
+
+    page: int
+    request: int
+    error: str
+    round_trip_ms: float | None = None
+    camera: str = ""
 
 
 class ChatLine(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -49,8 +49,8 @@ LONGEST_PAUSE_S = {"shown": 3.0, "felt": 1.0}
 HAPTIC_BEGIN_DELAYS = 5
 #: Rounding down at both ports makes the observed energy too small by this at most (µJ).
 ROUNDING_UJ = 2
-#: The largest rate over 100 ms, as a share of the cap (docs/video.md).
-BURST_SHARE = 1.5
+#: The largest rate over 100 ms in % of the cap (docs/video.md).
+MOST_BURST_PCT = 150
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,8 +59,8 @@ class PassFigures:
 
     predicted_s, usable_s: the time that the orbit predicts as usable, and what of it had a signal;
     None where the radio has no contact. longest_delay_s: of the radio. longest_pause_s: with a
-    signal, as `LONGEST_PAUSE_S`. cap_share, burst_share: the largest rate over 1 s and over 100 ms,
-    as shares of a stream's cap. least_energy_uj: the least that a passivity observer saw.
+    signal, as `LONGEST_PAUSE_S`. cap_pct, burst_pct: the largest rate over 1 s and over 100 ms in %
+    of a stream's cap. least_energy_uj: the least that a passivity observer saw.
     """
 
     seconds: float
@@ -68,8 +68,8 @@ class PassFigures:
     usable_s: float | None
     longest_delay_s: float
     longest_pause_s: Mapping[str, float]
-    cap_share: float | None
-    burst_share: float | None
+    cap_pct: float | None
+    burst_pct: float | None
     least_energy_uj: float | None
     failed: bool
 
@@ -90,26 +90,20 @@ def pass_figures(report: JsonReader, *, start_s: float = 0.0) -> PassFigures:
             name: _longest_pause_s(report, channels, window)
             for name, channels in (("shown", "streams"), ("felt", "haptic"))
         },
-        cap_share=cap_share(report, "1s"),
-        burst_share=cap_share(report, "100ms"),
+        cap_pct=cap_pct(report, "1s"),
+        burst_pct=cap_pct(report, "100ms"),
         least_energy_uj=least_energy_uj(report),
         failed=any(True for _ in report.elements("failures")),
     )
 
 
-def cap_share(report: JsonReader, over: str) -> float | None:
-    """The largest rate of any stream over "1s" or "100ms", as a share of its cap."""
+def cap_pct(report: JsonReader, over: str) -> float | None:
+    """The largest rate of any stream over "1s" or "100ms" in % of its cap."""
     shares = (
         round(stream.number(f"payload_bps_max_{over}") / stream.number("cap_bps"), 4)
         for _, stream in report.items("streams")
     )
-    return max(shares, default=None)
-
-
-def largest_cap_pct(report: JsonReader) -> float | None:
-    """The largest second of any stream in % of its cap."""
-    share = cap_share(report, "1s")
-    return None if share is None else 100.0 * share
+    return max((100.0 * share for share in shares), default=None)
 
 
 def usable_window(report: JsonReader, start_s: float) -> tuple[float, float] | None:
@@ -199,7 +193,7 @@ def faults(session: PassFigures | Crash) -> list[str]:
         found.append("stuck")
     if session.least_energy_uj is not None and session.least_energy_uj < -ROUNDING_UJ:
         found.append("unstable")
-    if (session.cap_share or 0) > 1 or (session.burst_share or 0) > BURST_SHARE:
+    if (session.cap_pct or 0) > 100 or (session.burst_pct or 0) > MOST_BURST_PCT:
         found.append("over its cap")
     if session.failed:
         found.append("failed")
@@ -364,7 +358,7 @@ FIGURES = (
     SweepFigure(
         "skew_p95_ms", "skew p95 ms", lambda of: of.number_or_none("skew_ms", "video_haptic", "p95")
     ),
-    SweepFigure("cap_pct", "cap %", largest_cap_pct),
+    SweepFigure("cap_pct", "cap %", lambda of: cap_pct(of, "1s")),
     SweepFigure("least_uj", "least µJ", least_energy_uj),
 )
 
