@@ -29,8 +29,8 @@ from pipelines.session.options import (
 )
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.costs import CodingCosts
-from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.agenda import CodingCosts
+from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import replay, simulate
 from telepresence.haptics.device.device import JoystickDevice

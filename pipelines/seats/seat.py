@@ -10,19 +10,17 @@ from msgspec.structs import asdict, replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ProtocolError
-from pipelines.hand.hand_topics import JoystickStatus
-from pipelines.mission.tmtc_messages import TmtcNews
+from pipelines.hand.hand_topics import HandRequest, JoystickStatus
+from pipelines.mission.tmtc_messages import TmtcNews, TmtcRequest
 from pipelines.seats import texts
-from pipelines.seats.client_queue import ClientQueue, Message
-from pipelines.seats.figures import HOLDER
-from pipelines.seats.figures_log import FiguresLog
-from pipelines.seats.hand_gate import HandGate
-from pipelines.seats.joystick_desk import JoystickDesk
+from pipelines.seats.figures import HOLDER, FiguresLog
+from pipelines.seats.handle_desk import HandGate, HandleOwnership, JoystickDesk
 from pipelines.seats.mission_desk import MissionDesk
-from pipelines.seats.open_page import OpenPage
+from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
 from pipelines.seats.own_inputs import OwnInputs
-from pipelines.seats.ownership import HandleOwnership
-from pipelines.seats.page_requests import (
+from pipelines.seats.plan import SeatPlan, Shown
+from pipelines.seats.texts import (
+    Answered,
     ChatRequest,
     CommandRequest,
     HandleRequest,
@@ -32,21 +30,25 @@ from pipelines.seats.page_requests import (
     SessionRequest,
     parse_seat_request,
 )
-from pipelines.seats.plan import SeatPlan, Shown
-from pipelines.seats.seat_events import (
-    CommandGiven,
-    HandMoved,
-    RecordingAsked,
-    SeatEvent,
-    SessionOrdered,
-    TmtcAsked,
-)
-from pipelines.seats.seat_media import SeatMedia
 from pipelines.session.messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
+
+
+class RecordingAsked(NamedTuple):
+    """The recorder is to begin or to end; pass its answer to `Seat.handle_recorder`."""
+
+    page: int
+    request: int
+    begin: bool
+
+
+#: What to tell: the joystick of the hand or of a command, the launcher of an order, the recorder
+#: and the TM/TC end of this segment of what is asked.
+SeatEvent = PageInput | HandRequest | Order | RecordingAsked | TmtcRequest
 
 HEARTBEAT_NS = 100 * NS_PER_MS
 
@@ -91,6 +93,12 @@ class Seat:
         self._pages: dict[int, OpenPage] = {}
         self.media = SeatMedia(plan.streams, self._pages)
         self._hand = HandleOwnership()
+        self._hand_over: Mapping[str, Callable[[int], str]] = {
+            "take": self._hand.handle_take,
+            "give": self._hand.handle_give,
+            "ask": self._hand.handle_ask,
+            "refuse": self._hand.handle_refuse,
+        }
         self._gate = HandGate(self._hand)
         self._desk = JoystickDesk(first_command)
         self.mission = MissionDesk(
@@ -108,7 +116,6 @@ class Seat:
 
     @property
     def watching(self) -> int:
-        """How many pages are open."""
         return len(self._pages)
 
     @property
@@ -127,7 +134,9 @@ class Seat:
         """A page has come; return its number. plain: it gets no picture, sound or haptics."""
         number = next(self._numbers)
         lanes = () if plain else self.media.lanes
-        page = self._pages[number] = OpenPage(number, role, ClientQueue(lanes), plain)
+        page = self._pages[number] = OpenPage(
+            role, number=number, queue=ClientQueue(lanes), plain=plain
+        )
         if role is Role.OPERATOR or not refusal(role, self.plan.segment, "hand"):
             self._hand.handle_joined(number)
         seat = replace(self.plan.text, streams=(), previews=()) if plain else self.plan.text
@@ -176,13 +185,11 @@ class Seat:
         return message
 
     def next_event(self) -> SeatEvent | None:
-        """Return what is to be done, or None."""
         return self._events.popleft() if self._events else None
 
     # What pages send
 
     def handle_message(self, number: int, data: bytes, now_ns: int) -> None:
-        """A page has sent octets."""
         page = self._pages[number]
         message = parse_seat_message(data, now_ns)
         if isinstance(message, Ping):
@@ -194,17 +201,16 @@ class Seat:
             raise ProtocolError("too many positions of the hand")
         hand = self._gate.handle_input(number, message)
         if hand is not None:
-            self._events.append(HandMoved(hand))
+            self._events.append(hand)
 
     def handle_text(self, number: int, text: str, now_ns: int) -> None:
-        """A page has sent a text."""
         page = self._pages[number]
         if not page.texts.handle_message(now_ns):
             raise ProtocolError("too many requests")
         request = parse_seat_request(text)
         error = self._handle_request(page, request, now_ns)
         if error is not None:
-            self._answer(number, request.request, error)
+            self._answer(Answered(number, request.request, error))
         self._settle_hand(now_ns)
         self._settle_desk(now_ns)
         self._settle_mission(now_ns)
@@ -221,42 +227,26 @@ class Seat:
         refused = "" if page.role is Role.OPERATOR else refusal(page.role, segment, rule.deed)
         if refused or segment not in rule.at:
             return refused or rule.elsewhere
-        return self._carry_out(page.number, request)
-
-    def _carry_out(
-        self,
-        number: int,
-        request: JoystickRequest | HandleRequest | SessionRequest | RecordingRequest,
-    ) -> str | None:
+        number = page.number
         match request:
             case JoystickRequest():
                 event = JoystickEvent(request.event)
                 self._desk.handle_request(number, request.request, event)
             case HandleRequest():
-                return self._hand_over(number, request.action)
+                return self._hand_over[request.action](number)
             case SessionRequest():
                 if not self.plan.orders:
                     return "ground control starts and stops the session"
-                self._events.append(SessionOrdered(Order(request.action)))
+                self._events.append(Order(request.action))
                 return ""
             case RecordingRequest():
                 begin = request.action == "start"
                 self._events.append(RecordingAsked(number, request.request, begin))
         return None
 
-    def _hand_over(self, number: int, action: str) -> str:
-        handlers: dict[str, Callable[[int], str]] = {
-            "take": self._hand.handle_take,
-            "give": self._hand.handle_give,
-            "ask": self._hand.handle_ask,
-            "refuse": self._hand.handle_refuse,
-        }
-        return handlers[action](number)
-
     # What topics and the launcher tell
 
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
-        """The joystick's state."""
         told = texts.JoystickText(
             state=JoystickState(status.state).words,
             reason=status.reason,
@@ -287,14 +277,13 @@ class Seat:
         self.mission.handle_shown(kind, shown)
 
     def handle_camera(self, camera: str, now_ns: int) -> None:
-        """The selected camera."""
         if camera != self.camera:
             self.camera = camera
             self._tell_state(now_ns)
 
     def handle_recorder(self, asked: RecordingAsked, error: str) -> None:
         """The recorder's answer. error: "" if it does what was asked."""
-        self._answer(asked.page, asked.request, error)
+        self._answer(Answered(asked.page, asked.request, error))
 
     def handle_figures(self, text: bytes, now_ns: int) -> None:
         """A message of the launcher; pages get it unchanged."""
@@ -307,10 +296,6 @@ class Seat:
             self.handle_camera(selected, now_ns)
 
     # Time
-
-    def poll_timeout(self) -> int | None:
-        """When `handle_time` is due; None while nobody looks."""
-        return self._due_ns if self._pages else None
 
     def handle_time(self, now_ns: int) -> None:
         """Send the heartbeat if it is due."""
@@ -349,7 +334,7 @@ class Seat:
         """The holder may have changed: the hand before lets go, and all pages are told."""
         released = self._gate.poll_release(now_ns)
         if released is not None:
-            self._events.append(HandMoved(released))
+            self._events.append(released)
         if self._hand.next_event() is not None:
             self._tell_state(now_ns)
 
@@ -361,28 +346,23 @@ class Seat:
 
     def _settle_mission(self, now_ns: int) -> None:
         while (request := self.mission.poll_transmit(now_ns)) is not None:
-            self._events.append(TmtcAsked(request))
+            self._events.append(request)
         while (answered := self.mission.next_event()) is not None:
-            self._answer(answered.page, answered.request, answered.error, answered.round_trip_ms)
+            self._answer(answered)
             if answered.camera:
                 self.handle_camera(answered.camera, now_ns)
 
     def _settle_desk(self, now_ns: int) -> None:
         while (answered := self._desk.next_event()) is not None:
-            self._answer(answered.page, answered.request, answered.error)
+            self._answer(answered)
         command = self._desk.poll_transmit(now_ns)
         if command is not None:
-            self._events.append(CommandGiven(command))
+            self._events.append(command)
 
-    def _answer(
-        self, number: int, request: int, error: str, round_trip_ms: float | None = None
-    ) -> None:
-        page = self._pages.get(number)
-        if page is not None:
-            page.queue.put_answer(
-                texts.pack_text(
-                    texts.AnswerText(
-                        request=request, ok=not error, error=error, round_trip_ms=round_trip_ms
-                    )
-                )
+    def _answer(self, answered: Answered) -> None:
+        number, request, error, round_trip_ms, _ = answered
+        if number in self._pages:
+            text = texts.AnswerText(
+                request=request, ok=not error, error=error, round_trip_ms=round_trip_ms
             )
+            self._pages[number].queue.put_answer(texts.pack_text(text))

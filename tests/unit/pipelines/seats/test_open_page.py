@@ -1,11 +1,12 @@
-"""What waits for one page is bounded, and units are complete or left out."""
+"""What waits for one page is bounded, units are complete or left out, and its messages are few."""
 
 from itertools import pairwise
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipelines.seats.client_queue import MOST_UNIT_OCTETS, MOST_UNITS, ClientQueue
+from kontur_av.clock import NS_PER_S
+from pipelines.seats.open_page import MOST_UNIT_OCTETS, MOST_UNITS, ClientQueue, MessageRate
 
 
 def drained(queue):
@@ -127,3 +128,20 @@ def test_bounded_whatever_comes_and_complete_whatever_goes(steps):
         assert len(queue) <= 64 + 32 + 1 + 8 + 2 * 25 + 3 + 2 * 15 + MOST_UNITS
     for (before, _), (after, key) in pairwise(gone):
         assert key or after == before + 1
+
+
+def test_a_burst_then_the_rate():
+    bucket = MessageRate(20, 5)
+    assert [bucket.handle_message(0) for _ in range(6)] == [True] * 5 + [False]
+    assert not bucket.handle_message(NS_PER_S // 20 - 1)
+    assert bucket.handle_message(NS_PER_S // 20)
+    assert not bucket.handle_message(NS_PER_S // 20)
+
+
+@given(st.lists(st.integers(0, NS_PER_S), max_size=200))
+def test_never_more_than_burst_and_rate(gaps_ns):
+    bucket, now_ns, passed = MessageRate(20, 5), 0, 0
+    for gap_ns in gaps_ns:
+        now_ns += gap_ns
+        passed += bucket.handle_message(now_ns)
+        assert passed <= 5 + now_ns * 20 / NS_PER_S

@@ -1,26 +1,65 @@
-"""Runs on a cluster of Dask: each on some worker, and done again where a worker dies.
+"""Where the runs of a campaign are done: on this machine, or on a cluster of Dask.
 
-A worker does only what a machine with the same program and libraries would have done: it compares
-`here.facts` before each run. So results are those of this machine, octet by octet.
+A run goes to some worker, and is done again where a worker dies. A worker does only what a machine
+with the same program and libraries would have done: it compares `facts` before each run. So results
+are those of this machine, octet by octet.
 """
 
 import asyncio
 import logging
+import platform
 import re
 import warnings
 from collections.abc import Callable, Generator, Mapping, Sequence
-from functools import partial
-from importlib.metadata import version
+from functools import cache, partial
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from types import TracebackType
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from kontur_av.errors import ConfigError
-from pipelines.virtual.campaign import here
-from pipelines.virtual.campaign.tasks import Crash
+from pipelines.virtual.campaign.figures import Crash
 
 if TYPE_CHECKING:
     from distributed import Client
+import argparse
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_ROOT = Path(__file__).resolve().parents[3]
+PACKAGES = ("kontur_av", "telepresence", "pipelines")
+#: Libraries whose versions may change a figure.
+_LIBRARIES = ("numpy", "av", "opencv-python-headless", "opuslib", "sgp4")
+
+
+@cache
+def code_digest(packages: tuple[str, ...] = PACKAGES) -> str:
+    """A digest of the text of all modules, and of the tables beside them."""
+    digest = sha256()
+    for package in packages:
+        for path in sorted((_ROOT / package).rglob("*")):
+            if path.suffix in (".py", ".toml"):
+                digest.update(f"{path.relative_to(_ROOT)}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def facts() -> Mapping[str, str]:
+    """Name and version of each part that two machines must have alike."""
+    return {
+        "kontur-av": code_digest(),
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        **{name: _version(name) for name in _LIBRARIES},
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "none"
+
 
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
@@ -39,7 +78,7 @@ class Cluster:
     def __init__(self, address: str) -> None:
         self._address = address
         self._client = _connected(address)
-        self._facts = here.facts()
+        self._facts = facts()
         try:
             self._check_workers()
         except BaseException:
@@ -50,22 +89,19 @@ class Cluster:
         try:
             self._client.wait_for_workers(1, timeout=_CONNECT_S)
         except TimeoutError:
-            raise ConfigError(
-                f"--cluster {self._address}: it has no worker; start `dask worker {self._address}`"
-            ) from None
+            words = f"it has no worker; start `dask worker {self._address}`"
+            raise _refusal(self._address, words) from None
         try:
-            found: Mapping[str, Mapping[str, str]] = self._client.run(_facts)
+            found: Mapping[str, Mapping[str, str]] = self._client.run(facts)
         except ImportError:
             raise self._without_program() from None
         for worker, theirs in found.items():
             if differing := _differing(self._facts, theirs):
-                raise ConfigError(f"--cluster {self._address}: worker {worker} has {differing}")
+                raise _refusal(self._address, f"worker {worker} has {differing}")
 
     def _without_program(self) -> ConfigError:
-        return ConfigError(
-            f"--cluster {self._address}: a worker or the scheduler lacks this kontur-av: "
-            "install it there with the extra cluster"
-        )
+        words = "a worker or the scheduler lacks this kontur-av: install it there with the extra"
+        return _refusal(self._address, f"{words} cluster")
 
     def results(
         self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]
@@ -84,17 +120,15 @@ class Cluster:
         try:
             for future in as_completed(futures, loop=self._client.loop):
                 if future.status not in ("finished", "error"):
-                    raise ConfigError(
-                        f"--cluster {self._address}: its scheduler has gone; start it and its "
-                        "workers, and give the same command again"
-                    )
+                    words = "start it and its workers, and give the same command again"
+                    raise _refusal(self._address, f"its scheduler has gone; {words}")
                 error = future.exception() if future.status == "error" else None
                 if isinstance(error, KilledWorker):
                     yield numbers[future.key], Crash("each worker that began it died")
                 elif isinstance(error, ImportError):
                     raise self._without_program()
                 elif isinstance(error, ConfigError):
-                    raise ConfigError(f"--cluster {self._address}: {error}")
+                    raise _refusal(self._address, str(error))
                 elif error is not None:
                     raise error
                 else:
@@ -106,22 +140,19 @@ class Cluster:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._client.close()
+
+
+def _refusal(address: str, words: str) -> ConfigError:
+    return ConfigError(f"--cluster {address}: {words}")
 
 
 def _connected(address: str) -> "Client":
     if not re.fullmatch(r"tcp://(\[[0-9a-fA-F:]+\]|[^:/\s]+):\d{1,5}", address):
         raise ConfigError(f"--cluster {address}: write tcp://HOST:PORT, as `dask scheduler` says")
     if find_spec("distributed") is None:
-        raise ConfigError(
-            f"--cluster {address}: Dask is missing (pip install 'kontur-av[cluster]')"
-        )
+        raise _refusal(address, "Dask is missing (pip install 'kontur-av[cluster]')")
     from distributed import Client
 
     # Its log tells of workers that went; what matters of it is told by us.
@@ -133,7 +164,7 @@ def _connected(address: str) -> "Client":
         try:
             return Client(address, timeout=_CONNECT_S, set_as_default=False)
         except (OSError, RuntimeError) as error:
-            raise ConfigError(f"--cluster {address}: its scheduler has gone: {error}") from None
+            raise _refusal(address, f"its scheduler has gone: {error}") from None
 
 
 def _check_scheduler(address: str) -> None:
@@ -142,16 +173,12 @@ def _check_scheduler(address: str) -> None:
         theirs = asyncio.run(_asked(address))
     # What else listens at the port, and Dask of another age, make it raise anything.
     except Exception:
-        raise ConfigError(
-            f"--cluster {address}: no scheduler of Dask {version('distributed')} answers; start "
-            "`dask scheduler` there"
-        ) from None
+        words = f"no scheduler of Dask {version('distributed')} answers"
+        raise _refusal(address, f"{words}; start `dask scheduler` there") from None
     for name in _DASK:
         if theirs[name] != version(name):
-            raise ConfigError(
-                f"--cluster {address}: the scheduler has {name} {theirs[name]}, and this machine "
-                f"{version(name)}: install the same"
-            )
+            words = f"and this machine {version(name)}: install the same"
+            raise _refusal(address, f"the scheduler has {name} {theirs[name]}, {words}")
 
 
 async def _asked(address: str) -> Mapping[str, str]:
@@ -166,14 +193,9 @@ async def _asked(address: str) -> Mapping[str, str]:
 
 def _run(expected: Mapping[str, str], function: Callable[[_Task], _Result], task: _Task) -> _Result:
     """On a worker, which may have come after `Cluster` looked at all of them."""
-    if differing := _differing(expected, here.facts()):
+    if differing := _differing(expected, facts()):
         raise ConfigError(f"a worker has {differing}")
     return function(task)
-
-
-def _facts() -> Mapping[str, str]:
-    """On a worker: what it is."""
-    return here.facts()
 
 
 def _differing(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str:
@@ -181,3 +203,42 @@ def _differing(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str:
         if (other := theirs.get(name, "none")) != own:
             return f"{name} {other}, and this machine {own}: install the same"
     return ""
+
+
+_MOST_JOBS = 256
+
+
+def processors() -> int:
+    """The number of processors that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def add_place_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--jobs", type=int, metavar="N", help="runs at a time (default: one for each processor)"
+    )
+    parser.add_argument(
+        "--cluster",
+        metavar="tcp://HOST:PORT",
+        help="let the workers of this Dask scheduler do the runs (docs/simulation.md)",
+    )
+
+
+def jobs_of(args: argparse.Namespace) -> int:
+    """How many runs at a time on this machine; ConfigError."""
+    if args.jobs is not None and args.cluster is not None:
+        raise ConfigError("--jobs and --cluster: give one of them")
+    jobs = processors() if args.jobs is None else args.jobs
+    if not 1 <= jobs <= _MOST_JOBS:
+        raise ConfigError(f"--jobs {jobs}: give 1 to {_MOST_JOBS}")
+    return int(jobs)
+
+
+@contextmanager
+def cluster_of(args: argparse.Namespace) -> Iterator[Cluster | None]:
+    """The cluster that is wanted, as long as the context lasts; ConfigError."""
+    if args.cluster is None:
+        yield None
+        return
+    with Cluster(args.cluster) as cluster:
+        yield cluster
