@@ -5,10 +5,14 @@ what the left one misses. A picture of the two outer halves thus shows both side
 the bit rate of one camera (Kontur-2).
 """
 
+import struct
 from dataclasses import dataclass
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, CaptureStamp, VideoFrame, planes
+
+#: In a topic: when the older half of a merged picture was captured (ns).
+HALF = struct.Struct("=q")
 
 
 def merge(left: I420 | None, right: I420 | None, into: I420, seam: float = 0.5) -> None:

@@ -1,5 +1,6 @@
 """What robot and joystick do about orders that outlive a process: emergency stop, halt, power."""
 
+from kontur_av.sources.stereo import HALF
 from kontur_av.streams.lipsync import LAG
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import JoystickOrders, RobotOrders
@@ -8,7 +9,6 @@ from pipelines.hand.haptics import RobotEnd
 from pipelines.hand.operator_view import CameraWatch, OperatorView
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.media.following import Choice
-from pipelines.media.process_stereo import HALF
 from pipelines.session.orders import KeptOrders
 from pipelines.session.setup.table import STEREO, Setup
 from pipelines.session.topology import (

@@ -1,17 +1,12 @@
 """The process that merges the pictures of the robot's two cameras into one."""
 
-import struct
-
 from kontur_av.clock import NS_PER_S
-from kontur_av.sources.stereo import StereoPairer, merge
+from kontur_av.sources.stereo import HALF, StereoPairer, merge
 from kontur_av.topics.bus import Lease
 from pipelines.media.figures import StereoFigures
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
 from pipelines.session.topology import HALVES_TOPIC
-
-#: An instant of capture (ns).
-HALF = struct.Struct("=q")
 
 
 def run_stereo(context: Context) -> None:

@@ -172,6 +172,7 @@ USERS_OF_SHELLS = {
     "pipelines/media/coded_topics.py": "topics",
     "pipelines/link/link_topics.py": "topics",
     "pipelines/hand/mission_ends.py": "topics",
+    "pipelines/hand/safety_ends.py": "topics, and orders in files",
     "pipelines/hand/partner_arm.py": "sockets of a process",
     "pipelines/session/mission_topic.py": "topics",
     "pipelines/session/robot_state.py": "a topic",
