@@ -94,6 +94,7 @@ class PageServer:
     def _handle_time(self, now_ns: int) -> None:
         if self._seat.watching:
             self._topics.look(now_ns)
+            self._deeds.look(now_ns)
             self._seat.handle_time(now_ns)
             self._settle()
         self._sockets.handle_time(now_ns)

@@ -28,9 +28,11 @@ from pipelines.seats.texts import (
     RecordingRequest,
     SeatRequest,
     SessionRequest,
+    StopRequest,
     parse_seat_request,
 )
 from pipelines.session.messages import Ping, pack_pong, parse_seat_message
+from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
@@ -46,9 +48,16 @@ class RecordingAsked(NamedTuple):
     begin: bool
 
 
+class StopAsked(NamedTuple):
+    """The emergency stop is to hold, or not. by: who asks."""
+
+    stop: bool
+    by: str
+
+
 #: What to tell: the joystick of the hand or of a command, the launcher of an order, the recorder
 #: and the TM/TC end of this segment of what is asked.
-SeatEvent = PageInput | HandRequest | Order | RecordingAsked | TmtcRequest
+SeatEvent = PageInput | HandRequest | Order | RecordingAsked | StopAsked | TmtcRequest
 
 HEARTBEAT_NS = 100 * NS_PER_MS
 
@@ -71,6 +80,7 @@ _RULES: Mapping[type[SeatRequest], _Rule] = MappingProxyType(
         ),
         HandleRequest: _Rule("hand", (Segment.SPACE,), "the handle is at the operator's seat"),
         SessionRequest: _Rule("session"),
+        StopRequest: _Rule("stop"),
         RecordingRequest: _Rule("record", (Segment.GROUND,), "ground control records the session"),
     }
 )
@@ -106,6 +116,8 @@ class Seat:
         )
         self._figures = FiguresLog()
         self._joystick: texts.JoystickText | None = None
+        self._safety = texts.SafetyText(stopped=False, by="", waiting=False, hold="")
+        self._stop: tuple[bool, str] = (False, "")
         self._signal: bool | None = None
         self.camera: str | None = None
         self._due_ns = 0
@@ -224,7 +236,10 @@ class Seat:
         if isinstance(request, ChatRequest):
             return self.mission.handle_chat(page.role, request, now_ns)
         rule, segment = _RULES[type(request)], self.plan.segment
-        refused = "" if page.role is Role.OPERATOR else refusal(page.role, segment, rule.deed)
+        deed = rule.deed
+        if isinstance(request, StopRequest):
+            deed = f"robot.{'emergency_stop' if request.action == 'stop' else 'release_stop'}"
+        refused = "" if page.role is Role.OPERATOR else refusal(page.role, segment, deed)
         if refused or segment not in rule.at:
             return refused or rule.elsewhere
         number = page.number
@@ -238,6 +253,10 @@ class Seat:
                 if not self.plan.orders:
                     return "ground control starts and stops the session"
                 self._events.append(Order(request.action))
+                return ""
+            case StopRequest():
+                by = f"the {page.role.words} at the page of {segment.value}"
+                self._events.append(StopAsked(request.action == "stop", by))
                 return ""
             case RecordingRequest():
                 begin = request.action == "start"
@@ -254,6 +273,7 @@ class Seat:
             force_limit_n=status.force_limit_n,
             device=status.device,
         )
+        self._hear_robot(status.robot_stopped, status.robot_waits, "")
         self._desk.handle_status(status)
         self._settle_desk(now_ns)
         if told != self._joystick:
@@ -275,6 +295,17 @@ class Seat:
     def handle_shown(self, kind: str, shown: Shown) -> None:
         """What a process of the mission shows; pages get it with the next heartbeat."""
         self.mission.handle_shown(kind, shown)
+        if isinstance(shown, RobotStatus):
+            self._hear_robot(shown.stopped, shown.waiting, shown.hold)
+
+    def handle_stop(self, ordered: bool, by: str, now_ns: int) -> None:
+        """Whether an emergency stop is kept on this machine, and who ordered it."""
+        if (ordered, by) != self._stop:
+            self._stop = (ordered, by)
+            self._tell_state(now_ns)
+
+    def _hear_robot(self, stopped: bool, waiting: bool, hold: str) -> None:
+        self._safety = texts.SafetyText(stopped=stopped, by="", waiting=waiting, hold=hold)
 
     def handle_camera(self, camera: str, now_ns: int) -> None:
         if camera != self.camera:
@@ -323,6 +354,9 @@ class Seat:
                 signal=signal,
                 camera=self.camera,
                 joystick=self._joystick,
+                safety=replace(
+                    self._safety, stopped=self._safety.stopped or self._stop[0], by=self._stop[1]
+                ),
                 hand=texts.HandText(
                     holder=self.holder, you=hand.holder == number, wanted_by=hand.wanted_by
                 ),

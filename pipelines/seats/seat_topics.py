@@ -30,9 +30,10 @@ from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import SeatStream, Unpack
-from pipelines.seats.seat import RecordingAsked, Seat
+from pipelines.seats.seat import RecordingAsked, Seat, StopAsked
 from pipelines.seats.texts import Via
 from pipelines.session.feeds import Feed, TopicState
+from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.recorder_control import recorder_path
 from pipelines.session.recorder_requests import (
@@ -291,6 +292,7 @@ class SeatDeeds:
         self._seat, self._context, self._serving, self._settle = seat, context, serving, settle
         self._now_ns = context.clock.now_ns
         self._numbers = count()
+        self._orders = KeptOrders(context.session)
         self._hand = self._commands = None
         if seat.plan.segment is Segment.SPACE:
             self._hand = bus.writer(HAND_INPUT_TOPIC, max_octets=INPUT_OCTETS, wake=False)
@@ -316,11 +318,20 @@ class SeatDeeds:
                         self._commands.publish_octets(pack_request(event), stamp)
                 case Order():
                     self._context.order(event, self._now_ns())
+                case StopAsked():
+                    if event.stop:
+                        self._orders.stop(event.by)
+                    else:
+                        self._orders.release()
                 case RecordingAsked():
                     self._serving.begin(self._record(event))
                 case _:
                     # One that is not taken now is repeated.
                     send_to_tmtc(self._context.session, self._seat.plan.segment, event)
+
+    def look(self, now_ns: int) -> None:
+        """See whether an emergency stop is kept here."""
+        self._seat.handle_stop(self._orders.stopped, self._orders.stopped_by, now_ns)
 
     def publish(self, given: Given) -> None:
         """Publish what a page's own camera or microphone gives."""

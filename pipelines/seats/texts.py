@@ -122,6 +122,19 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     device: str
 
 
+class SafetyText(msgspec.Struct, frozen=True, kw_only=True):
+    """Whether the robot may follow the hand, as this end knows it.
+
+    stopped: an emergency stop holds; by: who ordered it here, "" if it was elsewhere.
+    waiting: for a new press of the dead-man button. hold: why it holds still, where that is known.
+    """
+
+    stopped: bool
+    by: str
+    waiting: bool
+    hold: str
+
+
 class HandText(msgspec.Struct, frozen=True, kw_only=True):
     """Who holds the handle, and who asks for it, by numbers of pages."""
 
@@ -138,6 +151,7 @@ class StateText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag
     signal: bool
     camera: str | None
     joystick: JoystickText | None
+    safety: SafetyText
     hand: HandText
     inputs: dict[str, int | None]
 
@@ -332,6 +346,12 @@ class HandleRequest(_Request, frozen=True, tag="hand"):
     action: Literal["take", "give", "ask", "refuse"]
 
 
+class StopRequest(_Request, frozen=True, tag="stop"):
+    """Order the emergency stop of the robot, or release it."""
+
+    action: Literal["stop", "release"]
+
+
 class SessionRequest(_Request, frozen=True, tag="session"):
     """Start or stop the session."""
 
@@ -375,6 +395,7 @@ SeatRequest = (
     JoystickRequest
     | HandleRequest
     | SessionRequest
+    | StopRequest
     | RecordingRequest
     | CommandRequest
     | ChatRequest

@@ -95,6 +95,13 @@
  */
 
 /**
+ * Whether the robot may follow the hand, as this end knows it. stopped: an emergency stop holds;
+ * by: who ordered it here, "" if it was elsewhere. waiting: for a new press of the dead-man
+ * button. hold: why it holds still, where that is known.
+ * @typedef {{stopped: boolean, by: string, waiting: boolean, hold: string}} SafetyText
+ */
+
+/**
  * Who holds the handle, and who asks for it, by numbers of pages.
  * @typedef {{holder: number | null, you: boolean, wanted_by: number | null}} HandText
  */
@@ -102,8 +109,8 @@
 /**
  * The heartbeat, 10 times a second, and at each change.
  * @typedef {{kind: "state", now_us: number, link: "connected" | "lost", signal: boolean, camera:
- *   string | null, joystick: JoystickText | null, hand: HandText, inputs: Record<string, number |
- *   null>}} StateText
+ *   string | null, joystick: JoystickText | null, safety: SafetyText, hand: HandText, inputs:
+ *   Record<string, number | null>}} StateText
  */
 
 /**
@@ -254,6 +261,7 @@
  * @typedef {{do: "joystick", event: "calibrate" | "start" | "halt" | "acknowledge" | "stop" | "resume"}
  *   | {do: "hand", action: "take" | "give" | "ask" | "refuse"}
  *   | {do: "session", action: "start" | "stop"}
+ *   | {do: "stop", action: "stop" | "release"}
  *   | {do: "record", action: "start" | "stop"}
  *   | {do: "command", application: string, verb?: Verb, name?: string, arguments?: (boolean | number | string)[]}
  *   | {do: "chat", text: string}

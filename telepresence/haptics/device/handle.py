@@ -26,6 +26,7 @@ class OperatedHandle:
     dead_man, buttons, state: the values that the command samples carry.
     stop: emergency stop. blind: the operator's picture is too old. The caller sets both.
     pressed: how often a button went down.
+    robot_waits, robot_stopped: what the robot's newest sample says.
 
     Its time is the sum of what `step` was told, so it runs on virtual time too.
     """
@@ -40,6 +41,7 @@ class OperatedHandle:
         self.force_limit_n = 0.0
         self.dead_man = self.stop = self.blind = False
         self.buttons = self.pressed = 0
+        self.robot_waits = self.robot_stopped = False
         self.state = int(JoystickState.INIT)
         self._known = JoystickState.INIT
         self._placed = False
@@ -63,7 +65,7 @@ class OperatedHandle:
         if now_ns >= self._heard_ns:
             self._heard_ns = now_ns + _HEARD_NS
             self.operation.handle_heard(now_ns)
-        lit = feedback[5]
+        lit, self.robot_waits, self.robot_stopped = feedback[5], feedback[8], feedback[9]
         self._leds = 0 if lit is None else 1 << lit
 
     def handle_command(self, event: JoystickEvent) -> str:

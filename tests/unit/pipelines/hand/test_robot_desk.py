@@ -46,7 +46,7 @@ def test_telecommands_are_answered_with_a_refusal_in_words():
     assert answers == ["the robot is on: switch it off first", "", "", ""]
     assert (status.powered, status.mode) == (True, "impedance")
     one.control.handle_fault("a wire broke")
-    one.handle_command(RobotCommand(9, "power_on"), BEGAN_NS)
+    one.handle_command(RobotCommand(9, "power_on"), BEGAN_NS, BEGAN_NS)
     status = one.poll_status(BEGAN_NS)
     assert (status.error, status.fault) == ("other", "a wire broke")
     assert "reset it first: a wire broke" in status.command_refusal

@@ -59,6 +59,7 @@ class Bench:
         return way_m == 0.0 and self.envelope.hold is by and self.side.controller.holding
 
     def follows(self):
+        self.run(20)
         self.change(x_m=self.command.x_m - 0.03)
         way_m, _ = self.run(500)
         return way_m < -0.02 and self.envelope.hold is Hold.NONE
