@@ -39,7 +39,7 @@ def run_second_robot(context: Context) -> None:
         envelope = SafetyEnvelope(context.setup.safety)
         end = RobotEnd(context.probe, life=new_life(), envelope=envelope)
         stop = follow_stop(KeptOrders(context.session), end)
-        run_loop(context, end, partner_ports(context.setup), publish, seldom=[stop])
+        run_loop(context, end, partner_ports(context.setup), publish, seldom=[stop], own=False)
 
 
 def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cycle:

@@ -88,7 +88,7 @@ def run_robot(context: Context) -> None:
             ownership=ownership,
             envelope=SafetyEnvelope(setup.safety, stopped=kept.stopped),
         )
-        to_gateway = context.sender(topology.entry_port(TELEMETRY)) if mediated else None
+        to_gateway = context.own_sender(topology.entry_port(TELEMETRY)) if mediated else None
 
         def tell_wall(now_ns: int) -> None:
             wall = end.poll_wall(now_ns)
