@@ -5,8 +5,10 @@ at most one picture and one voice, as WHIP has it (RFC 9725 section 4.4). No dat
 accepted, so that a stranger's messages are not even read.
 """
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from ipaddress import IPv4Address, ip_address
 from typing import Any, Literal
 
 from aiortc import (
@@ -56,8 +58,18 @@ _CODECS: dict[Kind, tuple[str, int]] = {
 _PROFILES = ("42e0", "4200", "4d00", "6400")
 _DISCARD_PORT = 9
 _ANY_HOST = "0.0.0.0"
+_MDNS = re.compile(r"[0-9a-f-]{36}\.local")
+_BROADCAST = IPv4Address("255.255.255.255")
 #: What the parser raises for garbage.
-MALFORMED = (ValueError, AssertionError, LookupError, AttributeError, TypeError, StopIteration)
+MALFORMED = (
+    ValueError,
+    AssertionError,
+    ArithmeticError,
+    LookupError,
+    AttributeError,
+    TypeError,
+    StopIteration,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +88,41 @@ class Transport:
     fingerprints: tuple[tuple[str, str], ...] = ()
     role: str = "auto"
     lite: bool = False
+
+
+def clean_candidates(text: str, *, loopback: bool = True) -> str:
+    """Return a description or a fragment without the candidates that no datagram may go to.
+
+    These are ports that do not exist, addresses of everybody or nobody, and what is no address;
+    without `loopback` also those of loopback, at which a partner elsewhere would have us send to
+    our own programs. Names of mDNS stay.
+    """
+    return "".join(
+        line for line in text.splitlines(keepends=True) if _may_stay(line.strip(), loopback)
+    )
+
+
+def _may_stay(line: str, loopback: bool) -> bool:
+    if not line.startswith("a=candidate:"):
+        return True
+    words = line.split()
+    try:
+        port = int(words[5])
+    except (ValueError, IndexError):
+        # The parser refuses it.
+        return True
+    # One of TCP, which nobody uses here, may have 9, the port to discard.
+    if not 1 <= port <= 65_535:
+        return False
+    if _MDNS.fullmatch(words[4].lower()):
+        return True
+    try:
+        address = ip_address(words[4])
+    except ValueError:
+        return False
+    mapped = getattr(address, "ipv4_mapped", None) or address
+    wanted = loopback or not mapped.is_loopback
+    return wanted and not (mapped.is_multicast or mapped.is_unspecified or mapped == _BROADCAST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +218,7 @@ def read_description(text: str, *, answers: bool, ssrcs: dict[Kind, int]) -> Off
     if len(text) > MOST_SDP_OCTETS:
         raise ProtocolError(f"a description of {len(text)} octets: {MOST_SDP_OCTETS} are most")
     try:
-        parsed = SessionDescription.parse(text)
+        parsed = SessionDescription.parse(clean_candidates(text))
         return _read(parsed, answers=answers, ssrcs=ssrcs)
     except MALFORMED as error:
         raise ProtocolError(f"not a session description: {error}") from error
@@ -203,7 +250,7 @@ def read_candidates(text: str) -> Transport:
     """Return what a fragment for trickle ICE says. Raises ProtocolError for garbage."""
     if len(text) > MOST_SDP_OCTETS:
         raise ProtocolError(f"a fragment of {len(text)} octets: {MOST_SDP_OCTETS} are most")
-    said = [line.strip().partition(":") for line in text.splitlines()]
+    said = [line.strip().partition(":") for line in clean_candidates(text).splitlines()]
     ufrag = next((value for key, _, value in said if key == "a=ice-ufrag" and value), "")
     password = next((value for key, _, value in said if key == "a=ice-pwd" and value), "")
     try:

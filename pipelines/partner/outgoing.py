@@ -142,7 +142,9 @@ class OutgoingTrack:
         elif isinstance(packet, RtcpRtpfbPacket):
             lost = packet.fmt == RTCP_RTPFB_NACK and packet.media_ssrc == self.ssrc
             if lost and self._history is not None:
-                self._again.extend(self._history.handle_lost(packet.lost, now_ns))
+                # aiortc counts on behind 65535.
+                numbers = [number & 0xFFFF for number in packet.lost]
+                self._again.extend(self._history.handle_lost(numbers, now_ns))
         elif isinstance(packet, RtcpPsfbPacket):
             self._handle_picture_feedback(packet)
 

@@ -152,6 +152,7 @@ class _Leg:
                 ice_restarts=total.restarts,
                 refused=dict(server.door.refused),
                 garbage=total.garbage + server.garbage + self._hands.garbage,
+                faults=server.faults,
                 samples=self._hands.totals(),
                 rate_lowered=self._uplink.wish.rate.lowered,
                 partners=len(standing),

@@ -11,6 +11,7 @@
 
 import asyncio
 import secrets
+import traceback
 from collections.abc import Awaitable, Callable, Iterable
 
 from aiohttp import web
@@ -18,7 +19,13 @@ from aiohttp import web
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.partner.decisions import Door, Refusal
-from pipelines.partner.description import MOST_SDP_OCTETS, read_candidates, write_candidates
+from pipelines.partner.description import (
+    MALFORMED,
+    MOST_SDP_OCTETS,
+    clean_candidates,
+    read_candidates,
+    write_candidates,
+)
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.partner.peer import Programme, RtcPeer
@@ -82,6 +89,8 @@ class RtcServer:
         self.hand: SamplePeer | None = None
         #: Connections that were made; offers and fragments that could not be used.
         self.made = self.garbage = 0
+        #: Connections and requests that ended in an error of this software or of a library.
+        self.faults = 0
 
     @property
     def peers(self) -> list[RtcPeer]:
@@ -104,6 +113,7 @@ class RtcServer:
     async def close(self) -> None:
         """End all connections, and serve no more."""
         await asyncio.gather(*(self._end(name) for name in list(self._sessions)))
+        self._site.close()
         if self._runner is not None:
             await self._runner.cleanup()
 
@@ -122,12 +132,20 @@ class RtcServer:
         except ProtocolError as error:
             self.garbage += 1
             return web.Response(status=400, text=f"{error}\n")
+        except (web.HTTPException, ConnectionError, asyncio.CancelledError):
+            raise
+        except Exception:
+            # Whatever one partner caused ends its request alone; the error stream has it.
+            self.faults += 1
+            traceback.print_exc()
+            return web.Response(status=500)
 
     async def _signal(self, request: web.Request, path: str) -> web.Response:
         now_ns = self._clock.now_ns()
         refusal = self.door.check(request.headers.get("Authorization"), now_ns)
         if refusal is not None:
             return _refused(refusal)
+        self._site.handle_known(request)
         if path.startswith(_SESSION):
             return await self._change(request, path.removeprefix(_SESSION))
         programme = self.programmes.get(path.removeprefix("/whep/"))
@@ -143,7 +161,7 @@ class RtcServer:
             return web.Response(status=405, headers={"Allow": "POST, OPTIONS"})
         if request.content_type != _SDP:
             return web.Response(status=415, headers={"Accept-Post": _SDP})
-        offer = await request.text()
+        offer = clean_candidates(await request.text(), loopback=_is_here(request))
         viewers = None if programme is None else len(programme.peers)
         refusal = self.door.check_offer(viewers=viewers, now_ns=now_ns)
         if refusal is not None:
@@ -234,9 +252,14 @@ class RtcServer:
     async def _drive(self, name: str, session: _Session) -> None:
         try:
             await session.peer.run()
+        except (OSError, *MALFORMED):
+            # Of a peer's value, by a library: the connection ends, and its partner sees that.
+            self.faults += 1
+            traceback.print_exc()
         finally:
             self._sessions.pop(name, None)
             session.left()
+            await session.peer.close()
 
     async def _end(self, name: str) -> None:
         session = self._sessions.pop(name, None)
@@ -260,7 +283,8 @@ class RtcServer:
         if request.content_type != _FRAGMENT:
             return web.Response(status=415, headers={"Accept-Patch": _FRAGMENT})
         match = request.headers.get("If-Match")
-        told = read_candidates(await request.text())
+        text = await request.text()
+        told = read_candidates(clean_candidates(text, loopback=_is_here(request)))
         if told.ufrag == session.ufrag:
             if match is not None and match not in ("*", session.etag):
                 return web.Response(status=412)
@@ -278,6 +302,11 @@ class RtcServer:
             content_type=_FRAGMENT,
             headers={"ETag": session.etag},
         )
+
+
+def _is_here(request: web.Request) -> bool:
+    """Whether the partner's program runs on this machine, so that loopback is its own."""
+    return request.remote is not None and request.remote in ("127.0.0.1", "::1")
 
 
 def _refused(refusal: Refusal) -> web.Response:

@@ -95,8 +95,13 @@ class _Path:
                 # aiortc reads the first octet unchecked.
                 if data:
                     self._waiting.put_nowait(data)
-        except ConnectionError:
-            # Another connection may take its place; its owner decides that.
+        except asyncio.CancelledError:
+            raise
+        except Exception as error:
+            # Another connection may take its place; its owner decides that. aioice raises more
+            # than ConnectionError for what a peer sends.
+            if not isinstance(error, ConnectionError):
+                _log.warning("the way to a partner ended: %r", error)
             self.lost = True
 
     async def _recv(self) -> bytes:

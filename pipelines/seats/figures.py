@@ -20,8 +20,12 @@ class PageFigures:
 
     #: Web sockets opened.
     connections: int = 0
-    #: Requests refused, by reason: `token`, `host` or `origin`.
+    #: Requests refused, by reason: `token`, `host`, `origin`, `pages` (too many) or `role`.
     refused: Mapping[str, int] = field(default_factory=dict)
+    #: Connections closed because no token came, or to make room for others.
+    strangers_closed: int = 0
+    #: Requests that ended in an error of this software; the error stream has them.
+    faults: int = 0
     #: Malformed messages of pages; each closed its socket.
     garbage: int = 0
     #: Units of pictures and sound that a page was too slow for.

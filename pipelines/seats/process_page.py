@@ -1,6 +1,7 @@
 """The process that serves a segment's browser pages."""
 
 import asyncio
+import traceback
 from functools import partial
 
 from aiohttp import web
@@ -16,7 +17,7 @@ from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
 from pipelines.session.access import AccessError, AccessKind
 from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
-from pipelines.session.seat_roles import Role
+from pipelines.session.seat_roles import VIEWER_WORDS, Role
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.topology import PAGES, Segment
 from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
@@ -37,8 +38,8 @@ def run_page(context: Context, *, segment: Segment, tasks: Catalogue | None = No
     asyncio.run(serve())
 
 
-#: Sockets beyond these are refused.
-_MOST_PAGES, _MOST_MEDIA = 16, 16
+#: Sockets of cameras and microphones beyond these are refused.
+_MOST_MEDIA = 16
 #: Answers that a camera or a microphone has not read; it is closed at the next one.
 _MOST_ANSWERS = 16
 #: By end: the pages beside the seat of the same name.
@@ -67,7 +68,7 @@ class PageServer:
         self._serving = ServingLoop(context, self._handle_time)
         self._sockets = SeatSockets(self._now_ns)
         self._wakes: dict[int, asyncio.Event] = {}
-        self._media = 0
+        self._media = self._faults = 0
         self._keys = KeyPictures(self._seat, self._serving, bus, self._settle)
         self._topics = SeatTopics(
             self._seat, self._serving, bus, self._keys, now_ns=self._now_ns, settle=self._settle
@@ -86,6 +87,7 @@ class PageServer:
         try:
             await self._serving.run()
         finally:
+            self._site.close()
             await self._sockets.close()
             await runner.cleanup()
             self._topics.close()
@@ -131,15 +133,17 @@ class PageServer:
             return self._site.refuse(refusal)
         except (ConnectionError, asyncio.CancelledError):
             raise
-        except Exception as error:
-            self._serving.fail(error)
+        except Exception:
+            # Whatever one visitor caused ends its connection alone; the error stream has it.
+            self._faults += 1
+            traceback.print_exc()
             raise
 
     # The socket of a page
 
     async def _serve_seat(self, request: web.BaseRequest, role: Role) -> web.StreamResponse:
-        if self._seat.watching >= _MOST_PAGES:
-            raise AccessError(503, "too many pages are open")
+        if self._seat.is_full(role):
+            raise AccessError(503, "too many pages are open", "pages")
         page = await self._sockets.open(request, MOST_SEAT_OCTETS)
         if request.transport is None:
             return page.ws
@@ -180,6 +184,8 @@ class PageServer:
     # The socket of a page's own camera or microphone
 
     async def _serve_media(self, request: web.BaseRequest, role: Role) -> web.StreamResponse:
+        if role is Role.VIEWER:
+            raise AccessError(403, VIEWER_WORDS, "role")
         if self._media >= _MOST_MEDIA:
             raise AccessError(503, "too many cameras and microphones are open")
         seat = self._seat
@@ -216,6 +222,8 @@ class PageServer:
                 holder=self._seat.holder or 0,
                 connections=sockets.connections,
                 refused=dict(self._site.refused),
+                strangers_closed=self._site.closed,
+                faults=self._faults,
                 garbage=sockets.garbage,
                 units_left_out=self._seat.left_out,
                 sockets_closed=sockets.closed,

@@ -59,6 +59,8 @@ class StopAsked(NamedTuple):
 #: and the TM/TC end of this segment of what is asked.
 SeatEvent = PageInput | HandRequest | Order | RecordingAsked | StopAsked | TmtcRequest
 
+#: Pages that are open at a time: of viewers, and of all who may act.
+MOST_VIEWERS, MOST_ACTING = 12, 12
 HEARTBEAT_NS = 100 * NS_PER_MS
 
 
@@ -141,6 +143,13 @@ class Seat:
         if self.plan.segment is Segment.GROUND:
             return self._figures.number(HOLDER)
         return self._hand.state.holder
+
+    def is_full(self, role: Role) -> bool:
+        """Whether no further page of this role may open. Viewers keep nobody out who may act."""
+        watching = [page.role is Role.VIEWER for page in self._pages.values()]
+        if role is Role.VIEWER:
+            return sum(watching) >= MOST_VIEWERS
+        return len(watching) - sum(watching) >= MOST_ACTING
 
     def handle_opened(self, role: Role, now_ns: int, *, plain: bool = False) -> int:
         """A page has come; return its number. plain: it gets no picture, sound or haptics."""

@@ -53,6 +53,8 @@ class SeatSockets:
         """Take what comes and send what there is, until it is closed; close it after garbage."""
         self._open.add(one)
         sending = asyncio.create_task(one.send(next_message))
+        # A page that is sent nothing any more must not wait for it.
+        sending.add_done_callback(one.handle_sent)
         try:
             await one.receive(take)
         except ProtocolError as error:
@@ -119,6 +121,11 @@ class SeatSocket:
                 sent += 1
                 if sent % _TURN == 0:
                     await asyncio.sleep(0)
+
+    def handle_sent(self, sending: "asyncio.Task[None]") -> None:
+        """Sending has ended: after a mistake, end the connection."""
+        if not sending.cancelled() and sending.exception() and self._transport is not None:
+            self._transport.abort()
 
     def handle_time(self, now_ns: int) -> None:
         """Close the socket of a page that has taken nothing for long."""

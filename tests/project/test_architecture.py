@@ -54,6 +54,7 @@ SHELLS = {
     "kontur_av/sources/microphone.py": "a device",
     "kontur_av/sources/pipe.py": "a FIFO",
     "pipelines/session/children.py": "ends processes",
+    "pipelines/session/front_door.py": "the sockets of visitors",
     "pipelines/report/console.py": "the terminal",
     "pipelines/bench/latency/runs.py": "tries the clock",
     "pipelines/bench/link/live.py": "runs commands",
