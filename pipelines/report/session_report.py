@@ -34,6 +34,7 @@ from pipelines.report.rtc_figures import rtc_report
 from pipelines.report.silence import (
     MISSED_NS,
     missed_ns,
+    never_met,
     signal_ns,
     silences,
     stopped_ns,
@@ -276,7 +277,7 @@ def failures(
     setup: Setup, collector: Collector, seconds: float, *, media: bool = True
 ) -> list[str]:
     """What broke a promise of the project; empty for a good run."""
-    found = []
+    found = never_met(collector, seconds)
     topology = collector.topology
     delay_ns = setup.radio_profile.longest_delay_ns
     # The radio may keep all back. So only what is missed while there is a signal counts.
