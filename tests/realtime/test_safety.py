@@ -82,3 +82,23 @@ def test_a_halt_outlives_the_joystick_and_a_stop_outlives_both(start, monkeypatc
     # The hand is simulated, and presses anew.
     assert report["safety"]["presses"] >= 1
     assert report["safety"]["hold"] == ""
+
+
+def test_after_a_stall_of_an_end_the_robot_holds_until_a_new_press(start, monkeypatch):
+    session = start("taskboard")
+    pids = session.pids()
+    with session.bus(monkeypatch) as bus:
+        tip = Tip(bus)
+        for name in ("joystick", "robot", "joystick"):
+            tip.wait_until_it_moves()
+            os.kill(pids[name], signal.SIGSTOP)
+            time.sleep(1.5)
+            os.kill(pids[name], signal.SIGCONT)
+            tip.place()
+            # The simulated hand lets go for half a second, before it presses anew.
+            assert tip.way(0.3) < STILL_M, name
+        tip.wait_until_it_moves()
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    assert report["safety"]["presses"] == 4
+    assert {entry["restarts"] for entry in report["processes"].values()} == {0}
