@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from math import dist
 
 from running_session import eventually
 
@@ -36,8 +37,8 @@ class Tip:
         return most_m
 
     def wait_until_it_moves(self):
-        x_m, _ = self.place()
-        eventually(lambda: abs(self.place()[0] - x_m) > 0.02, "a motion of the robot")
+        place = self.place()
+        eventually(lambda: dist(self.place(), place) > 0.02, "a motion of the robot")
 
 
 def restarted(session, name, pids, number):
