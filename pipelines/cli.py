@@ -1,6 +1,7 @@
 """The `kontur-av` command."""
 
 import argparse
+import errno
 import gc
 import os
 import platform
@@ -12,6 +13,14 @@ from kontur_av import __version__
 from kontur_av.errors import ConfigError
 
 WELL, FAILED, MISTAKE = 0, 1, 2
+#: What the system can refuse to any program, and the mend.
+_SYSTEM = {
+    errno.ENOSPC: "free some room",
+    errno.EDQUOT: "free some of your quota",
+    errno.EMFILE: "raise `ulimit -n`",
+    errno.ENFILE: "end other programs",
+    errno.ENOMEM: "end other programs",
+}
 #: The exit code with which shells report the end by SIGINT (signal 2).
 INTERRUPTED = 128 + 2
 
@@ -41,6 +50,7 @@ _COMMANDS = {
     "select": "switch the camera of a running session",
     "tc": "send a telecommand, and print its verification",
     "task": "list, select, start and abort tasks of a running session",
+    "stop": "emergency stop of the robot, or its release",
     "owner": "say who drives the robot, or hand it to a partner",
     "record": "record a running session, and leave it again",
     "trainer": "give a running session an exercise: no signal, a fault, a lost camera",
@@ -108,6 +118,13 @@ def exit_code(work: Callable[[], int], name: str) -> int:
     except ConfigError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return MISTAKE
+    except OSError as error:
+        mend = _SYSTEM.get(error.errno or 0)
+        if mend is None:
+            raise
+        at = f" {error.filename}:" if error.filename else ""
+        print(f"{name}:{at} {error.strerror}: {mend}", file=sys.stderr)
+        return FAILED
     except KeyboardInterrupt:
         return INTERRUPTED
 

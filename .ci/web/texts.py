@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from pipelines.report import seat_figures  # noqa: E402
-from pipelines.seats import page_requests, texts  # noqa: E402
+from pipelines.seats import texts  # noqa: E402
 from pipelines.session.mission_messages import (  # noqa: E402
     ExperimentShown,
     PanelShown,
@@ -60,12 +60,12 @@ NAMES = {
     seat_figures.SeatMessage: "FiguresText",
     seat_figures.SeatProcess: "ProcessText",
 }
-REQUESTS = (*get_args(page_requests.SeatRequest), page_requests.InputRequest)
+REQUESTS = (*get_args(texts.SeatRequest), texts.InputRequest)
 #: Unions with a name of their own.
 ALIASES = {
     "Figure": seat_figures.Figure,
     "Level": texts.Level,
-    "Verb": get_type_hints(page_requests.CommandRequest)["verb"],
+    "Verb": get_type_hints(texts.CommandRequest)["verb"],
 }
 PLAIN = {bool: "boolean", int: "number", float: "number", str: "string", NoneType: "null"}
 

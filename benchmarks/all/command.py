@@ -16,7 +16,7 @@ from benchmarks.all.run import measure
 from kontur_av.errors import ConfigError
 from pipelines.report.console import TableConsole, open_console
 from pipelines.report.report_file import check_writable, write_text
-from pipelines.virtual.campaign.here import PACKAGES, code_digest
+from pipelines.virtual.campaign.places import PACKAGES, code_digest
 
 _DEFAULT_FOLDER = Path("measurements")
 

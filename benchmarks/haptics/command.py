@@ -23,8 +23,8 @@ from pipelines.report.console import open_console
 from pipelines.report.report_file import check_writable
 from pipelines.report.result import Headline, Json, as_json
 from pipelines.report.result_file import write_result
-from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
-from pipelines.virtual.campaign.progress import Progress
+from pipelines.virtual.campaign.places import add_place_arguments, cluster_of, jobs_of
+from pipelines.virtual.campaign.sessions import Progress
 
 _GRIDS = {"small": small_grid, "full": full_grid}
 #: The courses that are drawn for a grid: a contact that the delay alone makes unstable, and the

@@ -9,8 +9,8 @@ from benchmarks.haptics.cell import Cell
 from benchmarks.haptics.figures import CellFigures
 from benchmarks.haptics.run import run_cell
 from kontur_av.errors import ConfigError
-from pipelines.virtual.campaign.cluster import Cluster
-from pipelines.virtual.campaign.tasks import Crash
+from pipelines.virtual.campaign.figures import Crash
+from pipelines.virtual.campaign.places import Cluster
 
 _Pair = tuple[CellFigures, CellFigures]
 

@@ -16,8 +16,8 @@ from kontur_av.clock import MonotonicClock
 from kontur_av.media import AccessUnit, CaptureStamp
 from pipelines.partner.description import Kind
 from pipelines.partner.ice_servers import IceServers
-from pipelines.partner.keeper import Keeper
 from pipelines.partner.peer import RtcPeer
+from pipelines.partner.whip import Keeper
 
 _HEAD = struct.Struct("<I?")
 _RATES: dict[Kind, int] = {"video": 1_500_000, "audio": 32_000}
@@ -50,9 +50,7 @@ async def take_part(base: str, token: str, units: Sequence[tuple[bytes, bool]]) 
         return RtcPeer(clock=clock, sends={}, receives=("audio", "video"), servers=servers)
 
     def sending(servers: IceServers) -> RtcPeer:
-        return RtcPeer(
-            clock=clock, sends=_RATES, servers=servers, wall_offset_ns=clock.wall_offset_ns
-        )
+        return RtcPeer(clock=clock, sends=_RATES, servers=servers)
 
     keepers = [
         Keeper(f"{base}/{path}", token=token, make_peer=make, servers=IceServers, clock=clock)

@@ -27,8 +27,7 @@ from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.bench.course.marks import MARK_ROWS, levels, read_number
 from pipelines.partner.description import Kind
 from pipelines.partner.media import PictureCame, SoundCame
-from pipelines.partner.peer import RtcPeer
-from pipelines.partner.programme import Programme
+from pipelines.partner.peer import Programme, RtcPeer
 from pipelines.partner.server import RtcServer
 from pipelines.partner.whip import WhipClient
 from pipelines.report.result import spread

@@ -16,7 +16,7 @@ from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.media.session_streams import voice_receiver, voice_sender
 from pipelines.session.setup.table import Setup, VoiceStream
 from pipelines.table import topology_of
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import CodingCosts
 
 
 @dataclass

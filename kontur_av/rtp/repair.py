@@ -5,6 +5,7 @@ own (RFC 4588) is not used.
 """
 
 from collections import OrderedDict
+from itertools import pairwise
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -140,7 +141,15 @@ class LossAsker:
         for sequence in due:
             self._missing[sequence] = (self._missing[sequence][0], now_ns + ASK_AGAIN_NS)
         self.sent += 1
-        return bytes(RtcpRtpfbPacket(RTCP_RTPFB_NACK, self._ssrc, self._media_ssrc, due))
+        # Numbers are modular: behind 65535 a packet of its own begins.
+        packets, media = [due[:1]], self._media_ssrc
+        for before, sequence in pairwise(due):
+            if sequence < before:
+                packets.append([])
+            packets[-1].append(sequence)
+        return b"".join(
+            bytes(RtcpRtpfbPacket(RTCP_RTPFB_NACK, self._ssrc, media, lost)) for lost in packets
+        )
 
     def poll_timeout(self) -> int | None:
         """Return when to call `poll_transmit` next; None while nothing is missing."""

@@ -5,10 +5,14 @@ what the left one misses. A picture of the two outer halves thus shows both side
 the bit rate of one camera (Kontur-2).
 """
 
+import struct
 from dataclasses import dataclass
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, CaptureStamp, VideoFrame, planes
+
+#: In a topic: when the older half of a merged picture was captured (ns).
+HALF = struct.Struct("=q")
 
 
 def merge(left: I420 | None, right: I420 | None, into: I420, seam: float = 0.5) -> None:
@@ -46,6 +50,7 @@ class StereoPair:
     stamp: stamp of the merged picture. Its capture instant is the older of the two. If one camera
     repeats its last picture, it is that of the fresh one.
     left_stale, right_stale: that camera's picture is older than `stale_after_ns`.
+    oldest_ns: when the older of the two was captured; 0 for a camera without a picture.
     """
 
     left: VideoFrame | None
@@ -53,6 +58,7 @@ class StereoPair:
     stamp: CaptureStamp
     left_stale: bool
     right_stale: bool
+    oldest_ns: int = 0
 
 
 class StereoPairer:
@@ -174,6 +180,7 @@ class StereoPairer:
             CaptureStamp(capture_ns, self._sequence, self._source),
             self._is_stale(0, now_ns),
             self._is_stale(1, now_ns),
+            min(0 if frame is None else frame.stamp.capture_ns for frame in self._last),
         )
         self._sequence += 1
         self._last_capture_ns = capture_ns

@@ -24,7 +24,6 @@ from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.spec import PAGE, SIMULATED, open_device
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.loop import joystick_link
@@ -130,9 +129,7 @@ def _run(
                 continue
             while (datagram := receive(udp, SAMPLE_OCTETS + 1)) is not None:
                 side.handle_datagram(datagram, now_ns)
-            feedback = link.latest(now_ns)
-            if feedback is not None:
-                handle.handle_feedback(feedback)
+            handle.handle_feedback(link.latest(now_ns))
             side.handle_cycle(now_ns, schedule.advance_ns)
             sample = side.poll_transmit(now_ns)
             if sample is not None:
@@ -140,8 +137,6 @@ def _run(
             if now_ns < look_ns:
                 continue
             look_ns = now_ns + _LOOK_NS
-            if isinstance(device, SimulatedDevice):
-                device.handle_robot(link.hearing, now_ns)
             if link.hearing is not answers:
                 answers = link.hearing
                 print(f"joystick: the robot {'answers' if answers else 'is silent'}", flush=True)

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.commands.rtc_running import say
-from pipelines.partner.attempts import Attempts
+from pipelines.partner.decisions import Attempts
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.samples import SamplePeer
 from pipelines.partner.whip import WhipClient

@@ -21,7 +21,7 @@ from pipelines.commands.link_ports import port_table
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.report_file import check_writable, save_report
 from pipelines.session.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
 from pipelines.session.launcher import Launcher, hold_port, launcher_cpu_s
 from pipelines.session.options import (
@@ -96,10 +96,9 @@ def run(args: argparse.Namespace) -> int:
         restarts={child.row.name: child.restarts for child in launcher.children},
         launcher_cpu_s=launcher_cpu_s(),
     )
-    if args.report is not None:
-        write_report(args.report, report)
+    saved = save_report(args.report, report)
     screen.show_lines(summary_lines(report))
-    return 1 if report.failures else 0
+    return 1 if report.failures or not saved else 0
 
 
 def gateway_arguments(

@@ -13,7 +13,7 @@ from pipelines.commands.common import output_that_may_fail
 from pipelines.report.collector import Collector
 from pipelines.report.live import LiveView
 from pipelines.report.model import EndTrace, ReplayReport
-from pipelines.report.report_file import write_report
+from pipelines.report.report_file import save_report
 from pipelines.report.session_report import build_report
 from pipelines.report.summary import print_summary
 from pipelines.session.launcher import Launcher, launcher_cpu_s
@@ -70,12 +70,11 @@ def end_session(
         report = msgspec.structs.replace(report, trace=end_trace(collector, launcher))
     if replay is not None:
         report = msgspec.structs.replace(report, replay=replay)
-    if args.report is not None:
-        write_report(args.report, report)
+    saved = save_report(args.report, report)
     if not args.quiet:
         with output_that_may_fail():
             print_summary(report)
-    return 1 if report.failures else 0
+    return 1 if report.failures or not saved else 0
 
 
 def end_trace(collector: Collector, launcher: Launcher) -> EndTrace:

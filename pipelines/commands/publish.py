@@ -17,8 +17,8 @@ from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
 from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.ice_servers import IceServers
-from pipelines.partner.keeper import Keeper
 from pipelines.partner.peer import RtcPeer
+from pipelines.partner.whip import Keeper
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +51,6 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
             sends=sends,
             want_key=lambda: sources.want_key(),
             servers=found,
-            wall_offset_ns=clock.wall_offset_ns,
         )
 
     keeper = Keeper(

@@ -23,7 +23,7 @@ from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
 from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
-from pipelines.partner.programme import Programme
+from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
 from pipelines.session.page_certificate import check_certificate, fingerprint, make_certificate
 from pipelines.session.page_listener import PageListener
@@ -103,7 +103,6 @@ async def _serve(args: argparse.Namespace) -> RtcCommandReport:
             clock=clock,
             handle=output.handle,
             servers=servers,
-            wall_offset_ns=clock.wall_offset_ns,
         )
         with CodedSources(
             args, clock, send_unit=programme.send_unit, send_opus=programme.send_opus

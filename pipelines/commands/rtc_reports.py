@@ -2,8 +2,8 @@
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.commands.media_reports import Latency
-from pipelines.partner.media import MediaFigures
 from pipelines.partner.peer import RtcPeer
+from pipelines.partner.tally import MediaFigures
 from pipelines.report.model import Report
 
 
@@ -94,7 +94,7 @@ def _received(figures: MediaFigures) -> dict[str, RtcStream]:
             lost=one.lost,
             keys_asked=one.keys_asked,
             nacks=one.asked,
-            repeated=one.mended,
+            repeated=one.repeated,
             rate_told_bps=one.wish_bps,
         )
         for kind, one in figures.received.items()

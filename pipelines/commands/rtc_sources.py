@@ -18,8 +18,8 @@ from kontur_av.media import AccessUnit, CaptureStamp, VideoFrame, empty_picture,
 from kontur_av.meters import RateMeter
 from kontur_av.sources import open_audio, open_video
 from kontur_av.sources.page import PAGE
+from pipelines.partner.decisions import LEAST_BPS, PicturePlan, RateFollower
 from pipelines.partner.description import Kind
-from pipelines.partner.rate import LEAST_BPS, PicturePlan, RateFollower
 
 VIDEO_KBPS, VOICE_KBPS = 1500.0, 32.0
 _PATIENCE_NS = 50 * NS_PER_MS

@@ -16,7 +16,7 @@ from pipelines.commands.replay_options import (
 )
 from pipelines.commands.stream import parse_sources
 from pipelines.report.model import SessionReport
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.report_file import check_writable, save_report
 from pipelines.report.summary import print_summary
 from pipelines.session.options import (
     add_deadband_argument,
@@ -29,8 +29,8 @@ from pipelines.session.options import (
 )
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.costs import CodingCosts
-from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.agenda import CodingCosts
+from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import replay, simulate
 from telepresence.haptics.device.device import JoystickDevice
@@ -109,12 +109,11 @@ def run(args: argparse.Namespace) -> int:
     costs = CodingCosts(**{cost.name: getattr(args, cost.name) for cost in fields(CodingCosts)})
     check_writable(args.report)
     report = _simulate(args, costs) if args.replay is None else _replay(args, costs)
-    if args.report is not None:
-        write_report(args.report, report)
+    saved = save_report(args.report, report)
     if not args.quiet:
         with output_that_may_fail():
             print_summary(report)
-    return 1 if report.failures else 0
+    return 1 if report.failures or not saved else 0
 
 
 def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:

@@ -33,7 +33,12 @@ from pipelines.report.collector import Collector
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
-from pipelines.session.machine_checks import NEEDED_SHM_OCTETS, check_shared_memory
+from pipelines.session.machine_checks import (
+    NEEDED_SHM_OCTETS,
+    check_descriptors,
+    check_shared_memory,
+    take_descriptors,
+)
 from pipelines.session.options import (
     add_deadband_argument,
     add_hand_argument,
@@ -232,9 +237,10 @@ def check_room(setup: Setup, inputs: Sequence[str], *, pages: bool = False) -> N
     streams = [*cameras, *relays, *received * (4 if pages else 2)]
     pictures = sum(stream.width * stream.height * 3 // 2 for stream in streams)
     needed = max(NEEDED_SHM_OCTETS, NEEDED_SHM_OCTETS // 2 + 5 * pictures)
-    verdict = check_shared_memory(needed_octets=needed)
-    if verdict.state == "missing":
-        raise ConfigError(f"{verdict.found}: {verdict.mend}")
+    take_descriptors()
+    for verdict in (check_descriptors(), check_shared_memory(needed_octets=needed)):
+        if verdict.state == "missing":
+            raise ConfigError(f"{verdict.found}: {verdict.mend}")
 
 
 def draw_backgrounds(setup: Setup, inputs: Sequence[str], clock: MonotonicClock) -> None:

@@ -20,11 +20,16 @@ from pipelines.report.report_file import check_writable, write_text
 from pipelines.report.result_file import write_result
 from pipelines.session.children import ended_alike
 from pipelines.virtual.campaign.chart import chart
-from pipelines.virtual.campaign.figures import RunFigures, crashed, run_figures
-from pipelines.virtual.campaign.here import code_digest
-from pipelines.virtual.campaign.options import add_place_arguments, cluster_of, jobs_of
-from pipelines.virtual.campaign.progress import Progress
-from pipelines.virtual.campaign.sessions import session_results
+from pipelines.virtual.campaign.figures import (
+    Crash,
+    Result,
+    RunFigures,
+    SessionTask,
+    crashed,
+    run_figures,
+)
+from pipelines.virtual.campaign.places import add_place_arguments, cluster_of, code_digest, jobs_of
+from pipelines.virtual.campaign.sessions import Progress, session_results
 from pipelines.virtual.campaign.sweep import (
     Sweep,
     case_figures,
@@ -35,8 +40,7 @@ from pipelines.virtual.campaign.sweep import (
     task_key,
 )
 from pipelines.virtual.campaign.sweep_file import load_sweep
-from pipelines.virtual.campaign.tasks import Crash, Result, SessionTask
-from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.media import check_virtual_sources
 
 #: The runs that are over are kept this often.
 _KEEP_EVERY_S = 5.0
@@ -130,7 +134,7 @@ def _figures(sweep: Sweep, task: SessionTask, result: Result) -> RunFigures:
     key = _key(sweep, task)
     if isinstance(result, Crash):
         return crashed(task, key, result)
-    return run_figures(task, key, result.report, sweep.keys)
+    return run_figures(task, key, result, sweep.keys)
 
 
 def _keep(path: Path | None, sweep: Sweep, runs: Sequence[RunFigures | None]) -> None:

@@ -17,8 +17,8 @@ from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
 from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
 from pipelines.partner.ice_servers import IceServers
-from pipelines.partner.keeper import Keeper
 from pipelines.partner.peer import RtcPeer
+from pipelines.partner.whip import Keeper
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +54,6 @@ async def _watch(args: argparse.Namespace) -> RtcCommandReport:
                 receives=("audio", "video"),
                 handle=output.handle,
                 servers=found,
-                wall_offset_ns=clock.wall_offset_ns,
             )
 
         keeper = Keeper(

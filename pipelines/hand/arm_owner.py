@@ -29,12 +29,12 @@ class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     refused_partner: int = 0
 
     @classmethod
-    def of(cls, figures: OwnershipFigures) -> "ArmState":
-        """Return the state in the figures of a port."""
+    def of(cls, figures: OwnershipFigures, *, waiting: bool) -> "ArmState":
+        """Return the state in the figures of a port; waiting: for a new press."""
         return cls(
             owner="" if figures.owner is None else figures.owner.value,
             wanted=figures.wanted.value,
-            waiting=figures.waiting,
+            waiting=waiting and figures.owner is not None,
             refused_iss=figures.refused[Owner.ISS.value],
             refused_partner=figures.refused[Owner.PARTNER.value],
         )

@@ -56,6 +56,22 @@ def unpack_request(data: bytes) -> HandRequest | None:
     return None if event is None else HandRequest(_NUMBER.unpack_from(data)[0], event)
 
 
+class RobotOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What outlives the controller.
+
+    powered, mode: as `telepresence.tasks.robot_control.RobotControl` has them.
+    """
+
+    powered: bool
+    mode: str
+
+
+class JoystickOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What outlives the process. paused: a person halted it, and must let it go on."""
+
+    paused: bool
+
+
 class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """The joystick as its operator must know it.
 
@@ -68,6 +84,8 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     commanded, command_refusal: the same for telecommands.
     temperature_c: of the hotter motor (°C); None without a thermometer.
     x_m, y_m: place of the handle from the centre. pressed: how often a button went down.
+    robot_waits, robot_stopped: the robot's newest sample says that it waits for a new press, and
+    that an emergency stop holds it.
     test, test_part, test_reason, test_number: the newest functional test, as
     `telepresence.haptics.device.functional_test.TestReport` has it.
     """
@@ -87,6 +105,8 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     x_m: float = 0.0
     y_m: float = 0.0
     pressed: int = 0
+    robot_waits: bool = False
+    robot_stopped: bool = False
     test: str = "none"
     test_part: str = "none"
     test_reason: str = ""

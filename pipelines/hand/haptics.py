@@ -2,16 +2,18 @@
 
 from typing import Generic, TypeVar
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.figures import WallFigures
 from pipelines.hand.haptic_trace import HapticTrace, flags_of
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
-from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
+from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.ownership import HapticOwnership, Owner
+from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.haptics.sample import Feedback
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
@@ -73,6 +75,7 @@ class RobotEnd(_End[RobotSide]):
     cycle.
 
     life: 1 to 2^24-1; no earlier life of this end had it.
+    envelope: whether the robot may follow the hand; one with the default limits, if None.
     ownership: where a partner may drive, too. Then `handle_datagram` is for datagrams of the
     joystick in space, and `handle_partner` for the partner's; send to the owner alone.
     """
@@ -85,9 +88,22 @@ class RobotEnd(_End[RobotSide]):
         deadband: bool = False,
         mediated: bool = False,
         ownership: HapticOwnership | None = None,
+        envelope: SafetyEnvelope | None = None,
     ) -> None:
-        link = robot_link(life=life, deadband=deadband)
-        super().__init__(RobotSide(link=link, mediated=mediated, ownership=ownership), probe)
+        self.envelope = envelope = envelope or SafetyEnvelope()
+        limits = envelope.limits
+        max_age_ns = round(limits.command_max_age_s * NS_PER_S)
+        link = robot_link(life=life, max_age_ns=max_age_ns, deadband=deadband)
+        model = RobotControllerModel(
+            speed_m_s=limits.speed_m_s,
+            force_limit_n=limits.force_n,
+            half_width_m=limits.half_width_m,
+            half_height_m=limits.half_height_m,
+        )
+        side = RobotSide(
+            link=link, model=model, mediated=mediated, ownership=ownership, envelope=envelope
+        )
+        super().__init__(side, probe)
         self._ownership = ownership
         if ownership is not None:
             self.handle_datagram = self._handle_iss
@@ -112,6 +128,7 @@ class RobotEnd(_End[RobotSide]):
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
         super().tell()
+        self._probe.tell(self.envelope.report())
         if self._ownership is not None:
             self._probe.tell(self._ownership.report())
 
@@ -183,7 +200,11 @@ class JoystickEnd(_End[JoystickSide]):
         link = joystick_link(life=life, deadband=deadband)
         super().__init__(JoystickSide(link=link, handle=handle, mediated=mediated), probe)
         self.handle_wall = self.side.handle_wall
-        self._operated = handle if isinstance(handle, OperatedHandle) else None
+        held = self.side.handle
+        self._operated = held if isinstance(held, OperatedHandle) else None
+        self._tell_hand = (
+            held.handle_feedback if isinstance(held, OperatedHandle | HeldJoystick) else None
+        )
         self._latest = self.side.link.latest
         self._steps = StepDetector()
         self._feel, self._felt = self._steps.handle_sample, probe.series(StepRow)
@@ -193,8 +214,8 @@ class JoystickEnd(_End[JoystickSide]):
         feedback = self._latest(now_ns)
         if feedback is not None:
             self._feel(now_ns, feedback.fx_n, feedback.fy_n, feedback.contact)
-            if self._operated is not None:
-                self._operated.handle_feedback(feedback)
+        if self._tell_hand is not None:
+            self._tell_hand(feedback)
         self._cycle(now_ns, advance_ns)
         if self.trace.rows is not None:
             self._add_row(now_ns, feedback)

@@ -53,7 +53,8 @@ class JoystickStatusTeller(WatchedTopic):
         reason = operation.prompt or operation.reason or operation.supervisor.reason
         test = operation.test
         numbers = (self._answered, self._commanded)
-        present = (operation.state, handle.dead_man, handle.pressed, reason, test, *numbers)
+        robot = (handle.robot_waits, handle.robot_stopped)
+        present = (operation.state, handle.dead_man, handle.pressed, reason, test, *numbers, *robot)
         if present == self._told and now_ns < self._anew_ns:
             return None
         self._told, self._anew_ns = present, now_ns + _ANEW_NS
@@ -75,6 +76,8 @@ class JoystickStatusTeller(WatchedTopic):
             x_m=handle.x_m,
             y_m=handle.y_m,
             pressed=handle.pressed,
+            robot_waits=handle.robot_waits,
+            robot_stopped=handle.robot_stopped,
             test=test.outcome.value,
             test_part=test.part.value,
             test_reason=test.reason[:MOST_CHARACTERS],

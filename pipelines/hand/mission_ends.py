@@ -17,6 +17,7 @@ from pipelines.session.topology import (
     ROBOT_TOPIC,
 )
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.hand import Hand
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut
 from telepresence.tasks.panel import PanelView
 from telepresence.tasks.panel_picture import DARK, PanelPicture
@@ -53,7 +54,7 @@ def serve_robot(bus: TopicBus, desk: RobotDesk, *, tasks: bool) -> Cycle:
                 desk.handle_order(order, orders.newest_ns, now_ns)
         # One at a time, so that each has its own answer.
         if (command := commands.next()) is not None:
-            desk.handle_command(command, commands.newest_ns)
+            desk.handle_command(command, commands.newest_ns, now_ns)
         status = desk.poll_status(now_ns)
         if status is not None:
             writer.publish(status, now_ns)
@@ -88,6 +89,19 @@ def looking(bus: TopicBus, cosmonaut: Cosmonaut, handle: OperatedHandle) -> Cycl
             cosmonaut.look(view, picture, tip_m, (handle.x_m, handle.y_m))
 
     return look
+
+
+def seeing(bus: TopicBus, hand: Hand) -> Cycle:
+    """Return what lets a simulated hand see where the robot is."""
+    robot = bus.reader(ROBOT_TOPIC)
+
+    def see(_now_ns: int) -> None:
+        if (lease := robot.latest()) is not None:
+            with lease:
+                state = unpack_state(lease.octets())
+            hand.see(state.x_m, state.y_m)
+
+    return see
 
 
 def _view(shown: PanelShown) -> PanelView:

@@ -8,7 +8,9 @@ from kontur_av.topics.bus import TopicBus
 from pipelines.hand.arm_owner import STATE_OCTETS as ARM_STATE_OCTETS
 from pipelines.hand.arm_owner import ArmState
 from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
-from pipelines.hand.haptics import JoystickEnd, RobotEnd
+from pipelines.hand.haptics import RobotEnd
+from pipelines.hand.safety_ends import follow_stop
+from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
 from pipelines.session.topology import (
@@ -18,7 +20,7 @@ from pipelines.session.topology import (
     SECOND_ROBOT_TOPIC,
     partner_ports,
 )
-from telepresence.haptics.device.simulated import SimulatedDevice
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.ownership import HapticOwnership, Owner
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.world import WorldState
@@ -34,11 +36,13 @@ def run_second_robot(context: Context) -> None:
             stamp = CaptureStamp(state.time_ns, next(numbers), SECOND_ROBOT)
             writer.publish_octets(pack_state(state), stamp)
 
-        end = RobotEnd(context.probe, life=new_life())
-        run_loop(context, end, partner_ports(context.setup), publish)
+        envelope = SafetyEnvelope(context.setup.safety)
+        end = RobotEnd(context.probe, life=new_life(), envelope=envelope)
+        stop = follow_stop(KeptOrders(context.session), end)
+        run_loop(context, end, partner_ports(context.setup), publish, seldom=[stop], own=False)
 
 
-def follow_owner(bus: TopicBus, ownership: HapticOwnership) -> Cycle:
+def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cycle:
     """Return what takes the orders of the gateway application's desk, and tells who drives."""
     reader = bus.reader(ARM_ORDER_TOPIC)
     writer = bus.writer(ARM_STATE_TOPIC, max_octets=ARM_STATE_OCTETS, wake=False)
@@ -50,7 +54,7 @@ def follow_owner(bus: TopicBus, ownership: HapticOwnership) -> Cycle:
         if lease is not None:
             with lease:
                 ownership.handle_order(Owner(lease.octets().decode("ascii")), now_ns)
-        state = ArmState.of(ownership.report()).pack()
+        state = ArmState.of(ownership.report(), waiting=end.envelope.waiting).pack()
         if state != told:
             told = state
             writer.publish_octets(state, CaptureStamp(now_ns, next(numbers), "robot"))
@@ -84,13 +88,3 @@ def route_to_owner(ownership: HapticOwnership, to_partner: Send) -> Callable[[Se
         return send
 
     return routed
-
-
-def letting_go(device: SimulatedDevice, end: JoystickEnd) -> Cycle:
-    """Return what tells the simulated hand whether it feels the robot."""
-    link = end.side.link
-
-    def tell(now_ns: int) -> None:
-        device.handle_robot(link.hearing, now_ns)
-
-    return tell

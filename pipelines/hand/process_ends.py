@@ -5,15 +5,30 @@ from itertools import count
 
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.hand_topics import STATUS_OCTETS, unpack_input
+from pipelines.hand.hand_topics import (
+    STATUS_OCTETS,
+    JoystickOrders,
+    RobotOrders,
+    unpack_input,
+)
 from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd
 from pipelines.hand.joystick_status import JoystickStatusTeller
-from pipelines.hand.mission_ends import both, looking, serve_robot
-from pipelines.hand.partner_arm import follow_owner, letting_go, open_partner, route_to_owner
+from pipelines.hand.mission_ends import both, looking, seeing, serve_robot
+from pipelines.hand.partner_arm import follow_owner, open_partner, route_to_owner
 from pipelines.hand.robot_desk import RobotDesk
+from pipelines.hand.safety_ends import (
+    UNKNOWN_JOYSTICK,
+    UNKNOWN_ROBOT,
+    follow_stop,
+    keep_joystick,
+    keep_robot,
+    look_at_picture,
+    watch_camera,
+)
 from pipelines.session.exercises import new_exercises
+from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
 from pipelines.session.topology import (
@@ -34,9 +49,11 @@ from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.spec import open_device
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
+from telepresence.tasks.definitions import ControlMode
 from telepresence.world import WorldState
 
 #: Commands of a person that can wait; all that the topic can hold.
@@ -62,26 +79,37 @@ def run_robot(context: Context) -> None:
         # Nobody drives until the desk has told who is to.
         ownership = HapticOwnership(None) if setup.partner_arm == "shared" else None
         life = new_life()
+        kept = KeptOrders(context.session)
         end = RobotEnd(
             context.probe,
             life=life,
             deadband=setup.deadband != "off",
             mediated=mediated,
             ownership=ownership,
+            envelope=SafetyEnvelope(setup.safety, stopped=kept.stopped),
         )
-        to_gateway = context.sender(topology.entry_port(TELEMETRY)) if mediated else None
+        to_gateway = context.own_sender(topology.entry_port(TELEMETRY)) if mediated else None
 
         def tell_wall(now_ns: int) -> None:
             wall = end.poll_wall(now_ns)
             if wall is not None and to_gateway is not None:
                 to_gateway(wall)
 
-        desk = RobotDesk(end.side, life=life, tasks=tasks, now_ns=context.clock.now_ns())
-        seldom = [_trace(bus, ROBOT_TRACE_TOPIC, end.trace), serve_robot(bus, desk, tasks=tasks)]
+        first = RobotOrders(powered=True, mode=ControlMode.TELEPRESENCE.value)
+        orders = kept.recall(ROBOT, first, UNKNOWN_ROBOT)
+        now_ns = context.clock.now_ns()
+        desk = RobotDesk(end.side, life=life, tasks=tasks, now_ns=now_ns, orders=orders)
+        seldom = [
+            follow_stop(kept, end),
+            _trace(bus, ROBOT_TRACE_TOPIC, end.trace),
+            serve_robot(bus, desk, tasks=tasks),
+            keep_robot(kept, desk),
+            watch_camera(bus, context.setup, end),
+        ]
         before: Cycle = desk.step
         route = None
         if ownership is not None:
-            seldom.append(follow_owner(bus, ownership))
+            seldom.append(follow_owner(bus, ownership, end))
             take_partner, to_partner = open_partner(context, end)
             before = both(take_partner, desk.step)
             route = route_to_owner(ownership, to_partner)
@@ -106,7 +134,9 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
     hand = Hand() if skill is None else Cosmonaut(Skill(level=skill), seed=context.seed)
     device = open_device(context.topology.options.joystick, hand=hand)
     try:
-        handle = OperatedHandle(device)
+        kept = KeptOrders(context.session)
+        orders = kept.recall(JOYSTICK, JoystickOrders(paused=False), UNKNOWN_JOYSTICK)
+        handle = OperatedHandle(device, paused=orders.paused)
         setup = context.setup
         end = JoystickEnd(
             context.probe,
@@ -117,18 +147,23 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
         )
         with context.open_bus() as bus:
             reads = context.topology.reads(JOYSTICK)
-            seldom = [_trace(bus, JOYSTICK_TRACE_TOPIC, end.trace), _status(bus, handle, reads)]
+            seldom = [
+                _trace(bus, JOYSTICK_TRACE_TOPIC, end.trace),
+                _status(bus, handle, reads),
+                keep_joystick(kept, handle),
+                look_at_picture(bus, context.topology, handle),
+            ]
             if WALL_TOPIC in reads:
                 seldom.append(_walls(bus, end))
             if TRAINER_TOPIC in reads:
                 seldom.append(_exercises(bus, handle))
             if isinstance(hand, Cosmonaut):
                 seldom.append(looking(bus, hand, handle))
+            elif ROBOT_TOPIC in reads and isinstance(device, SimulatedDevice):
+                seldom.append(seeing(bus, hand))
             before = None
             if isinstance(device, PageDevice) and HAND_INPUT_TOPIC in reads:
                 before = _hand(bus, device)
-            if setup.partner_arm == "shared" and isinstance(device, SimulatedDevice):
-                seldom.append(letting_go(device, end))
             ports = session_ports(context.topology, JOYSTICK)
             run_loop(context, end, ports, before=before, seldom=seldom)
     finally:
@@ -155,7 +190,6 @@ def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycl
     teller = JoystickStatusTeller(handle)
     writer = bus.writer(JOYSTICK_STATE_TOPIC, max_octets=STATUS_OCTETS)
     requests = None
-    # A restarted joystick reads the newest command once more, so a person's halt outlives it.
     if HAND_REQUEST_TOPIC in reads:
         requests = bus.reader(HAND_REQUEST_TOPIC, depth=_REQUESTS)
     commands = bus.reader(JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)

@@ -3,8 +3,10 @@
 from math import hypot
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.hand.hand_topics import RobotOrders
 from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
 from telepresence.haptics.bilateral import RobotSide
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.sample import STATE_HALTED
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
@@ -20,13 +22,26 @@ class RobotDesk:
     tasks: the robot is off at first, so that a killed controller is not on again by itself.
     Otherwise it is on, and in telepresence. What was sent before `now_ns` is ignored: it was for an
     earlier life.
+
+    orders: of an earlier life; None for none. In a session with tasks the kernel orders anew.
     """
 
-    def __init__(self, side: RobotSide, *, life: int, tasks: bool, now_ns: int) -> None:
-        mode = ControlMode.POSITION if tasks else ControlMode.TELEPRESENCE
-        self.control = RobotControl(side.robot, powered=not tasks, mode=mode)
-        # Looked up once, because it is called a thousand times a second.
-        self.step = self.control.step
+    def __init__(
+        self,
+        side: RobotSide,
+        *,
+        life: int,
+        tasks: bool,
+        now_ns: int,
+        orders: RobotOrders | None = None,
+    ) -> None:
+        if orders is None or tasks:
+            mode = ControlMode.POSITION if tasks else ControlMode.TELEPRESENCE
+            self.control = RobotControl(side.robot, powered=not tasks, mode=mode)
+        else:
+            mode = ControlMode(orders.mode)
+            self.control = RobotControl(side.robot, powered=orders.powered, mode=mode)
+        self._envelope = side.envelope or SafetyEnvelope()
         self._link = side.link
         self._life = life
         self._began_ns = now_ns
@@ -36,6 +51,18 @@ class RobotDesk:
         self._told: tuple[object, ...] | None = None
         self._due_ns = now_ns
         self._steps, self._counted_ns, self._step_hz = 0, now_ns, 0.0
+
+    @property
+    def orders(self) -> RobotOrders:
+        """What a restarted controller goes on with."""
+        return RobotOrders(powered=self.control.powered, mode=self.control.mode.value)
+
+    def step(self, now_ns: int) -> None:
+        """Once in each cycle, before the robot moves."""
+        control, envelope = self.control, self._envelope
+        if envelope.stopped is not control.stopped:
+            control.handle_stop(envelope.stopped)
+        control.step(now_ns)
 
     def handle_order(self, order: RobotOrder, sent_ns: int, now_ns: int) -> None:
         """An order of the kernel. The controller counts those that it refuses."""
@@ -52,16 +79,20 @@ class RobotDesk:
         else:
             control.reset()
 
-    def handle_command(self, command: RobotCommand, sent_ns: int) -> None:
+    def handle_command(self, command: RobotCommand, sent_ns: int, now_ns: int) -> None:
         """A telecommand. The status answers it."""
         if sent_ns < self._began_ns:
             return
-        self._commanded, self._refusal = command.number, self._carry_out(command)
+        self._commanded, self._refusal = command.number, self._carry_out(command, now_ns)
 
     def poll_status(self, now_ns: int) -> RobotStatus | None:
         """Return the status if it is due: after what others asked for, at faults, every 50 ms."""
         control = self.control
-        present = (control.powered, control.mode, control.fault, self._handled, self._commanded)
+        hold = self._envelope.hold
+        present = (
+            (control.powered, control.mode, control.fault, hold, self._envelope.stopped),
+            (self._handled, self._commanded),
+        )
         if now_ns < self._due_ns and present == self._told:
             return None
         self._due_ns, self._told = now_ns + STATUS_NS, present
@@ -74,6 +105,8 @@ class RobotDesk:
             self._step_hz = (steps - self._steps) / ((now_ns - self._counted_ns) / NS_PER_S)
             self._steps, self._counted_ns = steps, now_ns
         control, robot, command = self.control, self.control.robot, self._link.latest(now_ns)
+        envelope = self._envelope
+        safety = envelope.report()
         return RobotStatus(
             life=self._life,
             powered=control.powered,
@@ -91,10 +124,14 @@ class RobotDesk:
             commanded=self._commanded,
             command_refusal=self._refusal,
             step_hz=self._step_hz,
+            hold=safety.hold.value,
+            waiting=safety.waiting,
+            stopped=envelope.stopped,
+            offset_mm=safety.offset_mm,
         )
 
-    def _carry_out(self, command: RobotCommand) -> str:
-        control = self.control
+    def _carry_out(self, command: RobotCommand, now_ns: int) -> str:
+        control, envelope = self.control, self._envelope
         match command.function:
             case "power_on":
                 return control.set_power(True)
@@ -102,6 +139,11 @@ class RobotDesk:
                 return control.set_power(False)
             case "reset_error":
                 return control.reset()
+            case "emergency_stop":
+                envelope.handle_stop(now_ns)
+                return ""
+            case "release_stop":
+                return envelope.handle_stop_released(now_ns)
             case "set_mode":
                 return control.set_mode(command.mode)
         return f"the robot has no function {command.function}"

@@ -3,6 +3,7 @@
 from pipelines.session.topology import (
     ARM_ORDER_TOPIC,
     ARM_STATE_TOPIC,
+    HALVES_TOPIC,
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
     JOYSTICK,
@@ -21,6 +22,7 @@ from pipelines.session.topology import (
     ROBOT_TRACE_TOPIC,
     SECOND_ROBOT,
     SECOND_ROBOT_TOPIC,
+    SELECTED_TOPIC,
     TRAINER_TOPIC,
     WALL_TOPIC,
     ProcessRow,
@@ -45,7 +47,14 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             stage=Stage.LINK,
             run="pipelines.hand.process_ends:run_robot",
             priority=LOOP_PRIORITY,
-            reads=(ROBOT_COMMAND_TOPIC, ROBOT_ORDER_TOPIC, ARM_ORDER_TOPIC),
+            reads=(
+                ROBOT_COMMAND_TOPIC,
+                ROBOT_ORDER_TOPIC,
+                ARM_ORDER_TOPIC,
+                # What the operator looks at: a change of it holds the robot.
+                SELECTED_TOPIC,
+                HALVES_TOPIC,
+            ),
             writes=(
                 ROBOT_TOPIC,
                 ROBOT_STATUS_TOPIC,
@@ -84,14 +93,16 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             priority=LOOP_PRIORITY,
             reads=(
                 WALL_TOPIC,
+                # How old the picture is that the operator sees.
+                session.video(setup.uplink_video.name).lag_topic,
                 *given(options.joystick == PAGE, HAND_INPUT_TOPIC),
                 HAND_REQUEST_TOPIC,
                 JOYSTICK_COMMAND_TOPIC,
                 TRAINER_TOPIC,
-                # A simulated cosmonaut looks at the task board and its LEDs.
+                # A simulated person looks at the task board, its LEDs and the robot.
                 MISSION_PANEL_TOPIC,
                 MISSION_LEDS_TOPIC,
-                *given(options.tasks, ROBOT_TOPIC),
+                ROBOT_TOPIC,
             ),
             writes=(JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC),
             what="1 kHz loop of the operator's joystick",

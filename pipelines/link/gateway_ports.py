@@ -6,9 +6,18 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 
 from pipelines.link.peer_socket import PeerSocket
-from pipelines.session.datagrams import EndAddresses, Inlet, Outlet, open_peer, outlet, receive
+from pipelines.session.datagrams import (
+    EndAddresses,
+    Inlet,
+    Outlet,
+    OwnInlet,
+    OwnOutlet,
+    open_peer,
+    outlet,
+    receive,
+)
 from pipelines.session.process import LOOPBACK
-from pipelines.session.topology import Segment, Topology
+from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, Topology
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import Gateway
 
@@ -16,6 +25,8 @@ from telepresence.link.gateway import Gateway
 class GatewayPorts:
     """The sockets of one end, with counts of strangers' datagrams.
 
+    session: whose own processes alone send and get haptics and telecommands; None: any program
+    of the host.
     peer: the socket to the other end on another machine; None: it is on this one.
     radio: becomes readable when a frame may have come.
     frame: returns the next frame of the peer, or None.
@@ -29,14 +40,21 @@ class GatewayPorts:
         gateway: Gateway,
         addresses: EndAddresses,
         peer: PeerSocket | None,
+        session: str | None,
     ) -> None:
         (haptic_out,) = (row for row in topology.haptics if row.direction is segment.transmits)
         (haptic_in,) = (row for row in topology.haptics if row is not haptic_out)
 
-        def entry(port: int) -> Inlet:
+        own = {TELECOMMAND, TELEMETRY, haptic_out.name, haptic_in.name}
+
+        def entry(name: str, port: int) -> Inlet | OwnInlet:
+            if session is not None and name in own:
+                return OwnInlet(session, port)
             return Inlet((addresses.apps_bind, port), addresses.apps)
 
-        def exit_to(port: int) -> Outlet:
+        def exit_to(name: str, port: int) -> Outlet | OwnOutlet:
+            if session is not None and name in own:
+                return OwnOutlet(session, port)
             return outlet(addresses.apps_bind, (addresses.apps, port))
 
         self.radio: socket.socket
@@ -52,17 +70,19 @@ class GatewayPorts:
         else:
             self.radio, self.frame, self.to_peer = peer.udp, peer.frame, peer
         self._haptic_octets = gateway.sender.profile.insert_octets + 1
-        self._haptic = entry(haptic_out.entry_port)
+        self._haptic = entry(haptic_out.name, haptic_out.entry_port)
         self._fetch_haptic = self._haptic.receive
         more_haptic = select.epoll()
         more_haptic.register(self._haptic.udp.fileno(), select.EPOLLIN)
         self._more_haptic = more_haptic.poll
-        self.to_haptic_end = exit_to(haptic_in.exit_port)
+        self.to_haptic_end = exit_to(haptic_in.name, haptic_in.exit_port)
         self._entries = {
-            flow.name: entry(topology.entry_port(flow.name)) for flow in gateway.sender.flows
+            flow.name: entry(flow.name, topology.entry_port(flow.name))
+            for flow in gateway.sender.flows
         }
         self.exits = {
-            flow.name: exit_to(topology.exit_port(flow.name)) for flow in gateway.receiver.flows
+            flow.name: exit_to(flow.name, topology.exit_port(flow.name))
+            for flow in gateway.receiver.flows
         }
         self._radio_strangers = 0
         self._flow_by_fd = {inlet.udp.fileno(): name for name, inlet in self._entries.items()}

@@ -67,7 +67,8 @@ def run_gateway(
     if peer is not None:
         core = make_path(peer, end.gateway.receiver.profile, clock.now_ns())
         path = PeerSocket(core, peer.bind, clock.now_ns)
-    ports = GatewayPorts(topology, segment, end.gateway, addresses, path)
+    session = context.session if tell_backlog else None
+    ports = GatewayPorts(topology, segment, end.gateway, addresses, path, session)
     loop = _GatewayLoop(context, end, ports, path)
     with ExitStack() as stack:
         if tell_backlog:

@@ -1,11 +1,12 @@
 """The process that merges the pictures of the robot's two cameras into one."""
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.sources.stereo import StereoPairer, merge
+from kontur_av.sources.stereo import HALF, StereoPairer, merge
 from kontur_av.topics.bus import Lease
 from pipelines.media.figures import StereoFigures
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
+from pipelines.session.topology import HALVES_TOPIC
 
 
 def run_stereo(context: Context) -> None:
@@ -24,12 +25,14 @@ def run_stereo(context: Context) -> None:
         writer = bus.writer(
             topology.camera(STEREO).topic, max_octets=video.width * video.height * 3 // 2
         )
+        halves = bus.writer(HALVES_TOPIC, max_octets=HALF.size, wake=False)
         readers = [bus.reader(topology.input(name).topic) for name in STEREO_INPUTS]
         # The pairer may use a camera's last picture again, so its lease is kept until the next.
         leases: list[Lease | None] = [None, None]
 
         def publish_pairs() -> None:
             while (pair := pairer.next_event()) is not None:
+                halves.publish_octets(HALF.pack(pair.oldest_ns), pair.stamp)
                 if not writer.has_readers():
                     continue
                 loan = writer.loan_picture(video.width, video.height)

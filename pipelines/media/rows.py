@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
 from pipelines.session.topology import (
     FOLLOWED_TOPIC,
+    HALVES_TOPIC,
     MISSION_LEDS_TOPIC,
     ROBOT_TOPIC,
     SELECTED_TOPIC,
@@ -36,7 +37,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             stage=Stage.RELAY,
             run="pipelines.media.process_stereo:run_stereo",
             reads=tuple(row.topic for row in session.inputs if row.name in STEREO_INPUTS),
-            writes=(STEREO_TOPIC,),
+            writes=(STEREO_TOPIC, HALVES_TOPIC),
             what="merges the robot's two cameras into one picture",
         ),
         *(_sender(session, row) for row in session.media_streams),

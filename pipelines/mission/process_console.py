@@ -4,7 +4,7 @@ from itertools import count
 
 from kontur_av.media import CaptureStamp
 from pipelines.mission.tmtc_desk import TmtcDesk
-from pipelines.session.process import LOOPBACK, PATIENCE_NS, Context
+from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.sample_topic import SampleTopic
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, WALL_TOPIC, Segment, packets_topic
 from telepresence.haptics.mediated.wall import WALL_OCTETS, is_wall
@@ -13,8 +13,8 @@ from telepresence.haptics.mediated.wall import WALL_OCTETS, is_wall
 def run_console(context: Context) -> None:
     """Carry packets between the link and the applications in space, and walls to the joystick."""
     clock, topology = context.clock, context.topology
-    udp = context.listen(topology.exit_port(TELEMETRY))
-    gateway = (LOOPBACK, topology.entry_port(TELECOMMAND))
+    udp = context.listen_own(topology.exit_port(TELEMETRY))
+    to_gateway = context.own_sender(topology.entry_port(TELECOMMAND))
     numbers = count()
     with context.open_bus() as bus:
         walls = None
@@ -24,7 +24,7 @@ def run_console(context: Context) -> None:
         received = SampleTopic(bus, packets_topic(TELEMETRY, sent=False))
 
         def send(packet: bytes, now_ns: int) -> None:
-            udp.sendto(packet, gateway)
+            to_gateway(packet)
             sent.handle_sample(packet, now_ns)
 
         desk = TmtcDesk(context, bus, Segment.SPACE, send)

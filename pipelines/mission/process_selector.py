@@ -14,7 +14,7 @@ from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.tmtc_desk import TmtcDesk
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.session.mission_messages import CameraWish, unpack
-from pipelines.session.process import LOOPBACK, PATIENCE_NS, Context
+from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.reception import replace_file
 from pipelines.session.sample_topic import SampleTopic
 from pipelines.session.topology import (
@@ -38,8 +38,8 @@ def run_selector(context: Context) -> None:
     choice = CameraChoice(
         context.setup.cameras, context.probe, now_ns=clock.now_ns(), selected=known
     )
-    udp = context.listen(topology.exit_port(TELECOMMAND))
-    gateway = (LOOPBACK, topology.entry_port(TELEMETRY))
+    udp = context.listen_own(topology.exit_port(TELECOMMAND))
+    to_gateway = context.own_sender(topology.entry_port(TELEMETRY))
     context.on_flush(choice.tell)
     numbers = count()
     with context.open_bus() as bus:
@@ -53,7 +53,7 @@ def run_selector(context: Context) -> None:
         newest_wish = -1
 
         def send(packet: bytes, now_ns: int) -> None:
-            udp.sendto(packet, gateway)
+            to_gateway(packet)
             sent.handle_sample(packet, now_ns)
 
         asked: deque[FunctionAsked] = deque()

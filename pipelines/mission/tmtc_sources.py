@@ -122,6 +122,9 @@ class RobotSource:
             "powered": status.powered,
             "mode": status.mode,
             "error": status.error,
+            "hold": status.hold or "none",
+            "offset_x": status.offset_mm[0],
+            "offset_y": status.offset_mm[1],
         }
         known = tuple(values.values())
         if known != self._known or now_ns >= self._known_ns:

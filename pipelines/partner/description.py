@@ -5,8 +5,10 @@ at most one picture and one voice, as WHIP has it (RFC 9725 section 4.4). No dat
 accepted, so that a stranger's messages are not even read.
 """
 
+import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from ipaddress import IPv4Address, ip_address
 from typing import Any, Literal
 
 from aiortc import (
@@ -43,15 +45,26 @@ _EXTENSIONS: dict[Kind, dict[str, int]] = {
     "audio": {MID: 1, ABS_SEND_TIME: 2},
     "video": {MID: 1, ABS_SEND_TIME: 2, PLAYOUT_DELAY: 3},
 }
-_FEEDBACK = (("nack", None), ("nack", "pli"), ("ccm", "fir"), ("goog-remb", None))
+_FMTP: dict[Kind, str] = {
+    "audio": "minptime=10;useinbandfec=1",
+    "video": "level-asymmetry-allowed=1;packetization-mode=1;profile-level-id=42e01f",
+}
+_FEEDBACK = frozenset(("nack", "nack pli", "ccm fir", "goog-remb"))
+_CODECS: dict[Kind, tuple[str, int]] = {
+    "audio": ("opus", AUDIO_CLOCK_HZ),
+    "video": ("h264", VIDEO_CLOCK_HZ),
+}
 #: Profiles of H.264 by preference: constrained baseline, baseline, main, high.
 _PROFILES = ("42e0", "4200", "4d00", "6400")
 _DISCARD_PORT = 9
 _ANY_HOST = "0.0.0.0"
+_MDNS = re.compile(r"[0-9a-f-]{36}\.local")
+_BROADCAST = IPv4Address("255.255.255.255")
 #: What the parser raises for garbage.
-_MALFORMED = (
+MALFORMED = (
     ValueError,
     AssertionError,
+    ArithmeticError,
     LookupError,
     AttributeError,
     TypeError,
@@ -75,6 +88,41 @@ class Transport:
     fingerprints: tuple[tuple[str, str], ...] = ()
     role: str = "auto"
     lite: bool = False
+
+
+def clean_candidates(text: str, *, loopback: bool = True) -> str:
+    """Return a description or a fragment without the candidates that no datagram may go to.
+
+    These are ports that do not exist, addresses of everybody or nobody, and what is no address;
+    without `loopback` also those of loopback, at which a partner elsewhere would have us send to
+    our own programs. Names of mDNS stay.
+    """
+    return "".join(
+        line for line in text.splitlines(keepends=True) if _may_stay(line.strip(), loopback)
+    )
+
+
+def _may_stay(line: str, loopback: bool) -> bool:
+    if not line.startswith("a=candidate:"):
+        return True
+    words = line.split()
+    try:
+        port = int(words[5])
+    except (ValueError, IndexError):
+        # The parser refuses it.
+        return True
+    # One of TCP, which nobody uses here, may have 9, the port to discard.
+    if not 1 <= port <= 65_535:
+        return False
+    if _MDNS.fullmatch(words[4].lower()):
+        return True
+    try:
+        address = ip_address(words[4])
+    except ValueError:
+        return False
+    mapped = getattr(address, "ipv4_mapped", None) or address
+    wanted = loopback or not mapped.is_loopback
+    return wanted and not (mapped.is_multicast or mapped.is_unspecified or mapped == _BROADCAST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +164,6 @@ class Offer:
 def wanted_line(
     kind: Kind, *, mid: str, ssrc: int, sends: bool = False, receives: bool = False
 ) -> MediaLine:
-    """Return a line to offer."""
     return MediaLine(
         mid=mid,
         kind=kind,
@@ -124,11 +171,9 @@ def wanted_line(
         receives=receives,
         payload_type=VIDEO_PAYLOAD_TYPE if kind == "video" else AUDIO_PAYLOAD_TYPE,
         extensions=dict(_EXTENSIONS[kind]),
-        feedback=frozenset(_feedback_text(pair) for pair in _FEEDBACK)
-        if kind == "video"
-        else frozenset(),
+        feedback=_FEEDBACK if kind == "video" else frozenset(),
         ssrc=ssrc,
-        fmtp=_fmtp(kind),
+        fmtp=_FMTP[kind],
     )
 
 
@@ -151,15 +196,14 @@ def write_description(
     description.msid_semantic.append(GroupDescription(semantic="WMS", items=["*"]))
     by_mid = {line.mid: line for line in lines}
     order = [(line.mid, "", "") for line in lines] if answers is None else list(answers.mids)
-    bundled: list[str] = []
     for mid, kind, rest in order:
         line = by_mid.get(mid)
-        if line is None:
-            description.media.append(_rejected(mid, kind, rest, transport))
-            continue
-        bundled.append(mid)
-        description.media.append(_section(line, transport, cname=cname, stream=stream))
-    group: list[int | str] = list(bundled)
+        description.media.append(
+            _rejected(mid, kind, rest, transport)
+            if line is None
+            else _section(line, transport, cname=cname, stream=stream)
+        )
+    group: list[int | str] = [mid for mid, _, _ in order if mid in by_mid]
     description.group.append(GroupDescription(semantic="BUNDLE", items=group))
     text = str(description)
     # RTCP of any size may travel alone (RFC 5506); sets of candidates may grow (RFC 8838).
@@ -174,9 +218,9 @@ def read_description(text: str, *, answers: bool, ssrcs: dict[Kind, int]) -> Off
     if len(text) > MOST_SDP_OCTETS:
         raise ProtocolError(f"a description of {len(text)} octets: {MOST_SDP_OCTETS} are most")
     try:
-        parsed = SessionDescription.parse(text)
+        parsed = SessionDescription.parse(clean_candidates(text))
         return _read(parsed, answers=answers, ssrcs=ssrcs)
-    except _MALFORMED as error:
+    except MALFORMED as error:
         raise ProtocolError(f"not a session description: {error}") from error
 
 
@@ -186,18 +230,10 @@ def common_line(offered: MediaLine, *, sends: bool, receives: bool) -> MediaLine
     if not (sends or receives):
         return None
     ours = _EXTENSIONS[offered.kind]
-    known = {_feedback_text(pair) for pair in _FEEDBACK}
-    return MediaLine(
-        mid=offered.mid,
-        kind=offered.kind,
-        sends=sends,
-        receives=receives,
-        payload_type=offered.payload_type,
-        extensions={uri: number for uri, number in offered.extensions.items() if uri in ours},
-        feedback=frozenset(offered.feedback & known),
-        ssrc=offered.ssrc,
-        peer_ssrc=offered.peer_ssrc,
-        fmtp=offered.fmtp,
+    extensions = {uri: number for uri, number in offered.extensions.items() if uri in ours}
+    feedback = offered.feedback & _FEEDBACK
+    return replace(
+        offered, sends=sends, receives=receives, extensions=extensions, feedback=feedback
     )
 
 
@@ -214,34 +250,21 @@ def read_candidates(text: str) -> Transport:
     """Return what a fragment for trickle ICE says. Raises ProtocolError for garbage."""
     if len(text) > MOST_SDP_OCTETS:
         raise ProtocolError(f"a fragment of {len(text)} octets: {MOST_SDP_OCTETS} are most")
-    ufrag = password = ""
-    candidates: list[RTCIceCandidate] = []
-    complete = False
-    for line in text.splitlines():
-        key, _, value = line.strip().partition(":")
-        if key == "a=ice-ufrag":
-            ufrag = ufrag or value
-        elif key == "a=ice-pwd":
-            password = password or value
-        elif key == "a=end-of-candidates":
-            complete = True
-        elif key == "a=candidate":
-            candidates.append(_candidate(value))
+    said = [line.strip().partition(":") for line in clean_candidates(text).splitlines()]
+    ufrag = next((value for key, _, value in said if key == "a=ice-ufrag" and value), "")
+    password = next((value for key, _, value in said if key == "a=ice-pwd" and value), "")
+    try:
+        candidates = [candidate_from_sdp(value) for key, _, value in said if key == "a=candidate"]
+    except MALFORMED as error:
+        raise ProtocolError(f"not a candidate of ICE: {error}") from error
     if not ufrag or not password:
         raise ProtocolError("a fragment without ICE's user name and password")
     return Transport(
         ufrag=ufrag,
         password=password,
         candidates=tuple(candidates[:MOST_CANDIDATES]),
-        complete=complete,
+        complete=any(key == "a=end-of-candidates" for key, _, _ in said),
     )
-
-
-def _candidate(value: str) -> RTCIceCandidate:
-    try:
-        return candidate_from_sdp(value)
-    except _MALFORMED as error:
-        raise ProtocolError(f"not a candidate of ICE: {error}") from error
 
 
 def _read(parsed: SessionDescription, *, answers: bool, ssrcs: dict[Kind, int]) -> Offer:
@@ -302,6 +325,8 @@ def _read_section(media: MediaDescription, ssrcs: dict[Kind, int]) -> MediaLine 
     receives = direction in ("sendonly", "sendrecv")
     if codec is None or codec.payloadType is None or not (sends or receives):
         return None
+    given = codec.parameters.items()
+    fmtp = ";".join(name if value is None else f"{name}={value}" for name, value in given)
     # A port of 0 rejects a section, unless it is bundled with one that has a port.
     return MediaLine(
         mid=media.rtp.muxId,
@@ -311,37 +336,23 @@ def _read_section(media: MediaDescription, ssrcs: dict[Kind, int]) -> MediaLine 
         payload_type=codec.payloadType,
         extensions={one.uri: one.id for one in media.rtp.headerExtensions if 1 <= one.id <= 14},
         feedback=frozenset(
-            _feedback_text((one.type, one.parameter or None)) for one in codec.rtcpFeedback
+            f"{one.type} {one.parameter or ''}".rstrip() for one in codec.rtcpFeedback
         ),
         ssrc=ssrcs.get(kind, 0),
         peer_ssrc=media.ssrc[0].ssrc if media.ssrc else None,
-        fmtp=_fmtp_of(codec),
+        fmtp=fmtp,
     )
 
 
 def _codec(codecs: Iterable[RTCRtpCodecParameters], kind: Kind) -> RTCRtpCodecParameters | None:
+    name, clock_hz = _CODECS[kind]
+    usable = [one for one in codecs if (one.name.lower(), one.clockRate) == (name, clock_hz)]
     if kind == "audio":
-        return next(
-            (
-                one
-                for one in codecs
-                if one.name.lower() == "opus" and one.clockRate == AUDIO_CLOCK_HZ
-            ),
-            None,
-        )
-    usable = [
-        one
-        for one in codecs
-        if one.name.lower() == "h264"
-        and one.clockRate == VIDEO_CLOCK_HZ
-        and str(one.parameters.get("packetization-mode", "0")) == "1"
-    ]
-    return min(usable, key=_rank, default=None)
-
-
-def _rank(codec: RTCRtpCodecParameters) -> int:
-    profile = str(codec.parameters.get("profile-level-id", "42e01f")).lower()[:4]
-    return _PROFILES.index(profile) if profile in _PROFILES else len(_PROFILES)
+        return usable[0] if usable else None
+    usable = [one for one in usable if str(one.parameters.get("packetization-mode", "0")) == "1"]
+    names = [str(one.parameters.get("profile-level-id", "42e01f")).lower()[:4] for one in usable]
+    ranks = [_PROFILES.index(name) if name in _PROFILES else len(_PROFILES) for name in names]
+    return usable[ranks.index(min(ranks))] if usable else None
 
 
 def _section(line: MediaLine, transport: Transport, *, cname: str, stream: str) -> MediaDescription:
@@ -363,7 +374,10 @@ def _section(line: MediaLine, transport: Transport, *, cname: str, stream: str) 
             clockRate=VIDEO_CLOCK_HZ if video else AUDIO_CLOCK_HZ,
             channels=None if video else 2,
             payloadType=line.payload_type,
-            rtcpFeedback=[_feedback(text) for text in sorted(line.feedback)],
+            rtcpFeedback=[
+                RTCRtcpFeedback(type=kind, parameter=parameter or None)
+                for kind, _, parameter in (text.partition(" ") for text in sorted(line.feedback))
+            ],
             parameters={line.fmtp: None} if line.fmtp else {},
         )
     ]
@@ -400,25 +414,3 @@ def _bare(kind: str, profile: str, formats: list[Any], transport: Transport) -> 
         role=transport.role,
     )
     return media
-
-
-def _fmtp(kind: Kind) -> str:
-    if kind == "video":
-        return "level-asymmetry-allowed=1;packetization-mode=1;profile-level-id=42e01f"
-    return "minptime=10;useinbandfec=1"
-
-
-def _fmtp_of(codec: RTCRtpCodecParameters) -> str:
-    return ";".join(
-        name if value is None else f"{name}={value}" for name, value in codec.parameters.items()
-    )
-
-
-def _feedback(text: str) -> RTCRtcpFeedback:
-    kind, _, parameter = text.partition(" ")
-    return RTCRtcpFeedback(type=kind, parameter=parameter or None)
-
-
-def _feedback_text(pair: tuple[str, str | None]) -> str:
-    kind, parameter = pair
-    return kind if parameter is None else f"{kind} {parameter}"

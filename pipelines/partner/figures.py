@@ -36,6 +36,8 @@ class RtcFigures:
     refused: Mapping[str, int] = field(default_factory=dict)
     #: Offers that could not be used, and packets that were not RTP or RTCP.
     garbage: int = 0
+    #: Connections and requests that ended in an error of this software; the error stream has them.
+    faults: int = 0
     #: Haptic samples: `taken` from the partner, `given` to it, or `left_out` for a slow network.
     samples: Mapping[str, int] = field(default_factory=dict)
     #: How often the rate of the picture was lowered.

@@ -1,15 +1,14 @@
-"""One stream of the partner: access units and blocks of sound as they come. Cores."""
+"""One stream of the partner: access units and blocks of sound as they come, and when. Cores."""
 
-from dataclasses import dataclass
+import struct
+from collections import deque
 
 from aiortc.rate import RemoteBitrateEstimator
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.rtp.header_extensions import ABS_SEND_TIME, elements_of
-from kontur_av.rtp.payload_h264 import ReceivedUnit
-from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.rate_feedback import rate_message
 from kontur_av.rtp.receiver import REORDER_DEPTH_NS
 from kontur_av.rtp.reception import ReceptionLog
@@ -18,32 +17,13 @@ from kontur_av.rtp.wire import RtcpReceiverInfo, RtcpSrPacket
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.partner.description import MediaLine
+from pipelines.partner.tally import TrackFigures
 
 #: How long a picture waits for a packet that was asked for.
 _REPAIR_NS = 150 * NS_PER_MS
 assert _REPAIR_NS <= TOO_OLD_NS
 _HEADER_OCTETS = 12
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class IncomingFigures:
-    """Figures of a stream of the partner.
-
-    packets, lost: RTP. octets: payload. jitter_ns: of arrivals. units: pictures, or blocks of sound
-    that were played. damaged: pictures with packets missing, or blocks concealed. keys_asked: PLI
-    sent. asked, mended: NACKs sent, and packets that came after all. wish_bps: REMB last sent.
-    """
-
-    packets: int
-    lost: int
-    octets: int
-    jitter_ns: int
-    units: int
-    damaged: int
-    keys_asked: int = 0
-    asked: int = 0
-    mended: int = 0
-    wish_bps: int | None = None
+_HEADER = struct.Struct(">xxHII")
 
 
 class _Incoming:
@@ -116,7 +96,7 @@ class IncomingPicture(_Incoming):
         self._wish_bps: int | None = None
 
     def handle_packet(self, packet: bytes, now_ns: int) -> None:
-        """Handle an RTP packet of this stream. Drain `next_unit` afterwards."""
+        """Handle an RTP packet of this stream. Drain `receiver` afterwards."""
         source, sequence, _ = _numbers(packet)
         if source != self.source and self._estimator is not None:
             self._estimator = RemoteBitrateEstimator()
@@ -124,10 +104,6 @@ class IncomingPicture(_Incoming):
             self._asker.handle_packet(source, sequence, now_ns)
         self._estimate(packet, source, now_ns)
         super().handle_packet(packet, now_ns)
-
-    def next_unit(self) -> ReceivedUnit | None:
-        """Return the next access unit, or None."""
-        return self.receiver.next_event()
 
     def poll_feedback(self, now_ns: int) -> bytes | None:
         """Return a PLI, NACK or REMB to send now; call until None."""
@@ -140,24 +116,19 @@ class IncomingPicture(_Incoming):
 
     def poll_timeout(self) -> int | None:
         """Return when to call `handle_timeout` and `poll_feedback`; None: not yet."""
-        due = [super().poll_timeout()]
-        due += [] if self._asker is None else [self._asker.poll_timeout()]
+        due = [super().poll_timeout(), None if self._asker is None else self._asker.poll_timeout()]
         return min((one for one in due if one is not None), default=None)
 
     @property
-    def figures(self) -> IncomingFigures:
-        """The figures so far."""
-        counts = self.receiver.counts
-        return IncomingFigures(
+    def figures(self) -> TrackFigures:
+        counts, asker = self.receiver.counts, self._asker
+        return TrackFigures(
             packets=counts.rtp.rtp_packets,
             lost=counts.rtp.rtp_lost,
             octets=counts.rtp.rtp_payload_octets,
-            jitter_ns=counts.jitter_ns,
-            units=counts.frames_received,
-            damaged=counts.frames_damaged,
             keys_asked=counts.pictures_asked_for,
-            asked=0 if self._asker is None else self._asker.sent,
-            mended=0 if self._asker is None else self._asker.mended,
+            asked=0 if asker is None else asker.sent,
+            repeated=0 if asker is None else asker.mended,
             wish_bps=self._wish_bps,
         )
 
@@ -190,28 +161,48 @@ class IncomingVoice(_Incoming):
         )
         super().__init__(line, self.receiver, AUDIO_CLOCK_HZ)
 
-    def next_block(self) -> PlayoutBlock | None:
-        """Return the next block to play at once, or None."""
-        return self.receiver.next_event()
-
     @property
-    def figures(self) -> IncomingFigures:
-        """The figures so far."""
-        counts = self.receiver.counts
-        return IncomingFigures(
-            packets=counts.rtp.rtp_packets,
-            lost=counts.rtp.rtp_lost,
-            octets=counts.rtp.rtp_payload_octets,
-            jitter_ns=counts.jitter_ns,
-            units=counts.frames_decoded,
-            damaged=counts.frames_concealed,
+    def figures(self) -> TrackFigures:
+        rtp = self.receiver.counts.rtp
+        return TrackFigures(
+            packets=rtp.rtp_packets, lost=rtp.rtp_lost, octets=rtp.rtp_payload_octets
         )
 
 
 def _numbers(packet: bytes) -> tuple[int, int, int]:
     """SSRC, sequence number and timestamp of an RTP packet with a whole header."""
-    return (
-        int.from_bytes(packet[8:12], "big"),
-        int.from_bytes(packet[2:4], "big"),
-        int.from_bytes(packet[4:8], "big"),
-    )
+    sequence, timestamp, source = _HEADER.unpack_from(packet)
+    return source, sequence, timestamp
+
+
+#: The least is that of this time, so that clocks may drift and networks may change.
+_WINDOW_NS = 30 * NS_PER_S
+_BUCKET_NS = NS_PER_S
+
+
+class PartnerTime:
+    """Moves capture times of one partner to our clock, so that none lies after its arrival.
+
+    A partner's sender reports tell its own wall clock, which may be wrong by any time. So the
+    packet that came soonest after its capture is taken for one without any delay. Delays are then
+    those above the least; picture and voice stay together, because both have one clock.
+    """
+
+    def __init__(self) -> None:
+        #: By second: when it began, and the least difference in it.
+        self._least: deque[tuple[int, int]] = deque()
+
+    def capture_ns(self, told_ns: int, now_ns: int) -> int:
+        """Return the capture time on our clock of what came at `now_ns`.
+
+        told_ns: its capture time by the partner's reports.
+        """
+        difference_ns = now_ns - told_ns
+        least = self._least
+        if least and now_ns - least[-1][0] < _BUCKET_NS:
+            least[-1] = least[-1][0], min(least[-1][1], difference_ns)
+        else:
+            least.append((now_ns, difference_ns))
+        while now_ns - least[0][0] > _WINDOW_NS:
+            least.popleft()
+        return told_ns + min(one for _, one in least)

@@ -9,16 +9,11 @@ from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.sender import RtpIdentity
-from kontur_av.rtp.wire import (
-    AnyRtcpPacket,
-    RtcpByePacket,
-    RtcpRrPacket,
-    RtcpSrPacket,
-    parse_rtcp,
-)
+from kontur_av.rtp.wire import AnyRtcpPacket, RtcpRrPacket, RtcpSrPacket, parse_rtcp
 from pipelines.partner.description import Kind, MediaLine
-from pipelines.partner.incoming import IncomingFigures, IncomingPicture, IncomingVoice
-from pipelines.partner.outgoing import OutgoingFigures, OutgoingTrack
+from pipelines.partner.incoming import IncomingPicture, IncomingVoice
+from pipelines.partner.outgoing import OutgoingTrack
+from pipelines.partner.tally import MediaFigures
 
 _LEAST_RTP_OCTETS = 12
 #: Longer packets are no RTP of a network with the usual limit.
@@ -43,15 +38,6 @@ class SoundCame:
 
     block: PlayoutBlock
     capture_ns: int | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MediaFigures:
-    """Figures of a connection. garbage: packets that were not RTP or RTCP of it."""
-
-    sent: dict[Kind, OutgoingFigures]
-    received: dict[Kind, IncomingFigures]
-    garbage: int
 
 
 class RtcMedia:
@@ -109,8 +95,6 @@ class RtcMedia:
         self._report_ns: int | None = None
         self._heard_ns: int | None = None
         self._garbage = 0
-        #: The source of each stream has said goodbye.
-        self.ended = False
 
     def send_unit(self, unit: AccessUnit, now_ns: int) -> None:
         """Send an access unit, if the partner takes pictures."""
@@ -137,10 +121,8 @@ class RtcMedia:
 
     def handle_rtp(self, packet: bytes, now_ns: int) -> None:
         """Handle a decrypted RTP packet. Garbage is counted."""
-        if not _LEAST_RTP_OCTETS <= len(packet) <= _MOST_OCTETS:
-            self._garbage += 1
-            return
-        stream = self._by_type.get(packet[1] & 0x7F)
+        whole = _LEAST_RTP_OCTETS <= len(packet) <= _MOST_OCTETS
+        stream = self._by_type.get(packet[1] & 0x7F) if whole else None
         if stream is None:
             self._garbage += 1
             return
@@ -160,11 +142,8 @@ class RtcMedia:
                 track.handle_feedback(packet, now_ns)
             if isinstance(packet, RtcpSrPacket):
                 self._handle_report(packet, now_ns)
-            elif isinstance(packet, RtcpByePacket):
-                self.ended = True
 
     def handle_timeout(self, now_ns: int) -> None:
-        """Do what is due at `now_ns`."""
         for stream in self._streams():
             stream.handle_timeout(now_ns)
 
@@ -181,7 +160,14 @@ class RtcMedia:
                 return datagram
         if self.picture is not None and (asked := self.picture.poll_feedback(now_ns)) is not None:
             return asked
-        return self._poll_report(now_ns)
+        if self._report_ns is not None and now_ns < self._report_ns:
+            return None
+        blocks = [stream.block(now_ns) for stream in self._streams()]
+        known = [block for block in blocks if block is not None]
+        if not known:
+            return None
+        self._report_ns = now_ns + _REPORT_NS
+        return bytes(RtcpRrPacket(self._ssrc, known))
 
     def poll_timeout(self, now_ns: int) -> int:
         """Return when to call `handle_timeout` and `poll_transmit` next; within 100 ms."""
@@ -190,10 +176,9 @@ class RtcMedia:
         return min([one for one in due if one is not None] + [now_ns + _LONGEST_NS])
 
     def next_event(self) -> PictureCame | SoundCame | None:
-        """Return the next unit or block of the partner, or None."""
-        if self.picture is not None and (unit := self.picture.next_unit()) is not None:
+        if self.picture is not None and (unit := self.picture.receiver.next_event()) is not None:
             return PictureCame(unit, self.picture.receiver.capture_ns(unit.timestamp))
-        if self.voice is not None and (block := self.voice.next_block()) is not None:
+        if self.voice is not None and (block := self.voice.receiver.next_event()) is not None:
             return SoundCame(block, self.voice.receiver.capture_ns(block.timestamp))
         return None
 
@@ -208,15 +193,9 @@ class RtcMedia:
 
     @property
     def figures(self) -> MediaFigures:
-        """The figures so far."""
-        received: dict[Kind, IncomingFigures] = {}
-        if self.picture is not None:
-            received["video"] = self.picture.figures
-        if self.voice is not None:
-            received["audio"] = self.voice.figures
         return MediaFigures(
             sent={kind: track.figures for kind, track in self.outgoing.items()},
-            received=received,
+            received={stream.line.kind: stream.figures for stream in self._streams()},
             garbage=self._garbage,
         )
 
@@ -229,13 +208,3 @@ class RtcMedia:
         for stream in self._streams():
             if stream.source in (None, report.ssrc) or stream.line.peer_ssrc == report.ssrc:
                 stream.handle_report(report, bytes(alone), now_ns)
-
-    def _poll_report(self, now_ns: int) -> bytes | None:
-        if self._report_ns is not None and now_ns < self._report_ns:
-            return None
-        blocks = [stream.block(now_ns) for stream in self._streams()]
-        known = [block for block in blocks if block is not None]
-        if not known:
-            return None
-        self._report_ns = now_ns + _REPORT_NS
-        return bytes(RtcpRrPacket(self._ssrc, known))

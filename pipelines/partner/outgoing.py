@@ -1,7 +1,7 @@
 """One stream towards the partner: access units or Opus packets as they were coded. A core."""
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp
@@ -14,7 +14,7 @@ from kontur_av.rtp.header_extensions import (
     send_time_element,
 )
 from kontur_av.rtp.rate_feedback import told_rate
-from kontur_av.rtp.reception import ReceptionFigures, ReceptionReader
+from kontur_av.rtp.reception import ReceptionReader
 from kontur_av.rtp.repair import PacketHistory
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.rtp.wire import (
@@ -28,6 +28,7 @@ from kontur_av.rtp.wire import (
     RtcpSrPacket,
 )
 from pipelines.partner.description import MediaLine
+from pipelines.partner.tally import TrackFigures
 
 #: Packets of a picture leave at this multiple of the stream's rate, so that a key picture does not
 #: fill a home router's queue at once, but at least at the rate after it.
@@ -40,26 +41,6 @@ _ANSWER_ONCE_NS = 300 * NS_PER_MS
 _TICK_NS = -(-NS_PER_S // VIDEO_CLOCK_HZ)
 #: Room for header extensions and SRTP below the usual 1200 octets of WebRTC.
 _MOST_PAYLOAD_OCTETS = 1140
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutgoingFigures:
-    """Figures of a stream towards the partner.
-
-    units, packets, octets: sent; octets of payload. dropped: units that waited too long.
-    keys_asked: PLI and FIR that came. asked, repeated: packets asked for by NACK, and sent again.
-    wish_bps: the newest REMB; None: none came. reception: what the partner last said.
-    """
-
-    units: int
-    packets: int
-    octets: int
-    dropped: int
-    keys_asked: int
-    asked: int
-    repeated: int
-    wish_bps: int | None
-    reception: ReceptionFigures | None
 
 
 class OutgoingTrack:
@@ -85,7 +66,7 @@ class OutgoingTrack:
         wall_offset_ns: int = 0,
     ) -> None:
         video = line.kind == "video"
-        self.line = line
+        self.line, self.ssrc = line, identity.ssrc
         self._rtp = RtpSender(
             payload_type=line.payload_type,
             clock_rate_hz=VIDEO_CLOCK_HZ if video else AUDIO_CLOCK_HZ,
@@ -117,55 +98,39 @@ class OutgoingTrack:
         self._begun = False
         self._key_due = video
         self._answered_ns: int | None = None
-        self._wish_bps: int | None = None
-        self._units = self._dropped = self._keys_asked = 0
+        #: The newest rate that the partner can take (REMB); None: it said none.
+        self.wish_bps: int | None = None
+        self._dropped = self._keys_asked = 0
 
-    @property
-    def ssrc(self) -> int:
-        """The SSRC of what is sent."""
-        return self._rtp.ssrc
+    def _drop_waiting(self) -> None:
+        self._dropped += len(self._units_waiting)
+        self._units_waiting.clear()
 
-    @property
-    def wish_bps(self) -> int | None:
-        """The newest rate that the partner can take (REMB); None: it said none."""
-        return self._wish_bps
-
-    @property
-    def waiting(self) -> int:
-        """Units that wait."""
-        return len(self._units_waiting)
-
-    def oldest_age_ns(self, now_ns: int) -> int:
-        """Return how long the oldest unit has waited; 0 while none waits."""
-        return now_ns - self._units_waiting[0][1] if self._units_waiting else 0
+    def _is_late(self, now_ns: int) -> bool:
+        return bool(self._units_waiting) and now_ns - self._units_waiting[0][1] > _OLDEST_NS
 
     def handle_unit(self, unit: AccessUnit, now_ns: int) -> None:
         """Send one access unit. Those before the first key picture are left out."""
         if not (self._begun or unit.keyframe):
             return
         self._begun = True
-        if self.oldest_age_ns(now_ns) > _OLDEST_NS:
-            self._dropped += len(self._units_waiting)
-            self._units_waiting.clear()
+        if self._is_late(now_ns):
             self._key_due = True
+            self._drop_waiting()
         if unit.keyframe:
             # What came before it is not needed any more.
-            self._dropped += len(self._units_waiting)
-            self._units_waiting.clear()
+            self._drop_waiting()
         # Units sent anew for a late comer are older than those before: time must not run back.
         if self._last_capture_ns is not None and unit.stamp.capture_ns <= self._last_capture_ns:
             stamp = replace(unit.stamp, capture_ns=self._last_capture_ns + _TICK_NS)
             unit = replace(unit, stamp=stamp)
         self._last_capture_ns = unit.stamp.capture_ns
-        self._units += 1
         self._units_waiting.append((unit, now_ns))
 
     def handle_opus(self, opus: bytes, stamp: CaptureStamp, now_ns: int) -> None:
         """Send one Opus packet of 20 ms."""
-        if self.oldest_age_ns(now_ns) > _OLDEST_NS:
-            self._dropped += len(self._units_waiting)
-            self._units_waiting.clear()
-        self._units += 1
+        if self._is_late(now_ns):
+            self._drop_waiting()
         self._units_waiting.append(((opus, stamp), now_ns))
 
     def handle_feedback(self, packet: AnyRtcpPacket, now_ns: int) -> None:
@@ -177,7 +142,9 @@ class OutgoingTrack:
         elif isinstance(packet, RtcpRtpfbPacket):
             lost = packet.fmt == RTCP_RTPFB_NACK and packet.media_ssrc == self.ssrc
             if lost and self._history is not None:
-                self._again.extend(self._history.handle_lost(packet.lost, now_ns))
+                # aiortc counts on behind 65535.
+                numbers = [number & 0xFFFF for number in packet.lost]
+                self._again.extend(self._history.handle_lost(numbers, now_ns))
         elif isinstance(packet, RtcpPsfbPacket):
             self._handle_picture_feedback(packet)
 
@@ -221,19 +188,18 @@ class OutgoingTrack:
         return self._rtp.goodbye()
 
     @property
-    def figures(self) -> OutgoingFigures:
-        """The figures so far."""
-        history = self._history
-        return OutgoingFigures(
-            units=self._units,
+    def figures(self) -> TrackFigures:
+        history, reception = self._history, self._reader.figures
+        return TrackFigures(
             packets=self._rtp.packets_sent,
             octets=self._rtp.payload_octets_sent,
-            dropped=self._dropped,
-            keys_asked=self._keys_asked,
+            lost=0 if reception is None else max(reception.lost, 0),
             asked=0 if history is None else history.asked,
             repeated=0 if history is None else history.repeated,
-            wish_bps=self._wish_bps,
-            reception=self._reader.figures,
+            keys_asked=self._keys_asked,
+            dropped=self._dropped,
+            wish_bps=self.wish_bps,
+            reception=reception,
         )
 
     def _begin_unit(self) -> bool:
@@ -269,4 +235,4 @@ class OutgoingTrack:
             return
         told = told_rate(packet)
         if told is not None and self.ssrc in told[1]:
-            self._wish_bps = told[0]
+            self.wish_bps = told[0]

@@ -1,4 +1,4 @@
-"""A partner's connection on an event loop: transport, media, offers and answers. A shell.
+"""A partner's connection on an event loop, and what partners may watch by it. A shell.
 
 How the descriptions travel (WHIP, WHEP, a media server's own way) is the caller's.
 """
@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from kontur_av.clock import NS_PER_S, Clock
+from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AccessUnit, CaptureStamp
 from pipelines.partner.description import (
@@ -38,28 +38,25 @@ class RtcPeer:
     sends: by kind, the usual bit/s of what this end sends. receives: kinds that it takes.
     handle: called with each event, on the event loop. It must not block.
     want_key: called when the partner needs a key picture, as it does at first.
-    most_bps: of the partner's picture. wall_offset_ns: Unix time minus the clock's time.
+    most_bps: of the partner's picture.
     """
 
     def __init__(
         self,
         *,
-        clock: Clock,
+        clock: MonotonicClock,
         sends: dict[Kind, int],
         receives: Sequence[Kind] = (),
         handle: Callable[[Event], None] = lambda _: None,
         want_key: Callable[[], None] = lambda: None,
         servers: IceServers | None = None,
         most_bps: int = 1_500_000,
-        wall_offset_ns: int = 0,
         offers: bool = True,
     ) -> None:
         self._clock, self._sends, self._receives = clock, dict(sends), tuple(receives)
         self._handle, self._want_key, self._most_bps = handle, want_key, most_bps
-        self._wall_offset_ns = wall_offset_ns
         self._session = secrets.randbits(62)
-        self._cname = secrets.token_hex(8)
-        self._stream = secrets.token_hex(8)
+        self._cname, self._stream = secrets.token_hex(8), secrets.token_hex(8)
         self._ssrcs: dict[Kind, int] = {
             kind: secrets.randbits(31) + 1 for kind in ("audio", "video")
         }
@@ -71,7 +68,6 @@ class RtcPeer:
         )
         self._local: Transport | None = None
         self._offered: list[MediaLine] = []
-        self._lines: list[MediaLine] = []
         self._wake = asyncio.Event()
         self._restarting: asyncio.Future[None] | None = None
         self._connecting: tuple[Transport, str] | None = None
@@ -88,7 +84,6 @@ class RtcPeer:
 
     @property
     def restarts(self) -> int:
-        """How often ICE was restarted."""
         return self._transport.restarts
 
     @property
@@ -103,7 +98,6 @@ class RtcPeer:
         return silent or self._transport.lost
 
     async def offer(self) -> str:
-        """Return the offer to send to the partner."""
         self._local = await self._transport.gather()
         kinds: list[Kind] = [
             kind for kind in ("audio", "video") if kind in self._sends or kind in self._receives
@@ -127,35 +121,24 @@ class RtcPeer:
         for line in said.lines:
             wanted = next((one for one in self._offered if one.mid == line.mid), None)
             if wanted is None or wanted.kind != line.kind:
-                raise ProtocolError(
-                    f"an answer with the section {line.mid!r}, which was not offered"
-                )
+                words = f"an answer with the section {line.mid!r}, which was not offered"
+                raise ProtocolError(words)
             common = common_line(line, sends=wanted.sends, receives=wanted.receives)
-            if common is not None:
-                lines.append(common)
-        role = "server" if said.transport.role == "client" else "client"
-        self._begin(lines, said.transport, role)
+            lines += [] if common is None else [common]
+        self._begin(lines, said.transport)
 
     async def answer(self, offer: str) -> str:
         """Return the answer to a partner's offer. ProtocolError if the offer cannot be used."""
         said = read_description(offer, answers=False, ssrcs=self._ssrcs)
-        lines = [
-            line
-            for offered in said.lines
-            if (
-                line := common_line(
-                    offered,
-                    sends=offered.kind in self._sends,
-                    receives=offered.kind in self._receives,
-                )
-            )
-        ]
+        wanted = (
+            common_line(one, sends=one.kind in self._sends, receives=one.kind in self._receives)
+            for one in said.lines
+        )
+        lines = [line for line in wanted if line is not None]
         if not lines:
             raise ProtocolError("an offer of nothing that is wanted here")
         self._local = await self._transport.gather()
-        # The partner's choice if it made one; else it waits and this end begins.
-        role = "server" if said.transport.role == "client" else "client"
-        self._begin(lines, said.transport, role)
+        role = self._begin(lines, said.transport)
         return self._write(lines, replace(self._local, role=role), answers=said)
 
     async def restart(self, peer: Transport | None = None) -> Transport:
@@ -178,13 +161,11 @@ class RtcPeer:
         await self._transport.add_candidates(told.candidates, last=told.complete)
 
     def send_unit(self, unit: AccessUnit) -> None:
-        """Send an access unit."""
         if self.media is not None and self.connected:
             self.media.send_unit(unit, self._clock.now_ns())
             self._wake.set()
 
     def send_opus(self, opus: bytes, stamp: CaptureStamp) -> None:
-        """Send an Opus packet."""
         if self.media is not None and self.connected:
             self.media.send_opus(opus, stamp, self._clock.now_ns())
             self._wake.set()
@@ -237,8 +218,10 @@ class RtcPeer:
             # The loop's other work goes on.
             await asyncio.sleep(0)
 
-    def _begin(self, lines: list[MediaLine], peer: Transport, role: str) -> None:
-        self._lines = lines
+    def _begin(self, lines: list[MediaLine], peer: Transport) -> str:
+        """Make the media; return this end's role in the DTLS handshake."""
+        # The partner's choice if it made one; else it waits and this end begins.
+        role = "server" if peer.role == "client" else "client"
         self._connecting = peer, role
         self.media = RtcMedia(
             lines,
@@ -246,8 +229,9 @@ class RtcPeer:
             bps=self._sends,
             most_bps=self._most_bps,
             cname=self._cname,
-            wall_offset_ns=self._wall_offset_ns,
+            wall_offset_ns=self._clock.wall_offset_ns,
         )
+        return role
 
     def _write(self, lines: list[MediaLine], local: Transport, answers: Offer | None = None) -> str:
         return write_description(
@@ -275,3 +259,31 @@ class RtcPeer:
         if self.media is not None:
             self.media.handle_rtcp(datagram, self._clock.now_ns())
             self._wake.set()
+
+
+class Programme:
+    """A picture with its voice, sent to each of its peers.
+
+    name: in its address. sends: by kind, the usual bit/s.
+    want_key: called with a peer that needs a key picture.
+    """
+
+    def __init__(
+        self, name: str, *, sends: dict[Kind, int], want_key: Callable[[RtcPeer], None]
+    ) -> None:
+        self.name, self.sends, self.want_key = name, sends, want_key
+        self.peers: set[RtcPeer] = set()
+
+    def send_unit(self, unit: AccessUnit) -> None:
+        for peer in self.peers:
+            peer.send_unit(unit)
+
+    def send_opus(self, opus: bytes, stamp: CaptureStamp) -> None:
+        for peer in self.peers:
+            peer.send_opus(opus, stamp)
+
+    @property
+    def wish_bps(self) -> int | None:
+        """The lowest rate that a peer says it can take; None if none says any."""
+        wishes = [peer.media.wish_bps for peer in self.peers if peer.media is not None]
+        return min((wish for wish in wishes if wish is not None), default=None)

@@ -8,25 +8,21 @@ from itertools import count
 from kontur_av.clock import NS_PER_US
 from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AccessUnit, AudioFrame, CaptureStamp, Quality
-from kontur_av.meters import RateMeter
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.streams.voice_player import VoicePlayer
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.media.unit_history import KeptUnit, UnitHistory
+from pipelines.partner.decisions import WISH_OCTETS, UplinkWish
 from pipelines.partner.description import Kind
 from pipelines.partner.figures import RtcFigures
 from pipelines.partner.ice_servers import IceServers
+from pipelines.partner.incoming import PartnerTime
 from pipelines.partner.media import PictureCame, SoundCame
-from pipelines.partner.partner_time import PartnerTime
-from pipelines.partner.peer import RtcPeer
-from pipelines.partner.programme import Programme
-from pipelines.partner.rate import RateFollower
-from pipelines.partner.rtc_samples import SamplePorts
-from pipelines.partner.sample_tally import SampleTally
+from pipelines.partner.peer import Programme, RtcPeer
+from pipelines.partner.samples import SamplePorts
 from pipelines.partner.server import RtcServer
-from pipelines.partner.tally import Tally
-from pipelines.partner.wish import WISH_OCTETS, Wish
+from pipelines.partner.tally import ConnectionSeen, SampleTally, Tally
 from pipelines.session.feeds import Feed
 from pipelines.session.messages import UNKNOWN_US
 from pipelines.session.process import Context
@@ -64,12 +60,12 @@ def run_rtc(context: Context, *, servers: Callable[[], IceServers] = IceServers)
 
     servers: called for the STUN and TURN servers of each connection.
     """
-    asyncio.run(_serve(context, servers))
 
+    async def serve() -> None:
+        with context.open_bus() as bus:
+            await _Leg(context, bus, servers).run()
 
-async def _serve(context: Context, servers: Callable[[], IceServers]) -> None:
-    with context.open_bus() as bus:
-        await _Leg(context, bus, servers).run()
+    asyncio.run(serve())
 
 
 class _Leg:
@@ -94,25 +90,22 @@ class _Leg:
             handle=self._partner.handle,
             servers=servers,
             most_bps=leg.taken_bps,
-            wall_offset_ns=context.clock.wall_offset_ns,
             samples=None if context.setup.partner_arm == "none" else SamplePorts(context, loop),
         )
         self._hands = SampleTally()
         self._tally = Tally()
-        self._known: set[RtcPeer] = set()
-        self._stood: set[RtcPeer] = set()
-        self._connections = self._restarts = 0
 
     async def run(self) -> None:
-        """Serve until the process shall end."""
         self._context.on_flush(self._tell)
         await self._server.start()
-        self._uplink.open()
-        self._downlink.open()
+        feeds = (*self._uplink.feeds, *self._downlink.feeds)
+        for feed in feeds:
+            feed.open()
         try:
             await self._serving.run()
         finally:
-            self._uplink.close()
+            for feed in feeds:
+                feed.close()
             self._downlink.close()
             await self._server.close()
 
@@ -122,19 +115,17 @@ class _Leg:
 
     def _count(self) -> None:
         self._hands.handle_peer(self._server.hand)
-        present = set(self._server.peers)
-        for peer in present:
-            self._known.add(peer)
-            if peer.connected and peer not in self._stood:
-                self._stood.add(peer)
-                self._connections += 1
-            if peer.media is not None:
-                self._tally.handle_figures(peer, peer.media.figures, self._names(peer))
-        for peer in self._known - present:
-            self._known.discard(peer)
-            self._stood.discard(peer)
-            self._restarts += peer.restarts
-            self._tally.handle_end(peer)
+        self._tally.handle_connections(
+            {
+                peer: ConnectionSeen(
+                    peer.connected,
+                    peer.restarts,
+                    None if peer.media is None else peer.media.figures,
+                    self._names(peer),
+                )
+                for peer in self._server.peers
+            }
+        )
 
     def _names(self, peer: RtcPeer) -> dict[Kind, str]:
         if peer in self._uplink.programme.peers:
@@ -145,7 +136,7 @@ class _Leg:
 
     def _tell(self) -> None:
         self._count()
-        totals, server = self._tally.totals(), self._server
+        total, server = self._tally.total, self._server
         standing = [peer for peer in server.peers if peer.connected]
         route = next((peer.route for peer in reversed(standing) if peer.route), None)
         trips = [
@@ -157,17 +148,18 @@ class _Leg:
         ]
         self._context.probe.tell(
             RtcFigures(
-                connections=self._connections,
-                ice_restarts=self._restarts + sum(peer.restarts for peer in self._known),
+                connections=self._tally.connections,
+                ice_restarts=total.restarts,
                 refused=dict(server.door.refused),
-                garbage=self._tally.garbage + server.garbage + self._hands.garbage,
+                garbage=total.garbage + server.garbage + self._hands.garbage,
+                faults=server.faults,
                 samples=self._hands.totals(),
-                rate_lowered=self._uplink.rate.lowered,
+                rate_lowered=self._uplink.wish.rate.lowered,
                 partners=len(standing),
-                rate_bps=self._uplink.rate.bps,
+                rate_bps=self._uplink.wish.rate.bps,
                 route=None if route is None else f"{route.local} to {route.remote}",
                 round_trip_ns=trips[-1] if trips else None,
-                streams=totals,
+                streams=total.streams,
             )
         )
 
@@ -180,48 +172,35 @@ class _Uplink:
     ) -> None:
         self._clock = context.clock
         sends: dict[Kind, int] = {"video": leg.video_bps}
-        self._feeds = [Feed(loop, bus, RTC_VIDEO_TOPIC, self._unit, depth=_DEPTH)]
+        self.feeds = [Feed(loop, bus, RTC_VIDEO_TOPIC, self._unit, depth=_DEPTH)]
         if context.setup.uplink_voice is not None:
             sends["audio"] = leg.voice_bps
-            self._feeds.append(Feed(loop, bus, RTC_SPEECH_TOPIC, self._packet, depth=_DEPTH))
+            self.feeds.append(Feed(loop, bus, RTC_SPEECH_TOPIC, self._packet, depth=_DEPTH))
         self.programme = Programme(UPLINK, sends=sends, want_key=lambda _: self._want_key())
-        self.rate = RateFollower(most_bps=leg.video_bps)
-        self._sent = RateMeter()
+        self.wish = UplinkWish(most_bps=leg.video_bps)
         self._wishes = bus.writer(RTC_WISH_TOPIC, max_octets=WISH_OCTETS)
-        self._numbers, self._keys = count(), 0
-        self._next: int | None = None
-
-    def open(self) -> None:
-        for feed in self._feeds:
-            feed.open()
-
-    def close(self) -> None:
-        for feed in self._feeds:
-            feed.close()
+        self._numbers = count()
 
     def handle_time(self) -> None:
         """Follow the partners' wishes, and tell the coding process, also one that began since."""
-        now_ns = self._clock.now_ns()
-        self.rate.handle_wish(self.programme.wish_bps, self._sent.last_bps(now_ns), now_ns)
+        self.wish.handle_time(self.programme.wish_bps, self._clock.now_ns())
         self._tell()
 
     def _want_key(self) -> None:
-        self._keys += 1
+        self.wish.handle_key_wanted()
         self._tell()
 
     def _tell(self) -> None:
         now_ns = self._clock.now_ns()
         watched = any(peer.connected for peer in self.programme.peers)
-        wish = Wish(self.rate.bps if watched else 0, self._keys)
+        wish = self.wish.wish(watched=watched)
         self._wishes.publish_octets(wish.pack(), CaptureStamp(now_ns, next(self._numbers), RTC))
 
     def _unit(self, lease: Lease) -> None:
         unit, stamp = CodedUnit.unpack(lease.octets()), lease.stamp
-        if self._next is not None and stamp.sequence != self._next and not unit.key:
-            # Units are gone between the processes: what refers to them is damaged.
-            self._want_key()
-        self._next = stamp.sequence + 1
-        self._sent.add(self._clock.now_ns(), len(unit.data))
+        now_ns, octets = self._clock.now_ns(), len(unit.data)
+        if self.wish.handle_unit(stamp.sequence, octets, key=unit.key, now_ns=now_ns):
+            self._tell()
         self.programme.send_unit(AccessUnit(unit.data, stamp, unit.key))
 
     def _packet(self, lease: Lease) -> None:
@@ -238,7 +217,7 @@ class _Downlink:
     def __init__(self, context: Context, bus: TopicBus, loop: asyncio.AbstractEventLoop) -> None:
         setup, self._clock, self._loop, self._bus = context.setup, context.clock, loop, bus
         sends: dict[Kind, int] = {}
-        self._feeds: list[Feed] = []
+        self.feeds: list[Feed] = []
         self._decoded_topic = ""
         for stream in (setup.downlink_video, setup.downlink_voice):
             if stream is None:
@@ -247,7 +226,7 @@ class _Downlink:
             video = isinstance(stream, VideoStream)
             sends["video" if video else "audio"] = stream.cap_bps
             handle = self._unit if video else self._packet
-            self._feeds.append(Feed(loop, bus, row.coded_topic, handle, depth=_DEPTH))
+            self.feeds.append(Feed(loop, bus, row.coded_topic, handle, depth=_DEPTH))
             if isinstance(row, VideoRow):
                 self._decoded_topic = row.decoded_topic
         self.programme = Programme(DOWNLINK, sends=sends, want_key=self._want_key)
@@ -257,13 +236,7 @@ class _Downlink:
         self._maker = KeyPictureMaker()
         self._coding: asyncio.Future[bytes] | None = None
 
-    def open(self) -> None:
-        for feed in self._feeds:
-            feed.open()
-
     def close(self) -> None:
-        for feed in self._feeds:
-            feed.close()
         self._forget_pictures()
         self._maker.close()
 
@@ -344,7 +317,6 @@ class _Partner:
         self._numbers, self._sounds = count(), count()
 
     def handle(self, event: PictureCame | SoundCame) -> None:
-        """Publish what has come."""
         now_ns = self._clock.now_ns()
         told_ns = event.capture_ns
         capture_ns = now_ns if told_ns is None else self._time.capture_ns(told_ns, now_ns)

@@ -1,4 +1,4 @@
-"""A partner's haptic samples by a data channel of WebRTC. A shell.
+"""A partner's haptic samples by a data channel of WebRTC, and the robot's ports for them. A shell.
 
 The channel neither repeats nor orders (RFC 8831: unordered, no retransmission), so a sample is late
 by the network's own delay, or lost. A message is a sample in the haptic format, or the one octet
@@ -6,6 +6,7 @@ that tells the other end that this one is there.
 """
 
 import asyncio
+import socket
 from collections.abc import Callable
 
 from aiortc import (
@@ -17,24 +18,19 @@ from aiortc import (
 )
 from aiortc.exceptions import InvalidAccessError, InvalidStateError
 
-from kontur_av.errors import ProtocolError
-from pipelines.partner.description import MOST_SDP_OCTETS
+from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.partner.description import MALFORMED, MOST_SDP_OCTETS
 from pipelines.partner.ice_servers import IceServers
+from pipelines.session.datagrams import listen, newest_sample, outlet
+from pipelines.session.process import LOOPBACK, Context
+from pipelines.session.topology import partner_ports
 from telepresence.haptics.sample import SAMPLE_OCTETS
 
 _LABEL = "haptics"
 _HERE = b"\0"
 _TELL_S, _SILENT_S, _CONNECT_S = 0.5, 4.0, 20.0
 #: What aiortc raises for a description that it cannot use.
-_UNUSABLE = (
-    ValueError,
-    AssertionError,
-    LookupError,
-    AttributeError,
-    TypeError,
-    InvalidAccessError,
-    InvalidStateError,
-)
+_UNUSABLE = (*MALFORMED, InvalidAccessError, InvalidStateError)
 
 
 class SamplePeer:
@@ -67,11 +63,9 @@ class SamplePeer:
 
     @property
     def connected(self) -> bool:
-        """Whether samples can be sent."""
         return self._channel is not None and self._channel.readyState == "open"
 
     async def offer(self) -> str:
-        """Return the offer to send to the other end."""
         self._take(self._connection.createDataChannel(_LABEL, ordered=False, maxRetransmits=0))
         await self._connection.setLocalDescription(await self._connection.createOffer())
         return self._connection.localDescription.sdp
@@ -154,3 +148,42 @@ class SamplePeer:
             if self._connection.connectionState == "failed":
                 self.fault = "no way to the other end by ICE"
             self._ended.set()
+
+
+class SamplePorts:
+    """Between one partner's data channel and the robot's ports of `docs/rtc.md`.
+
+    The port of the robot's samples is taken while a partner is there, so a joystick on this machine
+    can have it otherwise.
+    """
+
+    def __init__(self, context: Context, loop: asyncio.AbstractEventLoop) -> None:
+        taken, self._given = partner_ports(context.setup)
+        self._loop = loop
+        self._to_robot = outlet(LOOPBACK, (LOOPBACK, taken))
+        self._from_robot: socket.socket | None = None
+
+    def join(self, peer: SamplePeer) -> None:
+        """The robot's samples go to this partner. ConfigError if a joystick here has them."""
+        self.leave()
+        try:
+            udp = listen((LOOPBACK, self._given))
+        except OSError:
+            raise ConfigError("another joystick drives already") from None
+        self._from_robot = udp
+
+        def forward() -> None:
+            newest = newest_sample(udp)
+            if newest is not None:
+                peer.send(newest)
+
+        self._loop.add_reader(udp, forward)
+
+    def leave(self) -> None:
+        udp, self._from_robot = self._from_robot, None
+        if udp is not None:
+            self._loop.remove_reader(udp)
+            udp.close()
+
+    def handle(self, sample: bytes) -> None:
+        self._to_robot.send(sample)

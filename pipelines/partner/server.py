@@ -11,20 +11,25 @@
 
 import asyncio
 import secrets
+import traceback
 from collections.abc import Awaitable, Callable, Iterable
-from typing import Protocol
 
 from aiohttp import web
 
-from kontur_av.clock import Clock
+from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.partner.description import MOST_SDP_OCTETS, read_candidates, write_candidates
-from pipelines.partner.door import Door, Refusal
+from pipelines.partner.decisions import Door, Refusal
+from pipelines.partner.description import (
+    MALFORMED,
+    MOST_SDP_OCTETS,
+    clean_candidates,
+    read_candidates,
+    write_candidates,
+)
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.media import PictureCame, SoundCame
-from pipelines.partner.peer import RtcPeer
-from pipelines.partner.programme import Programme
-from pipelines.partner.samples import SamplePeer
+from pipelines.partner.peer import Programme, RtcPeer
+from pipelines.partner.samples import SamplePeer, SamplePorts
 from pipelines.session.access import AccessError
 from pipelines.session.page_listener import PageListener
 from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
@@ -49,26 +54,13 @@ class _Session:
         self.task: asyncio.Task[None] | None = None
 
 
-class Samples(Protocol):
-    """What a partner's joystick drives."""
-
-    def join(self, peer: SamplePeer) -> None:
-        """The robot's samples go to this partner; ConfigError if they cannot."""
-
-    def leave(self) -> None:
-        """The partner is gone."""
-
-    def handle(self, sample: bytes) -> None:
-        """A sample of the partner has come."""
-
-
 class RtcServer:
     """Serves partners on a bound socket.
 
     listener: where; its operator token is the partner's. programmes: what can be watched.
     handle: called with what the partner sends; None: nothing is taken.
     servers: called for the STUN and TURN servers of each new connection.
-    most_bps: of the partner's picture. wall_offset_ns: Unix time minus the clock's time.
+    most_bps: of the partner's picture.
     samples: what its joystick drives; None: nothing.
     """
 
@@ -77,17 +69,15 @@ class RtcServer:
         listener: PageListener,
         programmes: Iterable[Programme],
         *,
-        clock: Clock,
+        clock: MonotonicClock,
         handle: Callable[[PictureCame | SoundCame], None] | None,
         servers: Callable[[], IceServers] = IceServers,
         most_bps: int = 1_500_000,
-        wall_offset_ns: int = 0,
-        samples: Samples | None = None,
+        samples: SamplePorts | None = None,
     ) -> None:
         self._samples = samples
         self._clock, self._handle = clock, handle
         self._servers, self._most_bps = servers, most_bps
-        self._wall_offset_ns = wall_offset_ns
         self.programmes = {programme.name: programme for programme in programmes}
         self.door = Door(token=listener.operator_token)
         self._site = WebSite(listener, seat="rtc")
@@ -99,6 +89,8 @@ class RtcServer:
         self.hand: SamplePeer | None = None
         #: Connections that were made; offers and fragments that could not be used.
         self.made = self.garbage = 0
+        #: Connections and requests that ended in an error of this software or of a library.
+        self.faults = 0
 
     @property
     def peers(self) -> list[RtcPeer]:
@@ -107,7 +99,6 @@ class RtcServer:
         return [peer for peer in peers if isinstance(peer, RtcPeer)]
 
     async def start(self) -> None:
-        """Serve from now on."""
         application = web.Application(client_max_size=MOST_SDP_OCTETS)
         # One handler: the address tells a stranger nothing before the token is known.
         application.router.add_route("*", "/{path:.*}", self._answer)
@@ -122,6 +113,7 @@ class RtcServer:
     async def close(self) -> None:
         """End all connections, and serve no more."""
         await asyncio.gather(*(self._end(name) for name in list(self._sessions)))
+        self._site.close()
         if self._runner is not None:
             await self._runner.cleanup()
 
@@ -140,12 +132,20 @@ class RtcServer:
         except ProtocolError as error:
             self.garbage += 1
             return web.Response(status=400, text=f"{error}\n")
+        except (web.HTTPException, ConnectionError, asyncio.CancelledError):
+            raise
+        except Exception:
+            # Whatever one partner caused ends its request alone; the error stream has it.
+            self.faults += 1
+            traceback.print_exc()
+            return web.Response(status=500)
 
     async def _signal(self, request: web.Request, path: str) -> web.Response:
         now_ns = self._clock.now_ns()
         refusal = self.door.check(request.headers.get("Authorization"), now_ns)
         if refusal is not None:
             return _refused(refusal)
+        self._site.handle_known(request)
         if path.startswith(_SESSION):
             return await self._change(request, path.removeprefix(_SESSION))
         programme = self.programmes.get(path.removeprefix("/whep/"))
@@ -153,12 +153,15 @@ class RtcServer:
         if wanted is None:
             return web.Response(status=404)
         if request.method == "OPTIONS":
-            return self._options()
+            answer = web.Response(status=204, headers={"Accept-Post": _SDP})
+            for link in self._servers().link_headers():
+                answer.headers.add("Link", link)
+            return answer
         if request.method != "POST":
             return web.Response(status=405, headers={"Allow": "POST, OPTIONS"})
         if request.content_type != _SDP:
             return web.Response(status=415, headers={"Accept-Post": _SDP})
-        offer = await request.text()
+        offer = clean_candidates(await request.text(), loopback=_is_here(request))
         viewers = None if programme is None else len(programme.peers)
         refusal = self.door.check_offer(viewers=viewers, now_ns=now_ns)
         if refusal is not None:
@@ -166,12 +169,6 @@ class RtcServer:
         if path == _HAPTICS and self._samples is not None:
             return await self._begin_hand(offer, self._samples)
         return await self._begin(offer, programme)
-
-    def _options(self) -> web.Response:
-        answer = web.Response(status=204, headers={"Accept-Post": _SDP})
-        for link in self._servers().link_headers():
-            answer.headers.add("Link", link)
-        return answer
 
     async def _begin(self, offer: str, programme: Programme | None) -> web.Response:
         """Take the partner's media, or send it a programme."""
@@ -207,13 +204,12 @@ class RtcServer:
             want_key=lambda: None if programme is None else programme.want_key(want_key[0]),
             servers=self._servers(),
             most_bps=self._most_bps,
-            wall_offset_ns=self._wall_offset_ns,
             offers=False,
         )
         want_key.append(peer)
         return peer
 
-    async def _begin_hand(self, offer: str, samples: Samples) -> web.Response:
+    async def _begin_hand(self, offer: str, samples: SamplePorts) -> web.Response:
         """Take the partner's joystick; a newer connection takes the place of the older."""
         peer = SamplePeer(self._servers(), samples.handle)
 
@@ -256,9 +252,14 @@ class RtcServer:
     async def _drive(self, name: str, session: _Session) -> None:
         try:
             await session.peer.run()
+        except (OSError, *MALFORMED):
+            # Of a peer's value, by a library: the connection ends, and its partner sees that.
+            self.faults += 1
+            traceback.print_exc()
         finally:
             self._sessions.pop(name, None)
             session.left()
+            await session.peer.close()
 
     async def _end(self, name: str) -> None:
         session = self._sessions.pop(name, None)
@@ -282,7 +283,8 @@ class RtcServer:
         if request.content_type != _FRAGMENT:
             return web.Response(status=415, headers={"Accept-Patch": _FRAGMENT})
         match = request.headers.get("If-Match")
-        told = read_candidates(await request.text())
+        text = await request.text()
+        told = read_candidates(clean_candidates(text, loopback=_is_here(request)))
         if told.ufrag == session.ufrag:
             if match is not None and match not in ("*", session.etag):
                 return web.Response(status=412)
@@ -300,6 +302,11 @@ class RtcServer:
             content_type=_FRAGMENT,
             headers={"ETag": session.etag},
         )
+
+
+def _is_here(request: web.Request) -> bool:
+    """Whether the partner's program runs on this machine, so that loopback is its own."""
+    return request.remote is not None and request.remote in ("127.0.0.1", "::1")
 
 
 def _refused(refusal: Refusal) -> web.Response:

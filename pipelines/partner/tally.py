@@ -1,78 +1,132 @@
-"""Counts of all connections of partners together, also of those that have ended. A core."""
+"""What connections of partners count, and the sums over all of them, also the ended ones. Cores."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 from kontur_av.figures import plus
+from kontur_av.rtp.reception import ReceptionFigures
 from pipelines.partner.description import Kind
 from pipelines.partner.figures import RtcStreamFigures
-from pipelines.partner.media import MediaFigures
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackFigures(RtcStreamFigures):
+    """One stream of one connection; of one that comes, `repeated` came after a NACK.
+
+    dropped: units that waited too long. wish_bps: the newest REMB. reception: what the partner last
+    said of a stream towards it.
+    """
+
+    dropped: int = 0
+    wish_bps: int | None = None
+    reception: ReceptionFigures | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MediaFigures:
+    """Figures of a connection. garbage: packets that were not RTP or RTCP of it."""
+
+    sent: dict[Kind, TrackFigures]
+    received: dict[Kind, TrackFigures]
+    garbage: int
+
+
+class ConnectionSeen(NamedTuple):
+    """A connection now. connected: it stands. restarts: of ICE. streams: by kind, their names."""
+
+    connected: bool
+    restarts: int
+    figures: MediaFigures | None
+    streams: Mapping[Kind, str]
+
+
+class ConnectionCounts(NamedTuple):
+    """Counts of one connection or of several. garbage: packets that were not RTP or RTCP."""
+
+    stood: bool = False
+    restarts: int = 0
+    garbage: int = 0
+    streams: Mapping[str, RtcStreamFigures] = {}
 
 
 class Tally:
-    """Sums counts by stream over connections.
-
-    Call `handle_figures` for each connection with its newest figures, and `handle_end` after that.
-    """
+    """Sums counts over connections. Call `handle_connections` a few times a second."""
 
     def __init__(self) -> None:
-        self._ended: dict[str, RtcStreamFigures] = {}
-        self._newest: dict[object, tuple[dict[str, RtcStreamFigures], int]] = {}
-        self._ended_garbage = 0
+        self._ended = ConnectionCounts()
+        self._lives: dict[object, ConnectionCounts] = {}
+        #: Connections that stood.
+        self.connections = 0
 
-    def handle_figures(
-        self, connection: object, figures: MediaFigures, streams: Mapping[Kind, str]
-    ) -> None:
-        """The newest figures of a connection. streams: by kind, what it carries."""
-        self._newest[connection] = dict(_counts(figures, streams)), figures.garbage
+    def handle_connections(self, present: Mapping[object, ConnectionSeen]) -> None:
+        """All connections that there are; the others have ended."""
+        for connection, seen in present.items():
+            before = self._lives.get(connection, ConnectionCounts())
+            self.connections += seen.connected and not before.stood
+            self._lives[connection] = _newer(before, seen)
+        for connection in self._lives.keys() - present.keys():
+            self._ended = _joined(self._ended, self._lives.pop(connection))
 
-    def handle_end(self, connection: object) -> None:
-        """A connection has ended."""
-        streams, garbage = self._newest.pop(connection, ({}, 0))
-        self._ended_garbage += garbage
-        _add(self._ended, streams)
-
-    def totals(self) -> dict[str, RtcStreamFigures]:
-        """Return the sums by stream."""
-        total = dict(self._ended)
-        for streams, _ in self._newest.values():
-            _add(total, streams)
+    @property
+    def total(self) -> ConnectionCounts:
+        """The sums: restarts of ICE, garbage, and counts by stream."""
+        total = self._ended
+        for life in self._lives.values():
+            total = _joined(total, life)
         return total
+
+
+def _newer(before: ConnectionCounts, seen: ConnectionSeen) -> ConnectionCounts:
+    stood = before.stood or seen.connected
+    if seen.figures is None:
+        return before._replace(stood=stood, restarts=seen.restarts)
+    both = (*seen.figures.sent.items(), *seen.figures.received.items())
+    streams = {seen.streams[kind]: _counts(one) for kind, one in both}
+    return ConnectionCounts(stood, seen.restarts, seen.figures.garbage, streams)
+
+
+def _joined(one: ConnectionCounts, other: ConnectionCounts) -> ConnectionCounts:
+    streams = dict(one.streams)
+    for name, counts in other.streams.items():
+        streams[name] = plus(streams[name], counts) if name in streams else counts
+    restarts, garbage = one.restarts + other.restarts, one.garbage + other.garbage
+    return ConnectionCounts(False, restarts, garbage, streams)
+
+
+def _counts(of: TrackFigures) -> RtcStreamFigures:
+    names = (each.name for each in fields(RtcStreamFigures))
+    return RtcStreamFigures(**{name: getattr(of, name) for name in names})
+
+
+_NAMES = {"received": "taken", "sent": "given", "dropped": "left_out"}
+
+
+class SampleTally:
+    """Call `handle_peer` with the present connection, a few times a second."""
+
+    def __init__(self) -> None:
+        self._past = dict.fromkeys((*_NAMES, "garbage"), 0)
+        self._peer: object | None = None
+
+    def handle_peer(self, peer: object | None) -> None:
+        """The present `SamplePeer` with its counts, or None."""
+        if peer is self._peer:
+            return
+        old, self._peer = self._peer, peer
+        if old is not None:
+            for name in self._past:
+                self._past[name] += getattr(old, name)
 
     @property
     def garbage(self) -> int:
-        """Packets that were not RTP or RTCP."""
-        return self._ended_garbage + sum(garbage for _, garbage in self._newest.values())
+        """Messages that are not samples."""
+        return self._total("garbage")
 
+    def totals(self) -> dict[str, int]:
+        """Samples by what became of them: "taken", "given" and "left_out"; empty without any."""
+        found = {told: self._total(name) for name, told in _NAMES.items()}
+        return found if any(found.values()) else {}
 
-def _add(into: dict[str, RtcStreamFigures], more: Mapping[str, RtcStreamFigures]) -> None:
-    for stream, counts in more.items():
-        into[stream] = plus(into[stream], counts) if stream in into else counts
-
-
-def _counts(
-    figures: MediaFigures, streams: Mapping[Kind, str]
-) -> Iterator[tuple[str, RtcStreamFigures]]:
-    for kind, one in figures.sent.items():
-        yield (
-            streams[kind],
-            RtcStreamFigures(
-                packets=one.packets,
-                octets=one.octets,
-                lost=0 if one.reception is None else max(one.reception.lost, 0),
-                asked=one.asked,
-                repeated=one.repeated,
-                keys_asked=one.keys_asked,
-            ),
-        )
-    for kind, came in figures.received.items():
-        yield (
-            streams[kind],
-            RtcStreamFigures(
-                packets=came.packets,
-                octets=came.octets,
-                lost=came.lost,
-                asked=came.asked,
-                repeated=came.mended,
-                keys_asked=came.keys_asked,
-            ),
-        )
+    def _total(self, name: str) -> int:
+        return self._past[name] + getattr(self._peer, name, 0)

@@ -95,8 +95,13 @@ class _Path:
                 # aiortc reads the first octet unchecked.
                 if data:
                     self._waiting.put_nowait(data)
-        except ConnectionError:
-            # Another connection may take its place; its owner decides that.
+        except asyncio.CancelledError:
+            raise
+        except Exception as error:
+            # Another connection may take its place; its owner decides that. aioice raises more
+            # than ConnectionError for what a peer sends.
+            if not isinstance(error, ConnectionError):
+                _log.warning("the way to a partner ended: %r", error)
             self.lost = True
 
     async def _recv(self) -> bytes:
@@ -178,7 +183,6 @@ class RtcTransport:
         self._next: Connection | None = None
         self._route: Route | None = None
         self.restarts = 0
-        self.sent = 0
 
     @property
     def state(self) -> str:
@@ -198,21 +202,17 @@ class RtcTransport:
     @property
     def route(self) -> Route | None:
         """The pair of candidates in use, or last in use; None before the first."""
-        self._route = self._present_route() or self._route
-        return self._route
-
-    def _present_route(self) -> Route | None:
         # aioice names the pair only here.
         pair: Any = getattr(self._connection, "_nominated", {}).get(1)
-        if pair is None:
-            return None
-        remote = pair.remote_candidate
-        return Route(
-            local=pair.local_candidate.type,
-            remote=remote.type,
-            remote_host=remote.host,
-            remote_port=remote.port,
-        )
+        if pair is not None:
+            local, remote = pair.local_candidate.type, pair.remote_candidate
+            self._route = Route(
+                local=local,
+                remote=remote.type,
+                remote_host=remote.host,
+                remote_port=remote.port,
+            )
+        return self._route
 
     async def gather(self) -> Transport:
         """Gather addresses of this end; what to tell the partner.
@@ -273,11 +273,9 @@ class RtcTransport:
             await self._dtls.send_packet(packet)
         except ConnectionError:
             return False
-        self.sent += 1
         return True
 
     async def close(self) -> None:
-        """End it."""
         await self._dtls.stop()
         self._path.close()
         await self._drop_next()

@@ -98,7 +98,7 @@ class PartFiles:
         for part in range(self._last + 1, _MOST_PARTS):
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
             try:
-                file = os.open(part_path(self._path, part), flags, 0o644)
+                file = os.open(part_path(self._path, part), flags, 0o600)
             except FileExistsError:
                 continue
             with self._lock:

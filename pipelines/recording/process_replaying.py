@@ -233,8 +233,8 @@ def _run_packets(
     take: Callable[[bytes, int], object],
 ) -> None:
     clock, topology = context.clock, context.topology
-    udp = context.listen(topology.exit_port(incoming))
-    send = context.sender(topology.entry_port(outgoing))
+    udp = context.listen_own(topology.exit_port(incoming))
+    send = context.own_sender(topology.entry_port(outgoing))
     script = start.script(context, packets, 0)
     while not context.stopping:
         now_ns = clock.now_ns()

@@ -40,7 +40,9 @@ def write_whole(path: Path, pieces: Iterable[bytes], *, overwrite: bool) -> None
     unfinished = path.with_name(path.name + _UNFINISHED)
     try:
         try:
-            with unfinished.open("wb") as file:
+            # A recording is for its user alone: it has pictures, voices and the hand.
+            flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
+            with os.fdopen(os.open(unfinished, flags, 0o600), "wb") as file:
                 file.writelines(pieces)
                 file.flush()
                 os.fsync(file.fileno())

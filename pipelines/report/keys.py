@@ -31,6 +31,7 @@ from pipelines.recording.figures import RecorderFigures
 from pipelines.report.model import keys_of
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import LoopFigures, ProbeFigures, TrainerFigures
+from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import JoystickFigures, PortFigures, SamplesReceived, SamplesSent
 from telepresence.haptics.ownership import OwnershipFigures
 from telepresence.link.figures import GatewayFigures
@@ -61,6 +62,7 @@ TOLD: tuple[type, ...] = (
     WallFigures,
     JoystickFigures,
     OwnershipFigures,
+    SafetyFigures,
     TmtcFigures,
     TaskFigures,
     TrainerFigures,

@@ -32,6 +32,7 @@ from pipelines.partner.figures import RtcFigures
 from pipelines.recording.figures import RecorderFigures
 from pipelines.session.figures import DatedEvent, LoopFigures
 from pipelines.session.task_journal import TaskRow
+from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import (
     JoystickFigures,
     OperationFigures,
@@ -586,6 +587,8 @@ class SessionReport(Report, frozen=True, kw_only=True):
     warnings: list[Warning]
     #: Who drove the robot; only where a partner may, too.
     arm: OwnershipFigures | None = None
+    #: What let the robot follow the hand, and what held it; of the robot's end.
+    safety: SafetyFigures | None = None
     #: The arm that only a partner drives; left out without one.
     second_arm: SecondArmReport | None = None
     #: What the trainer did, oldest first; left out if nothing.

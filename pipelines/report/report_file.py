@@ -2,6 +2,8 @@
 
 import os
 import secrets
+import sys
+import tempfile
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
@@ -28,6 +30,31 @@ def check_writable(path: Path | None, option: str = "--report") -> None:
 def write_report(path: Path, report: object) -> None:
     """Write `report` as JSON; see `write_text`."""
     write_text(path, to_json(report))
+
+
+def save_report(path: Path | None, report: object) -> bool:
+    """Write what a run has measured, so that it is not lost with a full disk.
+
+    It goes to `path`, or else to the directory for temporary files, or else to standard error.
+    Returns whether it is where it should be; otherwise a line says where it is.
+    """
+    if path is None:
+        return True
+    try:
+        write_report(path, report)
+    except OSError as error:
+        why = f"kontur-av: --report {path}: {error.strerror or error}"
+    else:
+        return True
+    elsewhere = Path(tempfile.gettempdir(), f"kontur-av-report-{secrets.token_hex(4)}.json")
+    try:
+        write_report(elsewhere, report)
+    except OSError:
+        print(f"{why}; the report follows", file=sys.stderr)
+        print(to_json(report), file=sys.stderr)
+    else:
+        print(f"{why}; the report is in {elsewhere}", file=sys.stderr)
+    return False
 
 
 def write_text(path: Path, text: str) -> None:

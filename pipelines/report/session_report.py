@@ -34,6 +34,7 @@ from pipelines.report.rtc_figures import rtc_report
 from pipelines.report.silence import (
     MISSED_NS,
     missed_ns,
+    never_met,
     signal_ns,
     silences,
     stopped_ns,
@@ -47,7 +48,8 @@ from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
 from pipelines.session.figures import LoopFigures, ProbeFigures
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.topology import HapticRow
+from pipelines.session.topology import ROBOT, HapticRow
+from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import (
     JoystickFigures,
     PortFigures,
@@ -119,6 +121,7 @@ def build_report(
         exercises=exercises(collector, _radio_epoch_ns(collector)),
         rtc=rtc_report(collector, seconds),
         arm=arm_report(collector, _radio_epoch_ns(collector)),
+        safety=collector.process(ROBOT).find(SafetyFigures),
         second_arm=second_arm_report(collector),
         tasks=task_runs(collector, _radio_epoch_ns(collector)),
     )
@@ -274,7 +277,7 @@ def failures(
     setup: Setup, collector: Collector, seconds: float, *, media: bool = True
 ) -> list[str]:
     """What broke a promise of the project; empty for a good run."""
-    found = []
+    found = never_met(collector, seconds)
     topology = collector.topology
     delay_ns = setup.radio_profile.longest_delay_ns
     # The radio may keep all back. So only what is missed while there is a signal counts.

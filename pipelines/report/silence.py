@@ -20,6 +20,9 @@ _MISSED_PERIODS = 4
 _FOR_EVER_NS = 1 << 62
 #: If the radio loses a larger share of the frames, hardly a picture comes whole.
 _SPOILED = 0.05
+#: Two ends that can hear each other meet within this time, also after restarts.
+_MEET_NS = 10 * NS_PER_S
+_STEP_NS = NS_PER_S
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ def signal_ns(segment: str, collector: Collector) -> int:
     """How long the gateway of `segment` had heard the other one without a pause at its last report.
 
     Very large if no gateway has reported its contacts; 0 if the radio has lost so many frames that
-    hardly a picture can have come whole.
+    hardly a picture can have come whole, or if fades often end the lock now, near the horizon.
     """
     figures = collector.process(collector.topology.gateway(Segment(segment)).name)
     link = figures.link
@@ -99,7 +102,48 @@ def signal_ns(segment: str, collector: Collector) -> int:
     if not supervision.signal or lost > _SPOILED * (heard.frames_received + lost):
         return 0
     acquired_ns = supervision.begun_ns + supervision.contacts[-1].acquired_ns
+    if not _is_usable(figures.told_ns - supervision.begun_ns, collector.topology.setup):
+        return 0
     return figures.told_ns - acquired_ns
+
+
+def never_met(collector: Collector, seconds: float) -> list[str]:
+    """Each gateway here that has not met the other one, and why, although it should have."""
+    found = []
+    for segment in collector.topology.segments:
+        link = collector.process(collector.topology.gateway(segment).name).link
+        if link is None or seconds * NS_PER_S < _MEET_NS:
+            continue
+        supervision = link.supervision
+        met = any(contact.connected_ns is not None for contact in supervision.contacts)
+        if met or supervision.in_state_ns.get("connected"):
+            continue
+        usable_ns = _usable_ns(round(seconds * NS_PER_S), collector.topology.setup)
+        if usable_ns >= _MEET_NS:
+            why = supervision.why or "no frame of it came"
+            found.append(
+                f"{segment.value}: never met the other end in {seconds:.0f} s: {why}; look at its "
+                "address, and at the keys of both (`kontur-av keys`)"
+            )
+    return found
+
+
+def _usable_ns(until_ns: int, setup: Setup) -> int:
+    """For how long the radio could be used from the beginning of the session until then."""
+    radio = setup.radio_profile
+    windows = radio.contact_windows()
+    if windows is None:
+        return until_ns
+    if windows.usable_from_s is None or windows.usable_to_s is None:
+        return 0
+    begin_s = max(windows.usable_from_s - radio.start_s, 0.0)
+    end_s = min(windows.usable_to_s - radio.start_s, until_ns / NS_PER_S)
+    return max(0, round((end_s - begin_s) * NS_PER_S))
+
+
+def _is_usable(at_ns: int, setup: Setup) -> bool:
+    """Whether fades seldom end the lock at this time of the session."""
+    return _usable_ns(at_ns, setup) > _usable_ns(at_ns - _STEP_NS, setup)
 
 
 def stopped_ns(stream: VideoStream | VoiceStream, setup: Setup, collector: Collector) -> int:

@@ -1,34 +1,75 @@
-"""Telecommands of a seat's pages: each with its answer, and a log for all pages of the seat."""
+"""Telecommands and the chat of a seat's pages, each with what became of it. A core."""
 
-from collections import deque
-from typing import NamedTuple
+from collections import OrderedDict, deque
+from itertools import count
+from typing import Generic, TypeVar
 
 from msgspec.structs import replace
 
-from kontur_av.clock import NS_PER_US
+from kontur_av.clock import NS_PER_S, NS_PER_US
 from pipelines.mission.choosing import CAMERA, SELECT
-from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
+from pipelines.mission.tmtc_messages import (
+    CommandUpdate,
+    K2aciArrived,
+    K2aciUpdate,
+    SendCommand,
+    SendK2aci,
+)
 from pipelines.mission.tmtc_words import selection_error
-from pipelines.seats.outbox import Outbox
-from pipelines.seats.page_requests import CommandRequest
-from pipelines.seats.texts import CommandLine, CommandsText
+from pipelines.seats.texts import (
+    Answered,
+    ChatLine,
+    ChatText,
+    CommandLine,
+    CommandRequest,
+    CommandsText,
+)
+from telepresence.tmtc.k2aci import MAX_CHAT_OCTETS, Chat, ChatRole
 
+AGAIN_NS = NS_PER_S
+_TRIES = 5
+_Request = TypeVar("_Request")
+
+
+class Outbox(Generic[_Request]):
+    """By number: what was not answered yet. A core.
+
+    Send what `poll_transmit` returns. A request that nobody answered after five sendings, one a
+    second, comes out of `next_event`. The end takes a repetition for what it is.
+    """
+
+    def __init__(self) -> None:
+        #: By number: the request, how often it was sent, and when it is due next.
+        self._waiting: OrderedDict[int, tuple[_Request, int, int]] = OrderedDict()
+
+    def put(self, number: int, request: _Request, now_ns: int) -> None:
+        self._waiting[number] = request, 0, now_ns
+
+    def handle_answer(self, number: int) -> None:
+        self._waiting.pop(number, None)
+
+    def poll_transmit(self, now_ns: int) -> _Request | None:
+        """Return a request that is due, or None."""
+        for number, (request, tries, due_ns) in self._waiting.items():
+            if due_ns <= now_ns and tries < _TRIES:
+                self._waiting[number] = request, tries + 1, now_ns + AGAIN_NS
+                return request
+        return None
+
+    def next_event(self, now_ns: int) -> int | None:
+        """Return the number of a request that is given up, or None."""
+        for number, (_, tries, due_ns) in self._waiting.items():
+            if tries >= _TRIES and due_ns <= now_ns:
+                del self._waiting[number]
+                return number
+        return None
+
+
+#: What a line takes from its updates.
+_TOLD = ("stage", "done", "ok", "verified", "reason", "round_trip_ms", "tries")
 _MOST_LINES = 60
 _MOST_OPEN = 8
 _SILENT = "telecommands of this end do not answer"
-
-
-class CommandAnswered(NamedTuple):
-    """What became of the request of a page.
-
-    error: "" if it was carried out. camera: the one that it has selected; else "".
-    """
-
-    page: int
-    request: int
-    error: str
-    round_trip_ms: float
-    camera: str = ""
 
 
 class CommandDesk:
@@ -49,7 +90,7 @@ class CommandDesk:
         self._open: dict[int, tuple[int, int]] = {}
         #: By number: the camera that it selects.
         self._selects: dict[int, str] = {}
-        self._events: deque[CommandAnswered] = deque()
+        self._events: deque[Answered] = deque()
 
     @property
     def text(self) -> CommandsText:
@@ -59,7 +100,8 @@ class CommandDesk:
     def handle_request(self, page: int, asked: CommandRequest, who: str, now_ns: int) -> None:
         """A page asks for a telecommand that it may give. who: its person."""
         if len(self._open) >= _MOST_OPEN:
-            self._answer(page, asked.request, "too many telecommands are open")
+            refused = Answered(page, asked.request, "too many telecommands are open", 0.0)
+            self._events.append(refused)
             return
         self._number += 1
         number = self._number
@@ -70,13 +112,10 @@ class CommandDesk:
         self._open[number] = page, asked.request
         if (asked.application, asked.name) == (CAMERA, SELECT) and asked.arguments:
             self._selects[number] = str(asked.arguments[0])
-        words = " ".join(
-            [asked.application, asked.name or asked.verb, *(str(one) for one in asked.arguments)]
-        )
-        at_us = now_ns // NS_PER_US
-        self._lines.append(
-            CommandLine(number=number, at_us=at_us, who=who, words=words, stage="sent")
-        )
+        given = (asked.application, asked.name or asked.verb, *asked.arguments)
+        words, at_us = " ".join(map(str, given)), now_ns // NS_PER_US
+        line = CommandLine(number=number, at_us=at_us, who=who, words=words, stage="sent")
+        self._lines.append(line)
 
     def handle_update(self, update: CommandUpdate) -> bool:
         """What became of a telecommand; False if it is of another process."""
@@ -89,28 +128,18 @@ class CommandDesk:
     def poll_transmit(self, now_ns: int) -> SendCommand | None:
         """Return a request for this end's socket, or None."""
         while (number := self._outbox.next_event(now_ns)) is not None:
-            self._settle(
-                CommandUpdate(self._client, number, "", "refused", done=True, reason=_SILENT)
-            )
+            given_up = CommandUpdate(self._client, number, "", "refused", done=True, reason=_SILENT)
+            self._settle(given_up)
         return self._outbox.poll_transmit(now_ns)
 
-    def next_event(self) -> CommandAnswered | None:
-        """Return the next answer for a page, or None."""
+    def next_event(self) -> Answered | None:
         return self._events.popleft() if self._events else None
 
     def _settle(self, update: CommandUpdate) -> None:
         for index, line in enumerate(self._lines):
             if line.number == update.id and not line.done:
-                self._lines[index] = replace(
-                    line,
-                    stage=update.stage,
-                    done=update.done,
-                    ok=update.ok,
-                    verified=update.verified,
-                    reason=update.reason,
-                    round_trip_ms=update.round_trip_ms,
-                    tries=update.tries,
-                )
+                told = {name: getattr(update, name) for name in _TOLD}
+                self._lines[index] = replace(line, **told)
         if not update.done:
             return
         if update.verified or update.ok:
@@ -123,7 +152,78 @@ class CommandDesk:
             error = "" if update.ok else update.reason or update.stage
             if camera and error:
                 camera, error = "", selection_error(camera, update)
-            self._events.append(CommandAnswered(*opened, error, update.round_trip_ms, camera))
+            self._events.append(Answered(*opened, error, update.round_trip_ms, camera))
 
-    def _answer(self, page: int, request: int, error: str) -> None:
-        self._events.append(CommandAnswered(page, request, error, 0.0))
+
+_MOST_CHAT_LINES = 100
+_MOST_WAITING = 16
+_CHAT_SILENT = "telecommands and telemetry of this end do not answer"
+
+
+class ChatLog:
+    """Lines in the order in which this end knew them. A core.
+
+    A line of this end waits until the other end has acknowledged it. The people of one end see
+    each other's lines at once. client: new in each life of the process.
+    """
+
+    def __init__(self, client: str) -> None:
+        self._client = client
+        self._numbers = count(1)
+        self._lines: deque[ChatLine] = deque(maxlen=_MOST_CHAT_LINES)
+        self._outbox: Outbox[SendK2aci] = Outbox()
+
+    @property
+    def text(self) -> ChatText:
+        return ChatText(lines=tuple(self._lines))
+
+    def handle_said(self, sender: ChatRole, text: str, now_ns: int) -> str:
+        """A person of this end has written a line; return why it is not sent, or ""."""
+        text = " ".join(text.split())
+        octets = len(text.encode())
+        if not text or not text.isprintable():
+            return "write one line of text"
+        if octets > MAX_CHAT_OCTETS:
+            return f"a line of {octets} octets: write at most {MAX_CHAT_OCTETS}"
+        if sum(line.state == "waiting" for line in self._lines) >= _MOST_WAITING:
+            return f"{_MOST_WAITING} lines wait for the other end"
+        number = self._add(sender, text, "waiting", now_ns)
+        fields = {"sender": str(sender), "text": text}
+        self._outbox.put(number, SendK2aci(self._client, number, "Chat", {**fields}), now_ns)
+        return ""
+
+    def handle_arrived(self, news: K2aciArrived, now_ns: int) -> bool:
+        """A message of the other end; False if it is not of the chat."""
+        if news.kind != Chat.__name__:
+            return False
+        said = ChatRole(str(news.fields["sender"]))
+        self._add(said, str(news.fields["text"]), "received", now_ns)
+        return True
+
+    def handle_update(self, update: K2aciUpdate) -> bool:
+        """What became of a line; False if it is of another process."""
+        if update.client != self._client:
+            return False
+        self._outbox.handle_answer(update.id)
+        self._settle(update.id, update.state, update.reason, update.round_trip_ms)
+        return True
+
+    def poll_transmit(self, now_ns: int) -> SendK2aci | None:
+        """Return a message for this end's socket, or None."""
+        while (number := self._outbox.next_event(now_ns)) is not None:
+            self._settle(number, "refused", _CHAT_SILENT, 0.0)
+        return self._outbox.poll_transmit(now_ns)
+
+    def _add(self, sender: ChatRole, text: str, state: str, now_ns: int) -> int:
+        number = next(self._numbers)
+        at_us = now_ns // NS_PER_US
+        line = ChatLine(number=number, at_us=at_us, sender=str(sender), text=text, state=state)
+        self._lines.append(line)
+        return number
+
+    def _settle(self, number: int, state: str, reason: str, round_trip_ms: float) -> None:
+        for index, line in enumerate(self._lines):
+            if line.number == number:
+                self._lines[index] = replace(
+                    line, state=state, reason=reason, round_trip_ms=round_trip_ms
+                )

@@ -1,8 +1,13 @@
-"""What the server of the browser pages counts."""
+"""What the server of a seat's pages counts, and the newest figures of the launcher."""
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
+import msgspec
+
+from kontur_av.errors import ProtocolError
 from kontur_av.figures import Newest
 
 #: Name of the figure that tells ground control which page holds the handle.
@@ -15,8 +20,12 @@ class PageFigures:
 
     #: Web sockets opened.
     connections: int = 0
-    #: Requests refused, by reason: `token`, `host` or `origin`.
+    #: Requests refused, by reason: `token`, `host`, `origin`, `pages` (too many) or `role`.
     refused: Mapping[str, int] = field(default_factory=dict)
+    #: Connections closed because no token came, or to make room for others.
+    strangers_closed: int = 0
+    #: Requests that ended in an error of this software; the error stream has them.
+    faults: int = 0
     #: Malformed messages of pages; each closed its socket.
     garbage: int = 0
     #: Units of pictures and sound that a page was too slow for.
@@ -27,3 +36,53 @@ class PageFigures:
     watching: Newest[int] = 0
     #: Number of the page that holds the handle; 0: nobody does.
     holder: Newest[int] = 0
+
+
+#: As many as the launcher keeps.
+_MOST_EVENTS = 200
+
+
+class _Figures(msgspec.Struct, frozen=True):
+    state: str
+    figures: Mapping[str, Any]
+    events: list[msgspec.Raw]
+
+
+class FiguresLog:
+    """Keeps the newest figures and the last 200 events."""
+
+    def __init__(self) -> None:
+        self._events: deque[msgspec.Raw] = deque(maxlen=_MOST_EVENTS)
+        self._newest: dict[str, msgspec.Raw] | None = None
+        self._figures: Mapping[str, Any] = {}
+        #: Whether ground control has not stopped the session.
+        self.running = True
+
+    def handle_figures(self, text: bytes) -> None:
+        """The launcher's newest message. ProtocolError for anything else."""
+        try:
+            told = msgspec.json.decode(text, type=_Figures)
+            self._newest = msgspec.json.decode(text, type=dict[str, msgspec.Raw])
+        except msgspec.MsgspecError as error:
+            raise ProtocolError(f"no figures: {error}") from None
+        # Copied, because they would keep the whole message.
+        self._events.extend(event.copy() for event in told.events)
+        self._figures = told.figures
+        self.running = told.state == "running"
+
+    def joined_text(self) -> str | None:
+        """Return the newest message with all events, for a page that joins; None before it."""
+        if self._newest is None:
+            return None
+        events = msgspec.Raw(msgspec.json.encode(list(self._events)))
+        return msgspec.json.encode(self._newest | {"events": events}).decode()
+
+    def number(self, name: str) -> int | None:
+        """Return a figure that is a whole number; None if it is not known."""
+        value = self._figures.get(name)
+        return value if isinstance(value, int) and not isinstance(value, bool) else None
+
+    def word(self, name: str) -> str | None:
+        """Return a figure that is a word; None if it is not known."""
+        value = self._figures.get(name)
+        return value if isinstance(value, str) else None

@@ -1,10 +1,13 @@
 """What the mission's pages of a seat show and ask for: chat, telecommands, telemetry, the radio."""
 
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from math import isfinite
 
 import msgspec
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 
+from kontur_av.clock import NS_PER_US
 from pipelines.mission.tmtc_messages import (
     CommandUpdate,
     K2aciArrived,
@@ -13,19 +16,155 @@ from pipelines.mission.tmtc_messages import (
     TmtcNews,
     TmtcRequest,
 )
-from pipelines.seats.chat_log import ChatLog
-from pipelines.seats.command_desk import CommandAnswered, CommandDesk
-from pipelines.seats.page_requests import ChatRequest, CommandRequest
-from pipelines.seats.radio_words import radio_text
-from pipelines.seats.telemetry_log import TelemetryLog
-from pipelines.seats.texts import pack_text
+from pipelines.seats.command_desk import ChatLog, CommandDesk
+from pipelines.seats.texts import (
+    Answered,
+    ApplicationText,
+    ChatRequest,
+    CommandRequest,
+    EventLine,
+    EventsText,
+    Level,
+    ParameterText,
+    RadioText,
+    ValuesText,
+    ValueText,
+    pack_text,
+)
 from pipelines.session.seat_roles import Role, chat_role, refusal
 from pipelines.session.setup.segments import Segment
-from telepresence.tmtc.pus.dictionary import Dictionary
+from telepresence.tmtc.pus.dictionary import Application, Dictionary, Monitor
+from telepresence.tmtc.pus.values import Parameter, Value
+
+_MOST_EVENTS = 100
+
+
+def level_of(application: Application, parameter: Parameter, value: Value) -> Level:
+    """Return the colour of a value: "bad" beyond a monitor's limit, "warn" beyond its own.
+
+    "good" within limits, "none" without any.
+    """
+    if isinstance(value, str | bool) or not isfinite(value):
+        return "none"
+    monitors = [one for one in application.monitors if one.parameter == parameter.name]
+    level: Level = "none"
+    limits: list[tuple[Level, float | None, float | None]] = [
+        ("warn", parameter.low, parameter.high),
+        *(("bad", one.low, one.high) for one in monitors),
+    ]
+    for words, low, high in limits:
+        if (low is not None and value < low) or (high is not None and value > high):
+            level = words
+        elif level == "none" and (low, high) != (None, None):
+            level = "good"
+    return level
+
+
+def application_texts(dictionary: Dictionary) -> tuple[ApplicationText, ...]:
+    """What a page must know of the applications once."""
+    return tuple(_application_text(one) for one in dictionary.applications)
+
+
+def _application_text(one: Application) -> ApplicationText:
+    limits = {monitor.parameter: monitor for monitor in one.monitors}
+    said = msgspec.convert(one, ApplicationText, from_attributes=True)
+    return replace(
+        said, parameters=tuple(_limited(each, limits.get(each.name)) for each in said.parameters)
+    )
+
+
+def _limited(one: ParameterText, monitor: Monitor | None) -> ParameterText:
+    """A parameter without limits of its own has those of its monitor."""
+    if monitor is None:
+        return one
+    low = monitor.low if one.low is None else one.low
+    return replace(one, low=low, high=monitor.high if one.high is None else one.high)
+
+
+class TelemetryLog:
+    """Takes reports of both ends' applications. A core."""
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        self._known = {
+            (one.name, parameter.name): (one, parameter)
+            for one in dictionary.applications
+            for parameter in one.parameters
+        }
+        self._values: dict[tuple[str, str], tuple[Value, int]] = {}
+        self._events: deque[EventLine] = deque(maxlen=_MOST_EVENTS)
+        self._number = 0
+
+    @property
+    def values_text(self) -> ValuesText:
+        """All parameters that were reported."""
+        return ValuesText(values=tuple(self._rows()))
+
+    @property
+    def events_text(self) -> EventsText:
+        """All events that are kept, the oldest first."""
+        return EventsText(events=tuple(self._events))
+
+    def handle_report(self, report: Reported, now_ns: int) -> None:
+        """Housekeeping, parameters, an event, or an application that is alive."""
+        now_us = now_ns // NS_PER_US
+        for name, value in report.values.items():
+            self._values[report.application, name] = value, now_us
+        if report.kind in ("event", "alive"):
+            self._number += 1
+            self._events.append(
+                EventLine(
+                    number=self._number,
+                    at_us=now_us,
+                    application=report.application,
+                    name=report.name or report.kind,
+                    severity=report.severity or "info",
+                    values={name: _plain(value) for name, value in report.values.items()},
+                )
+            )
+
+    def _rows(self) -> Iterator[ValueText]:
+        for (name, parameter), (value, at_us) in self._values.items():
+            if (name, parameter) in self._known:
+                level = level_of(*self._known[name, parameter], value)
+                plain = _plain(value)
+                yield ValueText(
+                    application=name, name=parameter, value=plain, level=level, at_us=at_us
+                )
+
+
+def _plain(value: Value) -> Value | None:
+    """JSON has no NaN."""
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+_PEER = {Segment.SPACE: "the ground", Segment.GROUND: "space"}
+
+
+def radio_text(
+    segment: Segment, *, hears: bool | None, heard: bool | None, unverified: int
+) -> RadioText:
+    """Return what to say at an end.
+
+    hears: good frames of the peer arrive here. heard: the peer said so of ours in its newest
+    report. None: not known. unverified: telecommands in a row that nobody acknowledged.
+    """
+    peer = _PEER[segment]
+    sent = f" The last {unverified} were not acknowledged." if unverified > 1 else ""
+    if hears is False:
+        words = f"Nothing arrives from {peer}: telecommands go out unacknowledged.{sent}"
+        return RadioText(level="bad", words=words)
+    if hears and heard is False:
+        words = f"{peer.capitalize()} does not hear us: telecommands do not arrive there.{sent}"
+        return RadioText(level="bad", words=words)
+    if unverified:
+        count = "telecommand was" if unverified == 1 else f"{unverified} telecommands were"
+        return RadioText(level="warn", words=f"The last {count} not acknowledged by {peer}.")
+    if hears is None:
+        return RadioText(level="none", words="Not known yet.")
+    return RadioText(level="good", words="Both directions carry.")
+
 
 _SIGNAL_EVENTS = {"signal_acquired": True, "signal_lost": False}
-#: Of each end's gateway: the application that says whether it hears the other end.
-_GATEWAYS = {Segment.SPACE: "space_gateway", Segment.GROUND: "ground_gateway"}
 
 
 class MissionDesk:
@@ -51,7 +190,12 @@ class MissionDesk:
             "commands": lambda: self._commands.text,
             "values": lambda: self._telemetry.values_text,
             "events": lambda: self._telemetry.events_text,
-            "radio": self._radio,
+            "radio": lambda: radio_text(
+                segment,
+                hears=self._hears,
+                heard=self._heard,
+                unverified=self._commands.unverified,
+            ),
         }
         #: By kind: what does not come from telemetry, as other processes tell it.
         self._shown: dict[str, msgspec.Struct] = {}
@@ -65,6 +209,9 @@ class MissionDesk:
         refused = refusal(role, self._segment, asked.deed)
         if refused:
             return refused
+        if "" in asked.arguments:
+            number = asked.arguments.index("") + 1
+            return f"{asked.name}: argument {number} is empty: write a value into each field"
         self._commands.handle_request(page, asked, role.words, now_ns)
         self._changed.add("commands")
         return None
@@ -90,8 +237,10 @@ class MissionDesk:
                 self._changed.add("chat")
         elif isinstance(news, Reported):
             self._telemetry.handle_report(news, now_ns)
-            if news.application == _GATEWAYS[self._segment.peer]:
-                self._handle_peer(news)
+            if news.application == f"{self._segment.peer.value}_gateway":
+                # It says whether it hears us; its event is the quicker one.
+                said = news.values.get("signal", _SIGNAL_EVENTS.get(news.name))
+                self._heard = said if isinstance(said, bool) else self._heard
             self._changed |= {"values", "radio"}
             if news.kind != "housekeeping":
                 self._changed.add("events")
@@ -112,47 +261,28 @@ class MissionDesk:
         """Return a request for this end's socket, or None."""
         return self._commands.poll_transmit(now_ns) or self._chat.poll_transmit(now_ns)
 
-    def next_event(self) -> CommandAnswered | None:
-        """Return the next answer for a page, or None."""
+    def next_event(self) -> Answered | None:
         return self._commands.next_event()
 
     def poll_texts(self) -> dict[str, str]:
-        """Return by kind what changed."""
         fresh = {}
         for kind in sorted(self._changed):
             maker = self._makers.get(kind)
-            if maker is None:
-                shown = named(self._shown[kind])
-                fresh[kind] = pack_text({"kind": kind} | shown)
-            else:
-                fresh[kind] = pack_text(maker())
+            shown = {"kind": kind} | named(self._shown[kind]) if maker is None else maker()
+            fresh[kind] = pack_text(shown)
         self._changed.clear()
         self.texts |= fresh
         return fresh
 
-    def _handle_peer(self, report: Reported) -> None:
-        """The gateway of the other end says whether it hears us; its event is the quicker one."""
-        said = report.values.get("signal", _SIGNAL_EVENTS.get(report.name))
-        if isinstance(said, bool):
-            self._heard = said
-
-    def _radio(self) -> msgspec.Struct:
-        return radio_text(
-            self._segment,
-            hears=self._hears,
-            heard=self._heard,
-            unverified=self._commands.unverified,
-        )
-
 
 def named(shown: msgspec.Struct) -> dict[str, object]:
     """Return the fields by name, in depth: topics carry them without their names."""
-    return {name: _plain(value) for name, value in asdict(shown).items()}
+    return {name: _unnested(value) for name, value in asdict(shown).items()}
 
 
-def _plain(value: object) -> object:
+def _unnested(value: object) -> object:
     if isinstance(value, msgspec.Struct):
         return named(value)
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_unnested(one) for one in value]
     return value

@@ -1,20 +1,50 @@
 """The cameras and microphones of pages: who has taken which input over, and what they give."""
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from kontur_av.clock import NS_PER_US
+from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
-from pipelines.seats.page_clock import PageClock
-from pipelines.seats.page_requests import parse_media_request
+from pipelines.seats.open_page import MessageRate, PageTalker
 from pipelines.seats.plan import SeatInput, SeatPlan
-from pipelines.seats.rates import MessageRate
-from pipelines.seats.texts import AnswerText, pack_text
+from pipelines.seats.texts import AnswerText, pack_text, parse_media_request
 from pipelines.session.messages import OwnPicture, Ping, pack_pong, parse_media_message
 from pipelines.session.seat_roles import VIEWER_WORDS, Role
 
-_TEXT_HZ = _PING_HZ = 20
+#: Pings from which the offset is taken: 16 s of them, so that the clocks may drift apart.
+_KEPT = 16
+#: What a page captured is never older, and never from the future.
+_OLDEST_NS = 500 * NS_PER_MS
+
+
+class PageClock:
+    """Maps the instants of one page to the session's clock, by the ping that took least time.
+
+    So every instant comes out later by the least time that a message takes from the page: less than
+    1 ms on one machine. A page cannot claim more than 500 ms.
+    """
+
+    def __init__(self) -> None:
+        self._offsets_ns: deque[int] = deque(maxlen=_KEPT)
+
+    def handle_ping(self, page_ms: float, now_ns: int) -> None:
+        """A ping has come that was sent at `page_ms`."""
+        self._offsets_ns.append(now_ns - _ns(page_ms))
+
+    def instant_ns(self, page_ms: float, now_ns: int) -> int:
+        """Return `page_ms` on the session's clock, from 500 ms ago to now."""
+        if not self._offsets_ns:
+            return now_ns
+        instant_ns = _ns(page_ms) + min(self._offsets_ns)
+        return min(max(instant_ns, now_ns - _OLDEST_NS), now_ns)
+
+
+def _ns(page_ms: float) -> int:
+    return int(page_ms * NS_PER_MS)
+
+
 _SOUND_HZ, _SOUND_BURST = 60, 50
 
 
@@ -27,11 +57,8 @@ class Given(NamedTuple):
 
 
 @dataclass
-class _Link:
-    role: Role
+class _Link(PageTalker):
     clock: PageClock = field(default_factory=PageClock)
-    texts: MessageRate = field(default_factory=lambda: MessageRate(_TEXT_HZ, _TEXT_HZ))
-    pings: MessageRate = field(default_factory=lambda: MessageRate(_PING_HZ, _PING_HZ))
     media: dict[int, MessageRate] = field(default_factory=dict)
 
 
@@ -55,7 +82,6 @@ class OwnInputs:
         return {each.name: self._owners.get(index) for index, each in self._inputs.items()}
 
     def handle_opened(self, link: int, role: Role) -> None:
-        """A socket was opened."""
         self._links[link] = _Link(role)
 
     def handle_closed(self, link: int) -> None:
@@ -72,7 +98,7 @@ class OwnInputs:
         if one.role is Role.VIEWER:
             error = VIEWER_WORDS
         else:
-            error = self._take(link, request.name) if request.on else self._give(link, request.name)
+            error = self._settle(link, request.name, on=request.on)
         return pack_text(AnswerText(request=request.request, ok=not error, error=error))
 
     def handle_message(self, link: int, data: bytes, now_ns: int) -> bytes | Given | None:
@@ -85,7 +111,11 @@ class OwnInputs:
             one.clock.handle_ping(message.page_ms, now_ns)
             return pack_pong(message.page_ms, now_ns // NS_PER_US)
         given = self._inputs[message.input]
-        if not self._bucket(one, given).handle_message(now_ns):
+        if given.index not in one.media:
+            sound = given.size is None
+            hz = _SOUND_HZ if sound else given.fps * 3 // 2 + 1
+            one.media[given.index] = MessageRate(hz, _SOUND_BURST if sound else given.fps)
+        if not one.media[given.index].handle_message(now_ns):
             raise ProtocolError(f"too much for {given.name}")
         if self._owners.get(given.index) != link:
             return None
@@ -96,26 +126,14 @@ class OwnInputs:
         capture_ns = one.clock.instant_ns(message.page_ms, now_ns)
         return Given(given, message.data, CaptureStamp(capture_ns, number, given.name))
 
-    def _bucket(self, link: _Link, given: SeatInput) -> MessageRate:
-        if given.index not in link.media:
-            hz = _SOUND_HZ if given.size is None else given.fps * 3 // 2 + 1
-            burst = _SOUND_BURST if given.size is None else given.fps
-            link.media[given.index] = MessageRate(hz, burst)
-        return link.media[given.index]
-
-    def _find(self, name: str) -> int | None:
-        return next((index for index, one in self._inputs.items() if one.name == name), None)
-
-    def _take(self, link: int, name: str) -> str:
-        index = self._find(name)
-        if index is None:
-            return f"{name}: no page can give this input here"
-        if self._owners.setdefault(index, link) != link:
-            return f"{name}: another page has it"
-        return ""
-
-    def _give(self, link: int, name: str) -> str:
-        index = self._find(name)
+    def _settle(self, link: int, name: str, *, on: bool) -> str:
+        """Take an input over, or give it back; return why not, or ""."""
+        index = next((index for index, one in self._inputs.items() if one.name == name), None)
+        if on:
+            if index is None:
+                return f"{name}: no page can give this input here"
+            mine = self._owners.setdefault(index, link) == link
+            return "" if mine else f"{name}: another page has it"
         if index is None or self._owners.get(index) != link:
             return f"{name}: this page does not have it"
         del self._owners[index]

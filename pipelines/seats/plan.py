@@ -5,16 +5,17 @@ from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
 
-from msgspec.structs import replace
+import numpy as np
 
 from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
 from pipelines.media.previewing import preview_size
-from pipelines.seats.passes_ahead import passes_ahead
-from pipelines.seats.telemetry_log import application_texts
+from pipelines.seats.mission_desk import application_texts
 from pipelines.seats.texts import (
     BoardText,
     CameraText,
     InputText,
+    PassText,
     PreviewText,
     SeatText,
     StreamText,
@@ -23,7 +24,7 @@ from pipelines.seats.texts import (
     WorkspaceText,
 )
 from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
-from pipelines.session.setup.table import RtcLeg, VideoStream, VoiceStream
+from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import (
     JOYSTICK_TRACE_TOPIC,
     MISSION_GROUND_TOPIC,
@@ -43,35 +44,32 @@ from pipelines.session.topology import (
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_controller import RobotControllerModel
+from telepresence.link.radio.orbit import next_overflight, parse_elements
+from telepresence.link.radio.profile import RadioProfile
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary import Dictionary
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeatStream:
-    """A stream for a seat's pages. topic: its units or blocks.
+    """A stream for a seat's pages. topic: its units or blocks. text: what pages are told of it.
 
     decoded_topic: the pictures of its units; None if there are none here.
     filmed_topics: by camera, the pictures that its sender encodes; none if they are not here.
     """
 
-    index: int
-    name: str
-    via: Via
+    text: StreamText
     topic: str
-    stream: VideoStream | VoiceStream
     decoded_topic: str | None = None
     filmed_topics: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def index(self) -> int:
+        return self.text.index
 
-@dataclass(frozen=True, kw_only=True)
-class SeatPreview:
-    """The small pictures of an input. size: width and height."""
-
-    index: int
-    input: str
-    topic: str
-    size: tuple[int, int]
+    @property
+    def via(self) -> Via:
+        return self.text.via
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,13 +101,14 @@ _SHOWN: Mapping[Segment, Mapping[str, tuple[str, Unpack]]] = MappingProxyType(
 class SeatPlan:
     """A seat. traces: topics with samples of haptics, by the number of their end.
 
+    previews: topics with the small pictures of inputs, by their numbers in messages.
     shown: what processes of the mission show here: by kind of text, the topic.
     orders: whether its pages may start and stop the session; in space only if it runs here whole.
     """
 
     segment: Segment
     streams: tuple[SeatStream, ...]
-    previews: tuple[SeatPreview, ...]
+    previews: Mapping[int, str]
     inputs: tuple[SeatInput, ...]
     traces: Mapping[int, str]
     backlog_topic: str
@@ -137,92 +136,112 @@ def seat_plan(
     session: the name of the session. dictionary: of its telecommands and telemetry.
     tasks: what people in space know of the tasks, in a session with some.
     """
+    setup, joystick, robot = topology.setup, JoystickModel(), RobotControllerModel()
     written = {topic for row in topology.processes for topic in row.writes}
-    tasked = topology.options.tasks
+    ground, tasked = segment is Segment.GROUND, topology.options.tasks
     streams = tuple(_streams(topology, segment))
-    previews = tuple(_previews(topology, segment))
+    previews = dict(_previews(topology)) if ground else {}
     inputs = tuple(_inputs(topology, segment))
-    text = _text(topology, segment, session, streams, previews, inputs)
-    trace = {0: JOYSTICK_TRACE_TOPIC} if segment is Segment.SPACE else {1: ROBOT_TRACE_TOPIC}
+    text = SeatText(
+        seat=segment,
+        setup=setup.name,
+        session=session,
+        streams=tuple(each.text for each in streams),
+        cameras=tuple(CameraText(name=row.name, inputs=row.inputs) for row in topology.cameras),
+        previews=tuple(previews),
+        inputs=tuple(_input_text(each) for each in inputs),
+        joystick=topology.options.joystick,
+        workspace=WorkspaceText(
+            half_width_m=joystick.half_width_m, half_height_m=joystick.half_height_m
+        ),
+        board=BoardText(
+            width_m=2 * robot.half_width_m,
+            height_m=2 * robot.half_height_m,
+            wall_x_m=WALL_X_M,
+            leds_m=LEDS_M,
+            lights_m=LIGHTS_M if tasked else (),
+        ),
+        caps={each.value: topology.link(each).profile.capacity_bps for each in Direction},
+        applications=application_texts(dictionary),
+        tasks=tasked,
+        task_list=tuple(
+            TaskText(name=one.name, text=one.text)
+            for one in (() if tasks is None else tasks.tasks.values())
+        ),
+        passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
+    )
     return SeatPlan(
         segment=segment,
         streams=streams,
-        previews=previews,
+        previews={each.index: topic for each, topic in previews.items()},
         inputs=inputs,
-        traces=trace,
+        traces={1: ROBOT_TRACE_TOPIC} if ground else {0: JOYSTICK_TRACE_TOPIC},
         backlog_topic=topology.link(segment.transmits).backlog_topic,
         dictionary=dictionary,
         shown={kind: one for kind, one in _SHOWN[segment].items() if one[0] in written},
-        orders=segment is Segment.GROUND or len(topology.segments) > 1,
-        text=replace(
-            text,
-            board=replace(text.board, lights_m=LIGHTS_M if tasked else ()),
-            applications=application_texts(dictionary),
-            tasks=tasked,
-            task_list=tuple(
-                TaskText(name=one.name, text=one.text)
-                for one in (() if tasks is None else tasks.tasks.values())
-            ),
-            passes=passes_ahead(topology.setup.radio_profile) if segment is Segment.GROUND else (),
-        ),
+        orders=ground or len(topology.segments) > 1,
+        text=text,
     )
 
 
 def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:
+    told = partial(_stream_text, topology)
     index = 0
     for row in topology.media_streams:
         video = row if isinstance(row, VideoRow) else None
-        if row.direction.receiver is segment:
+        if row.direction.receiver is segment and video is None:
+            yield SeatStream(text=told(index, Via.SOUND, row.stream), topic=row.received_topic)
+        elif row.direction.receiver is segment and video is not None:
             yield SeatStream(
-                index=index,
-                name=row.name,
-                via=Via.SOUND if video is None else Via.CODED,
-                topic=row.received_topic if video is None else video.coded_topic,
-                stream=row.stream,
-                decoded_topic=None if video is None else video.decoded_topic,
+                text=told(index, Via.CODED, row.stream),
+                topic=video.coded_topic,
+                decoded_topic=video.decoded_topic,
             )
         elif segment is Segment.GROUND and video is not None:
             yield SeatStream(
-                index=index,
-                name=row.name,
-                via=Via.SENT,
+                text=told(index, Via.SENT, row.stream),
                 topic=video.sent_topic,
-                stream=row.stream,
                 filmed_topics={row.name: row.topic for row in topology.cameras},
             )
         else:
             continue
         index += 1
-    if segment is Segment.GROUND and topology.setup.rtc is not None:
-        yield from _partner(topology.setup.rtc, index)
+    leg = topology.setup.rtc
+    if segment is Segment.GROUND and leg is not None:
+        # The picture and the voice of a partner across the Internet.
+        yield SeatStream(
+            text=told(index, Via.CODED, partner_camera(leg)),
+            topic=RTC_CODED_CAMERA_TOPIC,
+            decoded_topic=RTC_DECODED_CAMERA_TOPIC,
+        )
+        voice = told(index + 1, Via.SOUND, partner_voice(leg))
+        yield SeatStream(text=voice, topic=RTC_VOICE_TOPIC)
 
 
-def _partner(leg: RtcLeg, index: int) -> Iterator[SeatStream]:
-    """The picture and the voice of a partner across the Internet."""
-    camera, voice = partner_camera(leg), partner_voice(leg)
-    yield SeatStream(
+def _stream_text(
+    topology: Topology, index: int, via: Via, stream: VideoStream | VoiceStream
+) -> StreamText:
+    video = stream if isinstance(stream, VideoStream) else None
+    return StreamText(
         index=index,
-        name=camera.name,
-        via=Via.CODED,
-        topic=RTC_CODED_CAMERA_TOPIC,
-        stream=camera,
-        decoded_topic=RTC_DECODED_CAMERA_TOPIC,
-    )
-    yield SeatStream(
-        index=index + 1, name=voice.name, via=Via.SOUND, topic=RTC_VOICE_TOPIC, stream=voice
+        name=stream.name,
+        kind="voice" if video is None else "video",
+        via=via,
+        cap_bps=stream.cap_bps,
+        stale_after_ms=topology.setup.stale_after_ns(stream) / NS_PER_MS,
+        width=None if video is None else video.width,
+        height=None if video is None else video.height,
+        fps=None if video is None else video.fps,
     )
 
 
-def _previews(topology: Topology, segment: Segment) -> Iterator[SeatPreview]:
-    if segment is Segment.GROUND:
-        for index, name in enumerate(topology.setup.camera_inputs):
-            stream = topology.setup.stream_of(name)
-            yield SeatPreview(
-                index=index,
-                input=name,
-                topic=topology.input(name).preview_topic,
-                size=preview_size(stream.width, stream.height),
-            )
+def _previews(topology: Topology) -> Iterator[tuple[PreviewText, str]]:
+    """The small pictures of each camera input, and their topics."""
+    for index, name in enumerate(topology.setup.camera_inputs):
+        stream = topology.setup.stream_of(name)
+        width, height = preview_size(stream.width, stream.height)
+        text = PreviewText(index=index, input=name, width=width, height=height)
+        yield text, topology.input(name).preview_topic
 
 
 def _inputs(topology: Topology, segment: Segment) -> Iterator[SeatInput]:
@@ -245,59 +264,6 @@ def _inputs(topology: Topology, segment: Segment) -> Iterator[SeatInput]:
         )
 
 
-def _text(
-    topology: Topology,
-    segment: Segment,
-    session: str,
-    streams: tuple[SeatStream, ...],
-    previews: tuple[SeatPreview, ...],
-    inputs: tuple[SeatInput, ...],
-) -> SeatText:
-    setup, joystick, robot = topology.setup, JoystickModel(), RobotControllerModel()
-    return SeatText(
-        seat=segment,
-        setup=setup.name,
-        session=session,
-        streams=tuple(_stream_text(each, topology) for each in streams),
-        cameras=tuple(CameraText(name=row.name, inputs=row.inputs) for row in topology.cameras),
-        previews=tuple(
-            PreviewText(index=each.index, input=each.input, width=each.size[0], height=each.size[1])
-            for each in previews
-        ),
-        inputs=tuple(_input_text(each) for each in inputs),
-        joystick=topology.options.joystick,
-        workspace=WorkspaceText(
-            half_width_m=joystick.half_width_m, half_height_m=joystick.half_height_m
-        ),
-        board=BoardText(
-            width_m=2 * robot.half_width_m,
-            height_m=2 * robot.half_height_m,
-            wall_x_m=WALL_X_M,
-            leds_m=LEDS_M,
-        ),
-        caps={
-            direction.value: topology.link(direction).profile.capacity_bps
-            for direction in Direction
-        },
-    )
-
-
-def _stream_text(one: SeatStream, topology: Topology) -> StreamText:
-    stream = one.stream
-    video = stream if isinstance(stream, VideoStream) else None
-    return StreamText(
-        index=one.index,
-        name=one.name,
-        kind="voice" if video is None else "video",
-        via=one.via,
-        cap_bps=stream.cap_bps,
-        stale_after_ms=topology.setup.stale_after_ns(stream) / NS_PER_MS,
-        width=None if video is None else video.width,
-        height=None if video is None else video.height,
-        fps=None if video is None else video.fps,
-    )
-
-
 def _input_text(one: SeatInput) -> InputText:
     if one.size is None:
         return InputText(index=one.index, name=one.name, kind="audio")
@@ -305,3 +271,33 @@ def _input_text(one: SeatInput) -> InputText:
     return InputText(
         index=one.index, name=one.name, kind="video", width=width, height=height, fps=one.fps
     )
+
+
+_MOST = 5
+
+
+def passes_ahead(profile: RadioProfile) -> Iterator[PassText]:
+    """This session's pass and the next four; none of a radio without an orbit."""
+    contact = profile.contact
+    if contact is None:
+        return
+    elements = parse_elements(contact.elements)
+    station = contact.latitude_deg, contact.longitude_deg, contact.altitude_m
+    after, first = contact.after, None
+    for _ in range(_MOST):
+        try:
+            flight = next_overflight(
+                elements, station, after, contact.horizon_deg, contact.least_peak_deg
+            )
+        except ConfigError:
+            return
+        rise = np.datetime64(flight.rise.removesuffix("Z"), "s")
+        first = rise if first is None else first
+        acquisition_s = float((rise - first).astype(int))
+        yield PassText(
+            acquisition=flight.rise,
+            acquisition_s=acquisition_s,
+            loss_s=round(acquisition_s + flight.visible_s, 1),
+            peak_deg=round(max(flight.elevations_deg), 1),
+        )
+        after = f"{rise + np.timedelta64(round(flight.visible_s) + 60, 's')}Z"

@@ -1,11 +1,28 @@
 """The process that serves a segment's browser pages."""
 
 import asyncio
+import traceback
+from functools import partial
 
-from pipelines.seats.server import PageServer
+from aiohttp import web
+
+from kontur_av.errors import ProtocolError
+from kontur_av.topics.bus import TopicBus
+from pipelines.seats.figures import PageFigures
+from pipelines.seats.own_inputs import Given
+from pipelines.seats.plan import seat_plan
+from pipelines.seats.seat import Seat
+from pipelines.seats.seat_sockets import Message, SeatSockets
+from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
+from pipelines.session.access import AccessError, AccessKind
+from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
-from pipelines.session.topology import Segment
+from pipelines.session.seat_roles import VIEWER_WORDS, Role
+from pipelines.session.serving_loop import ServingLoop
+from pipelines.session.topology import PAGES, Segment
+from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
 from telepresence.tasks.definitions import Catalogue
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 
 def run_page(context: Context, *, segment: Segment, tasks: Catalogue | None = None) -> None:
@@ -13,9 +30,202 @@ def run_page(context: Context, *, segment: Segment, tasks: Catalogue | None = No
 
     tasks: those of the session, for the panel.
     """
-    asyncio.run(_serve(context, segment, tasks))
+
+    async def serve() -> None:
+        with context.open_bus() as bus:
+            await PageServer(context, segment, bus, tasks).run()
+
+    asyncio.run(serve())
 
 
-async def _serve(context: Context, segment: Segment, tasks: Catalogue | None) -> None:
-    with context.open_bus() as bus:
-        await PageServer(context, segment, bus, tasks).run()
+#: Sockets of cameras and microphones beyond these are refused.
+_MOST_MEDIA = 16
+#: Answers that a camera or a microphone has not read; it is closed at the next one.
+_MOST_ANSWERS = 16
+#: By end: the pages beside the seat of the same name.
+_OTHERS = {Segment.SPACE: ("panel", "k2cp"), Segment.GROUND: ("top", "k2sv")}
+#: In the query of a socket: without pictures, sound and haptics.
+_PLAIN = "plain"
+
+
+class PageServer:
+    """Serves the pages of `segment` until `context.stopping`.
+
+    tasks: what people in space know of the session's.
+    """
+
+    def __init__(
+        self, context: Context, segment: Segment, bus: TopicBus, tasks: Catalogue | None = None
+    ) -> None:
+        self._context, self._now_ns = context, context.clock.now_ns
+        self._site = WebSite(
+            context.pages[PAGES[segment]], seat=segment.value, others=_OTHERS[segment]
+        )
+        plan = seat_plan(
+            context.topology, segment, context.session, built_in_dictionary(), tasks=tasks
+        )
+        self._seat = Seat(plan, first_command=self._now_ns())
+        self._serving = ServingLoop(context, self._handle_time)
+        self._sockets = SeatSockets(self._now_ns)
+        self._wakes: dict[int, asyncio.Event] = {}
+        self._media = self._faults = 0
+        self._keys = KeyPictures(self._seat, self._serving, bus, self._settle)
+        self._topics = SeatTopics(
+            self._seat, self._serving, bus, self._keys, now_ns=self._now_ns, settle=self._settle
+        )
+        self._deeds = SeatDeeds(self._seat, context, self._serving, bus, self._settle)
+
+    async def run(self) -> None:
+        """Serve, and close all sockets in the end."""
+        self._context.on_flush(self._tell)
+        self._topics.open()
+        if self._context.link is not None:
+            self._serving.loop.add_reader(self._context.link.fileno(), self._figures)
+        server = web.Server(self._handle, access_log=None, logger=quiet_log("pipelines.seats"))
+        runner = web.ServerRunner(server, shutdown_timeout=SHUTDOWN_S)
+        await self._site.start(runner)
+        try:
+            await self._serving.run()
+        finally:
+            self._site.close()
+            await self._sockets.close()
+            await runner.cleanup()
+            self._topics.close()
+            self._keys.close()
+
+    def _handle_time(self, now_ns: int) -> None:
+        if self._seat.watching:
+            self._topics.look(now_ns)
+            self._deeds.look(now_ns)
+            self._seat.handle_time(now_ns)
+            self._settle()
+        self._sockets.handle_time(now_ns)
+
+    def _figures(self) -> None:
+        while (text := self._context.receive_figures()) is not None:
+            self._seat.handle_figures(text, self._now_ns())
+        self._settle()
+
+    def _watch(self) -> None:
+        self._topics.watch(self._seat.watching > 0)
+        # The launcher sends figures only when it knows.
+        self._context.flush(self._now_ns())
+
+    def _settle(self) -> None:
+        """Do what the seat has decided, and wake the pages for which something waits."""
+        self._deeds.do()
+        for number, wake in self._wakes.items():
+            if self._seat.waits(number):
+                wake.set()
+        self._keys.fetch()
+
+    # HTTP
+
+    async def _handle(self, request: web.BaseRequest) -> web.StreamResponse:
+        try:
+            found = self._site.find(request)
+            if found.kind is AccessKind.SEAT:
+                return await self._serve_seat(request, found.role)
+            if found.kind is AccessKind.MEDIA:
+                return await self._serve_media(request, found.role)
+            return self._site.file(request, found)
+        except AccessError as refusal:
+            return self._site.refuse(refusal)
+        except (ConnectionError, asyncio.CancelledError):
+            raise
+        except Exception:
+            # Whatever one visitor caused ends its connection alone; the error stream has it.
+            self._faults += 1
+            traceback.print_exc()
+            raise
+
+    # The socket of a page
+
+    async def _serve_seat(self, request: web.BaseRequest, role: Role) -> web.StreamResponse:
+        if self._seat.is_full(role):
+            raise AccessError(503, "too many pages are open", "pages")
+        page = await self._sockets.open(request, MOST_SEAT_OCTETS)
+        if request.transport is None:
+            return page.ws
+        plain = request.query_string == _PLAIN
+        number = self._seat.handle_opened(role, self._now_ns(), plain=plain)
+        if self._seat.watching == 1:
+            self._watch()
+        self._wakes[number] = asyncio.Event()
+        self._settle()
+        take, send = partial(self._take_seat, number), partial(self._next_message, number)
+        try:
+            await self._sockets.serve(page, take, send)
+        finally:
+            self._wakes.pop(number)
+            self._seat.handle_closed(number, self._now_ns())
+            self._settle()
+            if not self._seat.watching:
+                self._watch()
+        return page.ws
+
+    async def _next_message(self, number: int) -> Message:
+        """Wait for the next message to a page."""
+        wake = self._wakes[number]
+        while (message := self._seat.poll_transmit(number)) is None:
+            wake.clear()
+            await wake.wait()
+        return message
+
+    def _take_seat(self, number: int, message: Message) -> None:
+        if isinstance(message, bytes):
+            self._seat.handle_message(number, message, self._now_ns())
+        else:
+            self._seat.handle_text(number, message, self._now_ns())
+        if self._seat.overflowed(number):
+            raise ProtocolError("answers are not read")
+        self._settle()
+
+    # The socket of a page's own camera or microphone
+
+    async def _serve_media(self, request: web.BaseRequest, role: Role) -> web.StreamResponse:
+        if role is Role.VIEWER:
+            raise AccessError(403, VIEWER_WORDS, "role")
+        if self._media >= _MOST_MEDIA:
+            raise AccessError(503, "too many cameras and microphones are open")
+        seat = self._seat
+        page = await self._sockets.open(request, most_media_octets(seat.plan.sizes))
+        number = seat.handle_media_opened(role)
+        self._media += 1
+        answers: asyncio.Queue[Message] = asyncio.Queue(_MOST_ANSWERS)
+        try:
+            await self._sockets.serve(page, partial(self._take_media, number, answers), answers.get)
+        finally:
+            self._media -= 1
+            seat.inputs.handle_closed(number)
+        return page.ws
+
+    def _take_media(self, number: int, answers: "asyncio.Queue[Message]", message: Message) -> None:
+        now_ns, inputs = self._now_ns(), self._seat.inputs
+        result: Message | Given | None
+        if isinstance(message, bytes):
+            result = inputs.handle_message(number, message, now_ns)
+        else:
+            result = inputs.handle_text(number, message, now_ns)
+        if isinstance(result, Given):
+            self._deeds.publish(result)
+        elif result is not None:
+            if answers.full():
+                raise ProtocolError("answers are not read")
+            answers.put_nowait(result)
+
+    def _tell(self) -> None:
+        sockets = self._sockets
+        self._context.probe.tell(
+            PageFigures(
+                watching=self._seat.watching,
+                holder=self._seat.holder or 0,
+                connections=sockets.connections,
+                refused=dict(self._site.refused),
+                strangers_closed=self._site.closed,
+                faults=self._faults,
+                garbage=sockets.garbage,
+                units_left_out=self._seat.left_out,
+                sockets_closed=sockets.closed,
+            )
+        )

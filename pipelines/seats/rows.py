@@ -24,7 +24,6 @@ from pipelines.session.topology import (
     Topic,
     Topology,
     VideoRow,
-    given,
 )
 
 
@@ -41,7 +40,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             reads=(
                 *_received(session, Segment.GROUND),
                 MISSION_GROUND_TOPIC,
-                *given(session.options.tasks, ROBOT_STATUS_TOPIC),
+                ROBOT_STATUS_TOPIC,
                 RTC_CODED_CAMERA_TOPIC,
                 RTC_DECODED_CAMERA_TOPIC,
                 RTC_VOICE_TOPIC,

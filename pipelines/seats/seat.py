@@ -10,19 +10,17 @@ from msgspec.structs import asdict, replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ProtocolError
-from pipelines.hand.hand_topics import JoystickStatus
-from pipelines.mission.tmtc_messages import TmtcNews
+from pipelines.hand.hand_topics import HandRequest, JoystickStatus
+from pipelines.mission.tmtc_messages import TmtcNews, TmtcRequest
 from pipelines.seats import texts
-from pipelines.seats.client_queue import ClientQueue, Message
-from pipelines.seats.figures import HOLDER
-from pipelines.seats.figures_log import FiguresLog
-from pipelines.seats.hand_gate import HandGate
-from pipelines.seats.joystick_desk import JoystickDesk
+from pipelines.seats.figures import HOLDER, FiguresLog
+from pipelines.seats.handle_desk import HandGate, HandleOwnership, JoystickDesk
 from pipelines.seats.mission_desk import MissionDesk
-from pipelines.seats.open_page import OpenPage
+from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
 from pipelines.seats.own_inputs import OwnInputs
-from pipelines.seats.ownership import HandleOwnership
-from pipelines.seats.page_requests import (
+from pipelines.seats.plan import SeatPlan, Shown
+from pipelines.seats.texts import (
+    Answered,
     ChatRequest,
     CommandRequest,
     HandleRequest,
@@ -30,24 +28,39 @@ from pipelines.seats.page_requests import (
     RecordingRequest,
     SeatRequest,
     SessionRequest,
+    StopRequest,
     parse_seat_request,
 )
-from pipelines.seats.plan import SeatPlan, Shown
-from pipelines.seats.seat_events import (
-    CommandGiven,
-    HandMoved,
-    RecordingAsked,
-    SeatEvent,
-    SessionOrdered,
-    TmtcAsked,
-)
-from pipelines.seats.seat_media import SeatMedia
 from pipelines.session.messages import Ping, pack_pong, parse_seat_message
+from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 
+
+class RecordingAsked(NamedTuple):
+    """The recorder is to begin or to end; pass its answer to `Seat.handle_recorder`."""
+
+    page: int
+    request: int
+    begin: bool
+
+
+class StopAsked(NamedTuple):
+    """The emergency stop is to hold, or not. by: who asks."""
+
+    stop: bool
+    by: str
+
+
+#: What to tell: the joystick of the hand or of a command, the launcher of an order, the recorder
+#: and the TM/TC end of this segment of what is asked.
+SeatEvent = PageInput | HandRequest | Order | RecordingAsked | StopAsked | TmtcRequest
+
+#: Pages that are open at a time: of viewers, and of all who may act.
+MOST_VIEWERS, MOST_ACTING = 12, 12
 HEARTBEAT_NS = 100 * NS_PER_MS
 
 
@@ -69,6 +82,7 @@ _RULES: Mapping[type[SeatRequest], _Rule] = MappingProxyType(
         ),
         HandleRequest: _Rule("hand", (Segment.SPACE,), "the handle is at the operator's seat"),
         SessionRequest: _Rule("session"),
+        StopRequest: _Rule("stop"),
         RecordingRequest: _Rule("record", (Segment.GROUND,), "ground control records the session"),
     }
 )
@@ -91,6 +105,12 @@ class Seat:
         self._pages: dict[int, OpenPage] = {}
         self.media = SeatMedia(plan.streams, self._pages)
         self._hand = HandleOwnership()
+        self._hand_over: Mapping[str, Callable[[int], str]] = {
+            "take": self._hand.handle_take,
+            "give": self._hand.handle_give,
+            "ask": self._hand.handle_ask,
+            "refuse": self._hand.handle_refuse,
+        }
         self._gate = HandGate(self._hand)
         self._desk = JoystickDesk(first_command)
         self.mission = MissionDesk(
@@ -98,6 +118,8 @@ class Seat:
         )
         self._figures = FiguresLog()
         self._joystick: texts.JoystickText | None = None
+        self._safety = texts.SafetyText(stopped=False, by="", waiting=False, hold="")
+        self._stop: tuple[bool, str] = (False, "")
         self._signal: bool | None = None
         self.camera: str | None = None
         self._due_ns = 0
@@ -108,7 +130,6 @@ class Seat:
 
     @property
     def watching(self) -> int:
-        """How many pages are open."""
         return len(self._pages)
 
     @property
@@ -123,11 +144,20 @@ class Seat:
             return self._figures.number(HOLDER)
         return self._hand.state.holder
 
+    def is_full(self, role: Role) -> bool:
+        """Whether no further page of this role may open. Viewers keep nobody out who may act."""
+        watching = [page.role is Role.VIEWER for page in self._pages.values()]
+        if role is Role.VIEWER:
+            return sum(watching) >= MOST_VIEWERS
+        return len(watching) - sum(watching) >= MOST_ACTING
+
     def handle_opened(self, role: Role, now_ns: int, *, plain: bool = False) -> int:
         """A page has come; return its number. plain: it gets no picture, sound or haptics."""
         number = next(self._numbers)
         lanes = () if plain else self.media.lanes
-        page = self._pages[number] = OpenPage(number, role, ClientQueue(lanes), plain)
+        page = self._pages[number] = OpenPage(
+            role, number=number, queue=ClientQueue(lanes), plain=plain
+        )
         if role is Role.OPERATOR or not refusal(role, self.plan.segment, "hand"):
             self._hand.handle_joined(number)
         seat = replace(self.plan.text, streams=(), previews=()) if plain else self.plan.text
@@ -176,13 +206,11 @@ class Seat:
         return message
 
     def next_event(self) -> SeatEvent | None:
-        """Return what is to be done, or None."""
         return self._events.popleft() if self._events else None
 
     # What pages send
 
     def handle_message(self, number: int, data: bytes, now_ns: int) -> None:
-        """A page has sent octets."""
         page = self._pages[number]
         message = parse_seat_message(data, now_ns)
         if isinstance(message, Ping):
@@ -194,17 +222,16 @@ class Seat:
             raise ProtocolError("too many positions of the hand")
         hand = self._gate.handle_input(number, message)
         if hand is not None:
-            self._events.append(HandMoved(hand))
+            self._events.append(hand)
 
     def handle_text(self, number: int, text: str, now_ns: int) -> None:
-        """A page has sent a text."""
         page = self._pages[number]
         if not page.texts.handle_message(now_ns):
             raise ProtocolError("too many requests")
         request = parse_seat_request(text)
         error = self._handle_request(page, request, now_ns)
         if error is not None:
-            self._answer(number, request.request, error)
+            self._answer(Answered(number, request.request, error))
         self._settle_hand(now_ns)
         self._settle_desk(now_ns)
         self._settle_mission(now_ns)
@@ -218,45 +245,36 @@ class Seat:
         if isinstance(request, ChatRequest):
             return self.mission.handle_chat(page.role, request, now_ns)
         rule, segment = _RULES[type(request)], self.plan.segment
-        refused = "" if page.role is Role.OPERATOR else refusal(page.role, segment, rule.deed)
+        deed = rule.deed
+        if isinstance(request, StopRequest):
+            deed = f"robot.{'emergency_stop' if request.action == 'stop' else 'release_stop'}"
+        refused = "" if page.role is Role.OPERATOR else refusal(page.role, segment, deed)
         if refused or segment not in rule.at:
             return refused or rule.elsewhere
-        return self._carry_out(page.number, request)
-
-    def _carry_out(
-        self,
-        number: int,
-        request: JoystickRequest | HandleRequest | SessionRequest | RecordingRequest,
-    ) -> str | None:
+        number = page.number
         match request:
             case JoystickRequest():
                 event = JoystickEvent(request.event)
                 self._desk.handle_request(number, request.request, event)
             case HandleRequest():
-                return self._hand_over(number, request.action)
+                return self._hand_over[request.action](number)
             case SessionRequest():
                 if not self.plan.orders:
                     return "ground control starts and stops the session"
-                self._events.append(SessionOrdered(Order(request.action)))
+                self._events.append(Order(request.action))
+                return ""
+            case StopRequest():
+                by = f"the {page.role.words} at the page of {segment.value}"
+                self._events.append(StopAsked(request.action == "stop", by))
                 return ""
             case RecordingRequest():
                 begin = request.action == "start"
                 self._events.append(RecordingAsked(number, request.request, begin))
         return None
 
-    def _hand_over(self, number: int, action: str) -> str:
-        handlers: dict[str, Callable[[int], str]] = {
-            "take": self._hand.handle_take,
-            "give": self._hand.handle_give,
-            "ask": self._hand.handle_ask,
-            "refuse": self._hand.handle_refuse,
-        }
-        return handlers[action](number)
-
     # What topics and the launcher tell
 
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
-        """The joystick's state."""
         told = texts.JoystickText(
             state=JoystickState(status.state).words,
             reason=status.reason,
@@ -264,6 +282,7 @@ class Seat:
             force_limit_n=status.force_limit_n,
             device=status.device,
         )
+        self._hear_robot(status.robot_stopped, status.robot_waits, "")
         self._desk.handle_status(status)
         self._settle_desk(now_ns)
         if told != self._joystick:
@@ -285,16 +304,26 @@ class Seat:
     def handle_shown(self, kind: str, shown: Shown) -> None:
         """What a process of the mission shows; pages get it with the next heartbeat."""
         self.mission.handle_shown(kind, shown)
+        if isinstance(shown, RobotStatus):
+            self._hear_robot(shown.stopped, shown.waiting, shown.hold)
+
+    def handle_stop(self, ordered: bool, by: str, now_ns: int) -> None:
+        """Whether an emergency stop is kept on this machine, and who ordered it."""
+        if (ordered, by) != self._stop:
+            self._stop = (ordered, by)
+            self._tell_state(now_ns)
+
+    def _hear_robot(self, stopped: bool, waiting: bool, hold: str) -> None:
+        self._safety = texts.SafetyText(stopped=stopped, by="", waiting=waiting, hold=hold)
 
     def handle_camera(self, camera: str, now_ns: int) -> None:
-        """The selected camera."""
         if camera != self.camera:
             self.camera = camera
             self._tell_state(now_ns)
 
     def handle_recorder(self, asked: RecordingAsked, error: str) -> None:
         """The recorder's answer. error: "" if it does what was asked."""
-        self._answer(asked.page, asked.request, error)
+        self._answer(Answered(asked.page, asked.request, error))
 
     def handle_figures(self, text: bytes, now_ns: int) -> None:
         """A message of the launcher; pages get it unchanged."""
@@ -307,10 +336,6 @@ class Seat:
             self.handle_camera(selected, now_ns)
 
     # Time
-
-    def poll_timeout(self) -> int | None:
-        """When `handle_time` is due; None while nobody looks."""
-        return self._due_ns if self._pages else None
 
     def handle_time(self, now_ns: int) -> None:
         """Send the heartbeat if it is due."""
@@ -338,6 +363,9 @@ class Seat:
                 signal=signal,
                 camera=self.camera,
                 joystick=self._joystick,
+                safety=replace(
+                    self._safety, stopped=self._safety.stopped or self._stop[0], by=self._stop[1]
+                ),
                 hand=texts.HandText(
                     holder=self.holder, you=hand.holder == number, wanted_by=hand.wanted_by
                 ),
@@ -349,7 +377,7 @@ class Seat:
         """The holder may have changed: the hand before lets go, and all pages are told."""
         released = self._gate.poll_release(now_ns)
         if released is not None:
-            self._events.append(HandMoved(released))
+            self._events.append(released)
         if self._hand.next_event() is not None:
             self._tell_state(now_ns)
 
@@ -361,28 +389,23 @@ class Seat:
 
     def _settle_mission(self, now_ns: int) -> None:
         while (request := self.mission.poll_transmit(now_ns)) is not None:
-            self._events.append(TmtcAsked(request))
+            self._events.append(request)
         while (answered := self.mission.next_event()) is not None:
-            self._answer(answered.page, answered.request, answered.error, answered.round_trip_ms)
+            self._answer(answered)
             if answered.camera:
                 self.handle_camera(answered.camera, now_ns)
 
     def _settle_desk(self, now_ns: int) -> None:
         while (answered := self._desk.next_event()) is not None:
-            self._answer(answered.page, answered.request, answered.error)
+            self._answer(answered)
         command = self._desk.poll_transmit(now_ns)
         if command is not None:
-            self._events.append(CommandGiven(command))
+            self._events.append(command)
 
-    def _answer(
-        self, number: int, request: int, error: str, round_trip_ms: float | None = None
-    ) -> None:
-        page = self._pages.get(number)
-        if page is not None:
-            page.queue.put_answer(
-                texts.pack_text(
-                    texts.AnswerText(
-                        request=request, ok=not error, error=error, round_trip_ms=round_trip_ms
-                    )
-                )
+    def _answer(self, answered: Answered) -> None:
+        number, request, error, round_trip_ms, _ = answered
+        if number in self._pages:
+            text = texts.AnswerText(
+                request=request, ok=not error, error=error, round_trip_ms=round_trip_ms
             )
+            self._pages[number].queue.put_answer(texts.pack_text(text))

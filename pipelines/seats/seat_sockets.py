@@ -5,7 +5,7 @@ import socket
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 
-from aiohttp import WSMessage, WSMsgType, web
+from aiohttp import WSMsgType, web
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
@@ -22,6 +22,7 @@ _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
 
 Message = bytes | str
 Take = Callable[[Message], None]
+Next = Callable[[], Awaitable[Message]]
 
 
 class SeatSockets:
@@ -33,7 +34,6 @@ class SeatSockets:
         self._open: set[SeatSocket] = set()
 
     def __len__(self) -> int:
-        """Sockets that are open."""
         return len(self._open)
 
     async def open(self, request: web.BaseRequest, most_octets: int) -> "SeatSocket":
@@ -49,9 +49,12 @@ class SeatSockets:
         self.connections += 1
         return SeatSocket(ws, request.transport, self._now_ns)
 
-    async def receive(self, one: "SeatSocket", take: Take) -> None:
-        """Take what comes until the socket is closed; close it after garbage."""
+    async def serve(self, one: "SeatSocket", take: Take, next_message: Next) -> None:
+        """Take what comes and send what there is, until it is closed; close it after garbage."""
         self._open.add(one)
+        sending = asyncio.create_task(one.send(next_message))
+        # A page that is sent nothing any more must not wait for it.
+        sending.add_done_callback(one.handle_sent)
         try:
             await one.receive(take)
         except ProtocolError as error:
@@ -60,6 +63,9 @@ class SeatSockets:
             await one.close(_POLICY_VIOLATION, str(error))
         finally:
             self._open.discard(one)
+            sending.cancel()
+            with suppress(asyncio.CancelledError):
+                await sending
 
     def handle_time(self, now_ns: int) -> None:
         """Close sockets whose pages have stalled."""
@@ -94,9 +100,11 @@ class SeatSocket:
     async def receive(self, take: Take) -> None:
         """Pass messages on until the socket is closed. ProtocolError for garbage."""
         async for message in self.ws:
-            take(_data_of(message))
+            if message.type not in (WSMsgType.BINARY, WSMsgType.TEXT):
+                raise ProtocolError("no message of a page")
+            take(message.data)
 
-    async def send(self, next_message: Callable[[], Awaitable[Message]]) -> None:
+    async def send(self, next_message: Next) -> None:
         """Send what `next_message` returns, as fast as the page takes it, until it is gone."""
         sent = 0
         with suppress(ConnectionError):
@@ -114,6 +122,11 @@ class SeatSocket:
                 if sent % _TURN == 0:
                     await asyncio.sleep(0)
 
+    def handle_sent(self, sending: "asyncio.Task[None]") -> None:
+        """Sending has ended: after a mistake, end the connection."""
+        if not sending.cancelled() and sending.exception() and self._transport is not None:
+            self._transport.abort()
+
     def handle_time(self, now_ns: int) -> None:
         """Close the socket of a page that has taken nothing for long."""
         since_ns = self._blocked_ns
@@ -126,10 +139,3 @@ class SeatSocket:
             async with asyncio.timeout(_CLOSE_S):
                 # A close frame has room for 123 octets of reason (RFC 6455 section 5.5).
                 await self.ws.close(code=code, message=words.encode()[:120])
-
-
-def _data_of(message: WSMessage) -> Message:
-    if message.type not in (WSMsgType.BINARY, WSMsgType.TEXT):
-        raise ProtocolError("no message of a page")
-    data: Message = message.data
-    return data

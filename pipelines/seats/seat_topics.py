@@ -1,25 +1,152 @@
-"""The topics that a seat reads, as a table, and what it is told of each."""
+"""What a seat's process reads and does: its topics, recorder, launcher and the TM/TC end."""
 
+import asyncio
+import os
+import time
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from functools import partial
+from itertools import count
+from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
+from kontur_av.media import I420, CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.topics.bus import Lease, TopicBus
-from pipelines.hand.hand_topics import unpack_status
+from pipelines.hand.hand_topics import (
+    INPUT_OCTETS,
+    REQUEST_OCTETS,
+    HandRequest,
+    pack_input,
+    pack_request,
+    unpack_status,
+)
 from pipelines.media.following import Choice
+from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.mission.tmtc_messages import unpack_news
-from pipelines.seats.key_pictures import KeyPictures
-from pipelines.seats.plan import Unpack
-from pipelines.seats.seat import Seat
+from pipelines.mission.tmtc_socket import send_to_tmtc
+from pipelines.seats.own_inputs import Given
+from pipelines.seats.plan import SeatStream, Unpack
+from pipelines.seats.seat import RecordingAsked, Seat, StopAsked
 from pipelines.seats.texts import Via
 from pipelines.session.feeds import Feed, TopicState
+from pipelines.session.orders import KeptOrders
+from pipelines.session.process import Context
+from pipelines.session.recorder_control import recorder_path
+from pipelines.session.recorder_requests import (
+    MAX_LINE_OCTETS,
+    START,
+    STOP,
+    RecordingWish,
+    RecordRequest,
+    pack_line,
+    parse_record_answer,
+)
 from pipelines.session.serving_loop import ServingLoop
-from pipelines.session.topology import JOYSTICK_STATE_TOPIC, SELECTED_TOPIC, TMTC_TOPICS, Segment
+from pipelines.session.session_switch import Order
+from pipelines.session.topology import (
+    HAND_INPUT_TOPIC,
+    HAND_REQUEST_TOPIC,
+    JOYSTICK_STATE_TOPIC,
+    SELECTED_TOPIC,
+    TMTC_TOPICS,
+    Segment,
+)
+from telepresence.haptics.device.page import PageInput
 from telepresence.link.backlog import Backlog
 
 #: Unread samples of a topic that are kept.
 _DEPTH = 8
+#: Pictures that are kept until the unit of one comes: a sender may wait for its channel.
+_FILMED = 8
+
+
+class KeyPictures:
+    """Fetches pictures of the streams that a page waits for, and codes them beside the event loop.
+
+    settle: called when the seat was given a key.
+    """
+
+    def __init__(
+        self, seat: Seat, serving: ServingLoop, bus: TopicBus, settle: Callable[[], None]
+    ) -> None:
+        self._seat, self._serving, self._bus, self._settle = seat, serving, bus, settle
+        self._decoded: dict[int, Feed] = {}
+        #: By stream: the pictures that its sender may encode, and from which topic they come.
+        self._filmed: dict[int, tuple[str, Feed, deque[tuple[int, I420]]]] = {}
+        self._coding: set[int] = set()
+        self._maker = KeyPictureMaker()
+
+    def handle_unit(self, stream: int, unit: CodedUnit, stamp: CaptureStamp) -> None:
+        """A unit whose picture may be here, for those who cannot begin otherwise."""
+        if stream not in self._filmed or stream in self._coding:
+            return
+        for capture_ns, picture in self._filmed[stream][2]:
+            if capture_ns == stamp.capture_ns:
+                self._coding.add(stream)
+                taken = partial(self._seat.media.handle_filmed, stream, sequence=stamp.sequence)
+                made = self._maker.of_filmed(picture, unit.width, unit.height)
+                self._serving.begin(self._code(stream, made, taken))
+                return
+
+    def fetch(self) -> None:
+        """Read the topics that the seat wants now, and leave the others."""
+        wanted = set(self._seat.media.wanted_pictures())
+        for index in [index for index in self._decoded if index not in wanted]:
+            self._decoded.pop(index).close()
+        for each in self._seat.plan.streams:
+            if each.index in wanted - self._decoded.keys() and each.decoded_topic is not None:
+                self._decoded[each.index] = self._feed(
+                    each.decoded_topic, partial(self._picture, each), depth=1
+                )
+        self._fetch_filmed()
+
+    def close(self) -> None:
+        for feed in (*self._decoded.values(), *(feed for _, feed, _ in self._filmed.values())):
+            feed.close()
+        self._maker.close()
+
+    def _fetch_filmed(self) -> None:
+        """Keep the newest pictures of the selected camera while a page waits for a stream of it."""
+        wanted = self._seat.media.wanted_filmed(self._seat.camera)
+        for index, (topic, feed, _) in list(self._filmed.items()):
+            if wanted.get(index) != topic:
+                del self._filmed[index]
+                feed.close()
+        for index, topic in wanted.items():
+            if index not in self._filmed:
+                kept: deque[tuple[int, I420]] = deque(maxlen=_FILMED)
+                feed = self._feed(topic, partial(self._keep, kept), depth=_DEPTH)
+                self._filmed[index] = topic, feed, kept
+
+    def _keep(self, kept: deque[tuple[int, I420]], lease: Lease) -> None:
+        kept.append((lease.stamp.capture_ns, lease.video().data.copy()))
+
+    def _feed(self, topic: str, handle: Callable[[Lease], None], *, depth: int) -> Feed:
+        feed = Feed(self._serving.loop, self._bus, topic, handle, depth=depth)
+        feed.open()
+        return feed
+
+    def _picture(self, stream: SeatStream, lease: Lease) -> None:
+        """A decoded picture, for those who cannot begin otherwise."""
+        timestamp = lease.stamp.rtp_timestamp
+        if stream.index in self._coding or timestamp is None:
+            return
+        self._coding.add(stream.index)
+        picture = lease.video().data.copy()
+        taken = partial(self._seat.media.handle_decoded, stream.index, rtp_timestamp=timestamp)
+        self._serving.begin(self._code(stream.index, self._maker.of_picture(picture), taken))
+
+    async def _code(self, stream: int, made: Future[bytes], taken: Callable[[bytes], bool]) -> None:
+        key = await asyncio.wrap_future(made)
+        self._coding.discard(stream)
+        taken(key)
+        self._settle()
+
+
 #: As many news of telecommands and telemetry as their topic keeps.
 _NEWS = 32
 
@@ -36,11 +163,8 @@ class _Fed(NamedTuple):
     always: bool = False
 
 
-class _Looked(NamedTuple):
-    """A topic that changes too often to wake for it; its newest sample is read at each look."""
-
-    topic: str
-    handle: Callable[[bytes, int], None]
+#: A topic that changes too often to wake for it; its newest sample is read at each look.
+_Looked = tuple[str, Callable[[bytes, int], None]]
 
 
 class SeatTopics:
@@ -70,7 +194,7 @@ class SeatTopics:
         ]
         self._always = [feed for feed, one in zip(feeds, fed, strict=True) if one.always]
         self._live = [feed for feed, one in zip(feeds, fed, strict=True) if not one.always]
-        self._looked = [(TopicState(bus, one.topic), one.handle) for one in self._states()]
+        self._looked = [(TopicState(bus, topic), handle) for topic, handle in self._states()]
 
     def _fed(self) -> Iterator[_Fed]:
         plan = self._seat.plan
@@ -82,27 +206,26 @@ class SeatTopics:
                 yield _Fed(each.topic, partial(self._unit, each.index), always=True)
         for end, topic in plan.traces.items():
             yield _Fed(topic, partial(self._haptics, end))
-        for preview in plan.previews:
-            yield _Fed(preview.topic, partial(self._preview, preview.index), 1)
+        for preview, topic in plan.previews.items():
+            yield _Fed(topic, partial(self._preview, preview), 1)
         if plan.segment is Segment.SPACE:
             yield _Fed(JOYSTICK_STATE_TOPIC, self._status)
 
     def _states(self) -> Iterator[_Looked]:
         plan, seat = self._seat.plan, self._seat
-        yield _Looked(
+        yield (
             plan.backlog_topic,
             lambda told, now_ns: seat.handle_signal(Backlog.unpack(told).peer_heard, now_ns),
         )
         for kind, (topic, unpack) in plan.shown.items():
-            yield _Looked(topic, partial(self._shown, kind, unpack))
+            yield topic, partial(self._shown, kind, unpack)
         if plan.segment is Segment.GROUND:
-            yield _Looked(
+            yield (
                 SELECTED_TOPIC,
                 lambda told, now_ns: seat.handle_camera(Choice.unpack(told).camera, now_ns),
             )
 
     def open(self) -> None:
-        """Read what is read always."""
         for feed in self._always:
             feed.open()
 
@@ -122,7 +245,6 @@ class SeatTopics:
                 handle(told, now_ns)
 
     def close(self) -> None:
-        """Leave all topics."""
         for feed in (*self._always, *self._live):
             feed.close()
 
@@ -154,3 +276,109 @@ class SeatTopics:
 
     def _shown(self, kind: str, unpack: Unpack, told: bytes, now_ns: int) -> None:
         self._seat.handle_shown(kind, unpack(told))
+
+
+class SeatDeeds:
+    """What a seat's process does to others. settle: called when the seat was told an answer."""
+
+    def __init__(
+        self,
+        seat: Seat,
+        context: Context,
+        serving: ServingLoop,
+        bus: TopicBus,
+        settle: Callable[[], None],
+    ) -> None:
+        self._seat, self._context, self._serving, self._settle = seat, context, serving, settle
+        self._now_ns = context.clock.now_ns
+        self._numbers = count()
+        self._orders = KeptOrders(context.session)
+        self._hand = self._commands = None
+        if seat.plan.segment is Segment.SPACE:
+            self._hand = bus.writer(HAND_INPUT_TOPIC, max_octets=INPUT_OCTETS, wake=False)
+            self._commands = bus.writer(HAND_REQUEST_TOPIC, max_octets=REQUEST_OCTETS, wake=False)
+        self._own = {
+            each.index: bus.writer(
+                each.topic,
+                max_octets=each.size[0] * each.size[1] * 3 // 2 if each.size else 2 * 960,
+            )
+            for each in seat.plan.inputs
+        }
+
+    def do(self) -> None:
+        while (event := self._seat.next_event()) is not None:
+            match event:
+                case PageInput():
+                    if self._hand is not None:
+                        stamp = CaptureStamp(event.received_ns, event.sequence, "page")
+                        self._hand.publish_octets(pack_input(event), stamp)
+                case HandRequest():
+                    if self._commands is not None:
+                        stamp = CaptureStamp(self._now_ns(), next(self._numbers), "page")
+                        self._commands.publish_octets(pack_request(event), stamp)
+                case Order():
+                    self._context.order(event, self._now_ns())
+                case StopAsked():
+                    if event.stop:
+                        self._orders.stop(event.by)
+                    else:
+                        self._orders.release()
+                case RecordingAsked():
+                    self._serving.begin(self._record(event))
+                case _:
+                    # One that is not taken now is repeated.
+                    send_to_tmtc(self._context.session, self._seat.plan.segment, event)
+
+    def look(self, now_ns: int) -> None:
+        """See whether an emergency stop is kept here."""
+        self._seat.handle_stop(self._orders.stopped, self._orders.stopped_by, now_ns)
+
+    def publish(self, given: Given) -> None:
+        """Publish what a page's own camera or microphone gives."""
+        writer, size = self._own[given.input.index], given.input.size
+        if size is None:
+            writer.publish_octets(bytes(given.data), given.stamp)
+            return
+        loan = writer.loan_picture(*size)
+        loan.payload[:] = np.frombuffer(given.data, np.uint8)
+        loan.publish(given.stamp)
+
+    async def _record(self, asked: RecordingAsked) -> None:
+        error = await ask_recorder(self._context.session, begin=asked.begin)
+        self._seat.handle_recorder(asked, error)
+        self._settle()
+
+
+#: A recorder that ends writes a slow disk's file to its end first.
+_PATIENCE_S = 15.0
+
+
+async def ask_recorder(session: str, *, begin: bool) -> str:
+    """Begin or end the recording of `session`; return "", or in words why it does not.
+
+    The file is in the directory in which the session was started. It is called after the session
+    and the time, in UTC.
+    """
+    request = RecordRequest(record=STOP)
+    if begin:
+        instant = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
+        path = Path.cwd() / f"{session}-{instant}.mcap"
+        wish = RecordingWish(file=os.fspath(path), command="the page of ground control")
+        request = RecordRequest(record=START, wish=wish)
+    try:
+        reader, writer = await asyncio.open_unix_connection(
+            os.fspath(recorder_path(session)), limit=MAX_LINE_OCTETS
+        )
+    except OSError:
+        return "the session's recorder is not running"
+    try:
+        writer.write(pack_line(request))
+        async with asyncio.timeout(_PATIENCE_S):
+            answer = parse_record_answer(await reader.readline())
+    except (OSError, ValueError, TimeoutError):
+        answer = None
+    finally:
+        writer.close()
+    if answer is None:
+        return "the session's recorder has ended before it answered"
+    return "" if answer.ok else answer.error

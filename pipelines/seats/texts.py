@@ -1,13 +1,15 @@
-"""The JSON texts that a seat's server sends to its pages.
+"""The JSON texts that a seat's server and its pages exchange.
 
-`.ci/web/texts.py` writes the types of `static/texts.js` from them.
+`.ci/web/texts.py` writes the types of `static/texts.js` from them. Requests of pages are checked in
+full: those with a field too many, or one of another type, are refused.
 """
 
 from enum import Enum
-from typing import Literal
+from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import msgspec
 
+from kontur_av.errors import ProtocolError
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.segments import Segment
 
@@ -120,6 +122,19 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     device: str
 
 
+class SafetyText(msgspec.Struct, frozen=True, kw_only=True):
+    """Whether the robot may follow the hand, as this end knows it.
+
+    stopped: an emergency stop holds; by: who ordered it here, "" if it was elsewhere.
+    waiting: for a new press of the dead-man button. hold: why it holds still, where that is known.
+    """
+
+    stopped: bool
+    by: str
+    waiting: bool
+    hold: str
+
+
 class HandText(msgspec.Struct, frozen=True, kw_only=True):
     """Who holds the handle, and who asks for it, by numbers of pages."""
 
@@ -136,6 +151,7 @@ class StateText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag
     signal: bool
     camera: str | None
     joystick: JoystickText | None
+    safety: SafetyText
     hand: HandText
     inputs: dict[str, int | None]
 
@@ -149,6 +165,19 @@ class AnswerText(
     ok: bool
     error: str
     round_trip_ms: float | None = None
+
+
+class Answered(NamedTuple):
+    """What became of the request of a page.
+
+    error: "" if it was carried out. camera: the one that it has selected; else "".
+    """
+
+    page: int
+    request: int
+    error: str
+    round_trip_ms: float | None = None
+    camera: str = ""
 
 
 class ChatLine(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -286,5 +315,109 @@ class PassText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def pack_text(text: msgspec.Struct | dict[str, object]) -> str:
-    """Return a text as JSON."""
     return _ENCODER.encode(text).decode()
+
+
+_Number = Annotated[int, msgspec.Meta(ge=0, le=1 << 53)]
+_Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
+_WHOLE = 1 << 53
+#: What a person types for an argument; whether it fits, the dictionary says.
+_Value = (
+    bool
+    | Annotated[int, msgspec.Meta(ge=-_WHOLE, le=_WHOLE)]
+    | float
+    | Annotated[str, msgspec.Meta(max_length=64)]
+)
+
+
+class _Request(msgspec.Struct, frozen=True, tag_field="do", forbid_unknown_fields=True):
+    request: _Number
+
+
+class JoystickRequest(_Request, frozen=True, tag="joystick"):
+    """A person's command to the joystick."""
+
+    event: Literal["calibrate", "start", "halt", "acknowledge", "stop", "resume"]
+
+
+class HandleRequest(_Request, frozen=True, tag="hand"):
+    """Who holds the handle."""
+
+    action: Literal["take", "give", "ask", "refuse"]
+
+
+class StopRequest(_Request, frozen=True, tag="stop"):
+    """Order the emergency stop of the robot, or release it."""
+
+    action: Literal["stop", "release"]
+
+
+class SessionRequest(_Request, frozen=True, tag="session"):
+    """Start or stop the session."""
+
+    action: Literal["start", "stop"]
+
+
+class RecordingRequest(_Request, frozen=True, tag="record"):
+    """Begin or end a recording of the session."""
+
+    action: Literal["start", "stop"]
+
+
+class InputRequest(_Request, frozen=True, tag="input"):
+    """Take an input over with the page's own camera or microphone, or give it back."""
+
+    name: _Name
+    on: bool
+
+
+class CommandRequest(_Request, frozen=True, tag="command"):
+    """Send a telecommand to an application of either end; the fields are those of `SendCommand`."""
+
+    application: _Name
+    verb: Literal["call", "ping", "report", "housekeeping_on", "housekeeping_off"] = "call"
+    name: Annotated[str, msgspec.Meta(max_length=64)] = ""
+    arguments: Annotated[tuple[_Value, ...], msgspec.Meta(max_length=4)] = ()
+
+    @property
+    def deed(self) -> str:
+        """What the role of a page must permit."""
+        return f"{self.application}.{self.name}" if self.verb == "call" else "housekeeping"
+
+
+class ChatRequest(_Request, frozen=True, tag="chat"):
+    """Write a line to the others."""
+
+    text: Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+
+
+SeatRequest = (
+    JoystickRequest
+    | HandleRequest
+    | SessionRequest
+    | StopRequest
+    | RecordingRequest
+    | CommandRequest
+    | ChatRequest
+)
+
+_Asked = TypeVar("_Asked")
+_SEAT: msgspec.json.Decoder[SeatRequest] = msgspec.json.Decoder(SeatRequest)
+_MEDIA = msgspec.json.Decoder(InputRequest)
+
+
+def parse_seat_request(text: str) -> SeatRequest:
+    """Return a request on the socket of a seat; ProtocolError for anything else."""
+    return _parsed(_SEAT, text)
+
+
+def parse_media_request(text: str) -> InputRequest:
+    """Return a request on the socket of a camera or microphone; ProtocolError otherwise."""
+    return _parsed(_MEDIA, text)
+
+
+def _parsed(decoder: msgspec.json.Decoder[_Asked], text: str) -> _Asked:
+    try:
+        return decoder.decode(text)
+    except (msgspec.MsgspecError, RecursionError, UnicodeEncodeError) as error:
+        raise ProtocolError(f"no request: {error}") from None

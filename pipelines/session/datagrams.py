@@ -1,11 +1,18 @@
-"""A gateway's UDP sockets: the address of each, and the peers that it accepts and sends to."""
+"""The sockets of a gateway and of those that talk to it: addresses, and who is listened to.
 
+What can move a robot, haptics and telecommands, goes through Unix datagram sockets in the session's
+directory, which only its user can open (unix(7)). All else is UDP, which other programs send, too.
+"""
+
+import os
 import socket
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
+from kontur_av.topics.session_files import make_session_root, session_root
 from pipelines.session.process import LOOPBACK
 from telepresence.haptics.sample import SAMPLE_OCTETS
 
@@ -82,6 +89,52 @@ def open_peer(bind: Address, peer: Address) -> tuple[socket.socket, socket.socke
     while receive(ours, 1) is not None:
         pass
     return ours, strangers
+
+
+def own_path(session: str, port: int) -> str:
+    """The Unix socket that a session has in the place of a UDP port."""
+    return os.fspath(session_root(session) / f"port-{port}")
+
+
+def listen_own(session: str, port: int) -> socket.socket:
+    """Open the session's own socket for `port`, which never blocks, in the place of an old one."""
+    make_session_root(session)
+    path = own_path(session, port)
+    Path(path).unlink(missing_ok=True)
+    own = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    own.setblocking(False)
+    own.bind(path)
+    return own
+
+
+class OwnOutlet:
+    """Sends datagrams to a session's own socket, whether somebody listens there or not.
+
+    failed: datagrams that the system refused, because nobody listens or too many wait.
+    """
+
+    def __init__(self, session: str, port: int) -> None:
+        self.failed = 0
+        self._own = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._own.setblocking(False)
+        self._path = own_path(session, port)
+
+    def send(self, data: bytes) -> None:
+        # By its path each time: the listener may have been restarted.
+        try:
+            self._own.sendto(data, self._path)
+        except OSError:
+            self.failed += 1
+
+
+class OwnInlet:
+    """A port of the link that only the session's own processes reach; as `Inlet`."""
+
+    strangers = 0
+
+    def __init__(self, session: str, port: int) -> None:
+        self.udp = listen_own(session, port)
+        self.receive: Callable[[int], bytes | None] = partial(receive, self.udp)
 
 
 class Inlet:

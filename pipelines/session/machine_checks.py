@@ -7,6 +7,7 @@ schedule. Its verdict is `ok`; `missing`
 
 import os
 import platform
+import resource
 import shutil
 import subprocess
 import sys
@@ -21,6 +22,9 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, MonotonicCloc
 #: Shared memory that must be free. iceoryx2 reserves far more, but sparsely: measured, a topic of
 #: 640x480 pictures uses about 1 MB.
 NEEDED_SHM_OCTETS = 48_000_000
+#: Files and sockets that a process of a session may have open. The one with the pages has most: a
+#: connection each, and a topic each.
+NEEDED_DESCRIPTORS = 512
 
 _SHM = Path("/dev/shm")
 #: The priority of the 1 kHz loops. It is not imported, because that module may be broken.
@@ -129,6 +133,24 @@ def check_shared_memory(
             f"free {needed_mb} MB (in a container: --shm-size={max(256, 2 * needed_mb)}m)",
         )
     return Finding("ok", found)
+
+
+def check_descriptors() -> Finding:
+    """Check how many files and sockets a process may have open."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    found = f"{soft} open files and sockets a process"
+    # A session raises the soft limit by itself.
+    if soft < NEEDED_DESCRIPTORS and hard != resource.RLIM_INFINITY and hard < NEEDED_DESCRIPTORS:
+        return Finding("missing", found, f"ulimit -n {NEEDED_DESCRIPTORS}")
+    return Finding("ok", found)
+
+
+def take_descriptors() -> None:
+    """Raise the soft limit to what a session needs, for this process and its children."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft != resource.RLIM_INFINITY and soft < NEEDED_DESCRIPTORS:
+        most = NEEDED_DESCRIPTORS if hard == resource.RLIM_INFINITY else hard
+        resource.setrlimit(resource.RLIMIT_NOFILE, (min(NEEDED_DESCRIPTORS, most), hard))
 
 
 def check_topics() -> Finding:
@@ -263,6 +285,7 @@ CHECKS: tuple[Check, ...] = (
     ("RTP", check_rtp),
     ("OpenCV", check_opencv),
     ("shared memory", check_shared_memory),
+    ("open files", check_descriptors),
     ("topics", check_topics),
     ("processors", check_processors),
     ("timer", check_timer),

@@ -57,6 +57,8 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     halted: the newest sample of the joystick says that it is.
     commanded: number of the newest `RobotCommand`; None for none. command_refusal: why that was
     refused, "" if it was carried out. step_hz: cycles of the controller, in the last second.
+    hold: why it follows no hand, in words, "" if it does. waiting: for a new press. stopped: an
+    emergency stop holds. offset_mm: the robot's place less the hand's.
     """
 
     life: int
@@ -75,6 +77,10 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     commanded: int | None = None
     command_refusal: str = ""
     step_hz: float = 0.0
+    hold: str = ""
+    waiting: bool = False
+    stopped: bool = False
+    offset_mm: tuple[float, float] = (0.0, 0.0)
 
 
 class CameraWish(msgspec.Struct, frozen=True, array_like=True):

@@ -105,6 +105,18 @@ class Context:
 
         return send
 
+    def listen_own(self, port: int) -> socket.socket:
+        """Open the session's own socket in the place of `port`, which its user alone reaches."""
+        from pipelines.session.datagrams import listen_own
+
+        return listen_own(self.session, port)
+
+    def own_sender(self, port: int) -> Callable[[bytes], None]:
+        """Return a function that sends one datagram to the session's own socket for `port`."""
+        from pipelines.session.datagrams import OwnOutlet
+
+        return OwnOutlet(self.session, port).send
+
     @staticmethod
     def receive(udp: socket.socket, most_octets: int = MAX_DATAGRAM_OCTETS) -> bytes | None:
         """Return the next datagram, or None. ICMP errors of earlier sends are skipped.

@@ -54,6 +54,8 @@ _MAY: Mapping[str, tuple[Role, ...]] = MappingProxyType(
         "robot.power_off": (Role.EXPERIMENTER, Role.SUPERVISOR),
         "robot.set_mode": (Role.EXPERIMENTER,),
         "robot.reset_error": (Role.EXPERIMENTER,),
+        "robot.emergency_stop": (*PEOPLE[Segment.SPACE], *PEOPLE[Segment.GROUND]),
+        "robot.release_stop": (Role.COSMONAUT, Role.SUPERVISOR),
     }
 )
 

@@ -60,6 +60,9 @@ class ServingLoop:
         error = told.get("exception")
         if error is None:
             loop.default_exception_handler(told)
-        # No process of ours ends for a peer or its network.
+        # No process of ours ends for a peer or its network: what a connection's data caused ends
+        # that connection, as asyncio has done.
+        elif "transport" in told or "protocol" in told:
+            return
         elif isinstance(error, BaseException) and not isinstance(error, OSError):
             self.fail(error)

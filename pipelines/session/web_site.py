@@ -9,6 +9,7 @@ from types import MappingProxyType
 from aiohttp import web
 
 from pipelines.session.access import Access, AccessError, AccessKind, Found, headers
+from pipelines.session.front_door import FrontDoor
 from pipelines.session.page_listener import PageListener
 
 STATIC = Path(__file__).parents[1] / "seats" / "static"
@@ -42,14 +43,22 @@ class WebSite:
             role_tokens=listener.role_tokens,
             others=others,
         )
+        self._door: FrontDoor | None = None
         #: Requests refused, by reason.
         self.refused: dict[str, int] = {}
 
     def find(self, request: web.BaseRequest) -> Found:
         """Return what a request may have, or raise `AccessError`."""
-        return self._access.find(
+        found = self._access.find(
             request.method, request.raw_path, _host(request), request.headers.get("Origin")
         )
+        self.handle_known(request)
+        return found
+
+    def handle_known(self, request: web.BaseRequest) -> None:
+        """A request has shown a token, so its connection is no stranger's."""
+        if self._door is not None:
+            self._door.handle_known(request.transport)
 
     def refuse(self, refusal: AccessError) -> web.Response:
         """Count a refusal; its answer."""
@@ -81,7 +90,19 @@ class WebSite:
     async def start(self, runner: web.BaseRunner) -> None:
         """Serve on the listener's socket."""
         await runner.setup()
-        await web.SockSite(runner, self._listener.socket, ssl_context=self._tls()).start()
+        assert runner.server is not None
+        self._door = FrontDoor(self._listener, runner.server, self._tls())
+        self._door.start()
+
+    def close(self) -> None:
+        """Accept no more connections."""
+        if self._door is not None:
+            self._door.close()
+
+    @property
+    def closed(self) -> int:
+        """Connections closed to make room, or because no token came."""
+        return 0 if self._door is None else self._door.closed
 
     def _tls(self) -> ssl.SSLContext | None:
         if self._listener.scheme != "https" or self._listener.certificate is None:

@@ -1,12 +1,20 @@
-"""Actions on virtual time, in the order of their instants."""
+"""What simulated processes share: actions in order, the time of coding, and their figures."""
 
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from heapq import heappop, heappush
 
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
+from pipelines.report.collector import Collector
+from pipelines.session.probe import Probe
+
 #: Called with the instant at which it is due.
-Action = Callable[[int], None]
+Action = Callable[[int], object]
 
 FAR_NS = 1 << 62
+#: The instants of virtual time are Unix times.
+WALL_OFFSET_NS = 0
 
 
 class Agenda:
@@ -56,3 +64,61 @@ class Timer:
         if now_ns == self._due_ns:
             self._due_ns = FAR_NS
             self._action(now_ns)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CodingCosts:
+    """Fixed durations in ms: medians of live sessions on two cores.
+
+    capture_ms: from the capture of a picture to its arrival at the encoder: drawing, the stereo
+        merge, the selector, and three wake-ups.
+    encode_ms, decode_ms: of one picture, its wake-up included.
+    voice_encode_ms, voice_decode_ms: of one block of sound.
+    """
+
+    capture_ms: float = 4.0
+    encode_ms: float = 6.0
+    decode_ms: float = 3.0
+    voice_encode_ms: float = 1.7
+    voice_decode_ms: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not 0 <= value <= 1000:
+                option = f"--{name.replace('_', '-')}"
+                raise ConfigError(f"{option} {value:g}: take 0 to 1000 milliseconds")
+
+    def ns(self, name: str) -> int:
+        """Return the duration `name` in ns, at least 1, so that an effect follows its cause."""
+        cost_ms: float = getattr(self, f"{name}_ms")
+        return max(1, round(cost_ms * NS_PER_MS))
+
+
+class Telling:
+    """The probe of each process, and the functions that fill them before each flush."""
+
+    def __init__(self, collector: Collector) -> None:
+        self._collector = collector
+        self._probes: dict[str, Probe] = {}
+        self._fills: list[Callable[[], object]] = []
+
+    @property
+    def processes(self) -> list[str]:
+        """The names of all processes, in the order in which they were made."""
+        return list(self._probes)
+
+    def probe(self, process: str) -> Probe:
+        probe = self._probes[process] = Probe()
+        return probe
+
+    def add(self, fill: Callable[[], object]) -> None:
+        """Call `fill` before each flush, to put counters into its probe."""
+        self._fills.append(fill)
+
+    def flush(self, now_ns: int) -> None:
+        """Pass all figures to the collector."""
+        for fill in self._fills:
+            fill()
+        for name, probe in self._probes.items():
+            self._collector.handle_message(name, probe.message, now_ns)
+            probe.handle_told(now_ns, told=True)

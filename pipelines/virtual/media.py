@@ -1,77 +1,193 @@
 """The media of a simulated session, joined: inputs, senders and receivers with their coders."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
-from random import Random
+from typing import cast
 
-from kontur_av.media import CaptureStamp
-from kontur_av.rtp.sender import RtpIdentity
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
+from kontur_av.media import I420, CaptureStamp, VideoFrame
+from kontur_av.sources import BLOCK_NS
+from kontur_av.sources.pace import Pace
+from kontur_av.sources.page import PAGE
+from kontur_av.sources.stereo import StereoPairer
+from kontur_av.streams.video_sender import VideoSender
+from pipelines.media.capturing import Capturing
+from pipelines.media.figures import StereoFigures
 from pipelines.media.following import CameraFollower, Choice
-from pipelines.media.gain import gain_of
-from pipelines.media.session_streams import (
-    video_receiver,
-    video_sender,
-    voice_receiver,
-    voice_sender,
-)
+from pipelines.media.session_streams import video_sender
 from pipelines.media.showing import Showing
 from pipelines.media.tip_region import tip_region
 from pipelines.media.watching import OPERATORS
+from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import (
     GROUND_MIC,
     ISS_CAMERA,
     ISS_MIC,
     STEREO,
     STEREO_INPUTS,
+    VOICE_PACKETS_PER_S,
     Setup,
     VideoStream,
     VoiceStream,
 )
-from pipelines.session.topology import Topology
-from pipelines.virtual.agenda import Agenda
-from pipelines.virtual.costs import CodingCosts
-from pipelines.virtual.inputs import Camera, Microphone, ShowPicture, Stereo
-from pipelines.virtual.receivers import Display, VideoReceiveProcess, VoiceReceiveProcess
-from pipelines.virtual.senders import RecordedVideoProcess, VideoSendProcess, VoiceSendProcess
-from pipelines.virtual.studio import (
-    Picture,
-    VideoDecoding,
-    VideoStudio,
-    VoiceDecoding,
-    VoiceStudio,
+from pipelines.virtual.agenda import WALL_OFFSET_NS
+from pipelines.virtual.streams import (
+    Display,
+    VideoProcess,
+    VideoReceiveProcess,
+    VideoSendProcess,
+    VoiceReceiveProcess,
+    VoiceSendProcess,
 )
-from pipelines.virtual.telling import Telling
-from pipelines.virtual.workers import Coder, Worker, Workers
+from pipelines.virtual.studio import Picture, Shot, VideoDecoding, VideoStudio, VoiceStudio
+from pipelines.virtual.workers import Coder, Job, Scene, Worker
 from telepresence.link.backlog import Backlog
-from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 
-#: The instants of virtual time are Unix times.
-WALL_OFFSET_NS = 0
+#: Takes a captured picture: (picture, stamp, now), or a block of sound: (stamp, world, now). The
+#: world is None for a file's.
+ShowPicture = Callable[[Picture, CaptureStamp, int], None]
+ShowSound = Callable[[CaptureStamp, WorldState | None, int], None]
+
+
+def check_virtual_sources(setup: Setup) -> None:
+    """ConfigError for an input that cannot be opened, or exists in real time only: a pipe, say."""
+    for name in setup.inputs:
+        kind, colon, _ = setup.source(name).partition(":")
+        if (colon and kind in ("pipe", "v4l2", "alsa")) or setup.source(name) == PAGE:
+            raise ConfigError(
+                f"input {name}: {setup.source(name)} lives in real time; "
+                "a simulation takes scene:NAME, a media file or mcap:FILE#CHANNEL"
+            )
+    check_sources(setup, setup.inputs)
+
+
+class _Input:
+    """Captures at its instants, with or without readers.
+
+    film: plays its file; None for a scene, which is captured at `pace`. take: called with each.
+    job: asks for the file's next picture or block. block_ns: what is captured began so long before.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        name: str,
+        film: Worker | None,
+        pace: Pace,
+        take: ShowSound,
+        *,
+        job: str | None = None,
+        block_ns: int = 0,
+    ) -> None:
+        self._name, self._agenda, self._state_at = name, scene.agenda, scene.state_at
+        self._film, self._pace, self._take = film, pace, take
+        self._job, self._block_ns = job, block_ns
+        self._coming: Job | None = None
+        self._sequence = 0
+        self._capturing = Capturing(scene.telling.probe(scene.topology.input(name).process))
+        scene.telling.add(self._capturing.tell)
+        if film is None:
+            self._agenda.at(pace.due_ns(scene.start_ns), self._capture)
+        else:
+            self._ask(film)
+            self._agenda.at(scene.start_ns, self._wait)
+
+    def _ask(self, film: Worker) -> None:
+        """Begin to prepare the file's next picture or block."""
+        self._coming = film.submit(self._job)
+
+    def _stamp(self, capture_ns: int) -> CaptureStamp:
+        stamp = CaptureStamp(capture_ns, self._sequence, self._name)
+        self._sequence += 1
+        self._capturing.handle_captured(stamp)
+        return stamp
+
+    def _capture(self, now_ns: int) -> None:
+        self._take(self._stamp(now_ns - self._block_ns), self._state_at(now_ns), now_ns)
+        self._pace.handle_taken()
+        self._agenda.at(self._pace.due_ns(now_ns), self._capture)
+
+    def _wait(self, now_ns: int) -> None:
+        assert self._coming is not None and self._film is not None
+        capture_ns = self._coming.result()
+        if capture_ns is not None:
+            self._ask(self._film)
+            self._agenda.at(max(capture_ns + self._block_ns, now_ns), self._play)
+
+    def _play(self, now_ns: int) -> None:
+        self._take(self._stamp(now_ns - self._block_ns), None, now_ns)
+        self._wait(now_ns)
+
+
+class Camera(_Input):
+    """Captures pictures of a scene at its rate, or pictures of a file at the file's instants.
+
+    film: plays the file; None for a scene. show: called the cost of a capture after each.
+    """
+
+    def __init__(
+        self, scene: Scene, name: str, fps: int, film: Worker | None, show: ShowPicture
+    ) -> None:
+        self._cost_ns, self._show = scene.costs.ns("capture"), show
+        # All cameras capture at the same instants. Live scenes have phases to spread the load of
+        # the machine; here the encoders of the same instant share the cores.
+        super().__init__(scene, name, film, Pace(fps, scene.start_ns), self._shoot, job=name)
+
+    def _shoot(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
+        shots = (Shot(self._name, stamp.sequence, state),)
+        self._agenda.at(now_ns + self._cost_ns, partial(self._show, shots, stamp))
+
+
+class Microphone(_Input):
+    """Captures sound in blocks of 20 ms. film: as of `Camera`. show: called with a whole block."""
+
+    def __init__(self, scene: Scene, name: str, film: Worker | None, show: ShowSound) -> None:
+        pace = Pace(VOICE_PACKETS_PER_S, scene.start_ns, patience=2)
+        super().__init__(scene, name, film, pace, show, block_ns=BLOCK_NS)
+
+
+class Stereo:
+    """Pairs the pictures of the two cameras. Drawing comes later, when a pair is encoded."""
+
+    def __init__(self, scene: Scene, fps: int, show: ShowPicture) -> None:
+        self._pairer = StereoPairer(period_ns=NS_PER_S // fps)
+        self._agenda, self._show = scene.agenda, show
+        merged = scene.topology.topic(scene.topology.camera(STEREO).topic)
+        self._probe = scene.telling.probe(merged.writer)
+        scene.telling.add(self.tell)
+
+    def handle_picture(
+        self, picture: Picture, stamp: CaptureStamp, now_ns: int, *, right: bool
+    ) -> None:
+        handle = self._pairer.handle_right if right else self._pairer.handle_left
+        # The pairer reads stamps only, so a Shot can stand in for a picture.
+        handle(VideoFrame(cast(I420, picture[0]), stamp), now_ns)
+        self._give(now_ns)
+        due_ns = self._pairer.poll_timeout()
+        if due_ns is not None:
+            self._agenda.at(max(due_ns, now_ns + 1), self._expire)
+
+    def _expire(self, now_ns: int) -> None:
+        self._pairer.handle_timeout(now_ns)
+        self._give(now_ns)
+
+    def _give(self, now_ns: int) -> None:
+        while (pair := self._pairer.next_event()) is not None:
+            left, right = (
+                None if frame is None else cast(Shot, frame.data)
+                for frame in (pair.left, pair.right)
+            )
+            self._show((left, right), pair.stamp, now_ns)
+
+    def tell(self) -> None:
+        pairer = self._pairer
+        self._probe.tell(StereoFigures(paired=pairer.paired, single=pairer.single))
+
 
 #: Takes the datagrams of a flow that come out of the link, with the instant.
 Consumer = Callable[[bytes, int], object]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scene:
-    """What the parts of a simulated session share.
-
-    ground, space: the gateways. state_at: the newest state of the robot. start_ns: when it begins.
-    """
-
-    setup: Setup
-    topology: Topology
-    costs: CodingCosts
-    seed: int
-    agenda: Agenda
-    telling: Telling
-    workers: Workers
-    ground: Gateway
-    space: Gateway
-    state_at: Callable[[int], WorldState]
-    start_ns: int
 
 
 class Media:
@@ -99,14 +215,14 @@ class Media:
         self._send_uplink_video()
         if setup.uplink_voice is not None:
             self._receive_voice(setup.uplink_voice, pictures)
-            self._send_voice(setup.uplink_voice, GROUND_MIC, scene.ground)
+            self._send_voice(setup.uplink_voice, GROUND_MIC)
         pictures_down = None
         if setup.downlink_video is not None:
             pictures_down = self._receive_video(setup.downlink_video)
             self._send_downlink_video(setup.downlink_video)
         if setup.downlink_voice is not None:
             self._receive_voice(setup.downlink_voice, pictures_down)
-            self._send_voice(setup.downlink_voice, ISS_MIC, scene.space)
+            self._send_voice(setup.downlink_voice, ISS_MIC)
 
     def settle(self, until_ns: int, now_ns: int) -> None:
         """Wait for all that was decoded by `until_ns`; it is `now_ns`."""
@@ -120,7 +236,7 @@ class Media:
         setup, stream = self._scene.setup, self._scene.setup.uplink_video
         tip = tip_region(setup)
         studio = self._studio(stream, setup.camera_inputs, regions=tip is not None)
-        sender = self._video_sender(stream, self._scene.ground, studio)
+        sender = self._video_sender(stream, studio)
         sender.tip = None if tip is None else (tip, self._scene.state_at)
         follower = sender.follower = CameraFollower()
         sender.on_confirmed = self._on_confirmed
@@ -132,12 +248,7 @@ class Media:
 
         stereo = None
         if STEREO in setup.cameras:
-            merged = self._scene.topology.topic(self._scene.topology.camera(STEREO).topic)
-            probe = self._scene.telling.probe(merged.writer)
-            stereo = Stereo(
-                stream.fps, agenda=self._scene.agenda, probe=probe, show=partial(select, STEREO)
-            )
-            self._scene.telling.add(stereo.tell)
+            stereo = Stereo(self._scene, stream.fps, partial(select, STEREO))
 
         def show(camera: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
             if stereo is not None and camera in STEREO_INPUTS:
@@ -145,12 +256,12 @@ class Media:
             select(camera, picture, stamp, now_ns)
 
         for name in setup.camera_inputs:
-            self._camera(name, stream, self._film(name, studio), partial(show, name))
+            Camera(self._scene, name, stream.fps, self._film(name, studio), partial(show, name))
 
     def _send_downlink_video(self, stream: VideoStream) -> None:
         studio = self._studio(stream, [ISS_CAMERA])
-        sender = self._video_sender(stream, self._scene.space, studio)
-        self._camera(ISS_CAMERA, stream, self._film(ISS_CAMERA, studio), sender.handle_picture)
+        show = self._video_sender(stream, studio).handle_picture
+        Camera(self._scene, ISS_CAMERA, stream.fps, self._film(ISS_CAMERA, studio), show)
 
     def handle_choice(self, choice: Choice, now_ns: int) -> None:
         """The selector says which camera to take."""
@@ -169,91 +280,33 @@ class Media:
         """What plays the file of an input; None for a scene."""
         return None if self._scene.setup.source(name).startswith("scene:") else studio
 
-    def _camera(
-        self, name: str, stream: VideoStream, film: Worker | None, show: ShowPicture
-    ) -> None:
-        scene = self._scene
-        camera = Camera(
-            name,
-            stream.fps,
-            agenda=scene.agenda,
-            worker=film,
-            probe=scene.telling.probe(scene.topology.input(name).process),
-            state_at=scene.state_at,
-            cost_ns=scene.costs.ns("capture"),
-            show=show,
-            now_ns=scene.start_ns,
-        )
-        scene.telling.add(camera.tell)
-
-    def _video_sender(
-        self, stream: VideoStream, gateway: Gateway, studio: Worker
-    ) -> VideoSendProcess:
-        scene = self._scene
-        identity = self._identity(stream.name)
-        sender = VideoSendProcess(
-            stream.name,
-            video_sender(scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS),
-            scene.telling.probe(scene.topology.media(stream.name).sender),
-            gain_of(scene.setup, stream),
-            agenda=scene.agenda,
-            gateway=gateway,
-            studio=studio,
-            costs=scene.costs,
-        )
+    def _video_sender(self, stream: VideoStream, studio: Worker) -> VideoSendProcess:
+        gateway = self._scene.sending_gateway(stream.name)
+        sender = VideoSendProcess(self._scene, stream, self._core(stream), gateway, studio)
         self._add_sender(stream, sender)
         return sender
 
-    def _add_sender(
-        self, stream: VideoStream, sender: VideoSendProcess | RecordedVideoProcess
-    ) -> None:
+    def _core(self, stream: VideoStream) -> VideoSender:
+        identity = self._scene.identity(stream.name)
+        return video_sender(self._scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS)
+
+    def _add_sender(self, stream: VideoStream, sender: VideoProcess) -> None:
         scene = self._scene
-        scene.telling.add(sender.tell)
         self.consumers[scene.topology.video(stream.name).feedback] = sender.handle_feedback
         self.backlogs[scene.setup.profile_of(stream).name] = sender.handle_backlog
 
-    def _send_voice(self, stream: VoiceStream, name: str, gateway: Gateway) -> None:
+    def _send_voice(self, stream: VoiceStream, name: str) -> None:
         scene = self._scene
         spec = scene.setup.source(name)
         studio = scene.workers.start(partial(VoiceStudio, stream, name, spec, scene.start_ns))
-        identity = self._identity(stream.name)
-        sender = VoiceSendProcess(
-            stream.name,
-            voice_sender(scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS),
-            scene.telling.probe(scene.topology.media(stream.name).sender),
-            agenda=scene.agenda,
-            gateway=gateway,
-            studio=studio,
-            costs=scene.costs,
-        )
-        microphone = Microphone(
-            name,
-            agenda=scene.agenda,
-            worker=None if spec.startswith("scene:") else studio,
-            probe=scene.telling.probe(scene.topology.input(name).process),
-            state_at=scene.state_at,
-            show=sender.handle_sound,
-            now_ns=scene.start_ns,
-        )
-        scene.telling.add(sender.tell)
-        scene.telling.add(microphone.tell)
+        sender = VoiceSendProcess(scene, stream, studio)
+        Microphone(scene, name, self._film(name, studio), sender.handle_sound)
 
     def _receive_video(self, stream: VideoStream) -> VideoReceiveProcess:
-        scene, display = self._scene, self._display(stream.name)
-        probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
-        far = scene.space if stream is scene.setup.uplink_video else scene.ground
+        display = self._display(stream.name)
         watched = (stream.width, stream.height) if stream.name in OPERATORS else None
-        ssrc = Random(f"{scene.seed} {stream.name} receiver").getrandbits(32)
-        receiver = VideoReceiveProcess(
-            stream.name,
-            video_receiver(stream, ssrc=ssrc, wall_offset_ns=WALL_OFFSET_NS),
-            probe,
-            display,
-            agenda=scene.agenda,
-            decoder=scene.workers.start(self._decoding(stream, watched)),
-            costs=scene.costs,
-            ask=partial(far.handle_datagram, scene.topology.video(stream.name).feedback),
-        )
+        make = self._decoding(stream, watched)
+        receiver = VideoReceiveProcess(self._scene, stream, display, make)
         self._add_receiver(stream.name, receiver)
         self._video_receivers[stream.name] = receiver
         return receiver
@@ -265,17 +318,7 @@ class Media:
         return partial(VideoDecoding, watched)
 
     def _receive_voice(self, stream: VoiceStream, pictures: VideoReceiveProcess | None) -> None:
-        scene, display = self._scene, self._display(stream.name)
-        probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
-        receiver = VoiceReceiveProcess(
-            stream.name,
-            voice_receiver(scene.topology, stream, wall_offset_ns=WALL_OFFSET_NS),
-            probe,
-            display,
-            agenda=scene.agenda,
-            decoder=scene.workers.start(partial(VoiceDecoding, watched=stream.name in OPERATORS)),
-            costs=scene.costs,
-        )
+        receiver = VoiceReceiveProcess(self._scene, stream, self._display(stream.name))
         if pictures is not None:
             pictures.on_shown = receiver.handle_picture_shown
         self._add_receiver(stream.name, receiver)
@@ -286,10 +329,8 @@ class Media:
         self.consumers[stream] = receiver.handle_packet
         self.consumers[f"{stream}_rtcp"] = receiver.handle_report
         self._receivers.append(receiver)
-        self._scene.telling.add(receiver.tell)
 
     def _display(self, stream: str) -> Display:
-        """The display that shows `stream`."""
         telling, topology = self._scene.telling, self._scene.topology
         name = topology.media(stream).display
         if name not in self._displays:
@@ -298,6 +339,3 @@ class Media:
             telling.add(lambda: showing.tell(self._settled_ns))
             self._displays[name] = Display(showing)
         return self._displays[name]
-
-    def _identity(self, stream: str) -> RtpIdentity:
-        return RtpIdentity.draw(Random(f"{self._scene.seed} {stream}").getrandbits)

@@ -6,17 +6,18 @@ Everything happens in the order of its instant, so the same seed gives the same 
 machine.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from random import Random
-from typing import Protocol
 
 import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
+from pipelines.hand.operator_view import CameraWatch
+from pipelines.hand.replaying import ReplayedEnd
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
@@ -26,20 +27,19 @@ from pipelines.report.arm_figures import run_since
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
 from pipelines.report.session_report import build_report
-from pipelines.session.probe import FLUSH_NS, Probe
-from pipelines.session.setup.table import Setup
+from pipelines.session.probe import FLUSH_NS
+from pipelines.session.setup.table import STEREO, Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
-from pipelines.virtual.agenda import FAR_NS, Agenda, Timer
-from pipelines.virtual.costs import CodingCosts
-from pipelines.virtual.media import Consumer, Media, Scene
-from pipelines.virtual.mission import SimulatedMission
-from pipelines.virtual.telling import Telling
-from pipelines.virtual.tmtc import SimulatedTmtc
-from pipelines.virtual.workers import Workers
+from pipelines.virtual.agenda import FAR_NS, Agenda, CodingCosts, Telling, Timer
+from pipelines.virtual.media import Consumer, Media
+from pipelines.virtual.mission import SimulatedMission, SimulatedTmtc
+from pipelines.virtual.workers import Scene, Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.simulated import SimulatedDevice
+from telepresence.haptics.envelope import Hold, SafetyEnvelope
 from telepresence.haptics.mediated.wall import is_wall
 from telepresence.haptics.session import LIVES
 from telepresence.link.gateway import Gateway
@@ -63,18 +63,8 @@ class Selection:
     camera: str
 
 
-class HapticEnd(Protocol):
-    """Robot or joystick, one cycle at a time; see `pipelines.hand.haptics`."""
-
-    def handle_datagram(self, data: bytes, now_ns: int) -> None: ...
-
-    def handle_cycle(self, now_ns: int, advance_ns: int) -> None: ...
-
-    def poll_transmit(self, now_ns: int) -> bytes | None: ...
-
-    def next_event(self) -> WorldState | None: ...
-
-    def tell(self) -> None: ...
+#: Robot or joystick, one cycle at a time; a recording drives both.
+HapticEnd = RobotEnd | JoystickEnd | ReplayedEnd
 
 
 class Simulation:
@@ -120,10 +110,11 @@ class Simulation:
         if plan is not None:
             seed_of_hand = self._random("cosmonaut").getrandbits(32)
             self._cosmonaut = Cosmonaut(Skill(level=plan[0].skill), seed=seed_of_hand)
-        self._device = joystick
+        self._device, self._mediated = joystick, setup.hand == "mediated"
         self._costs = costs or CodingCosts()
         self._agenda = agenda = Agenda()
         self._telling = telling = Telling(self.collector)
+        self._probe = telling.probe
         self._epoch_ns = epoch_ns
         self.start_ns = self._now_ns = self._next_slot_ns = start_ns
         self._state: WorldState | None = None
@@ -132,6 +123,18 @@ class Simulation:
         self._samples_down: list[bytes] = []
         ground_end, space_end = self._gateway(Segment.GROUND), self._gateway(Segment.SPACE)
         self._ground, self._space = ground_end.gateway, space_end.gateway
+        scene = self._scene = Scene(
+            setup=setup,
+            topology=self.topology,
+            costs=self._costs,
+            seed=seed,
+            agenda=agenda,
+            telling=telling,
+            workers=workers,
+            gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
+            state_at=self._state_at,
+            start_ns=start_ns,
+        )
         self._slots_of = [ground_end.slots, space_end.slots]
         # When the next frame arrives: asked twice a slot, so without a detour.
         self._up_timeout = self._ground.radio.poll_timeout
@@ -143,7 +146,10 @@ class Simulation:
         telling.add(self._joystick.tell)
         #: None while a recording drives the robot.
         self.robot_desk: RobotDesk | None = None
+        self._watch: CameraWatch | None = None
         if isinstance(self._robot, RobotEnd):
+            envelope = self._robot.envelope
+            self._watch = CameraWatch(STEREO, 0, lambda: envelope.require_press(Hold.CAMERA))
             life = self._life(self.topology.haptic("up").sender)
             self.robot_desk = RobotDesk(
                 self._robot.side, life=life, tasks=plan is not None, now_ns=start_ns
@@ -153,18 +159,9 @@ class Simulation:
         telling.add(self._choice.tell)
         end = self._joystick
         self.tmtc = tmtc = SimulatedTmtc(
-            setup,
-            agenda,
-            send={
-                Segment.GROUND: partial(self._ground.handle_datagram, TELEMETRY),
-                Segment.SPACE: partial(self._space.handle_datagram, TELECOMMAND),
-            },
-            gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
-            state_at=self._state_at,
+            scene,
             robot=self.robot_desk,
             handle=end.side.handle if isinstance(end, JoystickEnd) else None,
-            random=self._random("tmtc"),
-            now_ns=start_ns,
             silent=self._recorded,
         )
         telling.add(partial(tmtc.ends[Segment.GROUND].tell, ground_probe))
@@ -176,25 +173,9 @@ class Simulation:
         self.answers: dict[int, CommandUpdate] = {}
         for number, selection in enumerate(selections):
             agenda.at(selection.instant_ns, partial(self._select, number, selection.camera))
-        self._media: Media | None = None
-        if media:
-            scene = Scene(
-                setup=setup,
-                topology=self.topology,
-                costs=self._costs,
-                seed=seed,
-                agenda=agenda,
-                telling=telling,
-                workers=workers,
-                ground=self._ground,
-                space=self._space,
-                state_at=self._state_at,
-                start_ns=start_ns,
-            )
-            self._media = self._make_media(scene)
-        consumers: dict[str, Consumer] = self._media.consumers if self._media else {}
-        self._consumers = {
-            **consumers,
+        self._media = self._make_media(scene) if media else None
+        self._consumers: dict[str, Consumer] = {
+            **(self._media.consumers if self._media else {}),
             TELECOMMAND: self._take_telecommand,
             TELEMETRY: self._take_telemetry,
         }
@@ -209,14 +190,12 @@ class Simulation:
             plan,
             catalogue,
             cosmonaut,
+            self._scene,
             robot=robot,
             joystick=joystick,
-            gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
             tmtc=self.tmtc,
             choice=self._choice,
             select=self._select_below,
-            agenda=self._agenda,
-            now_ns=self.start_ns,
         )
 
     def run(self, until_ns: int) -> None:
@@ -235,6 +214,7 @@ class Simulation:
         next_state, advance = robot.next_event, self._advance
         samples_down, samples_up = self._samples_down, self._samples_up
         poll_wall = robot.poll_wall if isinstance(robot, RobotEnd) and self._mediated else None
+        see = self._sight()
         half_ns = CYCLE_NS // 2
         slot_ns = self._next_slot_ns
         while slot_ns < until_ns:
@@ -265,6 +245,8 @@ class Simulation:
             state = next_state()
             if state is not None:
                 self._state = state
+                if see is not None:
+                    see(state.x_m, state.y_m)
             slot_ns += CYCLE_NS
         self._next_slot_ns = slot_ns
         advance(until_ns)
@@ -297,34 +279,40 @@ class Simulation:
         tasks = None if rows is None else [run_since(self.start_ns, row) for row in rows]
         return msgspec.structs.replace(report, simulation=simulation, tasks=tasks)
 
-    @property
-    def _mediated(self) -> bool:
-        return self.setup.hand == "mediated"
-
     def _make_ends(self) -> tuple[HapticEnd, HapticEnd]:
-        """Robot and joystick."""
         up = self.topology.haptic("up")
-        deadband = self.setup.deadband != "off"
+        deadband, mediated = self.setup.deadband != "off", self._mediated
+        #: The joystick in a hand; None for the one that taps targets.
+        handle: Handle | None = None
+        if self._device is not None:
+            handle = OperatedHandle(self._device)
+        elif self._cosmonaut is not None:
+            handle = HeldJoystick(hand=self._cosmonaut)
+        probe, life = self._probe(up.sender), self._life(up.sender)
         robot = RobotEnd(
-            self._probe(up.sender),
-            life=self._life(up.sender),
+            probe,
+            life=life,
             deadband=deadband,
-            mediated=self._mediated,
+            mediated=mediated,
+            envelope=SafetyEnvelope(self.setup.safety),
         )
+        probe, life = self._probe(up.receiver), self._life(up.receiver)
         joystick = JoystickEnd(
-            self._probe(up.receiver),
-            life=self._life(up.receiver),
-            deadband=deadband,
-            mediated=self._mediated,
-            handle=self._make_handle(),
+            probe, life=life, deadband=deadband, mediated=mediated, handle=handle
         )
         return robot, joystick
 
-    def _make_handle(self) -> Handle | None:
-        """The joystick in a hand; None for the one that taps targets."""
-        if self._device is not None:
-            return OperatedHandle(self._device)
-        return None if self._cosmonaut is None else HeldJoystick(hand=self._cosmonaut)
+    def _sight(self) -> Callable[[float, float], None] | None:
+        """What shows the robot to a simulated hand."""
+        if not isinstance(self._joystick, JoystickEnd):
+            return None
+        handle = self._joystick.side.handle
+        if isinstance(handle, HeldJoystick):
+            return handle.hand.see
+        device = handle.device if isinstance(handle, OperatedHandle) else None
+        if isinstance(device, SimulatedDevice) and device.hand is not None:
+            return device.hand.see
+        return None
 
     def _life(self, process: str) -> int:
         return self._random(f"{process} life").randrange(1, LIVES)
@@ -388,14 +376,8 @@ class Simulation:
             first_ns=self.start_ns,
         )
 
-        def tell() -> None:
-            end.tell(self._now_ns)
-
-        self._telling.add(tell)
+        self._telling.add(lambda: end.tell(self._now_ns))
         return end
-
-    def _probe(self, process: str) -> Probe:
-        return self._telling.probe(process)
 
     def _random(self, what: str) -> Random:
         return Random(f"{self._seed} {what}")
@@ -418,14 +400,14 @@ class Simulation:
         if isinstance(news, CommandUpdate) and news.client == _SCRIPT:
             self.answers[news.id] = news
 
+    def _take_telecommand(self, data: bytes, now_ns: int) -> None:
+        self.tmtc.handle_packet(Segment.GROUND, data, now_ns)
+
     def _take_telemetry(self, data: bytes, now_ns: int) -> None:
         if self.tmtc.handle_packet(Segment.SPACE, data, now_ns):
             return
         if isinstance(self._joystick, JoystickEnd) and is_wall(data):
             self._joystick.handle_wall(data)
-
-    def _take_telecommand(self, data: bytes, now_ns: int) -> None:
-        self.tmtc.handle_packet(Segment.GROUND, data, now_ns)
 
     def _take_asked(self, news: TmtcNews, now_ns: int) -> None:
         if isinstance(news, FunctionAsked):
@@ -447,6 +429,8 @@ class Simulation:
         self._choice_timer.set(self._choice.poll_timeout(), now_ns)
 
     def _follow(self, choice: Choice, now_ns: int) -> None:
+        if self._watch is not None:
+            self._watch.handle_choice(choice.camera)
         if self._media is None:
             self._choice.handle_confirmed(choice.number)
         else:

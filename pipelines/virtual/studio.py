@@ -66,12 +66,7 @@ class VideoStudio:
     """
 
     def __init__(
-        self,
-        stream: VideoStream,
-        cameras: dict[str, str],
-        start_ns: int,
-        *,
-        regions: bool = False,
+        self, stream: VideoStream, cameras: dict[str, str], start_ns: int, *, regions: bool = False
     ) -> None:
         self._stream = stream
         self._encoder = H264Encoder(

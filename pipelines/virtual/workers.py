@@ -1,5 +1,7 @@
 """Worker processes that code pictures and sounds while virtual time goes on, one a stream's end.
 
+`Scene` is what the parts of a simulated session share, these workers among it.
+
 A coding step takes a fixed virtual time. So it begins at once, and its result is needed only when
 that time is over. Results depend on the jobs and their order alone.
 """
@@ -9,15 +11,22 @@ import pickle
 import signal
 import traceback
 from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from types import TracebackType
-from typing import Any, Self
+from random import Random
+from typing import Any
 
 import cv2
 
+from kontur_av.rtp.sender import RtpIdentity
 from pipelines.session.launcher import keep_memory
+from pipelines.session.setup.table import Setup
+from pipelines.session.topology import Segment, Topology
+from pipelines.virtual.agenda import Agenda, CodingCosts, Telling
+from telepresence.link.gateway import Gateway
+from telepresence.world import WorldState
 
 #: Jobs in a batch.
 _BATCH = 8
@@ -41,7 +50,6 @@ class Job:
         return self._result
 
     def set(self, result: Any) -> None:
-        """Store the coder's result."""
         self._result, self._done = result, True
 
 
@@ -81,7 +89,6 @@ class Worker:
         return waiting
 
     def receive(self) -> None:
-        """Wait for the next result."""
         try:
             # Unpickling is safe: only our own process writes to this pipe.
             fault, result = pickle.loads(self._link.recv_bytes())
@@ -92,7 +99,6 @@ class Worker:
         self._open.popleft().set(result)
 
     def close(self) -> None:
-        """End the process."""
         self._link.close()
         self._process.join(5)
         if self._process.is_alive():
@@ -112,7 +118,6 @@ class Batch:
         self._results: deque[Any] = deque()
 
     def submit(self, job: Any) -> None:
-        """Add `job` to the present batch."""
         self._jobs.append(job)
         if len(self._jobs) == _BATCH:
             self._begin()
@@ -130,31 +135,50 @@ class Batch:
         self._jobs = []
 
 
-class Workers:
+class Workers(ExitStack):
     """All workers of a simulation. A context manager, which ends them."""
 
     def __init__(self) -> None:
-        self._workers: list[Worker] = []
+        super().__init__()
         self._links: list[Connection] = []
 
     def start(self, make: Callable[[], Coder]) -> Worker:
         """Start a process. make: called there to make its coder."""
         worker = Worker(make, self._links)
         worker.start()
-        self._workers.append(worker)
+        self.callback(worker.close)
         return worker
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        for worker in self._workers:
-            worker.close()
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """What the parts of a simulated session share.
+
+    state_at: the newest state of the robot. start_ns: when it begins.
+    """
+
+    setup: Setup
+    topology: Topology
+    costs: CodingCosts
+    seed: int
+    agenda: Agenda
+    telling: Telling
+    workers: Workers
+    gateways: Mapping[Segment, Gateway]
+    state_at: Callable[[int], WorldState]
+    start_ns: int
+
+    def sending_gateway(self, stream: str) -> Gateway:
+        """The gateway into which a stream goes."""
+        return self.gateways[self.topology.media(stream).direction.sender]
+
+    def random(self, what: str) -> Random:
+        """The random numbers of one part, the same with the same seed."""
+        return Random(f"{self.seed} {what}")
+
+    def identity(self, stream: str) -> RtpIdentity:
+        """The numbers of a stream's RTP packets."""
+        return RtpIdentity.draw(self.random(stream).getrandbits)
 
 
 def _work(make: Callable[[], Coder], link: Connection, others: list[Connection]) -> None:

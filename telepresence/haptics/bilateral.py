@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.board import Board, led_at
+from telepresence.haptics.envelope import Hold, SafetyEnvelope
 from telepresence.haptics.figures import PortFigures
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
 from telepresence.haptics.joystick import Joystick, JoystickModel
@@ -34,7 +35,7 @@ class Handle(Protocol):
 
     x_m, y_m: position (m).
     force_limit_n: the force that its motors can exert now (N).
-    dead_man, buttons, state: the values that the command samples carry.
+    dead_man, buttons, state, stop, blind: the values that the command samples carry.
     """
 
     x_m: float
@@ -43,6 +44,8 @@ class Handle(Protocol):
     dead_man: bool
     buttons: int
     state: int
+    stop: bool
+    blind: bool
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
         """Apply this force (N, N) for `dt_ns` (at most 1 ms) and update the position."""
@@ -54,6 +57,12 @@ class HeldJoystick(Joystick):
     def __init__(self, model: JoystickModel | None = None, *, hand: Hand | None = None) -> None:
         self.hand = hand = hand or Hand()
         super().__init__(model, x_m=hand.x_m, y_m=hand.y_m)
+
+    def handle_feedback(self, feedback: Feedback | None) -> None:
+        """Let the hand know whether the robot is heard, and waits for a press."""
+        waiting = feedback is not None and feedback.waiting
+        self.hand.handle_robot(feedback is not None, waiting, self.x_m, self.y_m)
+        self.dead_man = self.hand.dead_man
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
         """Advance by `dt_ns` with this motor force (N, N)."""
@@ -153,6 +162,8 @@ class JoystickSide(_Side):
             handle.buttons,
             acted,
             state >= STATE_HALTED,
+            handle.stop,
+            handle.blind,
         )
         self.link.handle_local(_tuple(Command, command), now_ns)
 
@@ -182,6 +193,8 @@ class RobotSide(_Side):
     model: parameters of the controller.
     mediated: the wall is estimated; send what `poll_wall` returns as telemetry.
     ownership: who may drive, where a partner can; the caller asks it for each datagram.
+    envelope: whether the robot may follow the hand; None: whenever a fresh command has the dead-man
+    button pressed.
 
     force_x_n, force_y_n: the coordinating force (N). For `robot`, see `Robot`.
     A robot that is not coupled follows its own mode, and the operator feels nothing.
@@ -197,9 +210,13 @@ class RobotSide(_Side):
         link: HapticLink[Feedback, Command] | None = None,
         mediated: bool = False,
         ownership: HapticOwnership | None = None,
+        envelope: SafetyEnvelope | None = None,
     ) -> None:
         self.robot = robot = robot or Robot(board=board)
         self.ownership = ownership
+        self.envelope = envelope
+        self._restarts = 0
+        self._now_ns = 0
         self.estimator = WallEstimator() if mediated else None
         self.controller: RobotController = RobotController(
             model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
@@ -213,6 +230,11 @@ class RobotSide(_Side):
         robot, controller = self.robot, self.controller
         # The force that a step measures belongs to the position before it.
         x_m, y_m = robot.x_m, robot.y_m
+        self._now_ns = now_ns
+        envelope = self.envelope
+        if envelope is not None and self.link.session.restarts != self._restarts:
+            self._restarts = self.link.session.restarts
+            envelope.require_press(Hold.JOYSTICK_STARTED)
         acted = self._advance(now_ns, advance_ns)
         contact = robot.contact
         if self.ownership is not None:
@@ -220,6 +242,8 @@ class RobotSide(_Side):
             if self.ownership.handle_robot(speed_m_s, now_ns):
                 # No energy of the owner before pays for a movement of the new one.
                 controller.port.discard_credit(max(0.0, controller.port.credit_j))
+                if envelope is not None:
+                    envelope.require_press(Hold.OWNER)
         if self.estimator is not None:
             self.estimator.handle_sample(now_ns, x_m, y_m, robot.push_x_n, robot.push_y_n, contact)
         self.lit = lit = led_at(robot.x_m, robot.y_m) if contact else None
@@ -232,6 +256,8 @@ class RobotSide(_Side):
             lit,
             acted,
             not robot.coupled,
+            envelope is not None and envelope.waiting,
+            envelope is not None and envelope.stopped,
         )
         self.link.handle_local(_tuple(Feedback, feedback), now_ns)
 
@@ -247,9 +273,15 @@ class RobotSide(_Side):
             robot.drive(dt_ns)
             controller.release(robot.x_m, robot.y_m)
             self.force_x_n = self.force_y_n = 0.0
+            if self.envelope is not None:
+                self.envelope.handle_off(command, self._now_ns)
             return
-        if self.ownership is not None:
-            command = self.ownership.admit(command)
+        envelope = self.envelope
+        if envelope is not None:
+            command = envelope.admit(
+                command, controller.reference_x_m, controller.reference_y_m, self._now_ns
+            )
+            controller.speed_m_s = envelope.speed_m_s
         x, y, vx, vy = robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s
         fx, fy = controller.step(command, x, y, vx, vy, dt_ns, touching=robot.contact)
         self.force_x_n, self.force_y_n = fx, fy

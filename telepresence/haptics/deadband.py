@@ -76,8 +76,8 @@ class Deadband:
         """Return the sample to send for `value` (a `Command` or a `Feedback`), or None.
 
         holding: the flag that goes with the sample. A change of `holding`, contact, state, mode,
-        buttons, LED or `halted` is always sent. `acted` is also set if the passivity controller
-        acted during a sample that was left out.
+        buttons, LED, or of a flag from `halted` on is always sent. `acted` is also set if the
+        passivity controller acted during a sample that was left out.
         """
         self.samples += 1
         sent = self._sent
@@ -96,7 +96,7 @@ class Deadband:
                 dx * dx + dy * dy < room * room
                 and value[2] - sent[2] < self._energy_uj
                 and value[3:_ACTED] == sent[3:_ACTED]
-                and value[_HALTED] == sent[_HALTED]
+                and value[_HALTED:] == sent[_HALTED:]
                 and holding == self._holding
             ):
                 self.left_out += 1

@@ -70,6 +70,7 @@ class Joystick:
         self.force_limit_n = model.force_limit_n
         self.dead_man = True
         self.buttons = 0
+        self.stop = self.blind = False
         self.state = STATE_APPLICATION
         # Unpacked in one step, because `push` is called a thousand times a second.
         self._constants = (

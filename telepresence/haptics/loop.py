@@ -47,6 +47,9 @@ _WINDOW_MASK = (1 << _WINDOW) - 1
 
 #: How far a number may run ahead of the time that passed, because paths deliver in bursts.
 _SLACK = 1000
+#: Numbers out of that range that follow each other for so long, with none in it, are the peer's
+#: present ones: this end, or its path, has stalled.
+_REANCHOR_NS = 50 * NS_PER_MS
 
 #: Skips the NamedTuple's own `__new__`, which is one more Python call a thousand times a second.
 _tuple = tuple.__new__
@@ -142,6 +145,9 @@ class HapticLink(Generic[Out, In]):
         self._newest_ns = 0
         self._newest_sequence = 0
         self._seen = 0
+        #: The newest number out of range, and since when such numbers follow each other.
+        self._strange = 0
+        self._strange_ns = 0
         self._hearing = False
         self._events: deque[HapticEvent] = deque(maxlen=64)
         # Each kept object would take memory that no cache holds, so keep few: numbers sent follow
@@ -306,8 +312,12 @@ class HapticLink(Generic[Out, In]):
             self._count_late(SEQUENCE_MODULUS - ahead)
             return False
         if ahead > self._furthest(now_ns):
-            self.late += 1
-            return False
+            if not self._is_anchor(sequence, now_ns):
+                self.late += 1
+                return False
+            self._newest_sequence = sequence
+            self._seen = _WINDOW_MASK
+            return True
         self.lost += ahead - 1
         self._newest_sequence = sequence
         self._seen = ((self._seen << ahead) | 1) & _WINDOW_MASK if ahead < _WINDOW else 1
@@ -329,6 +339,14 @@ class HapticLink(Generic[Out, In]):
             self._newest_sequence = sequence - 1
             self._seen = _WINDOW_MASK
         return True
+
+    def _is_anchor(self, sequence: int, now_ns: int) -> bool:
+        """Whether numbers out of range have followed each other for `_REANCHOR_NS`."""
+        step = (sequence - self._strange) % SEQUENCE_MODULUS
+        if not 0 < step <= _WINDOW or self._newest_ns >= self._strange_ns:
+            self._strange_ns = now_ns
+        self._strange = sequence
+        return now_ns - self._strange_ns >= _REANCHOR_NS
 
     def _furthest(self, now_ns: int) -> int:
         """How far a number can be ahead: the peer sends at most one sample a millisecond."""

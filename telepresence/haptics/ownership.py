@@ -6,10 +6,9 @@ the place of the ISS. Here that is one explicit state at the robot, next to the 
 An operator on the ground hands the port over. Then nobody drives: the datagrams of both are
 dropped, so the controller has no command and holds. Once the tip has rested for `REST_NS`, the new
 owner's datagrams are taken, and a haptic session with it begins (`session.py`). Its commands move
-nothing until one of them had the dead-man button released: who takes over presses it knowingly.
+nothing before a new press of the dead-man button (`envelope.py`).
 
-In each cycle: ask `takes` for each datagram, pass the newest command through `admit`, then call
-`handle_robot`.
+In each cycle: ask `takes` for each datagram, then call `handle_robot`.
 """
 
 from collections import deque
@@ -19,7 +18,6 @@ from enum import Enum
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.figures import Newest
-from telepresence.haptics.sample import STATE_APPLICATION, Command
 
 #: The tip rests for this long before the port changes hands.
 REST_NS = 300 * NS_PER_MS
@@ -52,8 +50,6 @@ class OwnershipFigures:
     owner: Newest[Owner] | None
     #: Who was to drive.
     wanted: Owner
-    #: Whether the present owner has yet to release the dead-man button.
-    waiting: bool
     #: How often the port changed hands, the start included.
     turns: int
     #: Datagrams that came while their sender did not drive, by sender.
@@ -71,13 +67,11 @@ class HapticOwnership:
     it had.
     """
 
-    __slots__ = ("_admitted", "_events", "_refused", "_rest_ns", "_turns", "owner", "wanted")
+    __slots__ = ("_events", "_refused", "_rest_ns", "_turns", "owner", "wanted")
 
     def __init__(self, owner: Owner | None = Owner.ISS, *, wanted: Owner = Owner.ISS) -> None:
         self.owner = owner
         self.wanted = wanted
-        #: Whether a command with the dead-man button released has come from the owner.
-        self._admitted = owner is not None
         self._rest_ns: int | None = None
         self._turns = 0
         self._refused = dict.fromkeys(Owner, 0)
@@ -100,15 +94,6 @@ class HapticOwnership:
         self._refused[source] += 1
         return False
 
-    def admit(self, command: Command | None) -> Command | None:
-        """Return the command that the controller may follow."""
-        if self._admitted or command is None:
-            return command
-        if not command.dead_man or command.state != STATE_APPLICATION:
-            self._admitted = True
-            return command
-        return command._replace(dead_man=False)
-
     def handle_robot(self, speed_m_s: float, now_ns: int) -> bool:
         """The tip moves at this speed; return whether the port has just changed hands."""
         if self.owner is not None:
@@ -118,7 +103,6 @@ class HapticOwnership:
         if now_ns - self._rest_ns < REST_NS:
             return False
         self.owner = self.wanted
-        self._admitted = False
         self._turns += 1
         self._note(f"{self.owner.value} drives", now_ns)
         return True
@@ -128,7 +112,6 @@ class HapticOwnership:
         return OwnershipFigures(
             owner=self.owner,
             wanted=self.wanted,
-            waiting=self.owner is not None and not self._admitted,
             turns=self._turns,
             refused={owner.value: count for owner, count in self._refused.items()},
             events=tuple(self._events),

@@ -68,6 +68,7 @@ class RobotController(PortController):
     passive: if False, the controller only observes.
     reference_x_m, reference_y_m: the position that the tip is pulled to.
     holding: the reference follows no command.
+    speed_m_s: limit of the reference's speed; the caller may lower it.
     acted: number of steps that the passivity controller cut.
     """
 
@@ -85,6 +86,7 @@ class RobotController(PortController):
             Port(reserve_j=model.reserve_j, limit_j=model.limit_j) if passive else Port.observing()
         )
         self.acted = 0
+        self.speed_m_s = model.speed_m_s
         self.holding = True
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
@@ -95,7 +97,6 @@ class RobotController(PortController):
             model.damping_n_s_m,
             model.force_limit_n,
             model.follow_s,
-            model.speed_m_s,
             model.acceleration_m_s2,
             model.half_width_m,
             model.half_height_m,
@@ -128,7 +129,8 @@ class RobotController(PortController):
         x_m, y_m, vx_m_s, vy_m_s: position and velocity of the tip.
         touching: the tip touches something.
         """
-        stiffness, damping, limit, follow_s, speed, acceleration, width, height = self._constants
+        stiffness, damping, limit, follow_s, acceleration, width, height = self._constants
+        speed = self.speed_m_s
         dt_s = dt_ns / NS_PER_S
         port = self.port
         reference_x, reference_y = self.reference_x_m, self.reference_y_m

@@ -6,7 +6,8 @@ All numbers are big-endian (network order), signed ones in two's complement.
 |---|---|---|---|
 | 0..1 | sequence number, unsigned, wraps after 65536 samples | 1 | 0..65535 |
 | 2 | flags, see below | | |
-| 3, low 4 bits | command: state of the joystick; feedback: mode of the robot | | 0..7; 0..3 |
+| 3, low 3 bits | command: state of the joystick; feedback: mode of the robot | | 0..7; 0..3 |
+| 3, bit 3 | command: the operator's picture is too old; feedback: emergency stop | | 0, 1 |
 | 3, high 4 bits | command: buttons, a bit each; feedback: lit LED + 1, 0 for none | | 0..15 |
 | 4..5 | command: position x, signed; feedback: force x | 20 µm; 2 mN | ±0.65534 m; ±65.534 N |
 | 6..7 | command: position y; feedback: force y, signed | 20 µm; 2 mN | as above |
@@ -18,14 +19,13 @@ Flags, from the most significant bit:
 - 0x80: the sample is a feedback, else a command.
 - 0x40: no sample but a greeting, see below.
 - 0x20: the sender is halted or has a fault.
-- 0x10: the dead-man button is pressed (command).
+- 0x10: the dead-man button is pressed (command); the robot waits for a new press (feedback).
 - 0x08: the sender's passivity controller acted since its last sample.
 - 0x04: the sender receives nothing from its peer and holds.
 - 0x02: a value was out of range and was cut to its limit.
-- 0x01: the robot touches something (feedback).
+- 0x01: emergency stop (command); the robot touches something (feedback).
 
-A flag of the other direction is ignored. A state above 7, a mode above 3 and a session number of 0
-are never sent. They are refused, as is the count -32768.
+A mode above 3 and a session number of 0 are never sent. They are refused, as is the count -32768.
 
 A position or a force is rounded to the nearest count and saturates at ±32767 counts. The energy is
 rounded down, so that no energy is promised that does not exist. It saturates and never wraps.
@@ -68,6 +68,12 @@ FLAG_ACTED = 0x08
 FLAG_HOLDING = 0x04
 FLAG_SATURATED = 0x02
 FLAG_CONTACT = 0x01
+#: The same bits in the other direction.
+FLAG_WAITING = FLAG_DEAD_MAN
+FLAG_STOP = FLAG_CONTACT
+
+#: Bit 3 of octet 3.
+_BLIND = _STOPPED = 0x08
 
 #: States of the joystick (octet 3 of a command).
 STATE_INIT = 0
@@ -108,6 +114,8 @@ class Command(NamedTuple):
     buttons: 4 bits.
     acted: the passivity controller acted since the last sample.
     halted: halted or in fault.
+    stop: emergency stop.
+    blind: the picture that the operator sees is too old.
     """
 
     x_m: float
@@ -118,6 +126,8 @@ class Command(NamedTuple):
     buttons: int = 0
     acted: bool = False
     halted: bool = False
+    stop: bool = False
+    blind: bool = False
 
 
 class Feedback(NamedTuple):
@@ -129,6 +139,8 @@ class Feedback(NamedTuple):
     mode: one of MODE_....
     lit: index of the lit LED target, 0 to 14, or None.
     acted, halted: as in `Command`.
+    waiting: the robot follows no hand before a new press of the dead-man button.
+    stopped: an emergency stop holds the robot.
     """
 
     fx_n: float
@@ -139,6 +151,8 @@ class Feedback(NamedTuple):
     lit: int | None = None
     acted: bool = False
     halted: bool = False
+    waiting: bool = False
+    stopped: bool = False
 
 
 class CommandSample(NamedTuple):
@@ -181,7 +195,7 @@ def pack_command(
     base_uj: the part of its energy that was granted before this session.
     Raises ValueError for a state above 7 or a value that is not a number: bugs of the caller.
     """
-    x_m, y_m, energy_uj, dead_man, state, buttons, acted, halted = command
+    x_m, y_m, energy_uj, dead_man, state, buttons, acted, halted, stop, blind = command
     flags = FLAG_HOLDING if holding else 0
     if dead_man:
         flags |= FLAG_DEAD_MAN
@@ -189,6 +203,8 @@ def pack_command(
         flags |= FLAG_ACTED
     if halted:
         flags |= FLAG_HALTED
+    if stop:
+        flags |= FLAG_STOP
     a, b = x_m / POSITION_M, y_m / POSITION_M
     # One comparison for the usual case. A NaN fails it too, and round() then raises.
     if not (-_EDGE < a < _EDGE and -_EDGE < b < _EDGE):
@@ -202,7 +218,7 @@ def pack_command(
     return _pack(
         sequence % SEQUENCE_MODULUS,
         flags,
-        state | (buttons & 15) << 4,
+        state | (_BLIND if blind else 0) | (buttons & 15) << 4,
         round(a),
         round(b),
         session << _SESSION_SHIFT | granted_uj,
@@ -217,7 +233,7 @@ def pack_feedback(
     base_uj: the part of its energy that was granted before this session.
     Raises ValueError for a mode above 3 or a value that is not a number: bugs of the caller.
     """
-    fx_n, fy_n, energy_uj, contact, mode, lit, acted, halted = feedback
+    fx_n, fy_n, energy_uj, contact, mode, lit, acted, halted, waiting, stopped = feedback
     flags = FLAG_FEEDBACK | FLAG_HOLDING if holding else FLAG_FEEDBACK
     if contact:
         flags |= FLAG_CONTACT
@@ -225,6 +241,8 @@ def pack_feedback(
         flags |= FLAG_ACTED
     if halted:
         flags |= FLAG_HALTED
+    if waiting:
+        flags |= FLAG_WAITING
     a, b = fx_n / FORCE_N, fy_n / FORCE_N
     if not (-_EDGE < a < _EDGE and -_EDGE < b < _EDGE):
         flags |= FLAG_SATURATED
@@ -237,7 +255,7 @@ def pack_feedback(
     return _pack(
         sequence % SEQUENCE_MODULUS,
         flags,
-        mode if lit is None else mode | (lit + 1 & 15) << 4,
+        mode | (_STOPPED if stopped else 0) | (0 if lit is None else (lit + 1 & 15) << 4),
         round(a),
         round(b),
         session << _SESSION_SHIFT | granted_uj,
@@ -273,18 +291,17 @@ def read_command(data: bytes) -> tuple[int, int, int, Command]:
     session = energy >> _SESSION_SHIFT
     if session == 0 or flags & FLAG_GREETING:
         raise ProtocolError("haptic sample: it belongs to no session")
-    state = octet & 15
-    if state > STATE_FATAL_ERROR:
-        raise ProtocolError(f"haptic sample: there is no state {state}")
     value = (
         x * POSITION_M,
         y * POSITION_M,
         energy & MOST_ENERGY_UJ,
         flags & FLAG_DEAD_MAN != 0,
-        state,
+        octet & 7,
         octet >> 4,
         flags & FLAG_ACTED != 0,
         flags & FLAG_HALTED != 0,
+        flags & FLAG_STOP != 0,
+        octet & _BLIND != 0,
     )
     return session, sequence, flags, _tuple(Command, value)
 
@@ -301,7 +318,7 @@ def read_feedback(data: bytes) -> tuple[int, int, int, Feedback]:
     session = energy >> _SESSION_SHIFT
     if session == 0 or flags & FLAG_GREETING:
         raise ProtocolError("haptic sample: it belongs to no session")
-    mode = octet & 15
+    mode = octet & 7
     if mode > MODE_IMPEDANCE:
         raise ProtocolError(f"haptic sample: there is no mode {mode}")
     value = (
@@ -313,6 +330,8 @@ def read_feedback(data: bytes) -> tuple[int, int, int, Feedback]:
         (octet >> 4) - 1 if octet > 15 else None,
         flags & FLAG_ACTED != 0,
         flags & FLAG_HALTED != 0,
+        flags & FLAG_WAITING != 0,
+        octet & _STOPPED != 0,
     )
     return session, sequence, flags, _tuple(Feedback, value)
 

@@ -72,7 +72,7 @@ class Cosmonaut(Hand):
 
     view: what the panel shows. picture: the LED panel, as it is seen. tip_m: of the robot, as seen.
 
-    dead_man: pressed. pressed: how often the button was pressed.
+    pressed: how often the button was pressed.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Cosmonaut(Hand):
     ) -> None:
         super().__init__(model, script=(Waypoint(0.0, 0.0, NS_PER_MS, NS_PER_MS),))
         self.skill = skill or Skill()
-        self.dead_man = False
+        self._running = self._pressing = False
         self.pressed = 0
         self._pressed_ns = -_PRESS_NS
         self._random = Random(seed)
@@ -106,13 +106,23 @@ class Cosmonaut(Hand):
         """Advance by `dt_ns`; return the force (N, N) on a handle at (x_m, y_m)."""
         self._now_ns += dt_ns
         self.buttons = int(self._now_ns - self._pressed_ns < _PRESS_NS)
-        self._move(dt_ns)
+        self._advance(dt_ns)
         stiffness, damping = self.model.stiffness_n_m, self.model.damping_n_s_m
         self._pull_n = stiffness * (x_m - self.x_m)
         return (
             stiffness * (self.x_m - x_m) + damping * (self.vx_m_s - vx_m_s),
             stiffness * (self.y_m - y_m) + damping * (self.vy_m_s - vy_m_s),
         )
+
+    @property
+    def dead_man(self) -> bool:
+        """Whether it presses the dead-man button."""
+        return self._pressing and (self.grip.pressed or not self._running)
+
+    def handle_robot(self, heard: bool, waiting: bool, x_m: float, y_m: float) -> None:
+        """The robot is heard, or waits for a press; that matters in a run."""
+        if self._running:
+            self.grip.handle_robot(heard, waiting, self._now_ns)
 
     def look(
         self,
@@ -139,7 +149,11 @@ class Cosmonaut(Hand):
         self, view: PanelView, tip_m: tuple[float, float], handle_m: tuple[float, float]
     ) -> None:
         mode, now_ns = view.mode, self._now_ns
-        self.dead_man = mode in (PanelMode.PRESS_DEADMAN, PanelMode.RUNNING)
+        running = mode is PanelMode.RUNNING
+        if running and not self._running:
+            self.grip.press(now_ns)
+        self._running = running
+        self._pressing = running or mode is PanelMode.PRESS_DEADMAN
         if mode in (PanelMode.TASK_INFO, PanelMode.FINISHED, PanelMode.ERROR):
             self.pressed += 1
             self._pressed_ns = now_ns
@@ -239,7 +253,7 @@ class Cosmonaut(Hand):
         self._end = place[0] + self._wander[0], place[1] + self._wander[1]
         self._track_m_s = speed_m_s
 
-    def _move(self, dt_ns: int) -> None:
+    def _advance(self, dt_ns: int) -> None:
         if self._track_m_s:
             self._step_on_track(dt_ns)
             return

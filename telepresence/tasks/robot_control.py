@@ -118,6 +118,8 @@ class RobotControl:
         self.faults = 0
         self.refused = 0
         self.steps = 0
+        #: An emergency stop holds the robot.
+        self.stopped = False
         self.stiffness_n_m = 400.0
         self.damping_n_s_m = 28.0
         self.robot = robot
@@ -140,6 +142,8 @@ class RobotControl:
 
     def set_power(self, on: bool) -> str:
         """Switch on, in the chosen mode, or off."""
+        if on and self.stopped:
+            return self._refuse("an emergency stop holds the robot: `kontur-av stop --release`")
         if on and self.fault:
             return self._refuse(f"the robot has a fault, reset it first: {self.fault}")
         if on and self._outside and self.mode is not ControlMode.POSITION:
@@ -149,6 +153,12 @@ class RobotControl:
             self._way = self._torque_until_ns = None
             self._apply()
         return ""
+
+    def handle_stop(self, stopped: bool) -> None:
+        """An emergency stop switches off; while it holds, nothing switches on."""
+        self.stopped = stopped
+        if stopped:
+            self.set_power(False)
 
     def set_mode(self, mode: ControlMode) -> str:
         """Choose the mode of the next power on."""

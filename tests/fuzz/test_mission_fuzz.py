@@ -102,7 +102,7 @@ def test_mutated_messages_are_read_or_refused_and_harm_nobody():
         if isinstance(message, RobotOrder):
             desk.handle_order(message, count, count * MS)
         elif isinstance(message, RobotCommand):
-            desk.handle_command(message, count)
+            desk.handle_command(message, count, count)
         elif isinstance(message, LedsShown):
             lights_of(message.picture)
         desk.step(count * MS)

@@ -15,14 +15,14 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.seats.client_queue import MOST_UNITS
+from pipelines.seats.open_page import MOST_UNITS
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
-from pipelines.seats.seat_events import HandMoved
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
+from telepresence.haptics.device.page import PageInput
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 PLANS = [
@@ -179,10 +179,10 @@ class Pages(RuleBasedStateMachine):
     def settle(self, page=None):
         """page: the one that has just sent something."""
         while (event := self.seat.next_event()) is not None:
-            if isinstance(event, HandMoved):
-                self.held = event.hand.dead_man
+            if isinstance(event, PageInput):
+                self.held = event.dead_man
                 assert not self.held or self.roles.get(page) is Role.OPERATOR
-                assert -1 <= event.hand.x <= 1 and event.hand.received_ns == self.now_ns
+                assert -1 <= event.x <= 1 and event.received_ns == self.now_ns
 
     @invariant()
     def let_go_without_a_holder(self):

@@ -216,7 +216,6 @@ class Viewer:
             receives=("video",),
             handle=self._handle_event,
             offers=False,
-            wall_offset_ns=CLOCK.wall_offset_ns,
         )
 
     async def watch(self, http, url, feed):

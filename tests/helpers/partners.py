@@ -6,9 +6,9 @@ import contextlib
 from kontur_av.clock import MonotonicClock
 from kontur_av.media import AccessUnit, CaptureStamp
 from pipelines.partner.ice_servers import IceServers
-from pipelines.partner.keeper import Keeper
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.partner.peer import RtcPeer
+from pipelines.partner.whip import Keeper
 
 SENDS = {"video": 1_500_000, "audio": 32_000}
 #: An Opus packet of 20 ms of silence.
@@ -26,7 +26,6 @@ def receiving(events):
             receives=("video", "audio"),
             handle=events.append,
             servers=servers,
-            wall_offset_ns=CLOCK.wall_offset_ns,
         )
 
     return make
@@ -34,7 +33,7 @@ def receiving(events):
 
 def sending(servers):
     """Make a partner that sends."""
-    return RtcPeer(clock=CLOCK, sends=SENDS, servers=servers, wall_offset_ns=CLOCK.wall_offset_ns)
+    return RtcPeer(clock=CLOCK, sends=SENDS, servers=servers)
 
 
 @contextlib.asynccontextmanager

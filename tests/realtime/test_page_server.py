@@ -1,6 +1,7 @@
 """The server of a session's pages, as browsers and strangers meet it."""
 
 import asyncio
+import contextlib
 import os
 import re
 import signal
@@ -11,7 +12,7 @@ import aiohttp
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from page_client import decoded, hand, visit
+from page_client import Visitor, decoded, hand, visit
 from running_session import RunningSession, eventually
 
 SETUP = "spacejustin"
@@ -57,6 +58,70 @@ def test_strangers_are_refused(session):
             assert refused.value.status == 403
 
     visit(url, deeds)
+
+
+def test_idle_connections_keep_nobody_out(session):
+    url = session.pages()["space"]
+    idle = []
+    try:
+        idle.extend(socket.create_connection(("127.0.0.1", 8310)) for _ in range(1400))
+
+        async def deeds(visitor):
+            async with visitor.page() as page:
+                await page.text("state")
+                assert (await visitor.get(f"/space?token={visitor.token}"))[0] == 200
+
+        visit(url, deeds)
+    finally:
+        for one in idle:
+            one.close()
+
+
+HANDSHAKES = {
+    "no upgrade": {},
+    "another version": {"Sec-WebSocket-Version": "99", "Sec-WebSocket-Key": "A" * 22 + "=="},
+    "a bad key": {"Sec-WebSocket-Version": "13", "Sec-WebSocket-Key": "bad"},
+    "no key": {"Sec-WebSocket-Version": "13"},
+}
+
+
+@pytest.mark.parametrize("what", HANDSHAKES)
+@pytest.mark.parametrize("path", ["ws", "media"])
+def test_a_bad_handshake_ends_its_connection_only(session, what, path):
+    async def deeds(visitor):
+        upgrade = {} if what == "no upgrade" else {"Upgrade": "websocket", "Connection": "Upgrade"}
+        async with visitor.page() as good:
+            for _ in range(5):
+                status, _ = await visitor.get(
+                    f"/{visitor.token}/{path}",
+                    Origin="http://127.0.0.1:8310",
+                    **upgrade,
+                    **HANDSHAKES[what],
+                )
+                assert status == 400
+            await good.text("state")
+
+    visit(session.pages()["space"], deeds)
+
+
+def test_viewers_keep_no_operator_out(session):
+    pages = session.pages()
+
+    async def deeds(visitor):
+        viewer = Visitor(visitor.client, visitor.url.replace(visitor.token, pages["viewer_token"]))
+        async with contextlib.AsyncExitStack() as stack:
+            watching = 0
+            for _ in range(20):
+                try:
+                    await stack.enter_async_context(viewer.page())
+                    watching += 1
+                except aiohttp.WSServerHandshakeError as error:
+                    assert error.status == 503
+            assert 1 < watching < 20
+            async with visitor.page() as page:
+                await page.text("state")
+
+    visit(pages["space"], deeds)
 
 
 def test_garbage_closes_the_socket_that_sent_it_only(session):

@@ -13,11 +13,10 @@ from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.rtp.payload_h264 import split_annex_b
 from pipelines.partner.ice_servers import IceServers
-from pipelines.partner.keeper import Keeper
-from pipelines.partner.programme import Programme
+from pipelines.partner.peer import Programme
 from pipelines.partner.samples import SamplePeer
 from pipelines.partner.server import RtcServer
-from pipelines.partner.whip import WhipClient
+from pipelines.partner.whip import Keeper, WhipClient
 from pipelines.session.page_listener import PageListener
 from telepresence.haptics.sample import SAMPLE_OCTETS
 
@@ -49,7 +48,6 @@ async def serving(handle=None, samples=None):
             [programme],
             clock=clock,
             handle=handle,
-            wall_offset_ns=clock.wall_offset_ns,
             samples=samples,
         )
         await server.start()

@@ -15,9 +15,8 @@ import pytest
 
 from benchmarks.__main__ import main as benchmark
 from pipelines.cli import main
-from pipelines.virtual.campaign import cluster as cluster_module
-from pipelines.virtual.campaign import here
-from pipelines.virtual.campaign.cluster import Cluster
+from pipelines.virtual.campaign import places
+from pipelines.virtual.campaign.places import Cluster
 
 pytest.importorskip("distributed", reason="needs Dask: the extra cluster")
 
@@ -90,7 +89,7 @@ def sessions_of(pid):
     return [
         int(child)
         for child in children
-        if b"pipelines.virtual.campaign.session" in Path(f"/proc/{child}/cmdline").read_bytes()
+        if b"pipelines.virtual.campaign.sessions" in Path(f"/proc/{child}/cmdline").read_bytes()
     ]
 
 
@@ -136,8 +135,7 @@ def refused(address, capfd, tmp_path):
 
 
 def test_a_worker_of_another_version_is_refused(processes, tmp_path, capfd, monkeypatch):
-    newer = {**here.facts(), "kontur-av": "newer"}
-    monkeypatch.setattr(here, "facts", lambda: newer)
+    monkeypatch.setattr(places, "code_digest", lambda: "newer")
     told = ", and this machine newer: install the same"
     assert told in refused(processes.address, capfd, tmp_path)
     # One that comes after the first look refuses its first run.
@@ -146,14 +144,14 @@ def test_a_worker_of_another_version_is_refused(processes, tmp_path, capfd, monk
 
 
 def test_a_scheduler_of_another_version_is_refused(processes, tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(cluster_module, "version", lambda name: "1.0")
+    monkeypatch.setattr(places, "version", lambda name: "1.0")
     error = refused(processes.address, capfd, tmp_path)
     assert "the scheduler has distributed " in error
     assert "and this machine 1.0: install the same" in error
 
 
 def test_what_is_no_scheduler_is_refused(tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(cluster_module, "_CONNECT_S", 1)
+    monkeypatch.setattr(places, "_CONNECT_S", 1)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         assert "no scheduler of Dask" in refused(address, capfd, tmp_path)

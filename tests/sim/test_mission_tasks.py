@@ -126,13 +126,15 @@ def test_a_dead_man_button_that_is_let_go_stops_the_tip_and_not_the_task():
     mission.run(3)
     look = mission.cosmonaut.look
     mission.cosmonaut.look = lambda *_: None
-    mission.cosmonaut.dead_man = False
+    mission.cosmonaut.grip.let_go(0)
+    mission.cosmonaut.handle_robot = lambda *_: None
     mission.run(0.5)
     mission.led_m = 0.0
     mission.run(2)
     # What was led before it was let go may still settle.
     assert mission.led_m < 1e-3
     mission.cosmonaut.look = look
+    del mission.cosmonaut.handle_robot
     assert mission.run(60, until=lambda: mission.runs)
     assert mission.runs[0].result is TaskResult.FINISHED
 

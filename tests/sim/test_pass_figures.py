@@ -6,7 +6,7 @@ import pytest
 
 from pipelines.report.result import JsonReader, as_json
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.virtual.campaign.pass_figures import (
+from pipelines.virtual.campaign.figures import (
     faults,
     pass_figures,
 )
@@ -29,7 +29,7 @@ def test_a_force_that_begins_late_or_stops_for_good_is_stuck(silent, monkeypatch
     figures = pass_figures(JsonReader(as_json(simulate(setup, seconds=6.0, seed=1, media=False))))
     assert "stuck" in faults(figures)
     longest_s = min(silent[1], 6) - max(silent[0], 0)
-    assert figures.longest_pause_s.felt == pytest.approx(longest_s, abs=0.2)
+    assert figures.longest_pause_s["felt"] == pytest.approx(longest_s, abs=0.2)
 
 
 def test_the_delay_of_a_far_orbit_does_not_count_as_lost_signal():

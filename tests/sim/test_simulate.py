@@ -15,7 +15,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import simulate
 from telepresence.link.radio import load_radio

@@ -6,7 +6,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.virtual.costs import CodingCosts
+from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.simulate import simulate
 from telepresence.link.radio import load_radio
 

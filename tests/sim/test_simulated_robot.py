@@ -42,7 +42,9 @@ def test_power_and_mode_are_commanded_from_space_and_no_hand_leads_it_meanwhile(
     session.command(SPACE, 5, "robot", "report", "controller")
     session.run(1)
     reports = [one for one in session.of(SPACE, Reported) if one.name == "controller"]
-    assert reports[-1].values == {"powered": True, "mode": "position", "error": "none"}
+    values = reports[-1].values
+    assert (values["powered"], values["mode"], values["error"]) == (True, "position", "none")
+    assert values["hold"] == "the robot was off"
     assert call(session, 6, "power_off") == call(session, 7, "set_mode", "telepresence") == ""
     assert call(session, 8, "power_on") == ""
     assert way_m(session) > 0.01

@@ -15,8 +15,8 @@ from kontur_av.errors import ConfigError
 from pipelines.cli import main
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.virtual.campaign import sessions
+from pipelines.virtual.campaign.figures import Crash, SessionTask
 from pipelines.virtual.campaign.sessions import run_session, run_sessions
-from pipelines.virtual.campaign.tasks import Crash, SessionTask
 
 TASK = SessionTask(setup=BUILT_IN["taskboard"], seconds=1.0, seed=1, media=False)
 
@@ -25,7 +25,7 @@ def test_closing_the_generator_ends_the_sessions():
     endless = replace(TASK, seconds=90_000.0)
     with closing(run_sessions([TASK, endless], jobs=2)) as runs:
         number, found = next(runs)
-    assert (number, found.report.number("simulation", "seed")) == (0, 1)
+    assert (number, found.number("simulation", "seed")) == (0, 1)
 
 
 def test_a_session_that_ended_early_counts_as_crashed(monkeypatch):
@@ -40,7 +40,7 @@ def test_a_session_that_ended_early_counts_as_crashed(monkeypatch):
 def test_a_session_ends_when_who_started_it_has_died(tmp_path):
     report = tmp_path / "report.json"
     # The end of its input, as when the process at the other end is killed.
-    command = [sys.executable, "-m", "pipelines.virtual.campaign.session", str(report)]
+    command = [sys.executable, "-m", "pipelines.virtual.campaign.sessions", str(report)]
     endless = pickle.dumps(replace(TASK, seconds=90_000.0))
     done = subprocess.run(command, input=endless, timeout=60)
     assert done.returncode == 0

@@ -14,7 +14,7 @@ from pipelines.virtual.simulate import simulate
 from telepresence.haptics.loop import HapticLink
 from telepresence.link.radio import load_radio
 
-SECONDS = 12.0
+SECONDS = 14.0
 DELAY_MS = 2.0
 SETUP = Setup(
     name="eyes and ears",

@@ -4,17 +4,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from virtual_scene import bare_scene
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.video_sender import VideoSender
-from pipelines.session.probe import Probe
 from pipelines.session.setup.table import VIDEO_PAYLOAD_OCTETS, VideoStream
-from pipelines.virtual.agenda import Agenda
-from pipelines.virtual.costs import CodingCosts
-from pipelines.virtual.senders import VideoSendProcess
+from pipelines.virtual.agenda import Agenda, CodingCosts
+from pipelines.virtual.streams import VideoSendProcess
 from pipelines.virtual.workers import Job
 
 STREAM = VideoStream(name="video", cap_bps=512_000)
@@ -75,15 +74,8 @@ def test_coding_and_sending_overlap(pictures, coding_ms):
         channel_bps=CHANNEL_BPS,
         max_payload_octets=VIDEO_PAYLOAD_OCTETS,
     )
-    sender = VideoSendProcess(
-        STREAM.name,
-        core,
-        Probe(),
-        agenda=agenda,
-        gateway=channel,
-        studio=studio,
-        costs=CodingCosts(encode_ms=coding_ms),
-    )
+    scene = bare_scene(agenda, SimpleNamespace(deadband="off"), CodingCosts(encode_ms=coding_ms))
+    sender = VideoSendProcess(scene, STREAM, core, channel, studio)
     captured_ns = [number * NS_PER_S // STREAM.fps for number in range(len(film))]
 
     def come(number):

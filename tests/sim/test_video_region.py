@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from virtual_scene import bare_scene
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.h264 import H264Decoder
@@ -17,11 +18,9 @@ from kontur_av.sources.stereo import merge
 from pipelines.media.following import CameraFollower, Choice
 from pipelines.media.session_streams import video_sender
 from pipelines.media.tip_region import tip_region
-from pipelines.session.probe import Probe
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.virtual.agenda import Agenda
-from pipelines.virtual.costs import CodingCosts
-from pipelines.virtual.senders import VideoSendProcess
+from pipelines.virtual.agenda import Agenda, CodingCosts
+from pipelines.virtual.streams import VideoSendProcess
 from pipelines.virtual.studio import Shot, VideoStudio
 from pipelines.virtual.workers import Job
 from telepresence.world import render, scripted_state
@@ -99,15 +98,9 @@ def run(camera, region):
     """Return mean and worst-5-% PSNR of the tip and of the rest in dB, p99 in ms, and kbit/s."""
     setup = replace(SETUP, region=region)
     studio, channel, agenda = Studio(camera, setup), Channel(), Agenda()
-    sender = VideoSendProcess(
-        STREAM.name,
-        video_sender(setup, STREAM, RtpIdentity(1, 2, 3), wall_offset_ns=0),
-        Probe(),
-        agenda=agenda,
-        gateway=channel,
-        studio=studio,
-        costs=CodingCosts(),
-    )
+    core = video_sender(setup, STREAM, RtpIdentity(1, 2, 3), wall_offset_ns=0)
+    scene = bare_scene(agenda, setup, CodingCosts())
+    sender = VideoSendProcess(scene, STREAM, core, channel, studio)
     sender.follower = CameraFollower()
     sender.handle_choice(Choice(1, camera), 0)
     tip = tip_region(setup)

@@ -37,7 +37,7 @@ from pipelines.session.options import (
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.media import check_virtual_sources
 
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
 #: A longer lead of the force over its picture is noticeable.

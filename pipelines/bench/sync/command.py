@@ -27,7 +27,7 @@ from pipelines.report.sync.matching import Matched
 from pipelines.session.options import radio_change
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import check_sources
-from pipelines.virtual.inputs import check_virtual_sources
+from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.simulate import simulate
 
 _WORDS = {

@@ -17,6 +17,7 @@ import "./record_control.js";
 import "./robot_map.js";
 import "./session_control.js";
 import "./status_tiles.js";
+import "./stop_control.js";
 import "./stream_table.js";
 import "./tab_group.js";
 import { startSeat } from "./seat.js";

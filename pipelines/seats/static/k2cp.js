@@ -9,6 +9,7 @@ import "./radio_banner.js";
 import "./report_log.js";
 import "./session_control.js";
 import "./status_tiles.js";
+import "./stop_control.js";
 import "./systems_panel.js";
 import { startSeat } from "./seat.js";
 

@@ -16,6 +16,7 @@ import "./relay_table.js";
 import "./report_log.js";
 import "./session_control.js";
 import "./status_tiles.js";
+import "./stop_control.js";
 import "./systems_panel.js";
 import "./tab_group.js";
 import "./telecommand_panel.js";

@@ -7,6 +7,7 @@ import "./panel_tasks.js";
 import "./panel_text.js";
 import "./picture_view.js";
 import "./status_tiles.js";
+import "./stop_control.js";
 import { startSeat } from "./seat.js";
 
 startSeat();

@@ -12,6 +12,7 @@ import "./panel_status.js";
 import "./picture_view.js";
 import "./senses_panel.js";
 import "./status_tiles.js";
+import "./stop_control.js";
 import { startSeat } from "./seat.js";
 
 startSeat();

@@ -60,7 +60,7 @@ class TelecommandPanel extends HTMLElement {
   #offerArguments() {
     const given = this.#choices[Number(this.#what.value)]?.arguments ?? [];
     this.#arguments.replaceChildren(
-      ...given.map((name) => make("input", { type: "text", placeholder: nameText(name), "aria-label": nameText(name) })),
+      ...given.map((name) => make("input", { type: "text", maxlength: "64", placeholder: nameText(name), "aria-label": nameText(name) })),
     );
   }
 
@@ -91,7 +91,9 @@ const choice = (words, verb, name, given = []) => ({ words, verb, name, argument
 function argument(word) {
   const text = word.trim();
   if (text === "true" || text === "false") return text === "true";
-  return text !== "" && Number.isFinite(Number(text)) ? Number(text) : text;
+  const number = Number(text);
+  const whole = !Number.isInteger(number) || Number.isSafeInteger(number);
+  return text !== "" && Number.isFinite(number) && whole ? number : text;
 }
 
 customElements.define("telecommand-panel", TelecommandPanel);

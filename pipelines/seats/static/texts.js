@@ -95,6 +95,13 @@
  */
 
 /**
+ * Whether the robot may follow the hand, as this end knows it. stopped: an emergency stop holds;
+ * by: who ordered it here, "" if it was elsewhere. waiting: for a new press of the dead-man
+ * button. hold: why it holds still, where that is known.
+ * @typedef {{stopped: boolean, by: string, waiting: boolean, hold: string}} SafetyText
+ */
+
+/**
  * Who holds the handle, and who asks for it, by numbers of pages.
  * @typedef {{holder: number | null, you: boolean, wanted_by: number | null}} HandText
  */
@@ -102,8 +109,8 @@
 /**
  * The heartbeat, 10 times a second, and at each change.
  * @typedef {{kind: "state", now_us: number, link: "connected" | "lost", signal: boolean, camera:
- *   string | null, joystick: JoystickText | null, hand: HandText, inputs: Record<string, number |
- *   null>}} StateText
+ *   string | null, joystick: JoystickText | null, safety: SafetyText, hand: HandText, inputs:
+ *   Record<string, number | null>}} StateText
  */
 
 /**
@@ -227,12 +234,13 @@
  * none. error: its kind, a `telepresence.tasks.robot_control.Fault`. halted: the newest sample of
  * the joystick says that it is. commanded: number of the newest `RobotCommand`; None for none.
  * command_refusal: why that was refused, "" if it was carried out. step_hz: cycles of the
- * controller, in the last second.
+ * controller, in the last second. hold: why it follows no hand, in words, "" if it does. waiting:
+ * for a new press. stopped: an emergency stop holds. offset_mm: the robot's place less the hand's.
  * @typedef {{kind: "robot", life: number, powered: boolean, mode: "position" | "torque" |
  *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
  *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
- *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number}}
- *   RobotText
+ *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,
+ *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number]}} RobotText
  */
 
 /** @typedef {HelloText
@@ -253,6 +261,7 @@
  * @typedef {{do: "joystick", event: "calibrate" | "start" | "halt" | "acknowledge" | "stop" | "resume"}
  *   | {do: "hand", action: "take" | "give" | "ask" | "refuse"}
  *   | {do: "session", action: "start" | "stop"}
+ *   | {do: "stop", action: "stop" | "release"}
  *   | {do: "record", action: "start" | "stop"}
  *   | {do: "command", application: string, verb?: Verb, name?: string, arguments?: (boolean | number | string)[]}
  *   | {do: "chat", text: string}

@@ -9,6 +9,7 @@ import "./robot_panel.js";
 import "./run_table.js";
 import "./status_tiles.js";
 import "./step_list.js";
+import "./stop_control.js";
 import { startSeat } from "./seat.js";
 
 startSeat();

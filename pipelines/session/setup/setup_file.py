@@ -14,6 +14,7 @@ from kontur_av.media import parse_size
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.setup.table import NO_RADIO, RtcLeg, Setup, VideoStream, VoiceStream
+from telepresence.haptics.envelope import SafetyLimits
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile import started
@@ -75,6 +76,7 @@ class _File:
     rtc: _Rtc | None = None
     partner_arm: str = "none"
     tasks: bool = False
+    safety: SafetyLimits = field(default_factory=SafetyLimits)
     region: str = "off"
     region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(
         default_factory=dict,

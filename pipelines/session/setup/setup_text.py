@@ -1,6 +1,7 @@
 """A setup as the text of a TOML file, with every field. A core."""
 
 from collections.abc import Iterator
+from dataclasses import fields
 
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 
@@ -38,6 +39,9 @@ def _tables(setup: Setup) -> Iterator[str]:
             yield f"{name}_kbps = {getattr(setup.rtc, f'{name}_bps') / 1000!r}"
     for name in ("uplink", "downlink"):
         yield f"\n[{name}]\nframe_octets = {getattr(setup, name).frame_octets}"
+    yield "\n[safety]"
+    for each in fields(setup.safety):
+        yield f"{each.name} = {float(getattr(setup.safety, each.name))!r}"
     if setup.region_points:
         yield "\n[region_points]"
         for camera, points in setup.region_points.items():

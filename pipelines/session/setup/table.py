@@ -16,6 +16,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
 from kontur_av.streams.budget import Pacer
 from pipelines.session.setup.segments import Direction
+from telepresence.haptics.envelope import SafetyLimits
 from telepresence.haptics.mediated.wall import WALL_OCTETS
 from telepresence.link.arithmetic import (
     RESERVE_DOWN_BPS,
@@ -199,6 +200,7 @@ class Setup:
     rtc: the leg to a partner across the Internet; None: there is none.
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).
+    safety: when the robot may follow the hand, and how fast (docs/safety.md).
     region: what of the uplink video is coded finer than the rest (docs/video.md).
     region_points: for a camera other than a built-in scene, the four corners of the task board in
         its pictures: upper left, upper right, lower right, lower left; (x, y) in pixels.
@@ -220,6 +222,7 @@ class Setup:
     rtc: RtcLeg | None = None
     partner_arm: PartnerArm = "none"
     tasks: bool = False
+    safety: SafetyLimits = field(default_factory=SafetyLimits)
     region: RegionChoice = "off"
     region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     #: Below 32768, where Linux takes the ports of sockets that ask for any port.

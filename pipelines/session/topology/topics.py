@@ -55,6 +55,7 @@ SECOND_ROBOT_TOPIC = Topic(
 SELECTED_TOPIC = Topic("selected/uplink_video", "name of the selected camera, number of the choice")
 FOLLOWED_TOPIC = Topic("followed/uplink_video", "number of the choice that the sender follows")
 #: The merged picture of the robot's two cameras.
+HALVES_TOPIC = Topic("camera/halves", "when the older half of the merged picture was captured")
 STEREO_TOPIC = Topic("camera/stereo", "two pictures side by side")
 
 # The mission; see `pipelines.session.mission_messages`.

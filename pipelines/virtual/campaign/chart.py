@@ -1,10 +1,10 @@
 """The chart of a sweep: one figure over one field, a line for each choice of the others."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from pipelines.report.charts import COLOURS, new_figure
-from pipelines.virtual.campaign.figures import FIGURES
+from pipelines.virtual.campaign.figures import HEADINGS
 from pipelines.virtual.campaign.sweep import CaseFigures, SeedSpread, Sweep, Value
 
 if TYPE_CHECKING:
@@ -20,12 +20,14 @@ def chart(sweep: Sweep, cases: Sequence[CaseFigures]) -> "Figure":
     curves: dict[str, list[tuple[Value, SeedSpread]]] = {}
     for case in cases:
         spread = case.figures[sweep.y]
+        named = (name for name in others if name in case.values)
+        label = ", ".join(f"{name} {case.values[name]}" for name in named)
         if spread is not None and x in case.values:
-            curves.setdefault(_label(case.values, others), []).append((case.values[x], spread))
+            curves.setdefault(label, []).append((case.values[x], spread))
     figure = new_figure(4.5)
     axes = figure.add_subplot()
     axes.set_xlabel(x)
-    axes.set_ylabel({each.name: each.heading for each in FIGURES}.get(sweep.y, sweep.y))
+    axes.set_ylabel(HEADINGS.get(sweep.y, sweep.y))
     title = f"{sweep.name}: {sweep.seconds:g} s, {len(sweep.seeds)} seeds"
     axes.set_title(title, fontsize="medium")
     axes.grid(alpha=0.4)
@@ -33,11 +35,11 @@ def chart(sweep: Sweep, cases: Sequence[CaseFigures]) -> "Figure":
         axes.text(0.5, 0.5, "nothing was measured", ha="center", transform=axes.transAxes)
         return figure
     places = list(dict.fromkeys(value for points in curves.values() for value, _ in points))
-    named = any(isinstance(value, str) for value in places)
+    worded = any(isinstance(value, str) for value in places)
     for number, (label, points) in enumerate(curves.items()):
-        if not named:
+        if not worded:
             points.sort(key=lambda point: float(point[0]))
-        at = [float(places.index(value) if named else value) for value, _ in points]
+        at = [float(places.index(value) if worded else value) for value, _ in points]
         middles = [spread.median for _, spread in points]
         below = [spread.median - spread.least for _, spread in points]
         above = [spread.largest - spread.median for _, spread in points]
@@ -45,7 +47,7 @@ def chart(sweep: Sweep, cases: Sequence[CaseFigures]) -> "Figure":
         axes.errorbar(
             at, middles, yerr=[below, above], fmt="o-", capsize=3, color=colour, label=label
         )
-    if named:
+    if worded:
         axes.set_xticks(range(len(places)), [str(value) for value in places])
     if len(curves) > 1:
         if len(curves) <= _MOST_NAMED:
@@ -55,7 +57,3 @@ def chart(sweep: Sweep, cases: Sequence[CaseFigures]) -> "Figure":
                 0.99, 0.98, f"{len(curves)} lines", ha="right", va="top", transform=axes.transAxes
             )
     return figure
-
-
-def _label(values: Mapping[str, Value], names: Sequence[str]) -> str:
-    return ", ".join(f"{name} {values[name]}" for name in names if name in values)

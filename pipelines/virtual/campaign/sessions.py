@@ -1,8 +1,14 @@
-"""Sessions on virtual time, each in a process of its own, several at a time."""
+"""Sessions on virtual time, each in a process of its own, several at a time.
+
+The process of one is `python -m pipelines.virtual.campaign.sessions REPORT`. It reads a pickled
+`SessionTask` from its standard input, which only the process that started it writes. The session
+ends when that input is closed, so that no session outlives its starter.
+"""
 
 import json
 import os
 import pickle
+import select
 import subprocess
 import sys
 import time
@@ -12,11 +18,47 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.errors import ConfigError
+from pipelines.report.report_file import write_report
 from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all
-from pipelines.virtual.campaign.cluster import Cluster
-from pipelines.virtual.campaign.session import REFUSED
-from pipelines.virtual.campaign.tasks import Crash, Result, SessionResult, SessionTask
+from pipelines.virtual.campaign.figures import Crash, Result, SessionTask
+from pipelines.virtual.campaign.places import Cluster
+from pipelines.virtual.media import check_virtual_sources
+from pipelines.virtual.simulate import simulate
+
+#: Between two lines where they cannot be written over.
+_EVERY_S = 10.0
+
+
+class Progress:
+    """Tells `done` of `total` things. what: their name in the plural."""
+
+    def __init__(self, total: int, what: str) -> None:
+        self._total, self._what = total, what
+        self._began_s = time.monotonic()
+        self._told_s = self._began_s - _EVERY_S
+        self._terminal = sys.stderr.isatty()
+
+    def told(self, done: int, note: str = "") -> None:
+        """`done` are over by now. note: about the last of them."""
+        now_s = time.monotonic()
+        last = done == self._total
+        if not (self._terminal or last or now_s - self._told_s >= _EVERY_S):
+            return
+        self._told_s = now_s
+        left = self._left(done, now_s - self._began_s)
+        line = f"{done} of {self._total} {self._what}{left}{note and '; ' + note}"
+        end = "\n" if last or not self._terminal else ""
+        print(f"\r\x1b[K{line}" if self._terminal else line, end=end, file=sys.stderr, flush=True)
+
+    def _left(self, done: int, took_s: float) -> str:
+        if not 0 < done < self._total:
+            return f" in {took_s:.0f} s" if done else ""
+        left_s = took_s / done * (self._total - done)
+        return (
+            f", about {left_s / 60:.0f} min left" if left_s > 90 else f", about {left_s:.0f} s left"
+        )
+
 
 _LOOK_EVERY_S = 0.05
 
@@ -29,11 +71,10 @@ class _Session:
         self._task = task
         self._report = directory / f"{number}.json"
         self._errors = directory / f"{number}.txt"
-        self._began_s = time.monotonic()
         with self._errors.open("wb") as errors:
             # A session of its own: this process takes Ctrl-C and ends the others itself.
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "pipelines.virtual.campaign.session", str(self._report)],
+                [sys.executable, "-m", "pipelines.virtual.campaign.sessions", str(self._report)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=errors,
@@ -60,10 +101,9 @@ class _Session:
         self._report.unlink()
         if report.number("seconds") < round(self._task.seconds, 3):
             return Crash(f"ended early, after {report.number('seconds'):g} s")
-        return SessionResult(report, round(time.monotonic() - self._began_s, 1))
+        return report
 
     def close(self) -> None:
-        """Close its input, which ends it."""
         assert self.process.stdin is not None
         with suppress(BrokenPipeError):
             self.process.stdin.close()
@@ -109,3 +149,33 @@ def run_session(task: SessionTask) -> Result:
     """The result of one session. Raises ConfigError if its setup cannot run on this machine."""
     [(_, result)] = run_sessions([task], jobs=1)
     return result
+
+
+#: The exit codes of a session that ran, and of one that its setup forbids.
+RAN, REFUSED = 0, 2
+
+
+def main() -> int:
+    """Run the session; the report of one that was ended early shows fewer seconds."""
+    task = pickle.load(sys.stdin.buffer)
+    assert isinstance(task, SessionTask)
+    try:
+        check_virtual_sources(task.setup)
+        report = simulate(
+            task.setup,
+            seconds=task.seconds,
+            seed=task.seed,
+            media=task.media,
+            plan=task.plan,
+            # Standard input is closed: nothing more is ever written to it.
+            stopped=lambda: bool(select.select([sys.stdin], [], [], 0)[0]),
+        )
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        return REFUSED
+    write_report(Path(sys.argv[1]), report)
+    return RAN
+
+
+if __name__ == "__main__":
+    sys.exit(main())

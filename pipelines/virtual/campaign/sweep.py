@@ -8,9 +8,13 @@ from typing import TypeAlias
 
 from pipelines.report.result import Headline
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.campaign.figures import FIGURES, RunFigures
-from pipelines.virtual.campaign.task_figures import task_names
-from pipelines.virtual.campaign.tasks import SessionTask
+from pipelines.virtual.campaign.figures import (
+    FIGURES,
+    HEADINGS,
+    RunFigures,
+    SessionTask,
+    task_names,
+)
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
 
@@ -48,7 +52,6 @@ class Sweep:
 
     @property
     def figures(self) -> list[str]:
-        """The names of all figures."""
         tasks = task_names(None if self.plan is None else self.plan[0])
         return [*(figure.name for figure in FIGURES), *tasks, *self.keys]
 
@@ -56,11 +59,7 @@ class Sweep:
         """All runs: case by case, and in each its seeds."""
         return [
             SessionTask(
-                setup=case.setup,
-                seconds=self.seconds,
-                seed=seed,
-                media=self.media,
-                plan=self.plan,
+                setup=case.setup, seconds=self.seconds, seed=seed, media=self.media, plan=self.plan
             )
             for case in self.cases
             for seed in self.seeds
@@ -137,8 +136,7 @@ def _spread(runs: Sequence[RunFigures], name: str) -> SeedSpread | None:
 
 def headings(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[str]:
     """Of the columns of `rows`: no column for a figure that no case has."""
-    names = {figure.name: figure.heading for figure in FIGURES}
-    return [*sweep.fields, *(names.get(name, name) for name in _had(sweep, cases)), "verdict"]
+    return [*sweep.fields, *(HEADINGS.get(name, name) for name in _had(sweep, cases)), "verdict"]
 
 
 def rows(sweep: Sweep, cases: Sequence[CaseFigures]) -> Iterator[list[str]]:
@@ -194,7 +192,6 @@ def csv_rows(sweep: Sweep, runs: Sequence[RunFigures | None]) -> Iterator[list[V
 
 def headlines(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[Headline]:
     """Each case for the page of measurements: usable runs, and the medians of its figures."""
-    names = {figure.name: figure.heading for figure in FIGURES}
     found = []
     for case in cases:
         group = ", ".join(f"{name} {_text(value)}" for name, value in case.values.items())
@@ -210,6 +207,6 @@ def headlines(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[Headline]:
         )
         for name, spread in case.figures.items():
             if spread is not None:
-                what = f"{names.get(name, name)}: median of the runs"
+                what = f"{HEADINGS.get(name, name)}: median of the runs"
                 found.append(Headline(group=group, what=what, unit="", value=spread.median))
     return found

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -70,11 +71,16 @@ def load_sweep(path: Path) -> Sweep:
 def _sweep(path: Path, file: _File) -> Sweep:
     if not 0 < file.seconds <= _MOST_SECONDS:
         raise ConfigError(f"seconds is {file.seconds:g}: take more than 0, at most {_MOST_SECONDS}")
-    seeds = _seeds(file.seeds)
+    seeds = tuple(range(1, file.seeds + 1)) if isinstance(file.seeds, int) else file.seeds
+    if not seeds or min(seeds) < 0 or len({*seeds}) < len(seeds):
+        raise ConfigError(
+            f"seeds is {file.seeds}: take a number of seeds from 1, or a list of different ones "
+            "from 0"
+        )
     if not file.grid:
         raise ConfigError("it has no [[grid]]: write one, like radio_delay_ms = [0, 25] in it")
     grids = [dict(_fields(grid, number)) for number, grid in enumerate(file.grid, 1)]
-    runs = len(seeds) * sum(_size(grid) for grid in grids)
+    runs = len(seeds) * sum(prod(map(len, grid.values())) for grid in grids)
     if runs > _MOST_RUNS:
         raise ConfigError(
             f"{runs} runs are too many: take fewer values or seeds, {_MOST_RUNS} in all"
@@ -101,24 +107,11 @@ def _sweep(path: Path, file: _File) -> Sweep:
         x=file.plot.x,
         y=file.plot.y or ("video_p99_ms" if file.media else "force_p99_ms"),
     )
-    _check_plot(sweep)
+    if sweep.x is not None and sweep.x not in sweep.fields:
+        raise ConfigError(f"plot.x is {sweep.x!r}: take one of {', '.join(sweep.fields)}")
+    if sweep.y not in sweep.figures:
+        raise ConfigError(f"plot.y is {sweep.y!r}: take one of {', '.join(sweep.figures)}")
     return sweep
-
-
-def _seeds(seeds: int | tuple[int, ...]) -> tuple[int, ...]:
-    found = tuple(range(1, seeds + 1)) if isinstance(seeds, int) else seeds
-    if not found or min(found) < 0 or len({*found}) < len(found):
-        raise ConfigError(
-            f"seeds is {seeds}: take a number of seeds from 1, or a list of different ones from 0"
-        )
-    return found
-
-
-def _size(grid: Mapping[str, list[object]]) -> int:
-    size = 1
-    for values in grid.values():
-        size *= len(values)
-    return size
 
 
 def _fields(
@@ -173,16 +166,13 @@ def _built(setup: str, values: Mapping[str, object]) -> Setup:
 
 
 def _inputs(table: Mapping[str, Any]) -> set[str]:
-    """The inputs of a setup's table."""
     others = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
     # What is no list is refused when the setup is built.
     cameras = found if isinstance(found := table.get("cameras"), list | tuple) else ()
-    names = {name for camera in cameras for name in _camera_inputs(str(camera))}
+    names = {str(camera) for camera in cameras}
+    if STEREO in names:
+        names = names - {STEREO} | {*STEREO_INPUTS}
     return names | {name for stream, name in others.items() if stream in table}
-
-
-def _camera_inputs(camera: str) -> tuple[str, ...]:
-    return STEREO_INPUTS if camera == STEREO else (camera,)
 
 
 def _set(table: dict[str, object], name: str, value: object) -> None:
@@ -212,10 +202,3 @@ def _shown(value: object) -> Value:
     if isinstance(value, list):
         return "+".join(str(_shown(each)) for each in value)
     return json.dumps(value, default=str)
-
-
-def _check_plot(sweep: Sweep) -> None:
-    if sweep.x is not None and sweep.x not in sweep.fields:
-        raise ConfigError(f"plot.x is {sweep.x!r}: take one of {', '.join(sweep.fields)}")
-    if sweep.y not in sweep.figures:
-        raise ConfigError(f"plot.y is {sweep.y!r}: take one of {', '.join(sweep.figures)}")

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.operation import JoystickOperation
+from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.figures import JoystickFigures, LoggedTransition
@@ -23,18 +24,24 @@ class OperatedHandle:
     x_m, y_m: calibrated position; it rests while there is no calibration.
     force_limit_n: 0 outside the application and while the dead-man button is released.
     dead_man, buttons, state: the values that the command samples carry.
+    stop: emergency stop. blind: the operator's picture is too old. The caller sets both.
     pressed: how often a button went down.
+    robot_waits, robot_stopped: what the robot's newest sample says.
 
     Its time is the sum of what `step` was told, so it runs on virtual time too.
     """
 
-    def __init__(self, device: JoystickDevice, *, limits: Limits | None = None) -> None:
+    def __init__(
+        self, device: JoystickDevice, *, limits: Limits | None = None, paused: bool = False
+    ) -> None:
         self.device = device
-        self.operation = JoystickOperation(device, limits=limits)
+        self.operation = JoystickOperation(device, limits=limits, paused=paused)
+        self._simulated = device if isinstance(device, SimulatedDevice) else None
         self.x_m = self.y_m = 0.0
         self.force_limit_n = 0.0
-        self.dead_man = False
+        self.dead_man = self.stop = self.blind = False
         self.buttons = self.pressed = 0
+        self.robot_waits = self.robot_stopped = False
         self.state = int(JoystickState.INIT)
         self._known = JoystickState.INIT
         self._placed = False
@@ -48,13 +55,17 @@ class OperatedHandle:
         """The sum of all steps so far."""
         return self._now_ns
 
-    def handle_feedback(self, feedback: Feedback) -> None:
-        """Take a fresh sample: note that the robot was heard, and light the same LED here."""
+    def handle_feedback(self, feedback: Feedback | None) -> None:
+        """Take a fresh sample, or None: the robot was heard, or not. Light the same LED here."""
+        if self._simulated is not None:
+            self._simulated.handle_robot(feedback is not None, feedback is not None and feedback[8])
+        if feedback is None:
+            return
         now_ns = self._now_ns
         if now_ns >= self._heard_ns:
             self._heard_ns = now_ns + _HEARD_NS
             self.operation.handle_heard(now_ns)
-        lit = feedback[5]
+        lit, self.robot_waits, self.robot_stopped = feedback[5], feedback[8], feedback[9]
         self._leds = 0 if lit is None else 1 << lit
 
     def handle_command(self, event: JoystickEvent) -> str:

@@ -57,6 +57,7 @@ class JoystickOperation:
     """Runs one `device`.
 
     automatic: make the requests that lead into the application, and back into it, by itself.
+    paused: a person halted or stopped it, in an earlier life too, so it waits for a person.
     hands_off: the application is a functional check. Its script moves the handle, the force does
     not depend on the dead-man button, and no peer is expected.
 
@@ -73,6 +74,7 @@ class JoystickOperation:
         limits: Limits | None = None,
         automatic: bool = True,
         hands_off: bool = False,
+        paused: bool = False,
         now_ns: int = 0,
     ) -> None:
         self.device = device
@@ -98,9 +100,11 @@ class JoystickOperation:
         self._cycles = 0
         self._retries = 0
         #: A person has halted or stopped it, and must let it go on.
-        self._paused = False
+        self.paused = paused
         self._tried_ns = now_ns
         self._held_since_ns: int | None = None
+        #: The dead-man button was seen released since the application began.
+        self._let_go = False
         #: The full force has returned since the dead-man button was pressed.
         self._force_restored = False
         #: Until then only the sensors are compared with `_plausible`; see `JoystickSupervisor`.
@@ -130,7 +134,7 @@ class JoystickOperation:
         it is repeated until the stick is released.
         """
         if self.state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE):
-            return not self._automatic or self._paused or self._retries >= _RETRIES
+            return not self._automatic or self.paused or self._retries >= _RETRIES
         return self.state is JoystickState.FATAL
 
     @property
@@ -177,7 +181,7 @@ class JoystickOperation:
         elif event in (JoystickEvent.RESUME, JoystickEvent.START):
             self.supervisor.forget_silence()
             self._held_since_ns = None
-            self._force_restored = False
+            self._let_go = self._force_restored = False
             # The joystick is in order again, so later errors get all retries.
             self._retries = 0
         self.supervisor.expects_peer = not self._hands_off and event is JoystickEvent.START
@@ -197,7 +201,7 @@ class JoystickOperation:
         if event in (JoystickEvent.HALT, JoystickEvent.STOP):
             return self._pause(event, now_ns)
         if event is JoystickEvent.START and state in (JoystickState.INIT, JoystickState.STANDBY):
-            self._paused = False
+            self.paused = False
             return ""
         if state is JoystickState.HALTED and event in _FROM_HALTED:
             refusal = self.handle_request(JoystickEvent.RESUME, now_ns)
@@ -205,7 +209,7 @@ class JoystickOperation:
                 return f"{event.value}: {refusal.partition(': ')[2]}"
         refusal = self.handle_request(event, now_ns)
         if not refusal and event in (JoystickEvent.START, JoystickEvent.RESUME):
-            self._paused = False
+            self.paused = False
         return refusal
 
     def handle_reading(self, now_ns: int) -> Reading:
@@ -296,6 +300,11 @@ class JoystickOperation:
             if self._held_since_ns is not None:
                 self.released += 1
             self._held_since_ns = None
+            self._let_go = True
+            self.force_limit_n = 0.0
+            return
+        if not self._let_go and not self._hands_off:
+            # It was held when the application began: that is no order to move.
             self.force_limit_n = 0.0
             return
         if self._held_since_ns is None:
@@ -352,14 +361,14 @@ class JoystickOperation:
                     machine.handle_event(JoystickEvent.CALIBRATION_PASSED, now_ns)
         elif self._test is not None:
             self._continue_test(self._test, raw, now_ns)
-        elif self._automatic and not self._paused:
+        elif self._automatic and not self.paused:
             self._request_next(state, now_ns)
 
     def _pause(self, event: JoystickEvent, now_ns: int) -> str:
         machine = self.machine
         if machine.state is JoystickState.FATAL:
             return self.handle_request(event, now_ns)
-        self._paused = True
+        self.paused = True
         # The controller must know before its next cycle that its force is not exerted.
         self.force_limit_n = 0.0
         if (machine.state, event) in TRANSITIONS:

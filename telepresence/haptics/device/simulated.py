@@ -70,10 +70,6 @@ FAULTS: Mapping[str, Faults] = MappingProxyType(
 _REACTION_NS = 250 * NS_PER_MS
 #: Time that a hand takes to close around the handle. Chosen.
 _GRIP_NS = 400 * NS_PER_MS
-#: A hand that has felt nothing of the robot for this long lets go, and grips again after feeling it
-#: for this long. Chosen.
-_LET_GO_NS = NS_PER_S
-_GRIP_AGAIN_NS = 500 * NS_PER_MS
 #: Longest interval that one call simulates. After a stall, the rest is dropped.
 _MAX_ADVANCE_NS = 50 * NS_PER_MS
 
@@ -186,28 +182,26 @@ class SimulatedDevice(Mechanics):
         self._lost_ns = faults.lost_ns
         self.fingers = Fingers(self.facts.leds)
         self._held_ns = -1
-        self._let_go = False
-        self._robot_heard: bool | None = None
-        self._changed_ns = 0
+        self._told = False
 
-    def handle_robot(self, heard: bool, now_ns: int) -> None:
-        """The robot's samples arrive, or none do: let the dead-man button go while it is gone.
+    def handle_robot(self, heard: bool, waiting: bool) -> None:
+        """The robot is heard, or waits for a new press, as the hand on the handle learns.
 
-        A hand that is never told holds it all the time.
+        A hand that is never told presses the dead-man button all the time.
         """
-        if heard is not self._robot_heard:
-            self._robot_heard, self._changed_ns = heard, now_ns
-        elif now_ns - self._changed_ns >= (_GRIP_AGAIN_NS if heard else _LET_GO_NS):
-            self._let_go = not heard
+        self._told = True
+        if self.hand is not None and self._held_ns >= 0:
+            self.hand.handle_robot(heard, waiting, self.joystick.x_m, self.joystick.y_m)
 
     def read(self) -> Reading:
         """Return what the encoders, the buttons and the thermometer measure."""
         joystick, fingers = self.joystick, self.fingers
         hand, buttons = self.hand, fingers.buttons
-        held = fingers.dead_man and not self._let_go
+        held = fingers.dead_man
         if hand is not None and self._held_ns >= 0:
             buttons |= hand.buttons
-            held = hand.dead_man and not self._let_go
+            # The button comes last, so a joystick that has just started sees it released.
+            held = hand.dead_man and self._held_ns >= _GRIP_NS
         reading = (
             joystick.x_m - self._zero_x,
             joystick.y_m - self._zero_y,
@@ -235,6 +229,8 @@ class SimulatedDevice(Mechanics):
         """Let the hand take the handle in the application, and release it elsewhere."""
         if self.hand is not None:
             self._held_ns = 0 if state is JoystickState.APPLICATION else -1
+            if self._told:
+                self.hand.let_go(self.joystick.x_m, self.joystick.y_m)
             self.fingers = Fingers(self.facts.leds)
 
     def _step(self, dt_ns: int) -> None:

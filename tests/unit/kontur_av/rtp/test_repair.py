@@ -1,5 +1,9 @@
 """Lost packets are asked for, and sent again within bounds."""
 
+from aiortc.rtp import RtcpPacket
+from hypothesis import given
+from hypothesis import strategies as st
+
 from kontur_av.rtp.repair import MOST_MISSING, LossAsker, PacketHistory
 from kontur_av.rtp.wire import parse_rtcp
 
@@ -60,3 +64,23 @@ def test_old_packets_leave_the_history():
     for sequence in range(3):
         history.handle_sent(sequence, bytes([sequence]), 0)
     assert history.handle_lost([0, 1, 2], MS) == [b"\x01", b"\x02"]
+
+
+def test_a_loss_across_the_end_of_the_numbers_is_asked_for():
+    asker = LossAsker(ssrc=1)
+    for sequence in (65_530, 5):
+        asker.handle_packet(9, sequence, 0)
+    asked = asker.poll_transmit(0)
+    lost = [number for packet in RtcpPacket.parse(asked) for number in packet.lost]
+    assert lost == [*range(65_531, 65_536), *range(5)]
+
+
+@given(st.lists(st.tuples(st.integers(0, 65_535), st.integers(0, 80)), max_size=60))
+def test_any_numbers_are_taken(packets):
+    asker, now_ns = LossAsker(ssrc=1), 0
+    for sequence, waits_ms in packets:
+        asker.handle_packet(9, sequence, now_ns)
+        now_ns += waits_ms * 1_000_000
+        asked = asker.poll_transmit(now_ns)
+        if asked is not None:
+            assert RtcpPacket.parse(asked)

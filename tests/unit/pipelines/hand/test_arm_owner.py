@@ -25,7 +25,7 @@ def test_an_order_stands_until_the_next_and_the_answer_says_who_drives():
     ownership.handle_order(Owner.PARTNER, 0)
     for now_ns in (0, 10**9):
         ownership.handle_robot(0.0, now_ns)
-    desk.handle_state(ArmState.unpack(ArmState.of(ownership.report()).pack()))
+    desk.handle_state(ArmState.unpack(ArmState.of(ownership.report(), waiting=True).pack()))
     answer = json.loads(ask(desk, b"{}\n"))
     assert answer["owner"] == "partner" and answer["waiting"]
     assert desk.order is Owner.PARTNER

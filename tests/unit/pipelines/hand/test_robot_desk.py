@@ -27,7 +27,7 @@ def test_it_is_off_at_first_only_where_tasks_switch_it_on(tasks, powered):
 def test_what_was_sent_to_an_earlier_life_changes_nothing():
     one = desk(tasks=True)
     one.handle_order(RobotOrder(5, "power", on=True), BEGAN_NS - 1, BEGAN_NS)
-    one.handle_command(RobotCommand(5, "power_on"), BEGAN_NS - 1)
+    one.handle_command(RobotCommand(5, "power_on"), BEGAN_NS - 1, BEGAN_NS)
     status = one.status(BEGAN_NS)
     assert (status.powered, status.handled, status.commanded) == (False, 0, None)
     one.handle_order(RobotOrder(6, "power", on=True), BEGAN_NS, BEGAN_NS)
@@ -38,14 +38,15 @@ def test_telecommands_are_answered_with_a_refusal_in_words():
     one = desk(tasks=False)
     answers = []
     for number, function in enumerate(["set_mode", "power_off", "set_mode", "power_on"]):
-        one.handle_command(RobotCommand(number, function, ControlMode.IMPEDANCE), BEGAN_NS)
+        command = RobotCommand(number, function, ControlMode.IMPEDANCE)
+        one.handle_command(command, BEGAN_NS, BEGAN_NS)
         status = one.poll_status(BEGAN_NS)
         assert status.commanded == number
         answers.append(status.command_refusal)
     assert answers == ["the robot is on: switch it off first", "", "", ""]
     assert (status.powered, status.mode) == (True, "impedance")
     one.control.handle_fault("a wire broke")
-    one.handle_command(RobotCommand(9, "power_on"), BEGAN_NS)
+    one.handle_command(RobotCommand(9, "power_on"), BEGAN_NS, BEGAN_NS)
     status = one.poll_status(BEGAN_NS)
     assert (status.error, status.fault) == ("other", "a wire broke")
     assert "reset it first: a wire broke" in status.command_refusal

@@ -1,9 +1,16 @@
 """Decisions about a partner: who is admitted, when to connect again, how to code the picture."""
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.partner.attempts import Attempts, Doing
-from pipelines.partner.door import Door
-from pipelines.partner.rate import LEAST_BPS, PicturePlan, RateFollower
+from pipelines.partner.decisions import (
+    LEAST_BPS,
+    Attempts,
+    Doing,
+    Door,
+    PicturePlan,
+    RateFollower,
+    UplinkWish,
+    Wish,
+)
 
 
 def test_only_the_token_opens_the_door():
@@ -116,3 +123,13 @@ def test_a_picture_is_skipped_while_the_last_ones_are_too_large():
     changed = plan.handle_picture(400 * NS_PER_MS)
     assert changed is not None
     assert (changed.keyframe, changed.cap_bps) == (True, 400_000)
+
+
+def test_a_unit_that_is_missing_between_the_processes_asks_for_a_key_picture():
+    plan = UplinkWish(most_bps=1_000_000)
+    told = [(7, True), (8, False), (10, False), (11, False), (13, True)]
+    wanted = [plan.handle_unit(number, 100, key=key, now_ns=number) for number, key in told]
+    assert wanted == [False, False, True, False, False]
+    plan.handle_key_wanted()
+    assert plan.wish(watched=True) == Wish(1_000_000, 2)
+    assert plan.wish(watched=False) == Wish(0, 2)

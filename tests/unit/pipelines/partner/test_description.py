@@ -1,5 +1,7 @@
 """Offers and answers: what a browser says, what is refused, and garbage."""
 
+import contextlib
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,6 +11,7 @@ from kontur_av.rtp.header_extensions import ABS_SEND_TIME, MID, PLAYOUT_DELAY
 from pipelines.partner.description import (
     MOST_SDP_OCTETS,
     Transport,
+    clean_candidates,
     common_line,
     read_candidates,
     read_description,
@@ -197,3 +200,46 @@ def test_candidates_travel_in_fragments():
         read_candidates("a=candidate:1 1 udp 1 192.0.2.1 3 typ host")
     with pytest.raises(ProtocolError, match="candidate"):
         read_candidates("a=ice-ufrag:u\r\na=ice-pwd:p\r\na=candidate:nonsense")
+
+
+def candidate(address, port, protocol="udp"):
+    return f"a=candidate:1 1 {protocol} 2130706431 {address} {port} typ host"
+
+
+@pytest.mark.parametrize(
+    ("address", "port"),
+    [
+        ("192.0.2.1", 70_000),
+        ("192.0.2.1", -1),
+        ("192.0.2.1", 0),
+        ("192.0.2.1", "9" * 400),
+        ("224.0.0.1", 5000),
+        ("255.255.255.255", 5000),
+        ("0.0.0.0", 5000),
+        ("::", 5000),
+        ("nobody", 5000),
+    ],
+)
+def test_a_candidate_that_no_datagram_may_go_to_is_left_out(address, port):
+    text = "\r\n".join([BROWSER.rstrip("\r\n"), candidate(address, port), ""])
+    assert clean_candidates(text) == BROWSER
+    assert read_description(text, answers=False, ssrcs=SSRCS).transport.candidates == ()
+    fragment = f"a=ice-ufrag:a\r\na=ice-pwd:b\r\n{candidate(address, port)}\r\n"
+    assert read_candidates(fragment).candidates == ()
+
+
+def test_loopback_is_for_a_partner_on_this_machine():
+    local = [candidate(address, 5000) for address in ("127.0.0.1", "127.9.9.9", "::1")]
+    mapped = candidate("::ffff:127.0.0.1", 5000)
+    far = [candidate("192.0.2.1", 5000), candidate(f"{'a' * 8}-{'b' * 27}.local", 5000)]
+    text = "\n".join([*local, mapped, *far])
+    assert clean_candidates(text) == text
+    assert clean_candidates(text, loopback=False) == "\n".join(far)
+
+
+@given(st.text(max_size=200))
+@settings(max_examples=300)
+def test_any_candidate_is_taken_or_left_out(words):
+    cleaned = clean_candidates(f"a=candidate:{words}")
+    with contextlib.suppress(ProtocolError):
+        read_candidates(f"a=ice-ufrag:a\na=ice-pwd:b\n{cleaned}")

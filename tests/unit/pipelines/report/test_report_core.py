@@ -17,7 +17,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.link_figures import ledger_percent, link_figures
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report, failures
-from pipelines.report.silence import silences
+from pipelines.report.silence import never_met, signal_ns, silences
 from pipelines.session.figures import ProbeFigures
 from pipelines.session.rows import OutRow, ShownRow
 from pipelines.session.setup.built_in import BUILT_IN
@@ -344,3 +344,45 @@ def test_the_arithmetic_of_a_direction_adds_up_to_its_capacity():
             assert sum(line.bps for line in lines) == profile.media_bps
             assert lines[-1].what == "spare"
             assert lines[-1].bps > 0
+
+
+def gateway_of(contacts, told_s, radio="cable"):
+    """A collector whose gateways report these contacts at this time of the session."""
+    collector = Collector(topology_of(replace(SETUP, radio=radio)))
+    supervision = SimpleNamespace(
+        signal=True, begun_ns=0, contacts=contacts, in_state_ns={}, why="no signal"
+    )
+    receive = ReceiverFigures(frames_received=1000)
+    for name in ("ground_gateway", "space_gateway"):
+        link = gateway(receive=receive, supervision=supervision)
+        collector.handle_message(name, message(link), round(told_s * NS_PER_S))
+    return collector
+
+
+def contact(acquired_s=0.0, *, connected=True):
+    acquired_ns = round(acquired_s * NS_PER_S)
+    return ContactFigures(
+        acquired_ns=acquired_ns,
+        connected_ns=acquired_ns if connected else None,
+        lost_ns=None,
+    )
+
+
+def test_a_session_that_never_met_its_peer_fails_and_says_why():
+    for contacts in ([], [contact(connected=False)]):
+        lines = never_met(gateway_of(contacts, 14.0), 14.0)
+        assert [line.split(":")[0] for line in lines] == ["ground", "space"]
+        assert "never met the other end in 14 s: no signal; look at" in lines[0]
+    assert never_met(gateway_of([contact()], 14.0), 14.0) == []
+    # It may not have had the time, or the radio no contact.
+    assert never_met(gateway_of([], 5.0), 5.0) == []
+    assert never_met(gateway_of([], 20.0, "iss-pass"), 20.0) == []
+    assert len(never_met(gateway_of([], 500.0, "iss-pass"), 500.0)) == 2
+
+
+def test_a_silence_after_the_pass_is_no_failure():
+    windows = replace(SETUP, radio="iss-pass").radio_profile.contact_windows()
+    inside, after = windows.usable_to_s - 5, windows.usable_to_s + 5
+    for at_s, expected_s in ((inside, inside), (after, 0)):
+        collector = gateway_of([contact()], at_s, "iss-pass")
+        assert signal_ns("space", collector) == round(expected_s * NS_PER_S)

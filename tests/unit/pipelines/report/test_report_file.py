@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.report_file import check_writable, save_report, write_report
 
 
 def test_a_file_is_replaced_as_a_whole(tmp_path):
@@ -59,3 +59,28 @@ def test_a_device_is_writable_even_if_its_directory_is_not(tmp_path, monkeypatch
     for path in (tmp_path / "r.json", tmp_path):
         with pytest.raises(ConfigError, match="cannot be written"):
             check_writable(path)
+
+
+def test_a_report_that_has_no_room_is_kept_elsewhere(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert not save_report(Path("/dev/full"), {"kept": 1})
+    said = capsys.readouterr().err
+    (kept,) = tmp_path.iterdir()
+    assert (
+        said == f"kontur-av: --report /dev/full: No space left on device; the report is in {kept}\n"
+    )
+    assert json.loads(kept.read_text()) == {"kept": 1}
+
+
+def test_a_report_that_can_be_written_nowhere_goes_to_standard_error(monkeypatch, capsys):
+    monkeypatch.setattr("tempfile.tempdir", "/nowhere")
+    assert not save_report(Path("/dev/full"), {"kept": 2})
+    first, *rest = capsys.readouterr().err.splitlines()
+    assert first.endswith("No space left on device; the report follows")
+    assert json.loads("\n".join(rest)) == {"kept": 2}
+
+
+def test_a_report_with_room_is_where_it_should_be(tmp_path, capsys):
+    assert save_report(None, {}) and save_report(tmp_path / "r.json", {"kept": 3})
+    assert json.loads((tmp_path / "r.json").read_text()) == {"kept": 3}
+    assert capsys.readouterr().err == ""

@@ -14,10 +14,8 @@ from pipelines.mission.tmtc_messages import (
     SendCommand,
     SendK2aci,
 )
-from pipelines.seats.mission_desk import MissionDesk
-from pipelines.seats.page_requests import ChatRequest, CommandRequest
-from pipelines.seats.radio_words import radio_text
-from pipelines.seats.telemetry_log import level_of
+from pipelines.seats.mission_desk import MissionDesk, level_of, radio_text
+from pipelines.seats.texts import ChatRequest, CommandRequest
 from pipelines.session.mission_messages import ExperimentShown, TaskListed
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.segments import Segment

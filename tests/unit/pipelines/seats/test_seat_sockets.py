@@ -41,11 +41,7 @@ class Server:
             page = await self.sockets.open(request, 1000)
         except AccessError as refusal:
             return web.Response(status=refusal.status, text=str(refusal))
-        sending = asyncio.create_task(page.send(self.next_message))
-        try:
-            await self.sockets.receive(page, self.take)
-        finally:
-            sending.cancel()
+        await self.sockets.serve(page, self.take, self.next_message)
         return page.ws
 
 

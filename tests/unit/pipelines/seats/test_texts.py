@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.errors import ProtocolError
-from pipelines.seats.page_requests import (
+from pipelines.seats.texts import (
     InputRequest,
     JoystickRequest,
     SessionRequest,

@@ -12,6 +12,7 @@ from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import PORTS, RtcLeg, Setup, VideoStream
+from telepresence.haptics.envelope import SafetyLimits
 from telepresence.link.arithmetic import (
     RESERVE_BPS,
     RESERVE_DOWN_BPS,
@@ -71,6 +72,10 @@ frame_octets = 40
 
 [downlink]
 frame_octets = 250
+
+[safety]
+resume_within_s = 0.2
+slow_m_s = 0.05
 """
 
 
@@ -87,6 +92,7 @@ def test_every_field_of_a_file_reaches_the_setup(tmp_path):
     corners = ((40, 30), (280, 33.5), (300, 210), (25, 205))
     assert (setup.region, setup.region_points) == ("stylus", {"wrist": corners})
     assert setup.rtc == RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000)
+    assert setup.safety == SafetyLimits(resume_within_s=0.2, slow_m_s=0.05)
     video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
     assert asdict(setup.uplink_video) == video | {"stale_after_ms": 250.5, "coded": (160, 120)}
     down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}

@@ -4,7 +4,7 @@ import pytest
 
 from pipelines.report.result import JsonReader
 from pipelines.session.task_journal import STEPS
-from pipelines.virtual.campaign.task_figures import (
+from pipelines.virtual.campaign.figures import (
     task_faults,
     task_figures,
     task_names,

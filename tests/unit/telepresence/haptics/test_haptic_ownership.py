@@ -6,6 +6,7 @@ import pytest
 from haptic_pair import MS
 
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.ownership import REST_NS, HapticOwnership, Owner
 
@@ -15,7 +16,10 @@ class Bench:
 
     def __init__(self, ownership=None):
         self.ownership = ownership or HapticOwnership()
-        self.robot = RobotSide(link=robot_link(life=3), ownership=self.ownership)
+        self.envelope = SafetyEnvelope()
+        self.robot = RobotSide(
+            link=robot_link(life=3), ownership=self.ownership, envelope=self.envelope
+        )
         self.ends = {
             owner: JoystickSide(link=joystick_link(life=life))
             for life, owner in enumerate(Owner, 1)
@@ -30,6 +34,9 @@ class Bench:
     def step(self):
         robot, now_ns = self.robot, self.now_ns
         for owner, end in self.ends.items():
+            # The joystick in space is let go once at first.
+            if owner is Owner.ISS and now_ns < 1000 * MS:
+                end.handle.dead_man = now_ns > 200 * MS
             end.handle_cycle(now_ns, MS)
             sample = end.poll_transmit(now_ns)
             if sample is not None and self.ownership.takes(owner):
@@ -61,7 +68,7 @@ def test_a_hand_over_rests_then_waits_for_a_released_dead_man_button():
     assert bench.moved(REST_NS // MS) == 0.0
     bench.run(1500)
     figures = bench.ownership.report()
-    assert figures.owner is Owner.PARTNER and figures.waiting
+    assert figures.owner is Owner.PARTNER and bench.envelope.waiting
     # The partner has held the button all the time.
     assert bench.moved(1000) == 0.0
     handle = bench.ends[Owner.PARTNER].handle
@@ -69,7 +76,7 @@ def test_a_hand_over_rests_then_waits_for_a_released_dead_man_button():
     bench.run(20)
     handle.dead_man = True
     assert bench.moved(2000) > 0.01
-    assert not bench.ownership.report().waiting
+    assert not bench.envelope.waiting
 
 
 def test_only_the_owner_is_heard_and_answered():
@@ -103,11 +110,13 @@ def test_an_order_taken_back_in_the_middle_needs_a_released_button_too():
     bench.ownership.handle_order(Owner.ISS, bench.now_ns)
     bench.run(2000)
     figures = bench.ownership.report()
-    assert figures.owner is Owner.ISS and figures.waiting and figures.refused["partner"] > 1000
+    assert (
+        figures.owner is Owner.ISS and bench.envelope.waiting and figures.refused["partner"] > 1000
+    )
 
 
 @pytest.mark.parametrize("wanted", list(Owner))
 def test_a_robot_that_was_started_again_begins_with_nobody(wanted):
     bench = Bench(HapticOwnership(None, wanted=wanted)).run(2000)
     figures = bench.ownership.report()
-    assert figures.owner is wanted and figures.waiting
+    assert figures.owner is wanted and bench.envelope.waiting

@@ -203,6 +203,7 @@ class Rail:
 
     x_m = y_m = 0.0
     force_limit_n, dead_man, buttons, state = 12.0, True, 0, STATE_APPLICATION
+    stop = blind = False
 
     def __init__(self) -> None:
         self.felt: list[float] = []

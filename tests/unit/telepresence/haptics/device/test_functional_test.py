@@ -6,7 +6,7 @@ from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.device.functional_test import FORCE_N, Outcome, TestPart
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice, PageInput
-from telepresence.haptics.device.simulated import FAULTS, Faults, SimulatedDevice
+from telepresence.haptics.device.simulated import FACTS, FAULTS, Faults, Fingers, SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.sample import Feedback
@@ -103,8 +103,7 @@ def test_it_aborts_with_the_next_cycle_after_the_button_is_let_go():
     session = Session()
     session.handle.handle_command(JoystickEvent.TEST)
     pushing(session)
-    for heard, now_ns in ((True, 0), (False, 0), (False, 2_000_000_000)):
-        session.device.handle_robot(heard, now_ns)
+    session.device.fingers = Fingers(FACTS.leds)
     session.run(0.002)
     assert session.pushes[-1][:2] == (0.0, 0.0)
     report = session.operation.test

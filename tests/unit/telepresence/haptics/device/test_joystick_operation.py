@@ -99,7 +99,8 @@ def test_releasing_the_dead_man_button_removes_the_force_which_returns_slowly():
     session.run(0.002, force=(3.0, 0.0))
     assert session.device.joystick.motor_x_n == 0.0
     session.device.show_state(JoystickState.APPLICATION)
-    session.run(0.1)
+    # The hand closes around the handle in 0.4 s, and then presses.
+    session.run(0.6)
     assert 0.0 < session.handle.force_limit_n < FACTS.force_limit_n / 2
     session.run(0.3)
     assert session.handle.force_limit_n == FACTS.force_limit_n
@@ -408,7 +409,7 @@ def test_samples_carry_the_state_and_the_fatal_state_is_final():
                 pushed_after, abs(joystick_side.force_x_n), abs(joystick_side.force_y_n)
             )
     assert seen == [0, 1, 2, 3, 7]
-    assert pushed_after == 0.0
+    assert pushed_after < 1e-100
     # The LED that the robot lights is lit on the joystick too.
     assert (0b001, 0) in lights
     assert joystick_side.controller.least_observed_uj >= -1

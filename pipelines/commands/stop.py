@@ -1,0 +1,42 @@
+"""`kontur-av stop`: the emergency stop of a running session, and its release."""
+
+import argparse
+import os
+import pwd
+
+from kontur_av.topics.session_files import choose_session, sessions
+from pipelines.session.orders import KeptOrders
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The release, and the session where several run."""
+    parser.add_argument(
+        "--release", action="store_true", help="release the stop; the robot stays off until told"
+    )
+    parser.add_argument(
+        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
+    )
+    parser.description = (
+        "Stop the robot of a running session, and hold it until the stop is released. "
+        "At the joystick's end every haptic sample carries it to the robot."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 if the stop holds, or is released; without a session a ConfigError."""
+    session = choose_session(args.session, sessions())
+    orders = KeptOrders(session)
+    if args.release:
+        if not orders.stopped:
+            print(f"{session}: no emergency stop holds")
+            return 0
+        by = orders.stopped_by
+        orders.release()
+        print(
+            f"{session}: released the emergency stop by {by or 'somebody'}; switch the robot on "
+            "(`kontur-av tc robot power_on`), then press the dead-man button anew"
+        )
+        return 0
+    orders.stop(f"a terminal of {pwd.getpwuid(os.getuid()).pw_name}")
+    print(f"{session}: emergency stop by {orders.stopped_by}; `kontur-av stop --release` ends it")
+    return 0

@@ -1,0 +1,116 @@
+"""What robot and joystick do about orders that outlive a process: emergency stop, halt, power."""
+
+from kontur_av.sources.stereo import HALF
+from kontur_av.streams.lipsync import LAG
+from kontur_av.topics.bus import TopicBus
+from pipelines.hand.hand_topics import JoystickOrders, RobotOrders
+from pipelines.hand.haptic_loop import Cycle
+from pipelines.hand.haptics import RobotEnd
+from pipelines.hand.operator_view import CameraWatch, OperatorView
+from pipelines.hand.robot_desk import RobotDesk
+from pipelines.media.following import Choice
+from pipelines.session.orders import KeptOrders
+from pipelines.session.setup.table import STEREO, Setup
+from pipelines.session.topology import (
+    HALVES_TOPIC,
+    JOYSTICK,
+    ROBOT,
+    SELECTED_TOPIC,
+    Topology,
+)
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.envelope import Hold
+from telepresence.tasks.definitions import ControlMode
+
+#: Of a robot that does not know what was ordered, and of such a joystick.
+UNKNOWN_ROBOT = RobotOrders(powered=False, mode=ControlMode.TELEPRESENCE.value)
+UNKNOWN_JOYSTICK = JoystickOrders(paused=True)
+
+
+def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:
+    """Return what joins the robot's emergency stop with the one that the machine keeps."""
+    envelope = end.envelope
+    known = False
+
+    def follow(now_ns: int) -> None:
+        nonlocal known
+        ordered = kept.stopped
+        if ordered and not known:
+            envelope.handle_stop(now_ns)
+        elif known and not ordered:
+            envelope.handle_stop_released(now_ns)
+        elif envelope.stopped and not ordered:
+            kept.stop("the joystick or a telecommand")
+            ordered = True
+        elif ordered and not envelope.stopped:
+            # By a telecommand.
+            kept.release()
+            ordered = False
+        known = ordered
+
+    return follow
+
+
+def keep_robot(kept: KeptOrders, desk: RobotDesk) -> Cycle:
+    """Return what keeps power and mode of the robot."""
+    last = desk.orders
+
+    def keep(_now_ns: int) -> None:
+        nonlocal last
+        orders = desk.orders
+        if orders != last:
+            last = orders
+            kept.keep(ROBOT, orders)
+
+    return keep
+
+
+def keep_joystick(kept: KeptOrders, handle: OperatedHandle) -> Cycle:
+    """Return what keeps a person's halt, and puts the emergency stop into every sample."""
+    last = JoystickOrders(paused=handle.operation.paused)
+
+    def keep(_now_ns: int) -> None:
+        nonlocal last
+        handle.stop = kept.stopped
+        orders = JoystickOrders(paused=handle.operation.paused)
+        if orders != last:
+            last = orders
+            kept.keep(JOYSTICK, orders)
+
+    return keep
+
+
+def look_at_picture(bus: TopicBus, topology: Topology, handle: OperatedHandle) -> Cycle:
+    """Return what tells the robot, in every sample, that the operator's picture is too old."""
+    setup = topology.setup
+    view = OperatorView(setup)
+    reader = bus.reader(topology.video(setup.uplink_video.name).lag_topic)
+
+    def look(now_ns: int) -> None:
+        lease = reader.latest()
+        if lease is not None:
+            with lease:
+                view.handle_shown(*LAG.unpack(lease.octets()))
+        handle.blind = view.is_blind(now_ns)
+
+    return look
+
+
+def watch_camera(bus: TopicBus, setup: Setup, end: RobotEnd) -> Cycle:
+    """Return what holds the robot at a change of the camera, and at half a frozen picture."""
+    envelope = end.envelope
+    stale_ns = setup.stale_after_ns(setup.uplink_video)
+    watch = CameraWatch(STEREO, stale_ns, lambda: envelope.require_press(Hold.CAMERA))
+    choices = bus.reader(SELECTED_TOPIC)
+    halves = bus.reader(HALVES_TOPIC) if STEREO in setup.cameras else None
+
+    def look(now_ns: int) -> None:
+        if (lease := choices.latest()) is not None:
+            with lease:
+                watch.handle_choice(Choice.unpack(lease.octets()).camera)
+        if halves is not None and (lease := halves.latest()) is not None:
+            with lease:
+                watch.handle_halves(HALF.unpack(lease.octets())[0])
+        envelope.blind = watch.is_blind(now_ns)
+
+    return look

@@ -1,0 +1,197 @@
+"""The processes that code for partners while any of them watches, and decode what one sends."""
+
+from dataclasses import replace
+
+from kontur_av.codecs.coding import SLOW_REFRESH_S
+from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.opus import OpusEncoder, heard_stamp
+from kontur_av.errors import ProtocolError
+from kontur_av.media import CaptureStamp, Quality
+from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.streams.coded_unit import CodedUnit
+from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
+from kontur_av.topics.bus import Lease, Reader, TopicBus
+from pipelines.media.coded_topics import ReceivedTopics, SentTopic
+from pipelines.media.following import Choice
+from pipelines.partner.decisions import PicturePlan, Wish
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.sample_topic import SampleTopic
+from pipelines.session.setup.table import GROUND_MIC
+from pipelines.session.topology import (
+    RTC_CAMERA,
+    RTC_CAMERA_TOPIC,
+    RTC_CODED_CAMERA_TOPIC,
+    RTC_DECODED_CAMERA_TOPIC,
+    RTC_SPEECH_TOPIC,
+    RTC_UNITS_TOPIC,
+    RTC_VIDEO,
+    RTC_VIDEO_TOPIC,
+    RTC_WISH_TOPIC,
+    SELECTED_TOPIC,
+    partner_camera,
+)
+
+
+def run_rtc_encode(context: Context) -> None:
+    """Encode the newest picture of the selected camera, and each block of sound."""
+    switch_threads_often()
+    leg, stream, clock = context.setup.rtc, context.setup.uplink_video, context.clock
+    assert leg is not None
+    encoder = H264Encoder(
+        width=stream.width,
+        height=stream.height,
+        fps=stream.fps,
+        cap_bps=leg.video_bps,
+        refresh_s=SLOW_REFRESH_S,
+    )
+    plan = PicturePlan(bps=leg.video_bps)
+    speaks = context.setup.uplink_voice is not None
+    voice = OpusEncoder(bitrate_bps=leg.voice_bps) if speaks else None
+    with context.open_bus() as bus, EncodingThread(encoder, clock) as encoding:
+        camera = _SelectedCamera(context, bus)
+        wishes = bus.reader(RTC_WISH_TOPIC)
+        wish = Wish(0, 0)
+        microphone = (
+            bus.reader(context.topology.input(GROUND_MIC).topic, depth=8) if speaks else None
+        )
+        pictures = SentTopic(bus, RTC_VIDEO, RTC_VIDEO_TOPIC)
+        packets = SampleTopic(bus, RTC_SPEECH_TOPIC) if speaks else None
+        others = [wishes] if microphone is None else [wishes, microphone]
+        waiter = bus.waiter([*others, *camera.readers], [encoding.fileno()])
+        encoded: Lease | None = None
+        numbers = 0
+        while not context.stopping:
+            context.tick(clock.now_ns())
+            waiter.wait(PATIENCE_NS)
+            if camera.handle_choice():
+                plan.handle_key_request()
+                del waiter
+                waiter = bus.waiter([*others, *camera.readers], [encoding.fileno()])
+            told = wishes.latest()
+            if told is not None:
+                with told:
+                    newest = Wish.unpack(told.octets())
+                if newest.keys != wish.keys or not wish.bps:
+                    plan.handle_key_request()
+                wish = newest
+                if wish.bps:
+                    plan.handle_rate(wish.bps)
+            done = encoding.poll()
+            if done is not None and encoded is not None:
+                encoded.release()
+                encoded = None
+                camera.close_retired()
+                plan.handle_coded(len(done.unit.data), done.encoded_ns)
+                pictures.handle_unit(done.unit, encoder.unit_size)
+            lease = None if encoded is not None else camera.newest()
+            if lease is not None:
+                coding = plan.handle_picture(clock.now_ns()) if wish.bps else None
+                if coding is None:
+                    lease.release()
+                else:
+                    frame = lease.video()
+                    stamp = CaptureStamp(frame.stamp.capture_ns, numbers, RTC_VIDEO)
+                    numbers += 1
+                    encoding.submit(replace(frame, stamp=stamp), coding)
+                    encoded = lease
+            while microphone is not None and (block := microphone.next()) is not None:
+                with block:
+                    if not wish.bps or voice is None or packets is None:
+                        continue
+                    sound = block.audio()
+                    octets = voice.encode(sound.samples)
+                packets.handle_sample(octets, heard_stamp(sound.stamp).capture_ns)
+        encoding.close()
+        if encoded is not None:
+            encoded.release()
+        camera.close_retired()
+        del waiter
+
+
+class _SelectedCamera:
+    """The pictures of the selected camera; it follows the selector, and confirms nothing."""
+
+    def __init__(self, context: Context, bus: TopicBus) -> None:
+        self._topology, self._bus = context.topology, bus
+        self._choices = bus.reader(SELECTED_TOPIC)
+        self._camera = ""
+        self._reader: Reader | None = None
+        #: Readers of earlier cameras, one of whose pictures may still be in the encoder.
+        self._retired: list[Reader] = []
+
+    @property
+    def readers(self) -> list[Reader]:
+        """The readers whose new samples matter."""
+        return [self._choices, *([] if self._reader is None else [self._reader])]
+
+    def handle_choice(self) -> bool:
+        """Read the newest choice; True if another camera is selected now."""
+        lease = self._choices.latest()
+        if lease is None:
+            return False
+        with lease:
+            chosen = Choice.unpack(lease.octets()).camera
+        if chosen == self._camera:
+            return False
+        self._camera = chosen
+        if self._reader is not None:
+            self._retired.append(self._reader)
+        self._reader = self._bus.reader(self._topology.camera(chosen).topic)
+        return True
+
+    def newest(self) -> Lease | None:
+        """Return the newest picture that was not taken yet, or None."""
+        return None if self._reader is None else self._reader.latest()
+
+    def close_retired(self) -> None:
+        """No picture of an earlier camera is used any more."""
+        for reader in self._retired:
+            reader.close()
+        self._retired.clear()
+
+
+_DEPTH = 8
+
+
+def run_rtc_camera(context: Context) -> None:
+    """Decode every access unit, and publish its picture in the usual size."""
+    clock, leg = context.clock, context.setup.rtc
+    assert leg is not None
+    stream = partner_camera(leg)
+    decoder = H264Decoder()
+    most_pixels = 4 * stream.width * stream.height
+    shown = 0
+    with context.open_bus() as bus:
+        units = bus.reader(RTC_UNITS_TOPIC, depth=_DEPTH)
+        writer = bus.writer(RTC_CAMERA_TOPIC, max_octets=stream.width * stream.height * 3 // 2)
+        topics = ReceivedTopics(
+            bus, stream, coded=RTC_CODED_CAMERA_TOPIC, decoded=RTC_DECODED_CAMERA_TOPIC
+        )
+        while not context.stopping:
+            context.tick(clock.now_ns())
+            units.wait(PATIENCE_NS)
+            while (lease := units.next()) is not None:
+                with lease:
+                    stamp, octets = lease.stamp, lease.octets()
+                try:
+                    unit = CodedUnit.unpack(octets)
+                except ProtocolError:
+                    continue
+                timestamp = stamp.rtp_timestamp or 0
+                for picture in decoder.decode(unit.data, timestamp):
+                    # A stranger's picture must not make shared memory grow.
+                    if picture.width * picture.height > most_pixels:
+                        topics.handle_picture(picture, None)
+                        continue
+                    hurt = picture.corrupt or stamp.quality is Quality.DAMAGED
+                    quality = Quality.DAMAGED if hurt else Quality.FRESH
+                    seen = CaptureStamp(stamp.capture_ns, shown, RTC_CAMERA, quality, timestamp)
+                    shown += 1
+                    loan = writer.loan_picture(stream.width, stream.height)
+                    picture.scale_into(loan.picture)
+                    loan.publish(seen)
+                    topics.handle_picture(picture, seen)
+                came = ReceivedUnit(
+                    unit.data, timestamp, unit.key, unit.damaged, 0, clock.now_ns(), clock.now_ns()
+                )
+                topics.handle_unit(came, stamp.capture_ns)

@@ -1,0 +1,59 @@
+/**
+ * `<stop-control>`: the emergency stop of the robot, and why the robot follows no hand.
+ *
+ * @import { Connection } from "./connection.js"
+ * @import { Seat } from "./seat.js"
+ */
+import { announce } from "./announcer.js";
+import { make, setText } from "./dom.js";
+
+const PRESS_ANEW = "The robot waits: let the dead-man button go, then press it.";
+
+class StopControl extends HTMLElement {
+  #words = make("output", { class: "stop-words" });
+  #stop = make("button", { type: "button", class: "emergency", "data-stop": "stop" }, "STOP", make("kbd", {}, "."));
+  #release = make("button", { type: "button", "data-stop": "release", hidden: true }, "Release the stop");
+  #refusal = make("span", { class: "refusal", role: "alert" });
+  #stopped = false;
+
+  /** @param {Seat} seat */
+  follow({ connection, keyboard }) {
+    this.#stop.addEventListener("click", () => void this.#ask(connection, "stop"));
+    this.#release.addEventListener("click", () => void this.#ask(connection, "release"));
+    keyboard.add({ keys: ["."], what: "emergency stop of the robot", down: () => void this.#ask(connection, "stop") });
+    this.append(this.#words, this.#refusal, this.#release, this.#stop);
+    const show = () => this.#show(connection);
+    for (const kind of /** @type {const} */ (["hello", "state", "lost"])) connection.on(kind, show);
+    show();
+  }
+
+  /** @param {Connection} connection */
+  #show(connection) {
+    const safety = connection.alive ? (connection.state?.safety ?? null) : null;
+    const stopped = safety?.stopped === true;
+    this.#stop.disabled = !connection.mayAct || safety === null;
+    this.#release.hidden = !stopped;
+    this.#release.disabled = this.#stop.disabled;
+    this.dataset.level = safety === null ? "none" : stopped ? "bad" : safety.waiting ? "warn" : "good";
+    setText(this.#words, safety === null ? "Nobody says whether the robot may move." : words(safety));
+    if (stopped && !this.#stopped) announce("emergency stop");
+    this.#stopped = stopped;
+  }
+
+  /** @param {Connection} connection @param {"stop" | "release"} action */
+  async #ask(connection, action) {
+    if (!connection.mayAct) return;
+    setText(this.#refusal, "");
+    const { ok, error } = await connection.request({ do: "stop", action });
+    if (!ok) setText(this.#refusal, error);
+  }
+}
+
+/** @param {{ stopped: boolean, by: string, waiting: boolean, hold: string }} safety */
+const words = ({ stopped, by, waiting, hold }) => {
+  if (stopped) return `■ Emergency stop${by === "" ? "" : ` by ${by}`}: the robot is off until it is released.`;
+  if (waiting) return hold === "" ? `◐ ${PRESS_ANEW}` : `◐ ${PRESS_ANEW} Cause: ${hold}.`;
+  return hold === "" ? "● The robot may follow the hand." : `○ The robot holds still: ${hold}.`;
+};
+
+customElements.define("stop-control", StopControl);

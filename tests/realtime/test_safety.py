@@ -1,0 +1,105 @@
+"""Orders to stop outlive the processes that took them, and motion needs a new press."""
+
+import os
+import signal
+import time
+from math import dist
+
+from running_session import eventually
+
+from pipelines.session.robot_state import unpack_state
+from pipelines.session.topology import ROBOT_TOPIC
+
+#: A robot that holds still gives way to what it touches, and comes to rest.
+STILL_M = 0.002
+
+
+class Tip:
+    """Looks at the robot's tip."""
+
+    def __init__(self, bus):
+        self._reader = bus.reader(ROBOT_TOPIC)
+        self._state = None
+
+    def place(self):
+        lease = eventually(self._reader.latest, "a state of the robot")
+        with lease:
+            state = unpack_state(lease.octets())
+        return state.x_m, state.y_m
+
+    def way(self, seconds):
+        """Return the largest distance (m) from where it was at first, on an axis."""
+        x_m, y_m = self.place()
+        end_s, most_m = time.monotonic() + seconds, 0.0
+        while time.monotonic() < end_s:
+            place = self.place()
+            most_m = max(most_m, abs(place[0] - x_m), abs(place[1] - y_m))
+        return most_m
+
+    def wait_until_it_moves(self):
+        place = self.place()
+        eventually(lambda: dist(self.place(), place) > 0.02, "a motion of the robot")
+
+
+def restarted(session, name, pids, number):
+    """Send a process a signal that ends it; wait for its successor."""
+    os.kill(pids[name], number)
+    others = {pid for other, pid in pids.items() if other != name}
+    (pids[name],) = eventually(
+        lambda: [pid for pid in session.children() if pid not in (*others, pids[name])],
+        f"the restart of {name}",
+    )
+
+
+def test_a_halt_outlives_the_joystick_and_a_stop_outlives_both(start, monkeypatch):
+    session = start("taskboard")
+    pids = session.pids()
+    with session.bus(monkeypatch) as bus:
+        tip = Tip(bus)
+        tip.wait_until_it_moves()
+        assert session.ask("tc", "joystick", "halt").returncode == 0
+        tip.way(0.5)
+        restarted(session, "joystick", pids, signal.SIGKILL)
+        # Long enough for self-test, calibration and a press.
+        assert tip.way(8) < STILL_M
+        assert session.ask("tc", "joystick", "start").returncode == 0
+        tip.wait_until_it_moves()
+
+        stopped = session.ask("stop")
+        assert stopped.returncode == 0 and "emergency stop by" in stopped.stdout
+        tip.way(0.5)
+        assert tip.way(1) < STILL_M
+        for name in ("robot", "joystick"):
+            restarted(session, name, pids, signal.SIGKILL)
+        assert tip.way(8) < STILL_M
+        refused = session.ask("tc", "robot", "power_on")
+        assert refused.returncode == 1 and "emergency stop" in refused.stdout + refused.stderr
+        assert session.ask("stop", "--release").returncode == 0
+        assert tip.way(2) < STILL_M
+        assert session.ask("tc", "robot", "power_on").returncode == 0
+        tip.wait_until_it_moves()
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    # The hand is simulated, and presses anew.
+    assert report["safety"]["presses"] >= 1
+    assert report["safety"]["hold"] == ""
+
+
+def test_after_a_stall_of_an_end_the_robot_holds_until_a_new_press(start, monkeypatch):
+    session = start("taskboard")
+    pids = session.pids()
+    with session.bus(monkeypatch) as bus:
+        tip = Tip(bus)
+        for name in ("joystick", "robot", "joystick"):
+            tip.wait_until_it_moves()
+            os.kill(pids[name], signal.SIGSTOP)
+            time.sleep(1.5)
+            os.kill(pids[name], signal.SIGCONT)
+            tip.place()
+            # The simulated hand lets go for half a second, before it presses anew.
+            assert tip.way(0.3) < STILL_M, name
+        tip.wait_until_it_moves()
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    assert report["safety"]["presses"] == 4
+    assert {entry["restarts"] for entry in report["processes"].values()} == {0}

@@ -1,0 +1,147 @@
+"""What waits for one page is bounded, units are complete or left out, and its messages are few."""
+
+from itertools import pairwise
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_S
+from pipelines.seats.open_page import MOST_UNIT_OCTETS, MOST_UNITS, ClientQueue, MessageRate
+
+
+def drained(queue):
+    found = []
+    while (message := queue.pop()) is not None:
+        found.append(message)
+    return found
+
+
+def test_the_most_urgent_goes_first():
+    queue = ClientQueue([0])
+    queue.put_preview(0, b"preview")
+    queue.put_figures("figures")
+    queue.lane(0).put_replay([b"unit"])
+    queue.put_haptics(0, b"haptics")
+    queue.put_sound(1, b"sound")
+    queue.put_state("old")
+    queue.put_state("state")
+    queue.put_answer("hello")
+    queue.put_pong(b"pong")
+    assert len(queue) == 8
+    assert drained(queue) == [
+        *(b"pong", "hello", "state", b"sound", b"haptics", b"unit", "figures", b"preview")
+    ]
+    assert len(queue) == 0
+
+
+def test_live_units_follow_the_replay():
+    queue = ClientQueue([0])
+    queue.lane(0).put_unit(b"early", key=True)
+    queue.lane(0).put_replay([b"0", b"1"])
+    queue.lane(0).put_unit(b"2", key=False)
+    assert drained(queue) == [b"0", b"1", b"2"]
+    assert queue.units_left_out == 0
+
+
+def test_units_that_do_not_fit_all_go_until_a_replay():
+    queue = ClientQueue([0])
+    lane = queue.lane(0)
+    lane.put_replay([b"0"])
+    for number in range(MOST_UNITS + 1):
+        lane.put_unit(b"%d" % number, key=False)
+    assert (drained(queue), list(queue.closed_lanes())) == ([], [0])
+    assert queue.units_left_out == 1 + MOST_UNITS + 1
+    lane.put_unit(b"more", key=False)
+    assert drained(queue) == []
+    lane.put_replay([b"again"])
+    lane.put_unit(b"next", key=False)
+    assert drained(queue) == [b"again", b"next"]
+
+
+def test_a_key_unit_opens_the_gate():
+    lane = ClientQueue([0]).lane(0)
+    lane.put_replay([])
+    for _ in range(MOST_UNITS + 1):
+        lane.put_unit(b"unit", key=False)
+    lane.put_unit(b"key", key=True)
+    lane.put_unit(b"next", key=False)
+    assert (lane.pop(), lane.pop(), lane.pop()) == (b"key", b"next", None)
+
+
+def test_a_unit_of_any_size_fits_alone():
+    lane = ClientQueue([0]).lane(0)
+    lane.put_replay([])
+    lane.put_unit(bytes(MOST_UNIT_OCTETS + 1), key=True)
+    assert lane.open and len(lane) == 1
+
+
+def test_sound_loses_the_oldest_and_counts_it():
+    queue = ClientQueue([])
+    for number in range(17):
+        queue.put_sound(1, b"%d" % number)
+    assert drained(queue) == [b"%d" % number for number in range(2, 17)]
+    assert queue.units_left_out == 2
+
+
+def test_whoever_asks_and_does_not_read_is_noticed():
+    queue = ClientQueue([])
+    for _ in range(65):
+        assert not queue.overflowed
+        queue.put_answer("answer")
+    assert queue.overflowed
+
+
+INPUTS = st.sampled_from(
+    ["answer", "pong", "state", "figures", "haptics", "preview", "sound", "unit", "key"]
+)
+
+
+@settings(max_examples=50)
+@given(st.lists(st.tuples(INPUTS, st.integers(0, 40_000)) | st.just("pop"), max_size=400))
+def test_bounded_whatever_comes_and_complete_whatever_goes(steps):
+    """Units come numbered: what goes to the page has no gap but before a key or a replay."""
+    queue, number, gone = ClientQueue([0]), 0, []
+    lane = queue.lane(0)
+    lane.put_replay([])
+    put = {
+        "answer": lambda octets: queue.put_answer("x" * octets),
+        "pong": lambda octets: queue.put_pong(b"x" * octets),
+        "state": lambda octets: queue.put_state("x" * octets),
+        "figures": lambda octets: queue.put_figures("x" * octets),
+        "haptics": lambda octets: queue.put_haptics(octets % 2, b"x"),
+        "preview": lambda octets: queue.put_preview(octets % 3, b"x"),
+        "sound": lambda octets: queue.put_sound(octets % 2, b"x"),
+    }
+    for step in steps:
+        if step == "pop":
+            message = queue.pop()
+            if isinstance(message, bytes) and message[:1] in b"uk" and len(message) > 8:
+                gone.append((int(message[1:9]), message[:1] == b"k"))
+            continue
+        kind, octets = step
+        if kind in put:
+            put[kind](octets)
+            continue
+        lane.put_unit(kind[:1].encode() + b"%08d" % number + bytes(octets), key=kind == "key")
+        number += 1
+        assert len(lane) <= MOST_UNITS
+        assert len(queue) <= 64 + 32 + 1 + 8 + 2 * 25 + 3 + 2 * 15 + MOST_UNITS
+    for (before, _), (after, key) in pairwise(gone):
+        assert key or after == before + 1
+
+
+def test_a_burst_then_the_rate():
+    bucket = MessageRate(20, 5)
+    assert [bucket.handle_message(0) for _ in range(6)] == [True] * 5 + [False]
+    assert not bucket.handle_message(NS_PER_S // 20 - 1)
+    assert bucket.handle_message(NS_PER_S // 20)
+    assert not bucket.handle_message(NS_PER_S // 20)
+
+
+@given(st.lists(st.integers(0, NS_PER_S), max_size=200))
+def test_never_more_than_burst_and_rate(gaps_ns):
+    bucket, now_ns, passed = MessageRate(20, 5), 0, 0
+    for gap_ns in gaps_ns:
+        now_ns += gap_ns
+        passed += bucket.handle_message(now_ns)
+        assert passed <= 5 + now_ns * 20 / NS_PER_S
