@@ -15,6 +15,8 @@ from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.media import AUDIO_PAYLOAD_TYPE as AUDIO_PAYLOAD_TYPE
 from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
 
+_UDP_OCTETS, _RTP_OCTETS = 8, 12
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamDescription:
@@ -25,7 +27,8 @@ class StreamDescription:
     port: of RTP, from 1 to 65534.
     payload_type: of RTP, from 0 to 127.
     rtcp_port: of RTCP; None: port + 1.
-    bandwidth_bps: the cap of the stream in bit/s with its headers, or None.
+    bandwidth_bps: what the stream takes at most in bit/s, with the headers of IP, UDP and RTP
+    (`session_bandwidth_bps`), or None.
     parameter_sets: SPS and PPS NAL units, if known (video).
     name: of the session (s=).
     """
@@ -47,6 +50,15 @@ class StreamDescription:
     def control_port(self) -> int:
         """The port of RTCP."""
         return self.port + 1 if self.rtcp_port is None else self.rtcp_port
+
+
+def session_bandwidth_bps(cap_bps: int, packets_per_s: float, host: str) -> int:
+    """Return the bandwidth of `b=AS` (RFC 8866 section 5.8, RFC 3550 section 6.2) in bit/s.
+
+    cap_bps: of the payload. host: the address; it says which version of IP.
+    """
+    ip_octets = 40 if ipaddress.ip_address(host).version == 6 else 20
+    return cap_bps + round(packets_per_s * 8 * (ip_octets + _UDP_OCTETS + _RTP_OCTETS))
 
 
 def write_sdp(stream: StreamDescription) -> str:

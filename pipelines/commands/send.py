@@ -10,7 +10,7 @@ from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
 from kontur_av.codecs.h264_settings import SEARCHES
 from kontur_av.errors import ConfigError
 from kontur_av.meters import Histogram
-from kontur_av.rtp.sdp import StreamDescription, write_sdp
+from kontur_av.rtp.sdp import StreamDescription, session_bandwidth_bps, write_sdp
 from kontur_av.sources.page import PAGE
 from kontur_av.streams.paced_sender import UnitSent
 from kontur_av.streams.udp import UdpSender
@@ -101,7 +101,9 @@ def run(args: argparse.Namespace) -> int:
             host=str(address[0]),
             port=address[1],
             payload_type=feed.payload_type,
-            bandwidth_bps=round(args.cap_kbps * 1000),
+            bandwidth_bps=session_bandwidth_bps(
+                round(args.cap_kbps * 1000), feed.packets_per_s, str(address[0])
+            ),
             parameter_sets=feed.parameter_sets,
         )
         if args.sdp:

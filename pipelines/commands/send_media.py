@@ -20,7 +20,13 @@ from kontur_av.media import (
     empty_picture,
     parse_size,
 )
-from kontur_av.rtp.payload_h264 import NAL_PPS, NAL_SPS, nal_type, split_annex_b
+from kontur_av.rtp.payload_h264 import (
+    DEFAULT_MAX_PAYLOAD_OCTETS,
+    NAL_PPS,
+    NAL_SPS,
+    nal_type,
+    split_annex_b,
+)
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources import open_audio, open_video
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
@@ -79,6 +85,8 @@ class PictureFeed:
         # The SDP must exist before the first packet. A second encoder of the same settings has the
         # same SPS and PPS, and the real one still begins with the first real picture.
         self.parameter_sets = _parameter_sets(twin)
+        #: At most: a packet for each picture, and one more for each whole payload of the cap.
+        self.packets_per_s = args.fps + _bps(args.cap_kbps) / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
         self._clock = clock
         #: What the source writes to, and the newest whole picture.
         self._coming, self._newest = empty_picture(width, height), empty_picture(width, height)
@@ -131,6 +139,7 @@ class SoundFeed:
     payload_type = AUDIO_PAYLOAD_TYPE
     lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
     parameter_sets: tuple[bytes, ...] = ()
+    packets_per_s = 50.0
 
     def __init__(self, args: argparse.Namespace, clock: MonotonicClock) -> None:
         self._clock = clock

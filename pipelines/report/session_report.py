@@ -1,6 +1,7 @@
 """Builds the report of a session from the collected figures."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.codecs.h264 import DecoderCounts
@@ -121,10 +122,18 @@ def build_report(
         exercises=exercises(collector, _radio_epoch_ns(collector)),
         rtc=rtc_report(collector, seconds),
         arm=arm_report(collector, _radio_epoch_ns(collector)),
-        safety=collector.process(ROBOT).find(SafetyFigures),
+        safety=safety_report(collector),
         second_arm=second_arm_report(collector),
         tasks=task_runs(collector, _radio_epoch_ns(collector)),
     )
+
+
+def safety_report(collector: Collector) -> SafetyFigures | None:
+    """Return what held the robot; None without the robot's end."""
+    told = collector.process(ROBOT).find(SafetyFigures)
+    if told is None:
+        return None
+    return replace(told, since_s=round(told.since_s - _radio_epoch_ns(collector) / NS_PER_S, 3))
 
 
 def skew_reports(collector: Collector) -> dict[str, SkewReport | None]:

@@ -97,7 +97,7 @@ class SafetyFigures:
 
     #: Why the robot holds still now; empty: it follows the hand.
     hold: Newest[Hold] = Hold.NONE
-    #: Since when (s) on the process's clock.
+    #: Since when (s): in the report of the session's time, else on this machine's clock.
     since_s: Newest[float] = 0.0
     #: Whether it waits for a new press of the dead-man button.
     waiting: Newest[bool] = False

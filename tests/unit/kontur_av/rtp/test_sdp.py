@@ -3,7 +3,7 @@
 import pytest
 
 from kontur_av.errors import ConfigError
-from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
+from kontur_av.rtp.sdp import StreamDescription, parse_sdp, session_bandwidth_bps, write_sdp
 
 SPS, PPS = b"\x67\x42\xc0\x1e", b"\x68\xce\x3c\x80"
 HEAD = "v=0\ns=Room\nc=IN IP4 10.0.0.1\nt=0 0\n"
@@ -143,3 +143,9 @@ def test_a_malformed_line_is_named():
         parse_sdp(VIDEO)
     # As ffmpeg prints it, and as Windows stores it.
     assert parse_sdp("\ufeff SDP:\n" + HEAD + VIDEO) == stream(name="Room")
+
+
+def test_the_bandwidth_has_the_headers_of_ip_udp_and_rtp():
+    # 50 packets of 20 octets of payload a second, with 40 octets of headers each; IPv6 has 60.
+    assert session_bandwidth_bps(8_000, 50, "192.0.2.1") == 24_000
+    assert session_bandwidth_bps(8_000, 50, "2001:db8::1") == 32_000

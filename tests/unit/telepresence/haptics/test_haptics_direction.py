@@ -1,11 +1,13 @@
 """A cut of the force at the handle never turns it into the wall."""
 
+from math import hypot
+
 import pytest
 from haptic_pair import MS, each_cycle
 
 from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
-from telepresence.haptics.hand import Hand, Waypoint
+from telepresence.haptics.hand import PUSH, Hand, Waypoint
 
 
 def waypoint(x_m: float, y_m: float, move_ms: int, stay_ms: int) -> Waypoint:
@@ -39,3 +41,15 @@ def test_a_force_that_was_cut_is_not_turned_into_the_wall(wall_n_m, delay_ms):
             cut = space.controller.acted
     assert cut > 0
     assert space.report().least_uj >= -1 and ground.report().least_uj >= -1
+
+
+def test_a_hand_that_pushes_with_a_constant_force_keeps_its_direction():
+    hand = Hand(PUSH, script=(Waypoint(0.0, 0.0, 1, 10**9),))
+    force_x, force_y = hand.force(0.03, 0.04, 0.0, 0.0, 10**6)
+    assert hypot(force_x, force_y) == pytest.approx(PUSH.push_n)
+    assert force_y / force_x == pytest.approx(4 / 3) and force_x < 0
+
+
+def test_a_hand_within_its_force_is_a_spring():
+    hand = Hand(PUSH, script=(Waypoint(0.0, 0.0, 1, 10**9),))
+    assert hand.force(0.003, 0.0, 0.0, 0.0, 10**6) == pytest.approx((-3.0, 0.0))

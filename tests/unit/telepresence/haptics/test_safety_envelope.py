@@ -1,6 +1,6 @@
 """The rules of docs/safety.md, one by one, at the robot's side of haptics on virtual time."""
 
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 
 import pytest
 
@@ -256,3 +256,18 @@ def test_limits_must_fit_each_other():
     for wrong in ({"resume_within_s": 0.01}, {"slow_m_s": 0.6}, {"approach_m_s": 0.6}):
         with pytest.raises(ValueError, match="take at"):
             SafetyLimits(**wrong)
+
+
+def test_the_default_limits_are_those_of_the_documents():
+    assert asdict(SafetyLimits()) == {
+        "command_max_age_s": 0.02,
+        "resume_within_s": 0.3,
+        "approach_m_s": 0.1,
+        "picture_max_age_s": 0.5,
+        "slow_m_s": 0.03,
+        "picture_hold_s": 1.0,
+        "speed_m_s": 0.5,
+        "force_n": 30.0,
+        "half_width_m": 0.15,
+        "half_height_m": 0.1,
+    }
