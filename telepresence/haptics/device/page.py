@@ -51,6 +51,8 @@ class PageHandModel:
 
     muscles: between the handle and the wanted place.
     fresh_ns: an older input releases the hand.
+    resume_ns: inputs that were missing for no longer hold the button anew; after more, the person
+    must let go and press.
     follow_s: time constant of the critically damped filter that smooths the pointer's steps. Two
     of it are longer than the interval between two events at 60 Hz.
     speed_m_s: greatest speed of the wanted place; about a quick movement of a wrist.
@@ -59,6 +61,7 @@ class PageHandModel:
 
     muscles: HandModel = GRIP
     fresh_ns: int = 100 * NS_PER_MS
+    resume_ns: int = 200 * NS_PER_MS
     follow_s: float = 0.01
     speed_m_s: float = 1.0
     brake_n_s_m: float = 40.0
@@ -67,11 +70,12 @@ class PageHandModel:
 class PageDevice(Mechanics):
     """A `JoystickDevice` that `handle_input` moves. Its time is the sum of what `advance` was told.
 
-    held: the hand holds the handle, and the reading's dead-man button is pressed.
+    held: the hand holds the handle.
     ignored: inputs that were too old, repeated, not finite or out of range.
 
     The hand takes the handle only in the application. While the joystick calibrates or tests itself
-    the handle is free; otherwise it is braked where it is.
+    the handle is free; otherwise it is braked where it is. The dead-man button is the person's
+    alone: a change of the state neither releases nor presses it.
     """
 
     facts = FACTS
@@ -88,6 +92,9 @@ class PageDevice(Mechanics):
         self._buttons = 0
         self._newest: PageInput | None = None
         self._fresh_until_ns = 0
+        self._pressed = False
+        #: Since when inputs were missing though the button was pressed; its release may be, too.
+        self._silent_ns: int | None = None
         #: From the place that the page wants to the one that the hand moves to.
         self._shift_x = self._shift_y = 0.0
         #: Where the hand moves to; then the filtered place, and its velocity.
@@ -101,7 +108,8 @@ class PageDevice(Mechanics):
         before, finite and in range.
         """
         if not hand.dead_man:
-            self.held = False
+            self.held = self._pressed = False
+            self._silent_ns = None
         fresh_ns = self.model.fresh_ns - max(age_ns, 0)
         if not (
             fresh_ns > 0
@@ -114,7 +122,10 @@ class PageDevice(Mechanics):
         self._newest = hand
         self._fresh_until_ns = self._now_ns + fresh_ns
         self._buttons = hand.buttons & _BUTTONS
-        if not (hand.dead_man and self._application):
+        silent_ns, now_ns = self._silent_ns, self._now_ns
+        if hand.dead_man and (silent_ns is None or now_ns - silent_ns <= self.model.resume_ns):
+            self._pressed, self._silent_ns = True, None
+        if not (self._pressed and self._application):
             return
         facts = self.facts
         wide, high = facts.half_width_m, facts.half_height_m
@@ -132,7 +143,7 @@ class PageDevice(Mechanics):
             joystick.vx_m_s,
             joystick.vy_m_s,
             self._buttons,
-            self.held or self._asked,
+            self._pressed,
             joystick.temperature_c,
             True,
         )
@@ -141,10 +152,7 @@ class PageDevice(Mechanics):
     @property
     def _asked(self) -> bool:
         """All LEDs ask for the dead-man button, as the functional test does, and it is pressed."""
-        newest = self._newest
-        if self.leds != self._all_leds or newest is None or not newest.dead_man:
-            return False
-        return self._now_ns < self._fresh_until_ns
+        return self.leds == self._all_leds and self._pressed
 
     def show_state(self, state: JoystickState) -> None:
         """Let the hand take the handle in the application only."""
@@ -173,7 +181,9 @@ class PageDevice(Mechanics):
         joystick, model = self.joystick, self.model
         if self._now_ns >= self._fresh_until_ns:
             self._buttons = 0
-            self.held = False
+            if self._pressed:
+                self._silent_ns = self._now_ns
+            self.held = self._pressed = False
         if not self.held:
             brake = model.brake_n_s_m if self._braked and not self._asked else 0.0
             brake_x, brake_y = -brake * joystick.vx_m_s, -brake * joystick.vy_m_s

@@ -148,7 +148,9 @@ def test_a_released_handle_is_braked_and_stays_without_force(seat, way):
         seat.run(0.095)
         assert seat.handle.dead_man
     seat.run(0.002, force=(2.0, 0.0))
-    assert not seat.handle.dead_man and seat.handle.force_limit_n == 0.0
+    # The button is the person's, who may be holding it through a halt.
+    assert seat.handle.dead_man is (way == "halt") and not seat.device.held
+    assert seat.handle.force_limit_n == 0.0
     seat.run(0.001, force=(2.0, 0.0))
     assert joystick.motor_x_n == 0.0
     place = seat.place
@@ -159,6 +161,7 @@ def test_a_released_handle_is_braked_and_stays_without_force(seat, way):
     # The next hand takes it where it is.
     place = seat.place
     if way != "halt":
+        seat.send(0.0, 0.0, dead_man=False)
         seat.wanted = (-1.0, -1.0)
         seat.run(0.5)
         assert seat.handle.dead_man
@@ -191,15 +194,41 @@ def test_the_hand_takes_the_handle_in_the_application_only():
     seat = Seat()
     seat.wanted = (0.0, 0.0)
     while seat.handle.operation.state is not JoystickState.APPLICATION:
-        assert not seat.handle.dead_man and not seat.device.held
+        assert not seat.device.held
         seat.wanted = (sin(2 * pi * seat.handle.now_ns / NS_PER_S), 0.0)
         seat.run(0.004)
     assert seat.handle.now_ns < 4 * NS_PER_S
     seat.run(0.05)
-    assert seat.handle.dead_man
+    assert seat.device.held
     seat.handle.handle_command(JoystickEvent.HALT)
     seat.run(0.5)
-    assert seat.handle.operation.state is JoystickState.HALTED and not seat.handle.dead_man
+    assert seat.handle.operation.state is JoystickState.HALTED and not seat.device.held
+
+
+def test_a_change_of_the_state_releases_no_button_and_presses_none(seat):
+    seat.wanted = (0.0, 0.0)
+    seat.run(0.1)
+    for event in (JoystickEvent.HALT, JoystickEvent.START):
+        seat.handle.handle_command(event)
+        for _ in range(300):
+            seat.run(0.001)
+            assert seat.handle.dead_man
+    assert seat.handle.operation.state is JoystickState.APPLICATION
+
+
+@pytest.mark.parametrize(("silent_s", "presses"), [(0.25, True), (0.4, False)])
+def test_after_a_silence_a_button_that_was_held_is_pressed_no_more(seat, silent_s, presses):
+    seat.wanted = (0.0, 0.0)
+    seat.run(0.1)
+    seat.wanted = None
+    seat.run(silent_s)
+    assert not seat.handle.dead_man
+    seat.wanted = (0.0, 0.0)
+    seat.run(0.5)
+    assert seat.handle.dead_man is presses
+    seat.send(0.0, 0.0, dead_man=False)
+    seat.run(0.01)
+    assert seat.handle.dead_man
 
 
 wild = st.floats() | st.sampled_from([0.0, 1.0, -1.0, 1.0000001, nan, inf, -inf, 1e300])
