@@ -26,6 +26,7 @@ from telepresence.haptics.device.stick import (
     Axis,
     RumbleMeter,
     Stick,
+    dead_man_of,
 )
 
 #: The force at which the rumble is strongest (N). Chosen.
@@ -90,6 +91,11 @@ def open_gamepad(path: str = "", folder: Path = Path("/dev/input")) -> "GamepadD
         device.close()
         raise ConfigError(
             f"evdev:{path} is no game controller: `kontur-av joystick list` shows what is there"
+        )
+    if dead_man_of(frozenset(device.capabilities().get(EV_KEY, ()))) is None:
+        device.close()
+        raise ConfigError(
+            f"evdev:{path} has no button to be the dead-man switch: take a controller with one"
         )
     return GamepadDevice(device)
 

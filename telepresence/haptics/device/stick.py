@@ -46,6 +46,15 @@ class Axis(NamedTuple):
     flat: int = 0
 
 
+def dead_man_of(keys: frozenset[int]) -> int | None:
+    """Return the code of the dead-man button of a controller with these keys.
+
+    The left shoulder or the trigger, else its first button; None without buttons.
+    """
+    usual = _PAD_DEAD_MAN if _PAD_BUTTONS[0] in keys else _STICK_DEAD_MAN
+    return usual if usual in keys else min(keys, default=None)
+
+
 class Stick:
     """The left stick and the buttons of one controller, from its events.
 
@@ -60,13 +69,10 @@ class Stick:
     def __init__(
         self, name: str, axes: tuple[Axis, Axis], keys: frozenset[int], *, rumble: bool = False
     ) -> None:
-        buttons, dead_man = _PAD_BUTTONS, _PAD_DEAD_MAN
-        if buttons[0] not in keys:
-            buttons, dead_man = _STICK_BUTTONS, _STICK_DEAD_MAN
-        self._bits = {
-            code: 1 << index for index, code in enumerate(c for c in buttons if c in keys)
-        }
-        self._dead_man_code = dead_man if dead_man in keys else None
+        buttons = _PAD_BUTTONS if _PAD_BUTTONS[0] in keys else _STICK_BUTTONS
+        self._dead_man_code = dead_man_of(keys)
+        kept = [code for code in buttons if code in keys and code != self._dead_man_code]
+        self._bits = {code: 1 << index for index, code in enumerate(kept)}
         self.facts = DeviceFacts(
             name=name,
             half_width_m=HALF_WIDTH_M,
@@ -79,7 +85,7 @@ class Stick:
         self._axes = axes
         self._raw = [axes[0].value, axes[1].value]
         self._buttons = 0
-        self._dead_man = self._dead_man_code is None
+        self._dead_man = False
         self._to_x, self._to_y = self._x, self._y = self._places()
         self._vx = self._vy = 0.0
         self._zero_x = self._zero_y = 0.0
@@ -105,8 +111,7 @@ class Stick:
         self._raw = [x, y]
         self._to_x, self._to_y = self._places()
         self._buttons = sum(bit for code, bit in self._bits.items() if code in pressed)
-        if self._dead_man_code is not None:
-            self._dead_man = self._dead_man_code in pressed
+        self._dead_man = self._dead_man_code in pressed
 
     def handle_zero(self, x_m: float, y_m: float) -> None:
         """Make the present position (x_m, y_m) the middle."""

@@ -18,7 +18,7 @@ from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, JoystickOperation
 from telepresence.haptics.device.spec import check_joystick
 from telepresence.haptics.device.states import JoystickState
-from telepresence.haptics.device.stick import RUMBLE_NS, Axis, RumbleMeter, Stick
+from telepresence.haptics.device.stick import RUMBLE_NS, Axis, RumbleMeter, Stick, dead_man_of
 from telepresence.haptics.joystick_controller import JoystickControllerModel
 
 KEYS = frozenset({0x130, 0x131, 0x133, 0x134, 0x136})
@@ -102,14 +102,20 @@ def test_releasing_the_stick_at_a_wall_keeps_the_observers_positive(release_ms):
     assert space.handle.operation.state is JoystickState.APPLICATION
 
 
-def test_the_dead_man_button_is_the_left_shoulder_or_the_trigger_or_always():
+def test_the_dead_man_button_is_the_left_shoulder_or_the_trigger_or_the_first_button():
     pad, joystick = Stick("pad", AXES, KEYS), Stick("stick", AXES, frozenset({0x120, 0x121}))
     for stick, code in ((pad, 0x136), (joystick, 0x120)):
         assert not stick.reading().dead_man
         stick.handle_event(1, code, 1)
         assert stick.reading().dead_man and stick.reading().buttons == 0
     assert (pad.facts.buttons, joystick.facts.buttons) == (4, 1)
-    assert Stick("bare", AXES, frozenset({0x130})).reading().dead_man
+    bare = Stick("bare", AXES, frozenset({0x130, 0x131}))
+    assert not bare.reading().dead_man
+    bare.handle_event(1, 0x131, 1)
+    assert not bare.reading().dead_man and bare.reading().buttons == 1
+    bare.handle_event(1, 0x130, 1)
+    assert bare.reading().dead_man and bare.reading().buttons == 1
+    assert dead_man_of(frozenset()) is None
 
 
 def test_after_lost_events_the_state_is_requested():
