@@ -2,9 +2,9 @@
 
     python tests/interrupt.py --minutes 10 --seed 1
 
-Not part of CI. Processes are killed, or stopped for three seconds; the joystick is halted, the robot
-switched off, an emergency stop ordered, another camera selected. The hand moves all the time. It
-lets go of the dead-man button at random, not when something happens.
+Not part of CI. Processes are killed, or stopped for three seconds; the joystick is halted, the
+robot switched off, an emergency stop ordered, another camera selected. The hand moves all the time.
+It lets go of the dead-man button at random, not when something happens.
 
 The judge knows when an interruption began and when the button went down, nothing of the safety
 envelope: the robot may move only if the button went down after the newest interruption began, and
