@@ -23,6 +23,10 @@ SETTLES_MS = 300
 MOVES_M_S = 0.05
 #: Missing commands are an interruption from here on.
 GAP_MS = round(LIMITS.resume_within_s * 1000) + 1
+DEEDS = (
+    *("lost", "lost", "stop robot", "stop joystick", "kill robot", "kill joystick"),
+    *("halt", "emergency", "blind", "owner", "camera"),
+)
 #: Datagrams that a socket holds for an end that is stopped.
 SOCKET_DEPTH = 277
 
@@ -68,10 +72,7 @@ class Ends:
         """Do one thing to the session."""
         random, now_ms = self.random, self.now_ms
         lasts_ms = random.choice((100, 250, 350, 450, 600, 3000))
-        what = random.choice(
-            ("lost", "lost", "stop robot", "stop joystick", "kill robot", "kill joystick", "halt")
-            + ("emergency", "blind", "owner", "camera")
-        )
+        what = random.choice(DEEDS)
         if what == "lost":
             self.lost_until = now_ms + lasts_ms
         elif what.startswith("stop"):
