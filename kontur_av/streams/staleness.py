@@ -3,6 +3,10 @@
 from dataclasses import dataclass
 from enum import Enum
 
+from kontur_av.clock import NS_PER_MS
+
+#: A capture that lies further ahead was told on another clock, so its age is not known.
+FUTURE_NS = 100 * NS_PER_MS
 #: A picture that is on display for more than this many periods is frozen.
 FROZEN_PERIODS = 2
 
@@ -46,7 +50,8 @@ class Staleness:
     """Follows what is shown of one stream. A core.
 
     Call `handle_shown` for each picture or block, and `handle_time` at any time. Counting begins
-    with the first one shown.
+    with the first one shown. What was captured more than `FUTURE_NS` ahead is stale: its age is not
+    known.
 
     stale_after_ns: the age above which it is stale.
     frozen_after_ns: a picture on display for longer is frozen; None for a voice.
@@ -83,8 +88,11 @@ class Staleness:
         self.damaged.handle_time(begin_ns, now_ns, self._shown_ns if self._damage else None)
 
     def age_ns(self, now_ns: int) -> int | None:
-        """Return the time since the capture of what is shown; None if nothing was shown yet."""
-        if self._shown_ns is None:
+        """Return the time since the capture of what is shown.
+
+        None if nothing was shown yet, or the capture lies ahead.
+        """
+        if self._shown_ns is None or self._shown_ns - self._capture_ns < -FUTURE_NS:
             return None
         # While a block plays, its samples have all the same age.
         return max(self._shown_ns - self._capture_ns, now_ns - self._capture_ns - self._span_ns)
@@ -93,7 +101,7 @@ class Staleness:
         """Return when what is shown becomes stale; None if nothing was shown yet."""
         if self._shown_ns is None:
             return None
-        if self._shown_ns - self._capture_ns > self.stale_after_ns:
+        if not -FUTURE_NS <= self._shown_ns - self._capture_ns <= self.stale_after_ns:
             return self._shown_ns
         return self._capture_ns + self._span_ns + self.stale_after_ns
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.streams.staleness import FUTURE_NS
 from pipelines.session.setup.table import Setup
 
 
@@ -19,8 +20,11 @@ class OperatorView:
         self._captured_ns: int | None = None
 
     def handle_shown(self, shown_ns: int, lag_ns: int) -> None:
-        """A picture was shown at `shown_ns`, `lag_ns` after it was captured."""
-        self._captured_ns = shown_ns - lag_ns
+        """A picture was shown at `shown_ns`, `lag_ns` after it was captured.
+
+        One from the future has an age that nobody knows.
+        """
+        self._captured_ns = shown_ns - lag_ns if lag_ns >= -FUTURE_NS else None
 
     def is_blind(self, now_ns: int) -> bool:
         """Whether the picture is too old, or there is none."""

@@ -4,6 +4,7 @@ import cv2
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, planes
+from kontur_av.streams.staleness import FUTURE_NS
 
 _WHITE_LUMA = 235  # ITU-R BT.601, narrow range
 #: Signal red: (Y, U, V).
@@ -11,8 +12,10 @@ _RED = (81, 90, 240)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def age_words(age_ns: int) -> str:
-    """Return an age as text: 340 ms, 1.3 s, 75 s."""
+def age_words(age_ns: int | None) -> str:
+    """Return an age as text: 340 ms, 1.3 s, 75 s. None, or the future: nobody knows it."""
+    if age_ns is None or age_ns < -FUTURE_NS:
+        return "age unknown"
     if age_ns < NS_PER_S:
         return f"{age_ns / NS_PER_MS:.0f} ms"
     return f"{age_ns / NS_PER_S:.{1 if age_ns < 10 * NS_PER_S else 0}f} s"

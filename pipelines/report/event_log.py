@@ -226,7 +226,9 @@ class EventLog:
                 continue
             stale = state is State.STALE
             if stale and not self._stale.get(stream.name, False):
-                since_ns = now_ns - age_ns + self._setup.stale_after_ns(stream)
+                since_ns = now_ns
+                if age_ns is not None:
+                    since_ns -= age_ns - self._setup.stale_after_ns(stream)
                 yield since_ns, "stale", f"{stream.name} is stale"
             elif not stale and self._stale.get(stream.name, False):
                 yield now_ns, "stale", f"{stream.name} is fresh again ({age_words(age_ns)} old)"

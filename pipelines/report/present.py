@@ -18,12 +18,15 @@ def last_bps(rate: RateMeter, now_ns: int) -> float:
 
 def shown_now(
     stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, now_ns: int
-) -> tuple[State, int]:
-    """The state of what is shown of `stream`, and its age in ns (0 if nothing was shown yet)."""
+) -> tuple[State, int | None]:
+    """The state of what is shown of `stream`, and its age in ns.
+
+    None: nothing was shown yet, or its clock is not known.
+    """
     display = collector.process(collector.topology.media(stream.name).display)
     reported = display.total(DisplayFigures, stream.name)
     if reported.age_ns is None:
-        return State.NOTHING, 0
+        return reported.state, None
     age_ns = reported.age_ns + max(0, now_ns - display.told_ns - _TOLD_AFTER_NS)
     if age_ns >= setup.stale_after_ns(stream):
         return State.STALE, age_ns

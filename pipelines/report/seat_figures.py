@@ -22,7 +22,6 @@ from typing import Any, Literal
 import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from kontur_av.streams.staleness import State
 from pipelines.mission.figures import TmtcFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog, ProcessNow
@@ -172,7 +171,7 @@ class SeatFigures:
             report = stream_report(stream, setup, collector, seconds)
             yield from _flat(stream.name, to_builtins(report)).items()
             state, age_ns = shown_now(stream, setup, collector, now_ns)
-            age_ms = None if state is State.NOTHING else round(age_ns / NS_PER_MS, 1)
+            age_ms = None if age_ns is None else round(age_ns / NS_PER_MS, 1)
             yield f"{stream.name}.age_ms", age_ms
             yield f"{stream.name}.state", state.value
             rate_bps = last_bps(collector.streams[stream.name].rate, now_ns)

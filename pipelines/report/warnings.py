@@ -72,7 +72,10 @@ def find_warnings(
 
 
 def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> list[Warning]:
-    """A warning for each of these ends whose path to another machine is not protected."""
+    """A warning for each of these ends whose path to another machine is not protected.
+
+    So is one whose frames came, but whose peer's clock never was known.
+    """
     found = []
     for segment in segments:
         gateway = collector.topology.gateway(segment).name
@@ -84,6 +87,18 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
                     where=gateway,
                     measured="anybody on the path could read, change and steer",
                     mend="leave --insecure out at both ends: `kontur-av keys new`",
+                )
+            )
+        link = collector.process(gateway).link
+        clock = None if link is None else link.clock
+        if clock is not None and clock.offset_ns is None and clock.messages_received:
+            found.append(
+                Warning(
+                    what="clock_unknown",
+                    where=gateway,
+                    measured=f"{clock.messages_received} messages of the peer's clock fit no clock",
+                    mend="ages and latencies between the machines are not known: install the same "
+                    "version at both ends, and let nothing step their clocks",
                 )
             )
     return found

@@ -15,6 +15,8 @@ import { pageMs } from "./page_clock.js";
 const TICK_MS = 100;
 /** For a stream that does not say from which age on it is stale. */
 const STALE_AFTER_MS = 500;
+/** A capture further ahead was told on another clock: nobody knows its age. */
+const FUTURE_MS = 100;
 
 export class PictureView extends HTMLElement {
   /** @type {CanvasRenderingContext2D | null} */
@@ -25,6 +27,8 @@ export class PictureView extends HTMLElement {
   #captureUs = null;
   /** When it was drawn; null before the first one. @type {number | null} */
   #drawnMs = null;
+  /** Whether it was captured in the future. */
+  #ahead = false;
   #staleAfterMs = STALE_AFTER_MS;
   /** Why it is stale. */
   #why = "";
@@ -70,11 +74,13 @@ export class PictureView extends HTMLElement {
     connection.on("lost", () => this.#tick());
   }
 
-  /** The age of what is shown, in ms; null if there is nothing, or if it is undated. */
+  /** The age of what is shown, in ms; null if there is nothing, or if its clock is not known. */
   ageMs() {
     const nowUs = this.#seat?.connection.nowUs() ?? null;
     if (nowUs === null || this.#drawnMs === null || this.#captureUs === null) return null;
-    return Math.max(0, (nowUs - this.#captureUs) / 1000);
+    const ageMs = (nowUs - this.#captureUs) / 1000;
+    this.#ahead = ageMs < -FUTURE_MS;
+    return this.#ahead ? null : Math.max(0, ageMs);
   }
 
   /** @param {{name: string, via: string}} stream */
@@ -103,6 +109,7 @@ export class PictureView extends HTMLElement {
   /** Why no new picture comes, as far as is known. */
   #cause() {
     const connection = this.#seat?.connection;
+    if (this.#ahead) return "its clock is not known";
     if (this.hasAttribute("owner") && connection?.alive === true) return "no new picture arrives";
     const hindrance = connection?.hindrance ?? "the server does not answer";
     return hindrance || "no new picture arrives";
@@ -114,13 +121,14 @@ export class PictureView extends HTMLElement {
     // Of an undated picture only this is known: it is older than the time since it was drawn.
     const knownMs = ageMs ?? (this.#drawnMs === null ? null : pageMs() - this.#drawnMs);
     const lost = this.#seat?.connection.alive !== true;
-    const stale = lost || knownMs === null || knownMs > this.#staleAfterMs;
+    const stale = lost || knownMs === null || this.#ahead || knownMs > this.#staleAfterMs;
     const figure = this.getAttribute("figure");
     if (figure !== null) this.#seat?.figures.setOwn(figure, ageMs === null ? null : Math.round(ageMs));
     this.dispatchEvent(new CustomEvent("age", { detail: { ageMs, stale } }));
     const why = this.#cause();
     if (stale) {
-      setText(this.#words, knownMs === null ? "NO PICTURE" : `STALE ${(knownMs / 1000).toFixed(1)} s`);
+      const age = this.#ahead ? "AGE UNKNOWN" : `STALE ${((knownMs ?? 0) / 1000).toFixed(1)} s`;
+      setText(this.#words, knownMs === null ? "NO PICTURE" : age);
       setText(this.#reason, why);
     }
     const text = String(stale);

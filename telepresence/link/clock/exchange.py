@@ -10,6 +10,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from telepresence.link.clock.estimator import ClockEstimate, ClockEstimator
 from telepresence.link.clock.message import (
     NO_AGE_US,
+    PART_BITS,
+    PARTS,
     ClockMessage,
     message_mark,
     pack_clock,
@@ -23,6 +25,8 @@ INTERVAL_NS = 2 * NS_PER_S
 FIRST_INTERVAL_NS = 250 * NS_PER_MS
 #: How many are sent at the shorter interval.
 FIRST_MESSAGES = 20
+#: After so long without a message, what is above its stamp may have changed more than once.
+_FORGET_NS = 30 * 60 * NS_PER_S
 #: Marks repeat after 16.8 s; a message older than this is not known by its mark any more.
 _OLDEST_NS = 16 * NS_PER_S
 _STAMPS = 1 << 32
@@ -35,12 +39,51 @@ class _Received(NamedTuple):
     came_us: int
 
 
+class _WholeClock:
+    """The peer's clock beyond its stamps, out of the parts in its messages.
+
+    `handle_message` returns the whole instant in µs, or None until four parts have come.
+    """
+
+    __slots__ = ("_newest_ns", "_newest_us", "_pieces", "stepped")
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the peer's clock."""
+        self._pieces: dict[int, int] = {}
+        self._newest_us = self._newest_ns = 0
+        #: The newest message contradicts those before: the peer's clock was stepped.
+        self.stepped = False
+
+    def handle_message(self, message: ClockMessage, now_ns: int) -> int | None:
+        pieces, stamp_us = self._pieces, message.stamp_us
+        if pieces and now_ns - self._newest_ns > _FORGET_NS:
+            pieces.clear()
+        if pieces and stamp_us < self._newest_us and _signed(stamp_us - self._newest_us) > 0:
+            # The stamp has begun anew.
+            above = None if len(pieces) < PARTS else self._above() + 1
+            pieces.clear()
+            if above is not None:
+                for part in range(PARTS):
+                    pieces[part] = above >> part * PART_BITS & (1 << PART_BITS) - 1
+        self.stepped = pieces.get(message.part, message.piece) != message.piece
+        if self.stepped:
+            pieces.clear()
+        pieces[message.part] = message.piece
+        self._newest_us, self._newest_ns = stamp_us, now_ns
+        return None if len(pieces) < PARTS else self._above() * _STAMPS + stamp_us
+
+    def _above(self) -> int:
+        return sum(piece << part * PART_BITS for part, piece in self._pieces.items())
+
+
 class ClockExchange:
     """Sends CLOCK messages and takes the peer's; call `poll_transmit` in a slot from `next_ns` on.
 
     version: of the link. master, life: of this end. told_offset_ns: the clock that is told, minus
         that of all `now_ns`. Tell wall time: then offsets are small, and mean something to people.
-        Both ends must agree within 35 min, because stamps repeat after 71.6 min.
 
     next_ns: when the next message is due.
     """
@@ -57,6 +100,7 @@ class ClockExchange:
         "_sent",
         "_told_offset_ns",
         "_version",
+        "_whole",
         "next_ns",
     )
 
@@ -67,6 +111,7 @@ class ClockExchange:
         self._version, self._master, self._life = version, master, life
         self._told_offset_ns = told_offset_ns
         self._estimator = ClockEstimator()
+        self._whole = _WholeClock()
         self._first = FIRST_MESSAGES
         self._peer_life = 0
         self._received: _Received | None = None
@@ -79,6 +124,7 @@ class ClockExchange:
         if life != self._peer_life:
             self._peer_life = life
             self._estimator.clear()
+            self._whole.clear()
             self._received = None
             self._first = FIRST_MESSAGES
             self.next_ns = now_ns
@@ -100,14 +146,16 @@ class ClockExchange:
         told_ns = now_ns + self._told_offset_ns
         came_us = -(-told_ns // NS_PER_US)
         self._received = _Received(message_mark(message.stamp_us), came_us)
-        ahead_us = _signed(message.stamp_us - came_us)
-        self._estimator.handle_least(now_ns, (came_us + ahead_us) * NS_PER_US - told_ns)
+        told_us = self._whole.handle_message(message, now_ns)
+        if self._whole.stepped:
+            self._estimator.clear()
+        if told_us is None:
+            return True
+        self._estimator.handle_least(now_ns, told_us * NS_PER_US - told_ns)
         left_ns = self._sent.get(message.mark) if message.age_us != NO_AGE_US else None
         if heard and left_ns is not None and now_ns - left_ns < _OLDEST_NS:
             left_told_ns = left_ns + self._told_offset_ns
-            left_us = left_told_ns // NS_PER_US
-            ahead_us = _signed(message.stamp_us - message.age_us - left_us)
-            offset_ns = (left_us + ahead_us) * NS_PER_US - left_told_ns
+            offset_ns = (told_us - message.age_us) * NS_PER_US - left_told_ns
             self._estimator.handle_largest(left_ns, offset_ns)
         return True
 
@@ -116,6 +164,7 @@ class ClockExchange:
         interval_ns = FIRST_INTERVAL_NS if self._first else INTERVAL_NS
         self._first = max(0, self._first - 1)
         self.next_ns = now_ns + interval_ns
+        part = self._counts_out % PARTS
         self._counts_out += 1
         stamp_us = (leaves_ns + self._told_offset_ns) // NS_PER_US
         self._sent[message_mark(stamp_us)] = leaves_ns
@@ -124,7 +173,16 @@ class ClockExchange:
         if received is not None and 0 <= stamp_us - received.came_us < NO_AGE_US:
             mark, age_us = received.mark, stamp_us - received.came_us
         return pack_clock(
-            ClockMessage(self._version, self._master, self._life, stamp_us % _STAMPS, mark, age_us)
+            ClockMessage(
+                self._version,
+                self._master,
+                self._life,
+                stamp_us % _STAMPS,
+                mark,
+                age_us,
+                part,
+                (stamp_us // _STAMPS >> part * PART_BITS) & (1 << PART_BITS) - 1,
+            )
         )
 
     def estimate(self, now_ns: int) -> ClockEstimate | None:

@@ -3,12 +3,15 @@
 Twelve octets, big-endian, in the place of another supervision message:
 
 octet 0        version and kind, as in every supervision message
-octet 1        the bit of the master; the others are 0
+octet 1        bit 4: master; bits 7..6: number of a part; bits 5 and 3..0: this part of the seconds
 octets 2..3    life of the sender
 octets 4..7    the instant at which this message leaves, in µs of the sender's clock modulo 2**32
 octet 8        which message of the peer came last: bits 16 to 23 of its instant
 octets 9..11   how long before this one leaves that one came, in µs; all ones: none came, or too
                long ago
+
+The stamp repeats after 71.6 min. So each message also has one of four parts of 5 bits of what is
+above it, the lowest first: 52 bits in all, of which no clock of this century has more.
 """
 
 import struct
@@ -23,7 +26,10 @@ _LAYOUT = struct.Struct(">BBHII")
 
 
 class ClockMessage(NamedTuple):
-    """One message; see the module. mark: of the peer's message, `message_mark`."""
+    """One message; see the module. mark: of the peer's message, `message_mark`.
+
+    part, piece: number of a part, 0 to 3, and its bits, 0 to 31.
+    """
 
     version: int
     master: bool
@@ -31,6 +37,12 @@ class ClockMessage(NamedTuple):
     stamp_us: int
     mark: int = 0
     age_us: int = NO_AGE_US
+    part: int = 0
+    piece: int = 0
+
+
+#: Parts of a clock above its stamp, and the bits of each.
+PARTS, PART_BITS = 4, 5
 
 
 def message_mark(stamp_us: int) -> int:
@@ -45,7 +57,10 @@ def pack_clock(message: ClockMessage) -> bytes:
     """Return the twelve octets of `message`."""
     return _LAYOUT.pack(
         message.version << 4 | MessageKind.CLOCK,
-        MASTER if message.master else 0,
+        (MASTER if message.master else 0)
+        | message.part << 6
+        | (message.piece & 0x10) << 1
+        | message.piece & 0x0F,
         message.life,
         message.stamp_us,
         message.mark << 24 | message.age_us,
@@ -62,13 +77,15 @@ def parse_clock(data: bytes) -> ClockMessage | None:
     if not is_clock(data):
         return None
     first, flags, life, stamp_us, rest = _LAYOUT.unpack(data)
-    if not first >> 4 or flags & ~MASTER or not life:
+    if not first >> 4 or not life:
         return None
     return ClockMessage(
         version=first >> 4,
-        master=bool(flags),
+        master=bool(flags & MASTER),
         life=life,
         stamp_us=stamp_us,
         mark=rest >> 24,
         age_us=rest & NO_AGE_US,
+        part=flags >> 6,
+        piece=(flags & 0x20) >> 1 | flags & 0x0F,
     )

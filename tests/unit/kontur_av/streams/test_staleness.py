@@ -8,6 +8,7 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp, Quality, empty_picture, planes
 from kontur_av.streams.staleness import Staleness, State
+from pipelines.hand.operator_view import OperatorView
 from pipelines.media.figures import DisplayFigures
 from pipelines.media.marking import age_words, mark_stale
 from pipelines.media.showing import Showing
@@ -140,3 +141,22 @@ def test_the_mark_is_red_on_the_edge_and_leaves_the_middle(size):
 def test_an_age_is_formatted_for_people():
     ages = (0, 340 * MS, 1_300 * MS, 75 * NS_PER_S)
     assert [age_words(age_ns) for age_ns in ages] == ["0 ms", "340 ms", "1.3 s", "75 s"]
+    assert age_words(None) == age_words(-NS_PER_S) == "age unknown"
+
+
+def test_a_picture_of_the_future_is_stale_and_its_age_unknown():
+    staleness = video()
+    shown(staleness, until_ms=330, latency_ms=-50)
+    assert staleness.state(330 * MS) is State.FRESH
+    shown(staleness, begin_ms=363, until_ms=660, latency_ms=-3_600_000)
+    assert staleness.state(660 * MS) is State.STALE and staleness.age_ns(660 * MS) is None
+    shown(staleness, begin_ms=693, until_ms=990)
+    assert staleness.state(990 * MS) is State.FRESH and staleness.stale.episodes == 1
+
+
+def test_the_robot_counts_a_picture_of_the_future_as_too_old():
+    view = OperatorView(BUILT_IN["taskboard"])
+    view.handle_shown(NS_PER_S, 40 * MS)
+    assert not view.is_blind(NS_PER_S)
+    view.handle_shown(NS_PER_S, -3_600 * NS_PER_S)
+    assert view.is_blind(NS_PER_S)

@@ -1,8 +1,10 @@
 """One end of a session alone: its report has what it knows, and blames nobody for the rest."""
 
+from dataclasses import replace
+
 import pytest
 from rich.console import Console
-from told import message
+from told import gateway, message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.paced_sender import SenderCounts
@@ -19,6 +21,7 @@ from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesSent
+from telepresence.link.clock.exchange import ClockExchange
 from telepresence.link.peer.open import OpenPath
 
 SETUP = BUILT_IN["spacejustin"]
@@ -93,6 +96,16 @@ def test_latencies_between_two_clocks_are_left_out_of_report_and_table():
     assert cells[2:5] == ["–", "–", "–"]
     assert cells[5] == f"{99 / SECONDS:.1f}"
     assert cells[7:] == ["–", "–", "–", "–"]
+
+
+def test_a_clock_that_never_was_known_is_warned_of():
+    for offset_ns, warned in ((None, ["clock_unknown"]), (5, [])):
+        collector = alone(Segment.GROUND)
+        clock = ClockExchange(version=2, master=True, life=1, told_offset_ns=0, now_ns=0).report(0)
+        clock = replace(clock, offset_ns=offset_ns, error_ns=offset_ns, messages_received=9)
+        figures = replace(gateway(), clock=clock)
+        collector.handle_message("ground_gateway", message(figures), NS_PER_S)
+        assert [one.what for one in find_path_warnings(collector, Segment)] == warned
 
 
 def test_a_path_without_protection_is_warned_of_and_stands_in_the_event_log():
