@@ -36,5 +36,5 @@ for number in range(30 * int(sys.argv[5])):
             sender.handle_access_unit(encoder.encode(frame, coding), clock.now_ns())
         udp.exchange(sender, clock)
         clock.sleep_until_ns(now_ns + 10**6)
-udp.say_goodbye(sender)
+udp.say_goodbye(sender, clock)
 print(f"{sender.counts}, {sender.released.max_bps() / 1000:.1f} kbit/s in the largest second")

@@ -1,11 +1,12 @@
-"""Picture loss indications (PLI): the receiver of a damaged picture asks for a key picture.
+"""What a receiver tells its sender: reports, and picture loss indications (PLI).
 
-A PLI (RFC 4585 section 6.3.1) is sent alone, as RFC 5506 allows: 12 octets. While PLIs arrive, the
-periodic intra refresh can be slow, which saves most of its octets.
+With a PLI (RFC 4585 section 6.3.1) the receiver of a damaged picture asks for a key picture. It is
+sent alone where both ends know of reduced size (RFC 5506): 12 octets. Elsewhere a report precedes
+it. While feedback arrives, the periodic intra refresh can be slow, which saves most of its octets.
 
 Some receivers, such as ffplay, send receiver reports (RFC 3550 section 6.4.2) but no PLI. A new
 receiver in them, and packets lost since the last one, ask for a key picture, too. Reports of a
-receiver that sends PLIs ask for nothing.
+receiver that sends PLIs, and of this software, ask for nothing.
 """
 
 from collections import OrderedDict
@@ -14,9 +15,15 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.rtp.wire import (
     RTCP_PSFB_PLI,
+    SDES_TOOL,
+    TOOL,
     RtcpPsfbPacket,
+    RtcpReceiverInfo,
     RtcpRrPacket,
+    RtcpSdesPacket,
     parse_rtcp,
+    receiver_report,
+    report_pause_ns,
 )
 
 #: The time between two indications while pictures stay damaged: longer than most round trips.
@@ -27,6 +34,41 @@ ANSWER_ONCE_NS = 100 * NS_PER_MS
 REPORTED_AGAIN_NS = 2 * NS_PER_S
 #: The most receivers whose losses are remembered; the oldest is dropped.
 _MOST_REPORTERS = 16
+
+
+class ReceptionReporter:
+    """When a receiver reports on its stream (RFC 3550 section 6.4.2).
+
+    ssrc: the receiver's own, of 32 random bits. interval_ns: mean time between two reports; None:
+    none is due by itself.
+    """
+
+    def __init__(self, *, ssrc: int, interval_ns: int | None) -> None:
+        self._ssrc, self._interval_ns = ssrc, interval_ns
+        # A name that lasts as long as the SSRC (RFC 7022 section 4.2).
+        self._cname = f"{ssrc:08x}@kontur-av".encode()
+        self._due_ns: int | None = None
+        self._sent = 0
+
+    def handle_packet(self, now_ns: int) -> None:
+        """A packet of the stream came. The first report is due with the first one."""
+        if self._due_ns is None and self._interval_ns is not None:
+            self._due_ns = now_ns
+
+    def is_due(self, now_ns: int) -> bool:
+        """Return whether to send `report` now."""
+        return self._due_ns is not None and now_ns >= self._due_ns
+
+    def report(self, block: RtcpReceiverInfo | None, now_ns: int) -> bytes:
+        """Return the report to send now, RR and SDES. block: see `RtpReceiver.report_block`."""
+        self._sent += 1
+        if self._interval_ns is not None:
+            self._due_ns = now_ns + report_pause_ns(self._interval_ns, self._ssrc, self._sent)
+        return receiver_report(self._ssrc, block, self._cname)
+
+    def poll_timeout(self) -> int | None:
+        """Return when the next report is due; None: not yet."""
+        return self._due_ns
 
 
 class PictureLossReporter:
@@ -89,6 +131,11 @@ class PictureLossListener:
             self.garbage += 1
             return
         self.heard_ns = now_ns
+        for packet in packets:
+            if isinstance(packet, RtcpSdesPacket):
+                for chunk in packet.chunks:
+                    if (SDES_TOOL, TOOL) in chunk.items:
+                        self._remember(chunk.ssrc, None)
         for packet in packets:
             if (
                 isinstance(packet, RtcpPsfbPacket)

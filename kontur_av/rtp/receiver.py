@@ -8,8 +8,11 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, unix_ns_from_ntp
 from kontur_av.errors import ProtocolError
+from kontur_av.rtp.header_extensions import elements_of, read_capture_time
+from kontur_av.rtp.reception import ReceptionLog
 from kontur_av.rtp.wire import (
     RtcpByePacket,
+    RtcpReceiverInfo,
     RtcpRrPacket,
     RtcpSenderInfo,
     RtcpSrPacket,
@@ -110,6 +113,8 @@ class RtpReceiver:
         once, also one that was given up. It no longer counts as lost, although the `lost_before` of
         its successor counted it.
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
+    capture_time_id: of the header extension that dates captures, rather than sender reports; None:
+        there is none.
     """
 
     def __init__(
@@ -121,6 +126,7 @@ class RtpReceiver:
         ordered: bool = True,
         takeover_silence_ns: int = 500 * NS_PER_MS,
         wall_offset_ns: int = 0,
+        capture_time_id: int | None = None,
     ) -> None:
         self.payload_type = payload_type
         self.clock_rate_hz = clock_rate_hz
@@ -132,6 +138,10 @@ class RtpReceiver:
         self._ordered = ordered
         self._takeover_silence_ns = takeover_silence_ns
         self._wall_offset_ns = wall_offset_ns
+        self._capture_time_id = capture_time_id
+        #: An RTP timestamp of the source, and the NTP time of its capture.
+        self._captured: tuple[int, int] | None = None
+        self._log: ReceptionLog | None = None
         self._events: deque[RtpReceived] = deque()
         self._waiting: dict[int, _Waiting] = {}
         self._gap_deadline_ns: int | None = None
@@ -168,6 +178,8 @@ class RtpReceiver:
         if packet.ssrc != self.ssrc:
             self._try_candidate(packet, now_ns)
             return
+        if self._capture_time_id is not None:
+            self._take_capture_time(datagram, packet)
         # The caller may have woken late.
         self.handle_timeout(now_ns)
         ahead = (packet.sequence_number - self._highest) & 0xFFFF
@@ -181,6 +193,8 @@ class RtpReceiver:
     def _take(self, packet: RtpPacket, extended: int, now_ns: int) -> None:
         counts = self.counts
         self._last_heard_ns = now_ns
+        if self._log is not None:
+            self._log.handle_packet(packet.sequence_number, packet.timestamp, now_ns)
         self._drop_candidate()
         self.ended = False
         if extended < self._next:
@@ -321,6 +335,8 @@ class RtpReceiver:
         self.ssrc = first.ssrc
         self._first = self._next = self._highest = first.sequence_number
         self._restart = True
+        self._captured = None
+        self._log = ReceptionLog(ssrc=first.ssrc, clock_rate_hz=self.clock_rate_hz)
         self._given_up.clear()
         self._transit = None
         self._jitter_16 = 0
@@ -350,7 +366,7 @@ class RtpReceiver:
         dates = known = False
         for packet in packets:
             if isinstance(packet, RtcpSrPacket):
-                self._take_report(packet)
+                self._take_report(packet, now_ns)
                 self._try_vouched(now_ns)
                 dates |= self.ssrc in (None, packet.ssrc)
             elif isinstance(packet, RtcpByePacket):
@@ -372,9 +388,11 @@ class RtpReceiver:
         if self._candidate is not None and self._candidate.packet.ssrc == ssrc:
             self._drop_candidate()
 
-    def _take_report(self, report: RtcpSrPacket) -> None:
+    def _take_report(self, report: RtcpSrPacket, now_ns: int) -> None:
         if report.ssrc == self.ssrc:
             self.counts.rtcp_reports += 1
+            if self._log is not None:
+                self._log.handle_sender_report(report, now_ns)
         elif self.ssrc is not None:
             # The report of a restarted sender may overtake its second packet: keep one.
             self._reports = {
@@ -403,9 +421,29 @@ class RtpReceiver:
         None before the first sender report. The timestamp must lie within half its range (6.6 hours
         at 90 kHz) of the last report.
         """
-        report = None if self.ssrc is None else self._reports.get(self.ssrc)
-        if report is None:
-            return None
-        ticks = signed_32(timestamp - report.rtp_timestamp)
-        reported_ns = unix_ns_from_ntp(report.ntp_timestamp) - self._wall_offset_ns
-        return reported_ns + round(ticks * NS_PER_S / self.clock_rate_hz)
+        anchor = self._captured
+        if anchor is None:
+            report = None if self.ssrc is None else self._reports.get(self.ssrc)
+            if report is None:
+                return None
+            anchor = report.rtp_timestamp, report.ntp_timestamp
+        ticks = signed_32(timestamp - anchor[0])
+        anchor_ns = unix_ns_from_ntp(anchor[1]) - self._wall_offset_ns
+        return anchor_ns + round(ticks * NS_PER_S / self.clock_rate_hz)
+
+    def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
+        """Return the block of a receiver report (RFC 3550 section 6.4.1) since the last one.
+
+        None before the first packet of a source.
+        """
+        return None if self._log is None else self._log.block(now_ns)
+
+    def _take_capture_time(self, datagram: bytes, packet: RtpPacket) -> None:
+        assert self._capture_time_id is not None
+        try:
+            value = elements_of(datagram).get(self._capture_time_id)
+        except ProtocolError:
+            return
+        ntp = None if value is None else read_capture_time(value)
+        if ntp is not None:
+            self._captured = packet.timestamp, ntp

@@ -14,8 +14,11 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.media import AUDIO_PAYLOAD_TYPE as AUDIO_PAYLOAD_TYPE
 from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
+from kontur_av.rtp.header_extensions import ABS_CAPTURE_TIME
 
 _UDP_OCTETS, _RTP_OCTETS = 8, 12
+#: Of elements with one-octet headers (RFC 8285 section 4.2).
+_IDS = frozenset(map(str, range(1, 15)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,6 +33,10 @@ class StreamDescription:
     bandwidth_bps: what the stream takes at most in bit/s, with the headers of IP, UDP and RTP
     (`session_bandwidth_bps`), or None.
     parameter_sets: SPS and PPS NAL units, if known (video).
+    profile_level_id: of H.264, three octets as hexadecimal digits (RFC 6184 section 8.1). "": that
+    of the first SPS. A stream whose pictures may grow gives that of the largest.
+    reduced_size: the sender takes RTCP that begins with feedback (RFC 5506).
+    capture_time_id: of the header extension ABS_CAPTURE_TIME, 1 to 14; None: the stream has none.
     name: of the session (s=).
     """
 
@@ -40,6 +47,9 @@ class StreamDescription:
     rtcp_port: int | None = None
     bandwidth_bps: int | None = None
     parameter_sets: tuple[bytes, ...] = ()
+    profile_level_id: str = ""
+    reduced_size: bool = False
+    capture_time_id: int | None = None
     name: str = "kontur-av"
 
     @property
@@ -62,7 +72,11 @@ def session_bandwidth_bps(cap_bps: int, packets_per_s: float, host: str) -> int:
 
 
 def write_sdp(stream: StreamDescription) -> str:
-    """Return SDP text that GStreamer's sdpdemux, ffmpeg and ffplay open unchanged."""
+    """Return SDP text that GStreamer's sdpdemux, ffmpeg and ffplay open unchanged.
+
+    The profile is RTP/AVP, because not every player knows RTP/AVPF. The attributes of RFC 4585 and
+    RFC 5506 stand beside it all the same: who knows them may send feedback.
+    """
     version = ipaddress.ip_address(stream.host).version
     address = f"IN IP{version} {stream.host}"
     payload_type = stream.payload_type
@@ -80,22 +94,33 @@ def write_sdp(stream: StreamDescription) -> str:
         lines.append(f"a=rtcp:{stream.rtcp_port}")
     if stream.kind == "video":
         lines.append(f"a=rtpmap:{payload_type} H264/{VIDEO_CLOCK_HZ}")
-        lines.append(f"a=fmtp:{payload_type} {_h264_parameters(stream.parameter_sets)}")
+        lines.append(f"a=fmtp:{payload_type} {_h264_parameters(stream)}")
+        lines.append(f"a=rtcp-fb:{payload_type} nack pli")
     else:
         # RFC 7587 section 7: rtpmap is always 48000/2; fmtp says mono.
         lines.append(f"a=rtpmap:{payload_type} opus/{AUDIO_CLOCK_HZ}/2")
         lines.append(f"a=fmtp:{payload_type} stereo=0;sprop-stereo=0;cbr=1")
         lines.append("a=ptime:20")
+    if stream.reduced_size:
+        lines.append("a=rtcp-rsize")
+    if stream.capture_time_id is not None:
+        lines.append(f"a=extmap:{stream.capture_time_id} {ABS_CAPTURE_TIME}")
     lines.append("a=recvonly")
     return "\r\n".join(lines) + "\r\n"
 
 
-def _h264_parameters(parameter_sets: tuple[bytes, ...]) -> str:
+def profile_level_id(parameter_sets: tuple[bytes, ...]) -> str:
+    """Return `profile-level-id` of the first SPS (RFC 6184 section 8.1); "" without one."""
+    sps = next((unit for unit in parameter_sets if len(unit) >= 4 and unit[0] & 31 == 7), b"")
+    return sps[1:4].hex().upper()
+
+
+def _h264_parameters(stream: StreamDescription) -> str:
     parameters = ["packetization-mode=1"]
+    parameter_sets = stream.parameter_sets
+    if level := stream.profile_level_id or profile_level_id(parameter_sets):
+        parameters.append(f"profile-level-id={level}")
     if parameter_sets:
-        sps = next((unit for unit in parameter_sets if len(unit) >= 4 and unit[0] & 31 == 7), None)
-        if sps is not None:
-            parameters.append(f"profile-level-id={sps[1:4].hex().upper()}")
         coded = ",".join(base64.b64encode(unit).decode() for unit in parameter_sets)
         parameters.append(f"sprop-parameter-sets={coded}")
     return ";".join(parameters)
@@ -168,6 +193,8 @@ def _parse_media(
     parameters: dict[str, str] = {}
     rtcp_port: int | None = None
     bandwidth_bps: int | None = None
+    reduced_size = False
+    capture_time_id: int | None = None
     for key, value in block[1:]:
         attribute, _, rest = value.partition(":")
         if key == "b" and attribute == "AS":
@@ -182,6 +209,12 @@ def _parse_media(
             parameters[payload_type] = values
         elif attribute == "rtcp":
             rtcp_port = _number((rest.split() or [""])[0], "a=rtcp", 1, 65535)
+        elif attribute == "rtcp-rsize":
+            reduced_size = True
+        elif attribute == "extmap" and rest.split()[1:2] == [ABS_CAPTURE_TIME]:
+            # Only ids of one-octet headers are read; the rest of the line may name a direction.
+            number = rest.split()[0].partition("/")[0]
+            capture_time_id = int(number) if number in _IDS else None
     kind: Literal["video", "audio"]
     for payload_type in fields[3:]:
         encoding = maps.get(payload_type, "")
@@ -210,6 +243,8 @@ def _parse_media(
             payload_type=_number(payload_type, "m=", 0, 127),
             rtcp_port=rtcp_port,
             bandwidth_bps=bandwidth_bps,
+            reduced_size=reduced_size,
+            capture_time_id=capture_time_id,
             parameter_sets=_parse_parameter_sets(formats.get("sprop-parameter-sets", "")),
             name=name,
         )

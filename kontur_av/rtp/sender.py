@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S, ntp_from_unix_ns
 from kontur_av.media import BLOCK_SAMPLES, AccessUnit, CaptureStamp
+from kontur_av.rtp.header_extensions import capture_time_element, extended, header_octets
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS, packetize, split_annex_b
 from kontur_av.rtp.wire import (
     RtcpByePacket,
@@ -13,10 +14,13 @@ from kontur_av.rtp.wire import (
     RtcpSrPacket,
     cname_packet,
     pack_rtp,
+    report_pause_ns,
 )
 
 #: The header of every packet of this sender: no CSRC, no extension (RFC 3550 section 5.1).
 RTP_HEADER_OCTETS = 12
+#: The time between two packets that tell their capture.
+_CAPTURE_TIME_NS = NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +54,18 @@ class Packetized(NamedTuple):
 class RtpSender:
     """Turns access units or Opus packets into RTP packets (RFC 3550), and makes sender reports.
 
-    Send the packets of `video_packets` or `audio_packets` in their order. Then, and at
-    `poll_timeout`, send the report of `poll_report` to the RTCP port.
+    Send the packets of `video_packets` or `audio_packets` in their order, and call `handle_sent`
+    for each. Then, and at `poll_timeout`, send the report of `poll_report` to the RTCP port.
 
     payload_type: 96 to 127. clock_rate_hz: of the RTP timestamps.
     ssrc, first_sequence, timestamp_offset: random numbers of 32, 16 and 32 bits (RFC 3550
         section 5.1), as of an `RtpIdentity`.
     cname: the stream's lasting name (RFC 3550 section 6.5.1), at most 255 octets.
-    report_interval_ns: time between two sender reports.
+    report_interval_ns: mean time between two sender reports; each differs by up to half of it.
     max_payload_octets: the largest payload of a video packet.
     samples_per_packet: of a voice.
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
+    capture_time_id: of the header extension that tells a capture once a second; None: no extension.
     """
 
     def __init__(
@@ -76,6 +81,7 @@ class RtpSender:
         max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS,
         samples_per_packet: int = BLOCK_SAMPLES,
         wall_offset_ns: int = 0,
+        capture_time_id: int | None = None,
     ) -> None:
         self.payload_type = payload_type
         self.clock_rate_hz = clock_rate_hz
@@ -90,13 +96,15 @@ class RtpSender:
         self._max_payload_octets = max_payload_octets
         self._samples_per_packet = samples_per_packet
         self._wall_offset_ns = wall_offset_ns
+        self._capture_time_id = capture_time_id
+        self._told_ns: int | None = None
         self._last_stamp: CaptureStamp | None = None
         self._last_timestamp = 0
         #: Blocks of sound since the first one, missing ones included.
         self._blocks = 0
         self._expected_ns = 0
         self._report_due_ns: int | None = None
-        self._report_now = False
+        self._reports = 0
 
     def video_packets(self, access_unit: AccessUnit) -> Packetized:
         """Return the packets of one H.264 access unit; the last one has the marker.
@@ -107,12 +115,13 @@ class RtpSender:
         if not payloads:
             raise ValueError("an access unit without a NAL unit")
         timestamp = self.timestamp(access_unit.stamp.capture_ns)
-        self._note(access_unit.stamp, timestamp)
+        self._last_stamp, self._last_timestamp = access_unit.stamp, timestamp
         last = len(payloads) - 1
         packets = [
             self._packet(payload, timestamp, marker=index == last)
             for index, payload in enumerate(payloads)
         ]
+        self._tell_capture(packets)
         return Packetized(packets, timestamp, [len(payload) for payload in payloads])
 
     def audio_packets(self, opus: bytes, stamp: CaptureStamp) -> Packetized:
@@ -136,18 +145,33 @@ class RtpSender:
             self._expected_ns += missing * block_ns + (late_ns - missing * block_ns) // 16
         self._expected_ns += block_ns
         timestamp = (self._offset + self._blocks * self._samples_per_packet) & 0xFFFF_FFFF
-        self._note(stamp, timestamp)
-        return Packetized([self._packet(opus, timestamp, marker=gap)], timestamp, [len(opus)])
+        self._last_stamp, self._last_timestamp = stamp, timestamp
+        packets = [self._packet(opus, timestamp, marker=gap)]
+        self._tell_capture(packets)
+        return Packetized(packets, timestamp, [len(opus)])
 
     def timestamp(self, capture_ns: int) -> int:
         """Return the 32-bit RTP timestamp of a picture captured at this instant."""
         ticks = (capture_ns * self.clock_rate_hz + NS_PER_S // 2) // NS_PER_S
         return (self._offset + ticks) & 0xFFFF_FFFF
 
-    def _note(self, stamp: CaptureStamp, timestamp: int) -> None:
-        if self._last_stamp is None:
-            self._report_now = True
-        self._last_stamp, self._last_timestamp = stamp, timestamp
+    def handle_sent(self, packet: bytes, now_ns: int) -> None:
+        """A packet of this stream leaves."""
+        self.packets_sent += 1
+        self.payload_octets_sent += len(packet) - header_octets(packet)
+        if self._report_due_ns is None:
+            self._report_due_ns = now_ns
+
+    def _tell_capture(self, packets: list[bytes]) -> None:
+        """Tell the capture in the first packet, if that is due."""
+        if self._capture_time_id is None or self._last_stamp is None:
+            return
+        capture_ns = self._last_stamp.capture_ns
+        if self._told_ns is not None and 0 <= capture_ns - self._told_ns < _CAPTURE_TIME_NS:
+            return
+        self._told_ns = capture_ns
+        element = capture_time_element(capture_ns + self._wall_offset_ns)
+        packets[0] = extended(packets[0], [(self._capture_time_id, element)])
 
     def _packet(self, payload: bytes, timestamp: int, *, marker: bool) -> bytes:
         packet = pack_rtp(
@@ -159,40 +183,40 @@ class RtpSender:
             ssrc=self.ssrc,
         )
         self._sequence = (self._sequence + 1) & 0xFFFF
-        self.packets_sent += 1
-        self.payload_octets_sent += len(payload)
         return packet
 
     def poll_timeout(self) -> int | None:
         """Return when `poll_report` is due next; None before the first media packet."""
-        if self._report_now and self._last_stamp is not None:
-            return self._last_stamp.capture_ns
         return self._report_due_ns
 
     def poll_report(self, now_ns: int) -> bytes | None:
         """Return a compound SR + SDES (RFC 3550 section 6.4.1) if one is due, else None.
 
-        It is due with the first media packet, and then every `report_interval_ns`. Its NTP and RTP
-        times are the capture of the last unit sent, from which a receiver dates all others.
+        It is due with the first media packet, and then after `report_pause_ns`. Its NTP and RTP
+        times are `now_ns`. The RTP time runs on from the newest capture, so a receiver dates all
+        captures by it.
         """
-        due = self._report_due_ns is not None and now_ns >= self._report_due_ns
-        if not (self._report_now or due):
+        if self._report_due_ns is None or now_ns < self._report_due_ns:
             return None
-        self._report_now = False
-        self._report_due_ns = now_ns + self._report_interval_ns
-        return self._report()
+        self._reports += 1
+        self._report_due_ns = now_ns + report_pause_ns(
+            self._report_interval_ns, self.ssrc, self._reports
+        )
+        return self._report(now_ns)
 
-    def goodbye(self) -> bytes | None:
+    def goodbye(self, now_ns: int) -> bytes | None:
         """Return the last SR + SDES + BYE (RFC 3550 section 6.6); None if no media was sent."""
-        if self._last_stamp is None:
+        if self._report_due_ns is None:
             return None
-        return self._report() + bytes(RtcpByePacket([self.ssrc]))
+        return self._report(now_ns) + bytes(RtcpByePacket([self.ssrc]))
 
-    def _report(self) -> bytes:
+    def _report(self, now_ns: int) -> bytes:
         assert self._last_stamp is not None
+        passed_ns = now_ns - self._last_stamp.capture_ns
+        passed = (passed_ns * self.clock_rate_hz + NS_PER_S // 2) // NS_PER_S
         info = RtcpSenderInfo(
-            ntp_timestamp=ntp_from_unix_ns(self._last_stamp.capture_ns + self._wall_offset_ns),
-            rtp_timestamp=self._last_timestamp,
+            ntp_timestamp=ntp_from_unix_ns(now_ns + self._wall_offset_ns),
+            rtp_timestamp=(self._last_timestamp + passed) & 0xFFFF_FFFF,
             packet_count=self.packets_sent & 0xFFFF_FFFF,
             octet_count=self.payload_octets_sent & 0xFFFF_FFFF,
         )

@@ -69,7 +69,7 @@ class VideoSender(PacedSender):
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
     adapt_refresh: refresh slowly while the receiver can ask for a key picture. The encoder must be
         made with `REFRESH_S`. False: the encoder keeps its own refresh.
-    max_payload_octets, payload_type, report_interval_ns: see `RtpSender`.
+    max_payload_octets, payload_type, report_interval_ns, capture_time_id: see `RtpSender`.
 
     Raises ConfigError for a cap or channel that cannot work.
     """
@@ -87,6 +87,7 @@ class VideoSender(PacedSender):
         max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS,
         payload_type: int = VIDEO_PAYLOAD_TYPE,
         report_interval_ns: int = NS_PER_S,
+        capture_time_id: int | None = None,
     ) -> None:
         pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps, picture_ns=int(NS_PER_S // fps))
         rtp = RtpSender(
@@ -100,6 +101,7 @@ class VideoSender(PacedSender):
             # No packet may be larger than the pacer's windows.
             max_payload_octets=min(max_payload_octets, pacer.max_payload_octets),
             wall_offset_ns=wall_offset_ns,
+            capture_time_id=capture_time_id,
         )
         super().__init__(pacer, rtp)
         self._scheduler = EncodeScheduler(pacer, fps=fps)

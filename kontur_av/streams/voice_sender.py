@@ -34,6 +34,7 @@ class VoiceSender(PacedSender):
         wall_offset_ns: int = 0,
         payload_type: int = AUDIO_PAYLOAD_TYPE,
         report_interval_ns: int = NS_PER_S,
+        capture_time_id: int | None = None,
     ) -> None:
         #: The rate for which to make the `OpusEncoder`.
         self.bitrate_bps = bitrate_under_cap(cap_bps)
@@ -48,6 +49,7 @@ class VoiceSender(PacedSender):
             cname=cname,
             report_interval_ns=report_interval_ns,
             wall_offset_ns=wall_offset_ns,
+            capture_time_id=capture_time_id,
         )
         super().__init__(pacer, rtp)
         self._events: deque[UnitSent] = deque(maxlen=EVENTS_KEPT)

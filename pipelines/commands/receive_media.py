@@ -52,6 +52,8 @@ class PictureOutput:
             wall_offset_ns=clock.wall_offset_ns,
             parameter_sets=stream.parameter_sets,
             payload_type=stream.payload_type,
+            reduced_size=stream.reduced_size,
+            capture_time_id=stream.capture_time_id,
         )
         self.decoded_ns = Histogram()
         self.received_ns = Histogram()
@@ -107,7 +109,10 @@ class SoundOutput:
         self, stream: StreamDescription, clock: MonotonicClock, writer: MatroskaWriter | None
     ) -> None:
         self.receiver = VoiceReceiver(
-            wall_offset_ns=clock.wall_offset_ns, payload_type=stream.payload_type
+            ssrc=secrets.randbits(32),
+            wall_offset_ns=clock.wall_offset_ns,
+            payload_type=stream.payload_type,
+            capture_time_id=stream.capture_time_id,
         )
         self.decoded_ns = Histogram()
         self.received_ns = Histogram()

@@ -35,7 +35,7 @@ def test_sdp_of_a_voice():
 
 
 def test_the_usual_control_port_is_not_written():
-    assert "a=rtcp" not in write_sdp(stream(rtcp_port=5005))
+    assert "a=rtcp:" not in write_sdp(stream(rtcp_port=5005))
     assert (stream().clock_rate_hz, stream().control_port) == (90_000, 5005)
 
 

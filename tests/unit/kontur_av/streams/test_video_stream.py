@@ -191,7 +191,7 @@ def test_undated_or_too_large_pictures_are_counted():
 
 
 def test_a_receiver_on_a_thin_channel_is_silent_without_losses():
-    stream = Stream(receiver=make_receiver(keep_alive_ns=None))
+    stream = Stream(receiver=make_receiver(report_interval_ns=None))
     for number in range(60):
         stream.step(number)
     assert stream.receiver.poll_feedback(10**12) is None
