@@ -13,6 +13,7 @@ from collections import OrderedDict
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
+from kontur_av.rtp.report_timer import ReportTimer
 from kontur_av.rtp.wire import (
     RTCP_PSFB_PLI,
     SDES_TOOL,
@@ -23,7 +24,6 @@ from kontur_av.rtp.wire import (
     RtcpSdesPacket,
     parse_rtcp,
     receiver_report,
-    report_pause_ns,
 )
 
 #: The time between two indications while pictures stay damaged: longer than most round trips.
@@ -37,38 +37,46 @@ _MOST_REPORTERS = 16
 
 
 class ReceptionReporter:
-    """When a receiver reports on its stream (RFC 3550 section 6.4.2).
+    """When a receiver reports on its stream, and what (RFC 3550 sections 6.1 and 6.4.2).
 
     ssrc: the receiver's own, of 32 random bits. interval_ns: mean time between two reports; None:
-    none is due by itself.
+    none is due by itself. bandwidth_bps: of the session, see `ReportTimer`.
     """
 
-    def __init__(self, *, ssrc: int, interval_ns: int | None) -> None:
-        self._ssrc, self._interval_ns = ssrc, interval_ns
-        # A name that lasts as long as the SSRC (RFC 7022 section 4.2).
+    def __init__(
+        self, *, ssrc: int, interval_ns: int | None, bandwidth_bps: int | None = None
+    ) -> None:
+        self._ssrc = ssrc
+        # A name that lasts as long as the SSRC.
         self._cname = f"{ssrc:08x}@kontur-av".encode()
-        self._due_ns: int | None = None
-        self._sent = 0
+        self._timer: ReportTimer | None = None
+        if interval_ns is not None:
+            self._timer = ReportTimer(least_ns=interval_ns, bandwidth_bps=bandwidth_bps, seed=ssrc)
 
     def handle_packet(self, now_ns: int) -> None:
         """A packet of the stream came. The first report is due with the first one."""
-        if self._due_ns is None and self._interval_ns is not None:
-            self._due_ns = now_ns
+        if self._timer is not None:
+            self._timer.begin(now_ns)
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether to send `report` now."""
-        return self._due_ns is not None and now_ns >= self._due_ns
+        return self._timer is not None and self._timer.is_due(now_ns)
 
-    def report(self, block: RtcpReceiverInfo | None, now_ns: int) -> bytes:
-        """Return the report to send now, RR and SDES. block: see `RtpReceiver.report_block`."""
-        self._sent += 1
-        if self._interval_ns is not None:
-            self._due_ns = now_ns + report_pause_ns(self._interval_ns, self._ssrc, self._sent)
-        return receiver_report(self._ssrc, block, self._cname)
+    def report(
+        self, block: RtcpReceiverInfo | None, now_ns: int, *, feedback: bytes = b""
+    ) -> bytes:
+        """Return the compound packet to send now: RR, SDES and feedback.
+
+        block: see `RtpReceiver.report_block`.
+        """
+        compound = receiver_report(self._ssrc, block, self._cname) + feedback
+        if self._timer is not None:
+            self._timer.handle_sent(len(compound), now_ns)
+        return compound
 
     def poll_timeout(self) -> int | None:
         """Return when the next report is due; None: not yet."""
-        return self._due_ns
+        return None if self._timer is None else self._timer.poll_timeout()
 
 
 class PictureLossReporter:

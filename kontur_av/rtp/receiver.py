@@ -14,7 +14,6 @@ from kontur_av.rtp.wire import (
     RtcpByePacket,
     RtcpReceiverInfo,
     RtcpRrPacket,
-    RtcpSenderInfo,
     RtcpSrPacket,
     RtpPacket,
     parse_rtcp,
@@ -139,14 +138,15 @@ class RtpReceiver:
         self._takeover_silence_ns = takeover_silence_ns
         self._wall_offset_ns = wall_offset_ns
         self._capture_time_id = capture_time_id
-        #: An RTP timestamp of the source, and the NTP time of its capture.
-        self._captured: tuple[int, int] | None = None
+        #: By SSRC, of the source and one that may follow: an RTP timestamp, and its capture in NTP.
+        self._captured: dict[int, tuple[int, int]] = {}
         self._log: ReceptionLog | None = None
         self._events: deque[RtpReceived] = deque()
         self._waiting: dict[int, _Waiting] = {}
         self._gap_deadline_ns: int | None = None
         self._candidate: _Waiting | None = None
-        self._reports: dict[int, RtcpSenderInfo] = {}
+        #: By SSRC: the newest report, and when it came.
+        self._reports: dict[int, tuple[RtcpSrPacket, int]] = {}
         self._first = self._next = self._highest = 0
         self._restart = False
         self._last_heard_ns = 0
@@ -175,11 +175,11 @@ class RtpReceiver:
         if packet.payload_type != self.payload_type:
             self.counts.garbage += 1
             return
+        if self._capture_time_id is not None:
+            self._take_capture_time(datagram, packet)
         if packet.ssrc != self.ssrc:
             self._try_candidate(packet, now_ns)
             return
-        if self._capture_time_id is not None:
-            self._take_capture_time(datagram, packet)
         # The caller may have woken late.
         self.handle_timeout(now_ns)
         ahead = (packet.sequence_number - self._highest) & 0xFFFF
@@ -335,7 +335,7 @@ class RtpReceiver:
         self.ssrc = first.ssrc
         self._first = self._next = self._highest = first.sequence_number
         self._restart = True
-        self._captured = None
+        self._captured = {ssrc: kept for ssrc, kept in self._captured.items() if ssrc == self.ssrc}
         self._log = ReceptionLog(ssrc=first.ssrc, clock_rate_hz=self.clock_rate_hz)
         self._given_up.clear()
         self._transit = None
@@ -344,6 +344,8 @@ class RtpReceiver:
             ssrc: report for ssrc, report in self._reports.items() if ssrc == self.ssrc
         }
         self.counts.rtcp_reports += len(self._reports)
+        for report, came_ns in self._reports.values():
+            self._log.handle_sender_report(report, came_ns)
 
     def _update_jitter(self, timestamp: int, now_ns: int) -> None:
         transit = now_ns * self.clock_rate_hz // NS_PER_S - timestamp
@@ -400,7 +402,7 @@ class RtpReceiver:
             }
         elif len(self._reports) >= 2:
             self._reports.clear()
-        self._reports[report.ssrc] = report.sender_info
+        self._reports[report.ssrc] = report, now_ns
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up the gaps that are due by `now_ns`. Drain `next_event` afterwards."""
@@ -418,15 +420,17 @@ class RtpReceiver:
     def capture_ns(self, timestamp: int) -> int | None:
         """Return the instant of capture in ns of an RTP timestamp of the present source.
 
-        None before the first sender report. The timestamp must lie within half its range (6.6 hours
-        at 90 kHz) of the last report.
+        None before the first sender report or capture time. The timestamp must lie within half its
+        range (6.6 hours at 90 kHz) of the last one.
         """
-        anchor = self._captured
+        if self.ssrc is None:
+            return None
+        anchor = self._captured.get(self.ssrc)
         if anchor is None:
-            report = None if self.ssrc is None else self._reports.get(self.ssrc)
-            if report is None:
+            if (kept := self._reports.get(self.ssrc)) is None:
                 return None
-            anchor = report.rtp_timestamp, report.ntp_timestamp
+            info = kept[0].sender_info
+            anchor = info.rtp_timestamp, info.ntp_timestamp
         ticks = signed_32(timestamp - anchor[0])
         anchor_ns = unix_ns_from_ntp(anchor[1]) - self._wall_offset_ns
         return anchor_ns + round(ticks * NS_PER_S / self.clock_rate_hz)
@@ -434,7 +438,7 @@ class RtpReceiver:
     def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
         """Return the block of a receiver report (RFC 3550 section 6.4.1) since the last one.
 
-        None before the first packet of a source.
+        None if no packet of the source came since then.
         """
         return None if self._log is None else self._log.block(now_ns)
 
@@ -446,4 +450,7 @@ class RtpReceiver:
             return
         ntp = None if value is None else read_capture_time(value)
         if ntp is not None:
-            self._captured = packet.timestamp, ntp
+            # A stranger's packets must not grow this.
+            source = packet.ssrc
+            self._captured = {one: at for one, at in self._captured.items() if one == self.ssrc}
+            self._captured[source] = packet.timestamp, ntp

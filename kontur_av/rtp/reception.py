@@ -65,8 +65,8 @@ class ReceptionLog:
         self._last = (report.sender_info.ntp_timestamp >> 16) & 0xFFFF_FFFF, now_ns
 
     def block(self, now_ns: int) -> RtcpReceiverInfo | None:
-        """Return the report block of the time since the last one; None if nothing ever came."""
-        if self._first is None:
+        """Return the report block of the time since the last one; None if nothing came in it."""
+        if self._received == self._received_before:
             return None
         expected = self._expected - self._expected_before
         received = self._received - self._received_before

@@ -35,7 +35,9 @@ class StreamDescription:
     parameter_sets: SPS and PPS NAL units, if known (video).
     profile_level_id: of H.264, three octets as hexadecimal digits (RFC 6184 section 8.1). "": that
     of the first SPS. A stream whose pictures may grow gives that of the largest.
-    reduced_size: the sender takes RTCP that begins with feedback (RFC 5506).
+    feedback: the profile is RTP/AVPF (RFC 4585), in which reports may be frequent. The sender of a
+    picture takes PLIs.
+    reduced_size: the sender takes PLIs without a report before them (RFC 5506).
     capture_time_id: of the header extension ABS_CAPTURE_TIME, 1 to 14; None: the stream has none.
     name: of the session (s=).
     """
@@ -48,6 +50,7 @@ class StreamDescription:
     bandwidth_bps: int | None = None
     parameter_sets: tuple[bytes, ...] = ()
     profile_level_id: str = ""
+    feedback: bool = False
     reduced_size: bool = False
     capture_time_id: int | None = None
     name: str = "kontur-av"
@@ -74,19 +77,19 @@ def session_bandwidth_bps(cap_bps: int, packets_per_s: float, host: str) -> int:
 def write_sdp(stream: StreamDescription) -> str:
     """Return SDP text that GStreamer's sdpdemux, ffmpeg and ffplay open unchanged.
 
-    The profile is RTP/AVP, because not every player knows RTP/AVPF. The attributes of RFC 4585 and
-    RFC 5506 stand beside it all the same: who knows them may send feedback.
+    Feedback is offered with the profile RTP/AVPF only, as RFC 4585 section 4.2 demands.
     """
     version = ipaddress.ip_address(stream.host).version
     address = f"IN IP{version} {stream.host}"
     payload_type = stream.payload_type
+    profile = "RTP/AVPF" if stream.feedback else "RTP/AVP"
     lines = [
         "v=0",
         f"o=- 0 0 {address}",
         f"s={stream.name}",
         f"c={address}",
         "t=0 0",
-        f"m={stream.kind} {stream.port} RTP/AVP {payload_type}",
+        f"m={stream.kind} {stream.port} {profile} {payload_type}",
     ]
     if stream.bandwidth_bps is not None:
         lines.append(f"b=AS:{-(-stream.bandwidth_bps // 1000)}")
@@ -95,13 +98,14 @@ def write_sdp(stream: StreamDescription) -> str:
     if stream.kind == "video":
         lines.append(f"a=rtpmap:{payload_type} H264/{VIDEO_CLOCK_HZ}")
         lines.append(f"a=fmtp:{payload_type} {_h264_parameters(stream)}")
-        lines.append(f"a=rtcp-fb:{payload_type} nack pli")
+        if stream.feedback:
+            lines.append(f"a=rtcp-fb:{payload_type} nack pli")
     else:
         # RFC 7587 section 7: rtpmap is always 48000/2; fmtp says mono.
         lines.append(f"a=rtpmap:{payload_type} opus/{AUDIO_CLOCK_HZ}/2")
         lines.append(f"a=fmtp:{payload_type} stereo=0;sprop-stereo=0;cbr=1")
         lines.append("a=ptime:20")
-    if stream.reduced_size:
+    if stream.feedback and stream.reduced_size:
         lines.append("a=rtcp-rsize")
     if stream.capture_time_id is not None:
         lines.append(f"a=extmap:{stream.capture_time_id} {ABS_CAPTURE_TIME}")
@@ -243,6 +247,7 @@ def _parse_media(
             payload_type=_number(payload_type, "m=", 0, 127),
             rtcp_port=rtcp_port,
             bandwidth_bps=bandwidth_bps,
+            feedback=fields[2].endswith("AVPF"),
             reduced_size=reduced_size,
             capture_time_id=capture_time_id,
             parameter_sets=_parse_parameter_sets(formats.get("sprop-parameter-sets", "")),

@@ -8,13 +8,13 @@ from kontur_av.clock import NS_PER_S, ntp_from_unix_ns
 from kontur_av.media import BLOCK_SAMPLES, AccessUnit, CaptureStamp
 from kontur_av.rtp.header_extensions import capture_time_element, extended, header_octets
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS, packetize, split_annex_b
+from kontur_av.rtp.report_timer import AVPF_LEAST_NS, ReportTimer
 from kontur_av.rtp.wire import (
     RtcpByePacket,
     RtcpSenderInfo,
     RtcpSrPacket,
     cname_packet,
     pack_rtp,
-    report_pause_ns,
 )
 
 #: The header of every packet of this sender: no CSRC, no extension (RFC 3550 section 5.1).
@@ -61,7 +61,8 @@ class RtpSender:
     ssrc, first_sequence, timestamp_offset: random numbers of 32, 16 and 32 bits (RFC 3550
         section 5.1), as of an `RtpIdentity`.
     cname: the stream's lasting name (RFC 3550 section 6.5.1), at most 255 octets.
-    report_interval_ns: mean time between two sender reports; each differs by up to half of it.
+    report_interval_ns: mean time between two sender reports; see `ReportTimer`.
+    bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
     max_payload_octets: the largest payload of a video packet.
     samples_per_packet: of a voice.
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
@@ -77,7 +78,8 @@ class RtpSender:
         first_sequence: int,
         timestamp_offset: int,
         cname: str,
-        report_interval_ns: int = NS_PER_S,
+        report_interval_ns: int = AVPF_LEAST_NS,
+        bandwidth_bps: int | None = None,
         max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS,
         samples_per_packet: int = BLOCK_SAMPLES,
         wall_offset_ns: int = 0,
@@ -92,7 +94,9 @@ class RtpSender:
         self._sequence = first_sequence & 0xFFFF
         self._offset = timestamp_offset
         self._cname = cname.encode()[:255]
-        self._report_interval_ns = report_interval_ns
+        self._timer = ReportTimer(
+            least_ns=report_interval_ns, bandwidth_bps=bandwidth_bps, seed=ssrc
+        )
         self._max_payload_octets = max_payload_octets
         self._samples_per_packet = samples_per_packet
         self._wall_offset_ns = wall_offset_ns
@@ -103,8 +107,6 @@ class RtpSender:
         #: Blocks of sound since the first one, missing ones included.
         self._blocks = 0
         self._expected_ns = 0
-        self._report_due_ns: int | None = None
-        self._reports = 0
 
     def video_packets(self, access_unit: AccessUnit) -> Packetized:
         """Return the packets of one H.264 access unit; the last one has the marker.
@@ -159,8 +161,7 @@ class RtpSender:
         """A packet of this stream leaves."""
         self.packets_sent += 1
         self.payload_octets_sent += len(packet) - header_octets(packet)
-        if self._report_due_ns is None:
-            self._report_due_ns = now_ns
+        self._timer.begin(now_ns)
 
     def _tell_capture(self, packets: list[bytes]) -> None:
         """Tell the capture in the first packet, if that is due."""
@@ -187,36 +188,36 @@ class RtpSender:
 
     def poll_timeout(self) -> int | None:
         """Return when `poll_report` is due next; None before the first media packet."""
-        return self._report_due_ns
+        return self._timer.poll_timeout()
 
     def poll_report(self, now_ns: int) -> bytes | None:
         """Return a compound SR + SDES (RFC 3550 section 6.4.1) if one is due, else None.
 
-        It is due with the first media packet, and then after `report_pause_ns`. Its NTP and RTP
+        It is due when the first media packet has left, and then by `ReportTimer`. Its NTP and RTP
         times are `now_ns`. The RTP time runs on from the newest capture, so a receiver dates all
         captures by it.
         """
-        if self._report_due_ns is None or now_ns < self._report_due_ns:
+        if not self._timer.is_due(now_ns):
             return None
-        self._reports += 1
-        self._report_due_ns = now_ns + report_pause_ns(
-            self._report_interval_ns, self.ssrc, self._reports
-        )
-        return self._report(now_ns)
+        report = self._report(now_ns)
+        self._timer.handle_sent(len(report), now_ns)
+        return report
 
     def goodbye(self, now_ns: int) -> bytes | None:
         """Return the last SR + SDES + BYE (RFC 3550 section 6.6); None if no media was sent."""
-        if self._report_due_ns is None:
+        if self._timer.poll_timeout() is None:
             return None
         return self._report(now_ns) + bytes(RtcpByePacket([self.ssrc]))
 
     def _report(self, now_ns: int) -> bytes:
         assert self._last_stamp is not None
-        passed_ns = now_ns - self._last_stamp.capture_ns
-        passed = (passed_ns * self.clock_rate_hz + NS_PER_S // 2) // NS_PER_S
+        capture_ns, rate_hz = self._last_stamp.capture_ns, self.clock_rate_hz
+        ticks = ((now_ns - capture_ns) * rate_hz + NS_PER_S // 2) // NS_PER_S
+        # The instant of a whole tick, so that no rounding moves the captures that it dates.
+        instant_ns = capture_ns + (ticks * NS_PER_S + rate_hz // 2) // rate_hz
         info = RtcpSenderInfo(
-            ntp_timestamp=ntp_from_unix_ns(now_ns + self._wall_offset_ns),
-            rtp_timestamp=(self._last_timestamp + passed) & 0xFFFF_FFFF,
+            ntp_timestamp=ntp_from_unix_ns(instant_ns + self._wall_offset_ns),
+            rtp_timestamp=(self._last_timestamp + ticks) & 0xFFFF_FFFF,
             packet_count=self.packets_sent & 0xFFFF_FFFF,
             octet_count=self.payload_octets_sent & 0xFFFF_FFFF,
         )

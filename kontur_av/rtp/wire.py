@@ -53,7 +53,6 @@ __all__ = [
     "parse_rtcp",
     "parse_rtp",
     "receiver_report",
-    "report_pause_ns",
     "signed_32",
     "unpack_remb_fci",
 ]
@@ -119,15 +118,6 @@ def receiver_report(ssrc: int, block: RtcpReceiverInfo | None, cname: bytes) -> 
     """
     blocks = [] if block is None else [block]
     return bytes(RtcpRrPacket(ssrc, blocks)) + cname_packet(ssrc, cname, tool=TOOL)
-
-
-def report_pause_ns(interval_ns: int, ssrc: int, number: int) -> int:
-    """Return the time after report `number` of a source: 0.5 to 1.5 times the interval.
-
-    RFC 3550 section 6.2 has it differ, so that sources do not report all at once. The SSRC is a
-    random number, from which a Weyl sequence makes those of its reports.
-    """
-    return interval_ns // 2 + (interval_ns * ((ssrc + number * 0x9E37_79B1) & 0xFFFF_FFFF) >> 32)
 
 
 def signed_32(difference: int) -> int:

@@ -3,13 +3,13 @@
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 
-from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.healing import Healing
 from kontur_av.figures import Flat, Newest
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality
 from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
 from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
 from kontur_av.rtp.receiver import REORDER_DEPTH_NS, ReceiverCounts, RtpReceiver
+from kontur_av.rtp.report_timer import AVPF_LEAST_NS
 from kontur_av.rtp.wire import RtcpReceiverInfo
 
 #: The most damaged units that are remembered while they are decoded.
@@ -51,6 +51,7 @@ class VideoReceiver:
     largest: width and height of the largest picture wanted; None: any.
     report_interval_ns: mean time between two receiver reports (RFC 3550 section 6.4.2). They also
         show the sender that it may refresh slowly. None: none are sent, to save their octets.
+    bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
     reduced_size: the sender takes a PLI without a report before it (RFC 5506).
     capture_time_id: see `RtpReceiver`.
     payload_type: of the stream.
@@ -65,7 +66,8 @@ class VideoReceiver:
         wall_offset_ns: int = 0,
         parameter_sets: tuple[bytes, ...] = (),
         largest: tuple[int, int] | None = None,
-        report_interval_ns: int | None = NS_PER_S,
+        report_interval_ns: int | None = AVPF_LEAST_NS,
+        bandwidth_bps: int | None = None,
         reduced_size: bool = False,
         capture_time_id: int | None = None,
         payload_type: int = VIDEO_PAYLOAD_TYPE,
@@ -85,7 +87,9 @@ class VideoReceiver:
         #: Timestamps of units in the decoder that will show damage.
         self._hurt: OrderedDict[int, None] = OrderedDict()
         self._losses = PictureLossReporter(ssrc=ssrc)
-        self._reports = ReceptionReporter(ssrc=ssrc, interval_ns=report_interval_ns)
+        self._reports = ReceptionReporter(
+            ssrc=ssrc, interval_ns=report_interval_ns, bandwidth_bps=bandwidth_bps
+        )
         self._reduced_size = reduced_size
         #: Whether the decoder has a picture at which to start.
         self._begun = False
@@ -124,12 +128,13 @@ class VideoReceiver:
             return asked
         if asked is None and not self._reports.is_due(now_ns):
             return None
-        return self._reports.report(self.report_block(now_ns), now_ns) + (asked or b"")
+        block = self.report_block(now_ns)
+        return self._reports.report(block, now_ns, feedback=asked or b"")
 
     def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
-        """Return the block of a receiver report since the last one; None before the first packet.
+        """Return the block of a receiver report, for a caller that sends reports itself.
 
-        For a caller that sends reports itself.
+        None: no packet came since the last one.
         """
         return self._receiver.report_block(now_ns)
 

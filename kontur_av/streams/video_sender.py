@@ -14,8 +14,9 @@ from kontur_av.streams.budget import Pacer
 from kontur_av.streams.encode_scheduler import EncodeScheduler
 from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, SenderCounts, UnitSent
 
-#: A receiver with feedback sends some every second. After this long without, it is gone.
-_FEEDBACK_SILENCE_NS = 3 * NS_PER_S
+#: A receiver sends reports at most 6.2 s apart, as a rule of 5 s under RTP/AVP has it
+#: (`ReportTimer`). After this long without, it is gone.
+_FEEDBACK_SILENCE_NS = 7 * NS_PER_S
 #: At the start, and at each new contact, a way back is assumed for this long, or until it is there.
 #: A change of the refresh costs a key picture, and there has just been one.
 _ASSUMED_NS = NS_PER_S // 2
@@ -98,6 +99,7 @@ class VideoSender(PacedSender):
             timestamp_offset=identity.timestamp_offset,
             cname=cname,
             report_interval_ns=report_interval_ns,
+            bandwidth_bps=cap_bps,
             # No packet may be larger than the pacer's windows.
             max_payload_octets=min(max_payload_octets, pacer.max_payload_octets),
             wall_offset_ns=wall_offset_ns,

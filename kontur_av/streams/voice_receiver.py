@@ -10,6 +10,7 @@ from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, CaptureStamp, Qu
 from kontur_av.rtp.feedback import ReceptionReporter
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
+from kontur_av.rtp.report_timer import AVPF_LEAST_NS
 from kontur_av.rtp.wire import RtcpReceiverInfo
 from kontur_av.streams.lipsync import LipSync
 
@@ -72,6 +73,7 @@ class VoiceReceiver:
     oldest_picture_ns: the latency from which on a picture delays no sound.
     oldest_sound_ns: the largest latency that lip-sync gives a sound; 0: no lip-sync.
     payload_type: of the stream. report_interval_ns: mean time between two receiver reports.
+    bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
     capture_time_id: see `RtpReceiver`.
     """
 
@@ -84,7 +86,8 @@ class VoiceReceiver:
         oldest_picture_ns: int = 0,
         oldest_sound_ns: int = 0,
         payload_type: int = AUDIO_PAYLOAD_TYPE,
-        report_interval_ns: int = NS_PER_S,
+        report_interval_ns: int = AVPF_LEAST_NS,
+        bandwidth_bps: int | None = None,
         capture_time_id: int | None = None,
     ) -> None:
         self._receiver = RtpReceiver(
@@ -95,7 +98,9 @@ class VoiceReceiver:
             capture_time_id=capture_time_id,
         )
         self._reports = ReceptionReporter(
-            ssrc=ssrc or 0, interval_ns=None if ssrc is None else report_interval_ns
+            ssrc=ssrc or 0,
+            interval_ns=None if ssrc is None else report_interval_ns,
+            bandwidth_bps=bandwidth_bps,
         )
         self._name = name
         self._playout = PlayoutBuffer()
@@ -144,9 +149,9 @@ class VoiceReceiver:
         return self._reports.report(self.report_block(now_ns), now_ns)
 
     def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
-        """Return the block of a receiver report since the last one; None before the first packet.
+        """Return the block of a receiver report, for a caller that sends reports itself.
 
-        For a caller that sends reports itself.
+        None: no packet came since the last one.
         """
         return self._receiver.report_block(now_ns)
 

@@ -48,6 +48,7 @@ class VoiceSender(PacedSender):
             timestamp_offset=identity.timestamp_offset,
             cname=cname,
             report_interval_ns=report_interval_ns,
+            bandwidth_bps=cap_bps,
             wall_offset_ns=wall_offset_ns,
             capture_time_id=capture_time_id,
         )

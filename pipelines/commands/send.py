@@ -106,6 +106,7 @@ def run(args: argparse.Namespace) -> int:
             ),
             parameter_sets=feed.parameter_sets,
             profile_level_id=feed.profile_level_id,
+            feedback=True,
             reduced_size=True,
             capture_time_id=CAPTURE_TIME_ID,
         )

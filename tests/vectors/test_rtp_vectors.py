@@ -116,6 +116,7 @@ def test_sdp_of_a_video_stream():
         bandwidth_bps=85_000,
         parameter_sets=(SPS, PPS),
         profile_level_id="42C015",
+        feedback=True,
         reduced_size=True,
         capture_time_id=1,
     )
@@ -125,7 +126,7 @@ def test_sdp_of_a_video_stream():
         "s=kontur-av",
         "c=IN IP4 127.0.0.1",
         "t=0 0",
-        "m=video 5004 RTP/AVP 96",
+        "m=video 5004 RTP/AVPF 96",
         "b=AS:85",
         "a=rtpmap:96 H264/90000",
         "a=fmtp:96 packetization-mode=1;profile-level-id=42C015;"

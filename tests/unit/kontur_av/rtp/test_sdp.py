@@ -34,6 +34,29 @@ def test_sdp_of_a_voice():
     assert (voice.clock_rate_hz, voice.control_port) == (48_000, 6001)
 
 
+def test_feedback_is_offered_with_its_profile_only():
+    # RFC 4585 section 4.2: rtcp-fb is not for RTP/AVP. RFC 5506 section 5: nor is rtcp-rsize.
+    plain = write_sdp(stream(reduced_size=True))
+    assert "AVPF" not in plain and "rtcp-fb" not in plain and "rtcp-rsize" not in plain
+    for description in (
+        stream(feedback=True),
+        stream(feedback=True, reduced_size=True, capture_time_id=14),
+        stream(kind="audio", feedback=True, reduced_size=True),
+    ):
+        text = write_sdp(description)
+        assert f" RTP/AVPF {description.payload_type}\r\n" in text
+        # A voice has no pictures to ask for.
+        assert ("a=rtcp-fb:96 nack pli" in text) == (description.kind == "video")
+        assert parse_sdp(text) == description
+
+
+@pytest.mark.parametrize("line", ["a=extmap:15 {}", "a=extmap:0 {}", "a=extmap:x {}", "a=extmap:3"])
+def test_an_id_that_no_short_header_has_is_not_read(line):
+    address = "http://www.webrtc.org/experiments/rtp-hdrext/abs-capture-time"
+    assert parse_sdp(HEAD + VIDEO + line.format(address)).capture_time_id is None
+    assert parse_sdp(HEAD + VIDEO + f"a=extmap:3/sendonly {address} x").capture_time_id == 3
+
+
 def test_the_usual_control_port_is_not_written():
     assert "a=rtcp:" not in write_sdp(stream(rtcp_port=5005))
     assert (stream().clock_rate_hz, stream().control_port) == (90_000, 5005)
@@ -75,7 +98,7 @@ def test_the_first_known_payload_type_counts_with_its_own_parameters():
         "a=rtcp:7000 IN IP4 10.0.0.1\r\n"
     )
     assert parse_sdp(HEAD + text) == stream(
-        name="Room", payload_type=97, rtcp_port=7000, parameter_sets=(SPS, PPS)
+        name="Room", payload_type=97, rtcp_port=7000, parameter_sets=(SPS, PPS), feedback=True
     )
 
 
