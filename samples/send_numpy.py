@@ -19,8 +19,7 @@ def picture_at(number: int) -> np.ndarray:  # RGB, shape (480, 640, 3), dtype ui
 
 
 host, port, cap_bps = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]) * 1000
-about = {"payload_type": 96, "feedback": True, "reduced_size": True}
-stream = av.StreamDescription(kind="video", host=host, port=port, **about)
+stream = av.StreamDescription(kind="video", host=host, port=port, payload_type=96, feedback=True)
 Path(sys.argv[4]).write_text(av.write_sdp(stream))
 clock, udp = av.MonotonicClock(), av.UdpSender(host, port)
 encoder = av.H264Encoder(width=640, height=480, fps=30, cap_bps=cap_bps)

@@ -65,7 +65,7 @@ class StreamDescription:
         return self.port + 1 if self.rtcp_port is None else self.rtcp_port
 
 
-def session_bandwidth_bps(cap_bps: int, packets_per_s: float, host: str) -> int:
+def session_bandwidth_bps(cap_bps: int, packets_per_s: float, host: str = "0.0.0.0") -> int:
     """Return the bandwidth of `b=AS` (RFC 8866 section 5.8, RFC 3550 section 6.2) in bit/s.
 
     cap_bps: of the payload. host: the address; it says which version of IP.

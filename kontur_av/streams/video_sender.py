@@ -9,6 +9,7 @@ from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S, Coding
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, AccessUnit, CaptureStamp
 from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
+from kontur_av.rtp.sdp import session_bandwidth_bps
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.streams.budget import Pacer
 from kontur_av.streams.encode_scheduler import EncodeScheduler
@@ -99,7 +100,7 @@ class VideoSender(PacedSender):
             timestamp_offset=identity.timestamp_offset,
             cname=cname,
             report_interval_ns=report_interval_ns,
-            bandwidth_bps=cap_bps,
+            bandwidth_bps=session_bandwidth_bps(cap_bps, fps),
             # No packet may be larger than the pacer's windows.
             max_payload_octets=min(max_payload_octets, pacer.max_payload_octets),
             wall_offset_ns=wall_offset_ns,
