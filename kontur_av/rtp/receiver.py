@@ -152,13 +152,12 @@ class RtpReceiver:
         self._last_heard_ns = 0
         #: Sequence numbers given up: they tell a late packet from a duplicate.
         self._given_up: set[int] = set()
-        self._transit: int | None = None
-        self._jitter_16 = 0
 
     @property
     def jitter_ns(self) -> int:
         """Interarrival jitter (RFC 3550 appendix A.8)."""
-        return (self._jitter_16 >> 4) * NS_PER_S // self.clock_rate_hz
+        ticks = 0 if self._log is None else self._log.jitter
+        return ticks * NS_PER_S // self.clock_rate_hz
 
     @property
     def waiting(self) -> int:
@@ -208,7 +207,6 @@ class RtpReceiver:
         self._highest = max(self._highest, extended)
         counts.rtp_packets += 1
         counts.rtp_payload_octets += len(packet.payload)
-        self._update_jitter(packet.timestamp, now_ns)
         if extended == self._next:
             self._deliver(packet, extended, now_ns, lost_before=0)
             self._drain()
@@ -233,7 +231,6 @@ class RtpReceiver:
             return
         counts.rtp_packets += 1
         counts.rtp_payload_octets += len(packet.payload)
-        self._update_jitter(packet.timestamp, now_ns)
         self._emit(packet, extended, now_ns, lost_before=0)
 
     def _deliver(
@@ -338,21 +335,12 @@ class RtpReceiver:
         self._captured = {ssrc: kept for ssrc, kept in self._captured.items() if ssrc == self.ssrc}
         self._log = ReceptionLog(ssrc=first.ssrc, clock_rate_hz=self.clock_rate_hz)
         self._given_up.clear()
-        self._transit = None
-        self._jitter_16 = 0
         self._reports = {
             ssrc: report for ssrc, report in self._reports.items() if ssrc == self.ssrc
         }
         self.counts.rtcp_reports += len(self._reports)
         for report, came_ns in self._reports.values():
             self._log.handle_sender_report(report, came_ns)
-
-    def _update_jitter(self, timestamp: int, now_ns: int) -> None:
-        transit = now_ns * self.clock_rate_hz // NS_PER_S - timestamp
-        if self._transit is not None:
-            difference = abs(signed_32(transit - self._transit))
-            self._jitter_16 += difference - ((self._jitter_16 + 8) >> 4)
-        self._transit = transit
 
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:
         """Handle a datagram from the RTCP port. Garbage and foreign reports are counted.
