@@ -53,8 +53,8 @@ class ReceptionReporter:
         if interval_ns is not None:
             self._timer = ReportTimer(least_ns=interval_ns, bandwidth_bps=bandwidth_bps, seed=ssrc)
 
-    def handle_packet(self, now_ns: int) -> None:
-        """A packet of the stream came. The first report is due with the first one."""
+    def handle_sender_report(self, now_ns: int) -> None:
+        """A sender report came. The first one says where reports go, and makes one due."""
         if self._timer is not None:
             self._timer.begin(now_ns)
 

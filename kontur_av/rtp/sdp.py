@@ -6,6 +6,7 @@ aiortc.sdp reads the dialect of WebRTC, and refuses SDP of GStreamer and FFmpeg.
 import base64
 import binascii
 import ipaddress
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -17,6 +18,8 @@ from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
 from kontur_av.rtp.header_extensions import ABS_CAPTURE_TIME
 
 _UDP_OCTETS, _RTP_OCTETS = 8, 12
+#: Three octets (RFC 6184 section 8.1).
+_LEVEL = re.compile("[0-9A-F]{6}")
 #: Of elements with one-octet headers (RFC 8285 section 4.2).
 _IDS = frozenset(map(str, range(1, 15)))
 
@@ -239,6 +242,10 @@ def _parse_media(
                 f"SDP packetization-mode={formats['packetization-mode'][:20]}: "
                 "interleaved H.264 is not received; use packetization-mode=1"
             )
+        sets = _parse_parameter_sets(formats.get("sprop-parameter-sets", ""))
+        level = formats.get("profile-level-id", "").upper()
+        if not _LEVEL.fullmatch(level):
+            level = ""
         return StreamDescription(
             kind=kind,
             host=host,
@@ -250,7 +257,8 @@ def _parse_media(
             feedback=fields[2].endswith("AVPF"),
             reduced_size=reduced_size,
             capture_time_id=capture_time_id,
-            parameter_sets=_parse_parameter_sets(formats.get("sprop-parameter-sets", "")),
+            parameter_sets=sets,
+            profile_level_id="" if level == profile_level_id(sets) else level,
             name=name,
         )
     return None

@@ -109,7 +109,10 @@ class VideoReceiver:
 
         Garbage is counted. Drain `next_event` afterwards.
         """
-        return self._receiver.handle_report(datagram, now_ns)
+        dates = self._receiver.handle_report(datagram, now_ns)
+        if dates:
+            self._reports.handle_sender_report(now_ns)
+        return dates
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
@@ -141,7 +144,6 @@ class VideoReceiver:
     def next_event(self) -> ReceivedUnit | None:
         """Return the next access unit to decode, or None."""
         while (packet := self._receiver.next_event()) is not None:
-            self._reports.handle_packet(packet.received_ns)
             self._depacketizer.handle_packet(packet)
         unit = self._depacketizer.next_event()
         if unit is not None:

@@ -126,6 +126,8 @@ class VoiceReceiver:
         Garbage is counted. Drain `next_event` afterwards.
         """
         dates = self._receiver.handle_report(datagram, now_ns)
+        if dates:
+            self._reports.handle_sender_report(now_ns)
         self._take_packets(now_ns)
         return dates
 
@@ -216,7 +218,6 @@ class VoiceReceiver:
         while (packet := self._receiver.next_event()) is not None:
             self._arrivals.append(VoicePacketArrival(packet.timestamp, packet.received_ns))
             self._playout.handle_packet(packet)
-            self._reports.handle_packet(packet.received_ns)
             self._hold(packet.timestamp, now_ns)
 
     def _hold(self, timestamp: int, now_ns: int) -> None:

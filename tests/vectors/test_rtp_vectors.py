@@ -1,7 +1,5 @@
 """Octets derived by hand from the standards, so that errors in both directions cannot cancel."""
 
-from dataclasses import replace
-
 import pytest
 from rtp_packets import PromptSender
 
@@ -136,7 +134,7 @@ def test_sdp_of_a_video_stream():
         "a=extmap:1 http://www.webrtc.org/experiments/rtp-hdrext/abs-capture-time",
         "a=recvonly",
     ]
-    assert parse_sdp(write_sdp(stream)) == replace(stream, profile_level_id="")
+    assert parse_sdp(write_sdp(stream)) == stream
 
 
 def test_sdp_written_by_ffmpeg_is_understood():

@@ -172,3 +172,11 @@ def test_the_bandwidth_has_the_headers_of_ip_udp_and_rtp():
     # 50 packets of 20 octets of payload a second, with 40 octets of headers each; IPv6 has 60.
     assert session_bandwidth_bps(8_000, 50, "192.0.2.1") == 24_000
     assert session_bandwidth_bps(8_000, 50, "2001:db8::1") == 32_000
+
+
+def test_a_level_above_that_of_the_parameter_sets_is_kept():
+    grown = stream(parameter_sets=(SPS, PPS), profile_level_id="42C01F")
+    assert parse_sdp(write_sdp(grown)) == grown
+    usual = write_sdp(stream(parameter_sets=(SPS, PPS)))
+    assert parse_sdp(usual).profile_level_id == ""
+    assert parse_sdp(usual.replace("42C01E", "42c0")).profile_level_id == ""

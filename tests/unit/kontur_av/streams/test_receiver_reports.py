@@ -100,6 +100,8 @@ def test_reports_of_this_software_ask_for_no_key_picture():
     receiver.handle_picture(0, 64, 48, None)
     while receiver.next_event() is not None:
         pass
+    assert receiver.poll_timeout() is None
+    receiver.handle_report(rtp.poll_report(0), 0)
     report = receiver.poll_feedback(0)
     listener = PictureLossListener(ssrc=9)
     listener.handle_feedback(report, 0)
@@ -107,3 +109,16 @@ def test_reports_of_this_software_ask_for_no_key_picture():
     # The same report of a player that sends no PLI does.
     listener.handle_feedback(bytes(RtcpPacket.parse(report)[0]).replace(b"\x05", b"\x06", 1), 0)
     assert listener.take(0)
+
+
+@pytest.mark.parametrize("rate_hz", RECEIVERS)
+def test_without_a_sender_report_there_is_nowhere_to_send_one(rate_hz):
+    rtp, receiver = sender(rate_hz), RECEIVERS[rate_hz]()
+    if rate_hz == 90_000:
+        # Otherwise it asks for a picture at which to begin.
+        receiver.handle_picture(0, 64, 48, None)
+    for number in range(300):
+        receiver.handle_packet(packet_of(rtp, number), number * PERIOD_NS)
+        while receiver.next_event() is not None:
+            pass
+        assert receiver.poll_feedback(number * PERIOD_NS) is None
