@@ -21,7 +21,8 @@ def handle(picture: np.ndarray, age_ms: float, quality: av.Quality) -> None:
 stream = av.parse_sdp(Path(sys.argv[1]).read_text())
 clock, udp = av.MonotonicClock(), av.UdpReceiver(stream.host, stream.port)
 ssrc, decoder = secrets.randbits(32), av.H264Decoder()
-receiver = av.VideoReceiver(ssrc=ssrc, wall_offset_ns=clock.wall_offset_ns)
+about = {"wall_offset_ns": clock.wall_offset_ns, "reduced_size": stream.reduced_size}
+receiver = av.VideoReceiver(ssrc=ssrc, **about)
 end_ns = clock.now_ns() + int(sys.argv[2]) * 10**9
 while (left_ns := end_ns - clock.now_ns()) > 0 and not receiver.ended:
     udp.exchange(receiver, clock, left_ns)

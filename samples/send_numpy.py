@@ -19,7 +19,7 @@ def picture_at(number: int) -> np.ndarray:  # RGB, shape (480, 640, 3), dtype ui
 
 
 host, port, cap_bps = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]) * 1000
-stream = av.StreamDescription(kind="video", host=host, port=port, payload_type=96)
+stream = av.StreamDescription(kind="video", host=host, port=port, payload_type=96, feedback=True)
 Path(sys.argv[4]).write_text(av.write_sdp(stream))
 clock, udp = av.MonotonicClock(), av.UdpSender(host, port)
 encoder = av.H264Encoder(width=640, height=480, fps=30, cap_bps=cap_bps)
@@ -36,5 +36,5 @@ for number in range(30 * int(sys.argv[5])):
             sender.handle_access_unit(encoder.encode(frame, coding), clock.now_ns())
         udp.exchange(sender, clock)
         clock.sleep_until_ns(now_ns + 10**6)
-udp.say_goodbye(sender)
+udp.say_goodbye(sender, clock)
 print(f"{sender.counts}, {sender.released.max_bps() / 1000:.1f} kbit/s in the largest second")

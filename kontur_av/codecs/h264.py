@@ -123,6 +123,7 @@ class H264Encoder:
         # A stream in its full size keeps it, because not every receiver can scale.
         self._cuts = Cuts() if coded_size is None and coded != (width, height) else None
         self._sizes = sizes_around(width, height, coded)
+        self.largest_size = self._sizes[-1] if self._cuts is not None else coded
         self._choice = SizeChoice(
             [size[0] * size[1] for size in self._sizes],
             usual=self._sizes.index(coded),

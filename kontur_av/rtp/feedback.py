@@ -1,22 +1,29 @@
-"""Picture loss indications (PLI): the receiver of a damaged picture asks for a key picture.
+"""What a receiver tells its sender: reports, and picture loss indications (PLI).
 
-A PLI (RFC 4585 section 6.3.1) is sent alone, as RFC 5506 allows: 12 octets. While PLIs arrive, the
-periodic intra refresh can be slow, which saves most of its octets.
+With a PLI (RFC 4585 section 6.3.1) the receiver of a damaged picture asks for a key picture. It is
+sent alone where both ends know of reduced size (RFC 5506): 12 octets. Elsewhere a report precedes
+it. While feedback arrives, the periodic intra refresh can be slow, which saves most of its octets.
 
 Some receivers, such as ffplay, send receiver reports (RFC 3550 section 6.4.2) but no PLI. A new
 receiver in them, and packets lost since the last one, ask for a key picture, too. Reports of a
-receiver that sends PLIs ask for nothing.
+receiver that sends PLIs, and of this software, ask for nothing.
 """
 
 from collections import OrderedDict
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
+from kontur_av.rtp.report_timer import ReportTimer
 from kontur_av.rtp.wire import (
     RTCP_PSFB_PLI,
+    SDES_TOOL,
+    TOOL,
     RtcpPsfbPacket,
+    RtcpReceiverInfo,
     RtcpRrPacket,
+    RtcpSdesPacket,
     parse_rtcp,
+    receiver_report,
 )
 
 #: The time between two indications while pictures stay damaged: longer than most round trips.
@@ -27,6 +34,49 @@ ANSWER_ONCE_NS = 100 * NS_PER_MS
 REPORTED_AGAIN_NS = 2 * NS_PER_S
 #: The most receivers whose losses are remembered; the oldest is dropped.
 _MOST_REPORTERS = 16
+
+
+class ReceptionReporter:
+    """When a receiver reports on its stream, and what (RFC 3550 sections 6.1 and 6.4.2).
+
+    ssrc: the receiver's own, of 32 random bits. interval_ns: mean time between two reports; None:
+    none is due by itself. bandwidth_bps: of the session, see `ReportTimer`.
+    """
+
+    def __init__(
+        self, *, ssrc: int, interval_ns: int | None, bandwidth_bps: int | None = None
+    ) -> None:
+        self._ssrc = ssrc
+        # A name that lasts as long as the SSRC.
+        self._cname = f"{ssrc:08x}@kontur-av".encode()
+        self._timer: ReportTimer | None = None
+        if interval_ns is not None:
+            self._timer = ReportTimer(least_ns=interval_ns, bandwidth_bps=bandwidth_bps, seed=ssrc)
+
+    def handle_sender_report(self, now_ns: int) -> None:
+        """A sender report came. The first one says where reports go, and makes one due."""
+        if self._timer is not None:
+            self._timer.begin(now_ns)
+
+    def is_due(self, now_ns: int) -> bool:
+        """Return whether to send `report` now."""
+        return self._timer is not None and self._timer.is_due(now_ns)
+
+    def report(
+        self, block: RtcpReceiverInfo | None, now_ns: int, *, feedback: bytes = b""
+    ) -> bytes:
+        """Return the compound packet to send now: RR, SDES and feedback.
+
+        block: see `RtpReceiver.report_block`.
+        """
+        compound = receiver_report(self._ssrc, block, self._cname) + feedback
+        if self._timer is not None:
+            self._timer.handle_sent(len(compound), now_ns)
+        return compound
+
+    def poll_timeout(self) -> int | None:
+        """Return when the next report is due; None: not yet."""
+        return None if self._timer is None else self._timer.poll_timeout()
 
 
 class PictureLossReporter:
@@ -89,6 +139,11 @@ class PictureLossListener:
             self.garbage += 1
             return
         self.heard_ns = now_ns
+        for packet in packets:
+            if isinstance(packet, RtcpSdesPacket):
+                for chunk in packet.chunks:
+                    if (SDES_TOOL, TOOL) in chunk.items:
+                        self._remember(chunk.ssrc, None)
         for packet in packets:
             if (
                 isinstance(packet, RtcpPsfbPacket)

@@ -3,13 +3,15 @@
 import struct
 from collections.abc import Sequence
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_S, ntp_from_unix_ns
 from kontur_av.errors import ProtocolError
 
 #: Which media section of the SDP a packet belongs to (RFC 9143 section 15).
 MID = "urn:ietf:params:rtp-hdrext:sdes:mid"
 #: When a packet left, in seconds with 18 bits of fraction, modulo 64 s.
 ABS_SEND_TIME = "http://www.webrtc.org/experiments/rtp-hdrext/abs-send-time"
+#: When the content of a packet was captured, as an NTP timestamp of 64 bits.
+ABS_CAPTURE_TIME = "http://www.webrtc.org/experiments/rtp-hdrext/abs-capture-time"
 #: The least and the largest delay that a receiver may add before it shows a picture.
 PLAYOUT_DELAY = "http://www.webrtc.org/experiments/rtp-hdrext/playout-delay"
 
@@ -41,6 +43,14 @@ def extended(packet: bytes, elements: Sequence[tuple[int, bytes]]) -> bytes:
     header = _HEADER.pack(_ONE_OCTET, len(body) // 4)
     fixed = bytes([packet[0] | _EXTENDED]) + packet[1:_FIXED_OCTETS]
     return fixed + header + bytes(body) + packet[_FIXED_OCTETS:]
+
+
+def header_octets(packet: bytes) -> int:
+    """Return the length of an RTP packet's header: fixed, contributing sources and extension."""
+    octets = _FIXED_OCTETS + 4 * (packet[0] & 0x0F)
+    if packet[0] & _EXTENDED:
+        octets += _HEADER.size + 4 * _HEADER.unpack_from(packet, octets)[1]
+    return octets
 
 
 def elements_of(packet: bytes) -> dict[int, bytes]:
@@ -84,3 +94,13 @@ def playout_delay_element(*, least_ms: int, most_ms: int) -> bytes:
 def send_time_element(now_ns: int) -> bytes:
     """Return the value of ABS_SEND_TIME for an instant."""
     return ((now_ns << 18) // NS_PER_S & 0xFF_FFFF).to_bytes(3, "big")
+
+
+def capture_time_element(unix_ns: int) -> bytes:
+    """Return the value of ABS_CAPTURE_TIME for a capture, without a clock offset."""
+    return ntp_from_unix_ns(unix_ns).to_bytes(8, "big")
+
+
+def read_capture_time(value: bytes) -> int | None:
+    """Return the NTP timestamp of ABS_CAPTURE_TIME; None if the value has not 8 or 16 octets."""
+    return int.from_bytes(value[:8], "big") if len(value) in (8, 16) else None

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, unix_ns_from_ntp
 from kontur_av.errors import ProtocolError
+from kontur_av.rtp.header_extensions import elements_of, read_capture_time
+from kontur_av.rtp.reception import ReceptionLog
 from kontur_av.rtp.wire import (
     RtcpByePacket,
+    RtcpReceiverInfo,
     RtcpRrPacket,
-    RtcpSenderInfo,
     RtcpSrPacket,
     RtpPacket,
     parse_rtcp,
@@ -110,6 +112,8 @@ class RtpReceiver:
         once, also one that was given up. It no longer counts as lost, although the `lost_before` of
         its successor counted it.
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
+    capture_time_id: of the header extension that dates captures, rather than sender reports; None:
+        there is none.
     """
 
     def __init__(
@@ -121,6 +125,7 @@ class RtpReceiver:
         ordered: bool = True,
         takeover_silence_ns: int = 500 * NS_PER_MS,
         wall_offset_ns: int = 0,
+        capture_time_id: int | None = None,
     ) -> None:
         self.payload_type = payload_type
         self.clock_rate_hz = clock_rate_hz
@@ -132,23 +137,27 @@ class RtpReceiver:
         self._ordered = ordered
         self._takeover_silence_ns = takeover_silence_ns
         self._wall_offset_ns = wall_offset_ns
+        self._capture_time_id = capture_time_id
+        #: By SSRC, of the source and one that may follow: an RTP timestamp, and its capture in NTP.
+        self._captured: dict[int, tuple[int, int]] = {}
+        self._log: ReceptionLog | None = None
         self._events: deque[RtpReceived] = deque()
         self._waiting: dict[int, _Waiting] = {}
         self._gap_deadline_ns: int | None = None
         self._candidate: _Waiting | None = None
-        self._reports: dict[int, RtcpSenderInfo] = {}
+        #: By SSRC: the newest report, and when it came.
+        self._reports: dict[int, tuple[RtcpSrPacket, int]] = {}
         self._first = self._next = self._highest = 0
         self._restart = False
         self._last_heard_ns = 0
         #: Sequence numbers given up: they tell a late packet from a duplicate.
         self._given_up: set[int] = set()
-        self._transit: int | None = None
-        self._jitter_16 = 0
 
     @property
     def jitter_ns(self) -> int:
         """Interarrival jitter (RFC 3550 appendix A.8)."""
-        return (self._jitter_16 >> 4) * NS_PER_S // self.clock_rate_hz
+        ticks = 0 if self._log is None else self._log.jitter
+        return ticks * NS_PER_S // self.clock_rate_hz
 
     @property
     def waiting(self) -> int:
@@ -165,6 +174,8 @@ class RtpReceiver:
         if packet.payload_type != self.payload_type:
             self.counts.garbage += 1
             return
+        if self._capture_time_id is not None:
+            self._take_capture_time(datagram, packet)
         if packet.ssrc != self.ssrc:
             self._try_candidate(packet, now_ns)
             return
@@ -181,6 +192,8 @@ class RtpReceiver:
     def _take(self, packet: RtpPacket, extended: int, now_ns: int) -> None:
         counts = self.counts
         self._last_heard_ns = now_ns
+        if self._log is not None:
+            self._log.handle_packet(packet.sequence_number, packet.timestamp, now_ns)
         self._drop_candidate()
         self.ended = False
         if extended < self._next:
@@ -194,7 +207,6 @@ class RtpReceiver:
         self._highest = max(self._highest, extended)
         counts.rtp_packets += 1
         counts.rtp_payload_octets += len(packet.payload)
-        self._update_jitter(packet.timestamp, now_ns)
         if extended == self._next:
             self._deliver(packet, extended, now_ns, lost_before=0)
             self._drain()
@@ -219,7 +231,6 @@ class RtpReceiver:
             return
         counts.rtp_packets += 1
         counts.rtp_payload_octets += len(packet.payload)
-        self._update_jitter(packet.timestamp, now_ns)
         self._emit(packet, extended, now_ns, lost_before=0)
 
     def _deliver(
@@ -321,20 +332,15 @@ class RtpReceiver:
         self.ssrc = first.ssrc
         self._first = self._next = self._highest = first.sequence_number
         self._restart = True
+        self._captured = {ssrc: kept for ssrc, kept in self._captured.items() if ssrc == self.ssrc}
+        self._log = ReceptionLog(ssrc=first.ssrc, clock_rate_hz=self.clock_rate_hz)
         self._given_up.clear()
-        self._transit = None
-        self._jitter_16 = 0
         self._reports = {
             ssrc: report for ssrc, report in self._reports.items() if ssrc == self.ssrc
         }
         self.counts.rtcp_reports += len(self._reports)
-
-    def _update_jitter(self, timestamp: int, now_ns: int) -> None:
-        transit = now_ns * self.clock_rate_hz // NS_PER_S - timestamp
-        if self._transit is not None:
-            difference = abs(signed_32(transit - self._transit))
-            self._jitter_16 += difference - ((self._jitter_16 + 8) >> 4)
-        self._transit = transit
+        for report, came_ns in self._reports.values():
+            self._log.handle_sender_report(report, came_ns)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:
         """Handle a datagram from the RTCP port. Garbage and foreign reports are counted.
@@ -350,7 +356,7 @@ class RtpReceiver:
         dates = known = False
         for packet in packets:
             if isinstance(packet, RtcpSrPacket):
-                self._take_report(packet)
+                self._take_report(packet, now_ns)
                 self._try_vouched(now_ns)
                 dates |= self.ssrc in (None, packet.ssrc)
             elif isinstance(packet, RtcpByePacket):
@@ -372,9 +378,11 @@ class RtpReceiver:
         if self._candidate is not None and self._candidate.packet.ssrc == ssrc:
             self._drop_candidate()
 
-    def _take_report(self, report: RtcpSrPacket) -> None:
+    def _take_report(self, report: RtcpSrPacket, now_ns: int) -> None:
         if report.ssrc == self.ssrc:
             self.counts.rtcp_reports += 1
+            if self._log is not None:
+                self._log.handle_sender_report(report, now_ns)
         elif self.ssrc is not None:
             # The report of a restarted sender may overtake its second packet: keep one.
             self._reports = {
@@ -382,7 +390,7 @@ class RtpReceiver:
             }
         elif len(self._reports) >= 2:
             self._reports.clear()
-        self._reports[report.ssrc] = report.sender_info
+        self._reports[report.ssrc] = report, now_ns
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up the gaps that are due by `now_ns`. Drain `next_event` afterwards."""
@@ -400,12 +408,37 @@ class RtpReceiver:
     def capture_ns(self, timestamp: int) -> int | None:
         """Return the instant of capture in ns of an RTP timestamp of the present source.
 
-        None before the first sender report. The timestamp must lie within half its range (6.6 hours
-        at 90 kHz) of the last report.
+        None before the first sender report or capture time. The timestamp must lie within half its
+        range (6.6 hours at 90 kHz) of the last one.
         """
-        report = None if self.ssrc is None else self._reports.get(self.ssrc)
-        if report is None:
+        if self.ssrc is None:
             return None
-        ticks = signed_32(timestamp - report.rtp_timestamp)
-        reported_ns = unix_ns_from_ntp(report.ntp_timestamp) - self._wall_offset_ns
-        return reported_ns + round(ticks * NS_PER_S / self.clock_rate_hz)
+        anchor = self._captured.get(self.ssrc)
+        if anchor is None:
+            if (kept := self._reports.get(self.ssrc)) is None:
+                return None
+            info = kept[0].sender_info
+            anchor = info.rtp_timestamp, info.ntp_timestamp
+        ticks = signed_32(timestamp - anchor[0])
+        anchor_ns = unix_ns_from_ntp(anchor[1]) - self._wall_offset_ns
+        return anchor_ns + round(ticks * NS_PER_S / self.clock_rate_hz)
+
+    def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
+        """Return the block of a receiver report (RFC 3550 section 6.4.1) since the last one.
+
+        None if no packet of the source came since then.
+        """
+        return None if self._log is None else self._log.block(now_ns)
+
+    def _take_capture_time(self, datagram: bytes, packet: RtpPacket) -> None:
+        assert self._capture_time_id is not None
+        try:
+            value = elements_of(datagram).get(self._capture_time_id)
+        except ProtocolError:
+            return
+        ntp = None if value is None else read_capture_time(value)
+        if ntp is not None:
+            # A stranger's packets must not grow this.
+            source = packet.ssrc
+            self._captured = {one: at for one, at in self._captured.items() if one == self.ssrc}
+            self._captured[source] = packet.timestamp, ntp

@@ -24,7 +24,6 @@ class ReceptionLog:
         self._highest = self._received = 0
         self._expected_before = self._received_before = 0
         self._transit: int | None = None
-        self._timestamp: int | None = None
         self._jitter_16 = 0
         #: Of the last sender report: the middle of its NTP time, and when it came.
         self._last: tuple[int, int] | None = None
@@ -33,6 +32,11 @@ class ReceptionLog:
     def received(self) -> int:
         """Packets that came, repeated ones included."""
         return self._received
+
+    @property
+    def jitter(self) -> int:
+        """Interarrival jitter in ticks of the timestamps (RFC 3550 appendix A.8)."""
+        return self._jitter_16 >> 4
 
     @property
     def lost(self) -> int:
@@ -51,22 +55,19 @@ class ReceptionLog:
         ahead = (sequence - self._highest) & 0xFFFF
         if 0 < ahead < _MOST_MISORDER:
             self._highest += ahead
-        if timestamp == self._timestamp:
-            # The packets of one picture leave one after another.
-            return
         transit = now_ns * self._clock_rate_hz // NS_PER_S - timestamp
         if self._transit is not None:
             difference = abs(signed_32(transit - self._transit))
             self._jitter_16 += difference - ((self._jitter_16 + 8) >> 4)
-        self._transit, self._timestamp = transit, timestamp
+        self._transit = transit
 
     def handle_sender_report(self, report: RtcpSrPacket, now_ns: int) -> None:
         """The source has sent a report."""
         self._last = (report.sender_info.ntp_timestamp >> 16) & 0xFFFF_FFFF, now_ns
 
     def block(self, now_ns: int) -> RtcpReceiverInfo | None:
-        """Return the report block of the time since the last one; None if nothing ever came."""
-        if self._first is None:
+        """Return the report block of the time since the last one; None if nothing came in it."""
+        if self._received == self._received_before:
             return None
         expected = self._expected - self._expected_before
         received = self._received - self._received_before
@@ -81,7 +82,7 @@ class ReceptionLog:
             fraction_lost=min(lost * 256 // expected, 255) if expected > 0 else 0,
             packets_lost=max(min(self.lost, 0x7F_FFFF), -0x80_0000),
             highest_sequence=self._highest & 0xFFFF_FFFF,
-            jitter=min(self._jitter_16 >> 4, 0xFFFF_FFFF),
+            jitter=min(self.jitter, 0xFFFF_FFFF),
             lsr=since,
             dlsr=ago,
         )

@@ -6,6 +6,7 @@ aiortc.sdp reads the dialect of WebRTC, and refuses SDP of GStreamer and FFmpeg.
 import base64
 import binascii
 import ipaddress
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -14,8 +15,13 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.media import AUDIO_PAYLOAD_TYPE as AUDIO_PAYLOAD_TYPE
 from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
+from kontur_av.rtp.header_extensions import ABS_CAPTURE_TIME
 
 _UDP_OCTETS, _RTP_OCTETS = 8, 12
+#: Three octets (RFC 6184 section 8.1).
+_LEVEL = re.compile("[0-9A-F]{6}")
+#: Of elements with one-octet headers (RFC 8285 section 4.2).
+_IDS = frozenset(map(str, range(1, 15)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,6 +36,12 @@ class StreamDescription:
     bandwidth_bps: what the stream takes at most in bit/s, with the headers of IP, UDP and RTP
     (`session_bandwidth_bps`), or None.
     parameter_sets: SPS and PPS NAL units, if known (video).
+    profile_level_id: of H.264, three octets as hexadecimal digits (RFC 6184 section 8.1). "": that
+    of the first SPS. A stream whose pictures may grow gives that of the largest.
+    feedback: the profile is RTP/AVPF (RFC 4585), in which reports may be frequent. The sender of a
+    picture takes PLIs.
+    reduced_size: the sender takes PLIs without a report before them (RFC 5506).
+    capture_time_id: of the header extension ABS_CAPTURE_TIME, 1 to 14; None: the stream has none.
     name: of the session (s=).
     """
 
@@ -40,6 +52,10 @@ class StreamDescription:
     rtcp_port: int | None = None
     bandwidth_bps: int | None = None
     parameter_sets: tuple[bytes, ...] = ()
+    profile_level_id: str = ""
+    feedback: bool = False
+    reduced_size: bool = False
+    capture_time_id: int | None = None
     name: str = "kontur-av"
 
     @property
@@ -52,7 +68,7 @@ class StreamDescription:
         return self.port + 1 if self.rtcp_port is None else self.rtcp_port
 
 
-def session_bandwidth_bps(cap_bps: int, packets_per_s: float, host: str) -> int:
+def session_bandwidth_bps(cap_bps: int, packets_per_s: float, host: str = "0.0.0.0") -> int:
     """Return the bandwidth of `b=AS` (RFC 8866 section 5.8, RFC 3550 section 6.2) in bit/s.
 
     cap_bps: of the payload. host: the address; it says which version of IP.
@@ -62,17 +78,21 @@ def session_bandwidth_bps(cap_bps: int, packets_per_s: float, host: str) -> int:
 
 
 def write_sdp(stream: StreamDescription) -> str:
-    """Return SDP text that GStreamer's sdpdemux, ffmpeg and ffplay open unchanged."""
+    """Return SDP text that GStreamer's sdpdemux, ffmpeg and ffplay open unchanged.
+
+    Feedback is offered with the profile RTP/AVPF only, as RFC 4585 section 4.2 demands.
+    """
     version = ipaddress.ip_address(stream.host).version
     address = f"IN IP{version} {stream.host}"
     payload_type = stream.payload_type
+    profile = "RTP/AVPF" if stream.feedback else "RTP/AVP"
     lines = [
         "v=0",
         f"o=- 0 0 {address}",
         f"s={stream.name}",
         f"c={address}",
         "t=0 0",
-        f"m={stream.kind} {stream.port} RTP/AVP {payload_type}",
+        f"m={stream.kind} {stream.port} {profile} {payload_type}",
     ]
     if stream.bandwidth_bps is not None:
         lines.append(f"b=AS:{-(-stream.bandwidth_bps // 1000)}")
@@ -80,22 +100,34 @@ def write_sdp(stream: StreamDescription) -> str:
         lines.append(f"a=rtcp:{stream.rtcp_port}")
     if stream.kind == "video":
         lines.append(f"a=rtpmap:{payload_type} H264/{VIDEO_CLOCK_HZ}")
-        lines.append(f"a=fmtp:{payload_type} {_h264_parameters(stream.parameter_sets)}")
+        lines.append(f"a=fmtp:{payload_type} {_h264_parameters(stream)}")
+        if stream.feedback:
+            lines.append(f"a=rtcp-fb:{payload_type} nack pli")
     else:
         # RFC 7587 section 7: rtpmap is always 48000/2; fmtp says mono.
         lines.append(f"a=rtpmap:{payload_type} opus/{AUDIO_CLOCK_HZ}/2")
         lines.append(f"a=fmtp:{payload_type} stereo=0;sprop-stereo=0;cbr=1")
         lines.append("a=ptime:20")
+    if stream.feedback and stream.reduced_size:
+        lines.append("a=rtcp-rsize")
+    if stream.capture_time_id is not None:
+        lines.append(f"a=extmap:{stream.capture_time_id} {ABS_CAPTURE_TIME}")
     lines.append("a=recvonly")
     return "\r\n".join(lines) + "\r\n"
 
 
-def _h264_parameters(parameter_sets: tuple[bytes, ...]) -> str:
+def profile_level_id(parameter_sets: tuple[bytes, ...]) -> str:
+    """Return `profile-level-id` of the first SPS (RFC 6184 section 8.1); "" without one."""
+    sps = next((unit for unit in parameter_sets if len(unit) >= 4 and unit[0] & 31 == 7), b"")
+    return sps[1:4].hex().upper()
+
+
+def _h264_parameters(stream: StreamDescription) -> str:
     parameters = ["packetization-mode=1"]
+    parameter_sets = stream.parameter_sets
+    if level := stream.profile_level_id or profile_level_id(parameter_sets):
+        parameters.append(f"profile-level-id={level}")
     if parameter_sets:
-        sps = next((unit for unit in parameter_sets if len(unit) >= 4 and unit[0] & 31 == 7), None)
-        if sps is not None:
-            parameters.append(f"profile-level-id={sps[1:4].hex().upper()}")
         coded = ",".join(base64.b64encode(unit).decode() for unit in parameter_sets)
         parameters.append(f"sprop-parameter-sets={coded}")
     return ";".join(parameters)
@@ -168,6 +200,8 @@ def _parse_media(
     parameters: dict[str, str] = {}
     rtcp_port: int | None = None
     bandwidth_bps: int | None = None
+    reduced_size = False
+    capture_time_id: int | None = None
     for key, value in block[1:]:
         attribute, _, rest = value.partition(":")
         if key == "b" and attribute == "AS":
@@ -182,6 +216,12 @@ def _parse_media(
             parameters[payload_type] = values
         elif attribute == "rtcp":
             rtcp_port = _number((rest.split() or [""])[0], "a=rtcp", 1, 65535)
+        elif attribute == "rtcp-rsize":
+            reduced_size = True
+        elif attribute == "extmap" and rest.split()[1:2] == [ABS_CAPTURE_TIME]:
+            # Only ids of one-octet headers are read; the rest of the line may name a direction.
+            number = rest.split()[0].partition("/")[0]
+            capture_time_id = int(number) if number in _IDS else None
     kind: Literal["video", "audio"]
     for payload_type in fields[3:]:
         encoding = maps.get(payload_type, "")
@@ -202,6 +242,10 @@ def _parse_media(
                 f"SDP packetization-mode={formats['packetization-mode'][:20]}: "
                 "interleaved H.264 is not received; use packetization-mode=1"
             )
+        sets = _parse_parameter_sets(formats.get("sprop-parameter-sets", ""))
+        level = formats.get("profile-level-id", "").upper()
+        if not _LEVEL.fullmatch(level):
+            level = ""
         return StreamDescription(
             kind=kind,
             host=host,
@@ -210,7 +254,11 @@ def _parse_media(
             payload_type=_number(payload_type, "m=", 0, 127),
             rtcp_port=rtcp_port,
             bandwidth_bps=bandwidth_bps,
-            parameter_sets=_parse_parameter_sets(formats.get("sprop-parameter-sets", "")),
+            feedback=fields[2].endswith("AVPF"),
+            reduced_size=reduced_size,
+            capture_time_id=capture_time_id,
+            parameter_sets=sets,
+            profile_level_id="" if level == profile_level_id(sets) else level,
             name=name,
         )
     return None

@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S, ntp_from_unix_ns
 from kontur_av.media import BLOCK_SAMPLES, AccessUnit, CaptureStamp
+from kontur_av.rtp.header_extensions import capture_time_element, extended, header_octets
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS, packetize, split_annex_b
+from kontur_av.rtp.report_timer import AVPF_LEAST_NS, ReportTimer
 from kontur_av.rtp.wire import (
     RtcpByePacket,
     RtcpSenderInfo,
@@ -17,6 +19,8 @@ from kontur_av.rtp.wire import (
 
 #: The header of every packet of this sender: no CSRC, no extension (RFC 3550 section 5.1).
 RTP_HEADER_OCTETS = 12
+#: The time between two packets that tell their capture.
+_CAPTURE_TIME_NS = NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +54,19 @@ class Packetized(NamedTuple):
 class RtpSender:
     """Turns access units or Opus packets into RTP packets (RFC 3550), and makes sender reports.
 
-    Send the packets of `video_packets` or `audio_packets` in their order. Then, and at
-    `poll_timeout`, send the report of `poll_report` to the RTCP port.
+    Send the packets of `video_packets` or `audio_packets` in their order, and call `handle_sent`
+    for each. Then, and at `poll_timeout`, send the report of `poll_report` to the RTCP port.
 
     payload_type: 96 to 127. clock_rate_hz: of the RTP timestamps.
     ssrc, first_sequence, timestamp_offset: random numbers of 32, 16 and 32 bits (RFC 3550
         section 5.1), as of an `RtpIdentity`.
     cname: the stream's lasting name (RFC 3550 section 6.5.1), at most 255 octets.
-    report_interval_ns: time between two sender reports.
+    report_interval_ns: mean time between two sender reports; see `ReportTimer`.
+    bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
     max_payload_octets: the largest payload of a video packet.
     samples_per_packet: of a voice.
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
+    capture_time_id: of the header extension that tells a capture once a second; None: no extension.
     """
 
     def __init__(
@@ -72,10 +78,12 @@ class RtpSender:
         first_sequence: int,
         timestamp_offset: int,
         cname: str,
-        report_interval_ns: int = NS_PER_S,
+        report_interval_ns: int = AVPF_LEAST_NS,
+        bandwidth_bps: int | None = None,
         max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS,
         samples_per_packet: int = BLOCK_SAMPLES,
         wall_offset_ns: int = 0,
+        capture_time_id: int | None = None,
     ) -> None:
         self.payload_type = payload_type
         self.clock_rate_hz = clock_rate_hz
@@ -86,17 +94,19 @@ class RtpSender:
         self._sequence = first_sequence & 0xFFFF
         self._offset = timestamp_offset
         self._cname = cname.encode()[:255]
-        self._report_interval_ns = report_interval_ns
+        self._timer = ReportTimer(
+            least_ns=report_interval_ns, bandwidth_bps=bandwidth_bps, seed=ssrc
+        )
         self._max_payload_octets = max_payload_octets
         self._samples_per_packet = samples_per_packet
         self._wall_offset_ns = wall_offset_ns
+        self._capture_time_id = capture_time_id
+        self._told_ns: int | None = None
         self._last_stamp: CaptureStamp | None = None
         self._last_timestamp = 0
         #: Blocks of sound since the first one, missing ones included.
         self._blocks = 0
         self._expected_ns = 0
-        self._report_due_ns: int | None = None
-        self._report_now = False
 
     def video_packets(self, access_unit: AccessUnit) -> Packetized:
         """Return the packets of one H.264 access unit; the last one has the marker.
@@ -107,12 +117,13 @@ class RtpSender:
         if not payloads:
             raise ValueError("an access unit without a NAL unit")
         timestamp = self.timestamp(access_unit.stamp.capture_ns)
-        self._note(access_unit.stamp, timestamp)
+        self._last_stamp, self._last_timestamp = access_unit.stamp, timestamp
         last = len(payloads) - 1
         packets = [
             self._packet(payload, timestamp, marker=index == last)
             for index, payload in enumerate(payloads)
         ]
+        self._tell_capture(packets)
         return Packetized(packets, timestamp, [len(payload) for payload in payloads])
 
     def audio_packets(self, opus: bytes, stamp: CaptureStamp) -> Packetized:
@@ -136,18 +147,32 @@ class RtpSender:
             self._expected_ns += missing * block_ns + (late_ns - missing * block_ns) // 16
         self._expected_ns += block_ns
         timestamp = (self._offset + self._blocks * self._samples_per_packet) & 0xFFFF_FFFF
-        self._note(stamp, timestamp)
-        return Packetized([self._packet(opus, timestamp, marker=gap)], timestamp, [len(opus)])
+        self._last_stamp, self._last_timestamp = stamp, timestamp
+        packets = [self._packet(opus, timestamp, marker=gap)]
+        self._tell_capture(packets)
+        return Packetized(packets, timestamp, [len(opus)])
 
     def timestamp(self, capture_ns: int) -> int:
         """Return the 32-bit RTP timestamp of a picture captured at this instant."""
         ticks = (capture_ns * self.clock_rate_hz + NS_PER_S // 2) // NS_PER_S
         return (self._offset + ticks) & 0xFFFF_FFFF
 
-    def _note(self, stamp: CaptureStamp, timestamp: int) -> None:
-        if self._last_stamp is None:
-            self._report_now = True
-        self._last_stamp, self._last_timestamp = stamp, timestamp
+    def handle_sent(self, packet: bytes, now_ns: int) -> None:
+        """A packet of this stream leaves."""
+        self.packets_sent += 1
+        self.payload_octets_sent += len(packet) - header_octets(packet)
+        self._timer.begin(now_ns)
+
+    def _tell_capture(self, packets: list[bytes]) -> None:
+        """Tell the capture in the first packet, if that is due."""
+        if self._capture_time_id is None or self._last_stamp is None:
+            return
+        capture_ns = self._last_stamp.capture_ns
+        if self._told_ns is not None and 0 <= capture_ns - self._told_ns < _CAPTURE_TIME_NS:
+            return
+        self._told_ns = capture_ns
+        element = capture_time_element(capture_ns + self._wall_offset_ns)
+        packets[0] = extended(packets[0], [(self._capture_time_id, element)])
 
     def _packet(self, payload: bytes, timestamp: int, *, marker: bool) -> bytes:
         packet = pack_rtp(
@@ -159,40 +184,40 @@ class RtpSender:
             ssrc=self.ssrc,
         )
         self._sequence = (self._sequence + 1) & 0xFFFF
-        self.packets_sent += 1
-        self.payload_octets_sent += len(payload)
         return packet
 
     def poll_timeout(self) -> int | None:
         """Return when `poll_report` is due next; None before the first media packet."""
-        if self._report_now and self._last_stamp is not None:
-            return self._last_stamp.capture_ns
-        return self._report_due_ns
+        return self._timer.poll_timeout()
 
     def poll_report(self, now_ns: int) -> bytes | None:
         """Return a compound SR + SDES (RFC 3550 section 6.4.1) if one is due, else None.
 
-        It is due with the first media packet, and then every `report_interval_ns`. Its NTP and RTP
-        times are the capture of the last unit sent, from which a receiver dates all others.
+        It is due when the first media packet has left, and then by `ReportTimer`. Its NTP and RTP
+        times are `now_ns`. The RTP time runs on from the newest capture, so a receiver dates all
+        captures by it.
         """
-        due = self._report_due_ns is not None and now_ns >= self._report_due_ns
-        if not (self._report_now or due):
+        if not self._timer.is_due(now_ns):
             return None
-        self._report_now = False
-        self._report_due_ns = now_ns + self._report_interval_ns
-        return self._report()
+        report = self._report(now_ns)
+        self._timer.handle_sent(len(report), now_ns)
+        return report
 
-    def goodbye(self) -> bytes | None:
+    def goodbye(self, now_ns: int) -> bytes | None:
         """Return the last SR + SDES + BYE (RFC 3550 section 6.6); None if no media was sent."""
-        if self._last_stamp is None:
+        if self._timer.poll_timeout() is None:
             return None
-        return self._report() + bytes(RtcpByePacket([self.ssrc]))
+        return self._report(now_ns) + bytes(RtcpByePacket([self.ssrc]))
 
-    def _report(self) -> bytes:
+    def _report(self, now_ns: int) -> bytes:
         assert self._last_stamp is not None
+        capture_ns, rate_hz = self._last_stamp.capture_ns, self.clock_rate_hz
+        ticks = ((now_ns - capture_ns) * rate_hz + NS_PER_S // 2) // NS_PER_S
+        # The instant of a whole tick, so that no rounding moves the captures that it dates.
+        instant_ns = capture_ns + (ticks * NS_PER_S + rate_hz // 2) // rate_hz
         info = RtcpSenderInfo(
-            ntp_timestamp=ntp_from_unix_ns(self._last_stamp.capture_ns + self._wall_offset_ns),
-            rtp_timestamp=self._last_timestamp,
+            ntp_timestamp=ntp_from_unix_ns(instant_ns + self._wall_offset_ns),
+            rtp_timestamp=(self._last_timestamp + ticks) & 0xFFFF_FFFF,
             packet_count=self.packets_sent & 0xFFFF_FFFF,
             octet_count=self.payload_octets_sent & 0xFFFF_FFFF,
         )

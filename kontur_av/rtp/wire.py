@@ -15,6 +15,7 @@ from aiortc.rtp import (
     RtcpReceiverInfo,
     RtcpRrPacket,
     RtcpRtpfbPacket,
+    RtcpSdesPacket,
     RtcpSenderInfo,
     RtcpSrPacket,
     RtpPacket,
@@ -31,6 +32,8 @@ __all__ = [
     "RTCP_PSFB_FIR",
     "RTCP_PSFB_PLI",
     "RTCP_RTPFB_NACK",
+    "SDES_TOOL",
+    "TOOL",
     "AnyRtcpPacket",
     "RtcpByePacket",
     "RtcpPacket",
@@ -38,22 +41,25 @@ __all__ = [
     "RtcpReceiverInfo",
     "RtcpRrPacket",
     "RtcpRtpfbPacket",
+    "RtcpSdesPacket",
     "RtcpSenderInfo",
     "RtcpSrPacket",
     "RtpPacket",
     "TimestampUnwrapper",
     "cname_packet",
-    "empty_receiver_report",
     "is_rtcp",
     "pack_remb_fci",
     "pack_rtp",
     "parse_rtcp",
     "parse_rtp",
+    "receiver_report",
     "signed_32",
     "unpack_remb_fci",
 ]
 
-SDES_CNAME = 1  # RFC 3550 section 6.5.1
+SDES_CNAME, SDES_TOOL = 1, 6  # RFC 3550 sections 6.5.1 and 6.5.6
+#: The name of this software in its receiver reports.
+TOOL = b"kontur-av"
 _MALFORMED = (ValueError, IndexError, struct.error)
 _RTP_HEADER = struct.Struct("!BBHLL")
 _RTP_VERSION = 2 << 6
@@ -91,19 +97,27 @@ def parse_rtcp(datagram: bytes) -> list[AnyRtcpPacket]:
         raise ProtocolError(f"not an RTCP packet: {error}") from error
 
 
-def cname_packet(ssrc: int, cname: bytes) -> bytes:
-    """Return an SDES packet of one chunk with one CNAME (RFC 3550 section 6.5).
+def cname_packet(ssrc: int, cname: bytes, *, tool: bytes = b"") -> bytes:
+    """Return an SDES packet of one chunk with a CNAME (RFC 3550 section 6.5), and perhaps a TOOL.
 
-    cname: at most 255 octets. aiortc's own ends a chunk with one octet too many, which adds a word
-    for some names.
+    cname, tool: at most 255 octets. aiortc's own ends a chunk with one octet too many, which adds a
+    word for some names.
     """
-    item = struct.pack("!LBB", ssrc, SDES_CNAME, len(cname)) + cname + b"\x00"
-    return pack_rtcp_packet(RTCP_SDES, 1, item + b"\x00" * (-len(item) % 4))
+    chunk = struct.pack("!LBB", ssrc, SDES_CNAME, len(cname)) + cname
+    if tool:
+        chunk += bytes([SDES_TOOL, len(tool)]) + tool
+    chunk += b"\x00"
+    return pack_rtcp_packet(RTCP_SDES, 1, chunk + b"\x00" * (-len(chunk) % 4))
 
 
-def empty_receiver_report(ssrc: int) -> bytes:
-    """Return a receiver report without blocks (RFC 3550 section 6.4.2): a sign of life."""
-    return bytes(RtcpRrPacket(ssrc))
+def receiver_report(ssrc: int, block: RtcpReceiverInfo | None, cname: bytes) -> bytes:
+    """Return a compound RR + SDES (RFC 3550 sections 6.1 and 6.4.2).
+
+    block: of the source that is received; None before its first packet. The SDES names `TOOL`, so
+    that a sender of this software knows that this receiver sends PLIs.
+    """
+    blocks = [] if block is None else [block]
+    return bytes(RtcpRrPacket(ssrc, blocks)) + cname_packet(ssrc, cname, tool=TOOL)
 
 
 def signed_32(difference: int) -> int:

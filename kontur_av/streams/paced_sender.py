@@ -97,6 +97,7 @@ class PacedSender:
         packet = self._pacer.poll_transmit(now_ns)
         if packet is None:
             return None
+        self._rtp.handle_sent(packet, now_ns)
         unit = self._under_way[0]
         unit.packets -= 1
         if unit.packets == 0:
@@ -113,12 +114,12 @@ class PacedSender:
         """
         return self._rtp.poll_report(now_ns)
 
-    def goodbye(self) -> bytes | None:
+    def goodbye(self, now_ns: int) -> bytes | None:
         """Return the last RTCP datagram (BYE), after which a new sender is accepted at once.
 
         None if nothing was sent.
         """
-        return self._rtp.goodbye()
+        return self._rtp.goodbye(now_ns)
 
     def _queue(self, packetized: Packetized, capture_ns: int, encoded_ns: int) -> None:
         packets, timestamp, octets = packetized

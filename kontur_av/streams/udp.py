@@ -48,9 +48,9 @@ class UdpSender:
         if report is not None:
             self._send(report, self._to_rtcp)
 
-    def say_goodbye(self, sender: VideoSender | VoiceSender) -> None:
+    def say_goodbye(self, sender: VideoSender | VoiceSender, clock: Clock) -> None:
         """Tell the receiver that the stream has ended."""
-        goodbye = sender.goodbye()
+        goodbye = sender.goodbye(clock.now_ns())
         if goodbye is not None:
             self._send(goodbye, self._to_rtcp)
 
@@ -118,7 +118,7 @@ class UdpReceiver:
         self._rtcp.close()
 
     def _answer(self, receiver: VideoReceiver | VoiceReceiver, clock: Clock) -> None:
-        if self._sender is None or not isinstance(receiver, VideoReceiver):
+        if self._sender is None:
             return
         while (feedback := receiver.poll_feedback(clock.now_ns())) is not None:
             with suppress(OSError):

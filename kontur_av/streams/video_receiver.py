@@ -3,17 +3,15 @@
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 
-from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.healing import Healing
 from kontur_av.figures import Flat, Newest
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality
-from kontur_av.rtp.feedback import PictureLossReporter
+from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
 from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
 from kontur_av.rtp.receiver import REORDER_DEPTH_NS, ReceiverCounts, RtpReceiver
-from kontur_av.rtp.wire import empty_receiver_report
+from kontur_av.rtp.report_timer import AVPF_LEAST_NS
+from kontur_av.rtp.wire import RtcpReceiverInfo
 
-#: The time between two receiver reports without blocks, as a sign of life.
-KEEP_ALIVE_NS = NS_PER_S
 #: The most damaged units that are remembered while they are decoded.
 _REMEMBERED = 256
 
@@ -51,8 +49,11 @@ class VideoReceiver:
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
     parameter_sets: SPS and PPS of the SDP, if it has any.
     largest: width and height of the largest picture wanted; None: any.
-    keep_alive_ns: the time between two signs of life, with which the sender may refresh slowly.
-        None: none are sent, to save their octets.
+    report_interval_ns: mean time between two receiver reports (RFC 3550 section 6.4.2). They also
+        show the sender that it may refresh slowly. None: none are sent, to save their octets.
+    bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
+    reduced_size: the sender takes a PLI without a report before it (RFC 5506).
+    capture_time_id: see `RtpReceiver`.
     payload_type: of the stream.
     reorder_depth_ns: see `RtpReceiver`. Longer than a round trip where lost packets are sent again.
     """
@@ -65,7 +66,10 @@ class VideoReceiver:
         wall_offset_ns: int = 0,
         parameter_sets: tuple[bytes, ...] = (),
         largest: tuple[int, int] | None = None,
-        keep_alive_ns: int | None = KEEP_ALIVE_NS,
+        report_interval_ns: int | None = AVPF_LEAST_NS,
+        bandwidth_bps: int | None = None,
+        reduced_size: bool = False,
+        capture_time_id: int | None = None,
         payload_type: int = VIDEO_PAYLOAD_TYPE,
         reorder_depth_ns: int = REORDER_DEPTH_NS,
     ) -> None:
@@ -74,8 +78,8 @@ class VideoReceiver:
             clock_rate_hz=VIDEO_CLOCK_HZ,
             reorder_depth_ns=reorder_depth_ns,
             wall_offset_ns=wall_offset_ns,
+            capture_time_id=capture_time_id,
         )
-        self._ssrc = ssrc
         self._name = name
         self._most_pixels = None if largest is None else largest[0] * largest[1]
         self._depacketizer = H264Depacketizer(parameter_sets)
@@ -83,8 +87,10 @@ class VideoReceiver:
         #: Timestamps of units in the decoder that will show damage.
         self._hurt: OrderedDict[int, None] = OrderedDict()
         self._losses = PictureLossReporter(ssrc=ssrc)
-        self._keep_alive_ns = keep_alive_ns
-        self._alive_due_ns: int | None = None
+        self._reports = ReceptionReporter(
+            ssrc=ssrc, interval_ns=report_interval_ns, bandwidth_bps=bandwidth_bps
+        )
+        self._reduced_size = reduced_size
         #: Whether the decoder has a picture at which to start.
         self._begun = False
         self._shown = self._undated = self._oversized = 0
@@ -103,7 +109,10 @@ class VideoReceiver:
 
         Garbage is counted. Drain `next_event` afterwards.
         """
-        return self._receiver.handle_report(datagram, now_ns)
+        dates = self._receiver.handle_report(datagram, now_ns)
+        if dates:
+            self._reports.handle_sender_report(now_ns)
+        return dates
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
@@ -111,25 +120,30 @@ class VideoReceiver:
 
     def poll_timeout(self) -> int | None:
         """Return when to call `handle_timeout` and `poll_feedback`; None: not yet."""
-        due = [self._receiver.poll_timeout(), self._losses.poll_timeout(), self._alive_due_ns]
+        due = [self._receiver.poll_timeout(), self._losses.poll_timeout()]
+        due.append(self._reports.poll_timeout())
         return min((due_ns for due_ns in due if due_ns is not None), default=None)
 
     def poll_feedback(self, now_ns: int) -> bytes | None:
         """Return an RTCP datagram to send to the stream's sender now, or None."""
         asked = self._losses.poll_transmit(now_ns)
-        if asked is not None:
+        if asked is not None and self._reduced_size:
             return asked
-        if self._alive_due_ns is None or now_ns < self._alive_due_ns:
+        if asked is None and not self._reports.is_due(now_ns):
             return None
-        assert self._keep_alive_ns is not None
-        self._alive_due_ns = now_ns + self._keep_alive_ns
-        return empty_receiver_report(self._ssrc)
+        block = self.report_block(now_ns)
+        return self._reports.report(block, now_ns, feedback=asked or b"")
+
+    def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
+        """Return the block of a receiver report, for a caller that sends reports itself.
+
+        None: no packet came since the last one.
+        """
+        return self._receiver.report_block(now_ns)
 
     def next_event(self) -> ReceivedUnit | None:
         """Return the next access unit to decode, or None."""
         while (packet := self._receiver.next_event()) is not None:
-            if self._alive_due_ns is None and self._keep_alive_ns is not None:
-                self._alive_due_ns = packet.received_ns
             self._depacketizer.handle_packet(packet)
         unit = self._depacketizer.next_event()
         if unit is not None:

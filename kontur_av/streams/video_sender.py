@@ -9,13 +9,15 @@ from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S, Coding
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, AccessUnit, CaptureStamp
 from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
+from kontur_av.rtp.sdp import session_bandwidth_bps
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.streams.budget import Pacer
 from kontur_av.streams.encode_scheduler import EncodeScheduler
 from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, SenderCounts, UnitSent
 
-#: A receiver with feedback sends some every second. After this long without, it is gone.
-_FEEDBACK_SILENCE_NS = 3 * NS_PER_S
+#: A receiver sends reports at most 6.2 s apart, as a rule of 5 s under RTP/AVP has it
+#: (`ReportTimer`). After this long without, it is gone.
+_FEEDBACK_SILENCE_NS = 7 * NS_PER_S
 #: At the start, and at each new contact, a way back is assumed for this long, or until it is there.
 #: A change of the refresh costs a key picture, and there has just been one.
 _ASSUMED_NS = NS_PER_S // 2
@@ -69,7 +71,7 @@ class VideoSender(PacedSender):
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
     adapt_refresh: refresh slowly while the receiver can ask for a key picture. The encoder must be
         made with `REFRESH_S`. False: the encoder keeps its own refresh.
-    max_payload_octets, payload_type, report_interval_ns: see `RtpSender`.
+    max_payload_octets, payload_type, report_interval_ns, capture_time_id: see `RtpSender`.
 
     Raises ConfigError for a cap or channel that cannot work.
     """
@@ -87,6 +89,7 @@ class VideoSender(PacedSender):
         max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS,
         payload_type: int = VIDEO_PAYLOAD_TYPE,
         report_interval_ns: int = NS_PER_S,
+        capture_time_id: int | None = None,
     ) -> None:
         pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps, picture_ns=int(NS_PER_S // fps))
         rtp = RtpSender(
@@ -97,9 +100,11 @@ class VideoSender(PacedSender):
             timestamp_offset=identity.timestamp_offset,
             cname=cname,
             report_interval_ns=report_interval_ns,
+            bandwidth_bps=session_bandwidth_bps(cap_bps, fps),
             # No packet may be larger than the pacer's windows.
             max_payload_octets=min(max_payload_octets, pacer.max_payload_octets),
             wall_offset_ns=wall_offset_ns,
+            capture_time_id=capture_time_id,
         )
         super().__init__(pacer, rtp)
         self._scheduler = EncodeScheduler(pacer, fps=fps)

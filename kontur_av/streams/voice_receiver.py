@@ -7,8 +7,11 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_S
 from kontur_av.figures import Flat, Newest
 from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, CaptureStamp, Quality
+from kontur_av.rtp.feedback import ReceptionReporter
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
+from kontur_av.rtp.report_timer import AVPF_LEAST_NS
+from kontur_av.rtp.wire import RtcpReceiverInfo
 from kontur_av.streams.lipsync import LipSync
 
 #: The most arrivals kept for a caller that takes none; the oldest is dropped.
@@ -60,30 +63,44 @@ class VoiceReceiver:
        `poll_timeout`.
     2. Play each block of `next_event` at once, with a `VoicePlayer`.
     3. Call `handle_sound` for its stamp.
+    4. Send the datagrams of `poll_feedback` to the sender's RTCP port.
 
     For lip-sync call `handle_picture_shown` for pictures of the same place.
 
+    ssrc: the receiver's own, 32 random bits; None: it sends no reports.
     name: the source in the stamps.
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
     oldest_picture_ns: the latency from which on a picture delays no sound.
     oldest_sound_ns: the largest latency that lip-sync gives a sound; 0: no lip-sync.
-    payload_type: of the stream.
+    payload_type: of the stream. report_interval_ns: mean time between two receiver reports.
+    bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
+    capture_time_id: see `RtpReceiver`.
     """
 
     def __init__(
         self,
         *,
+        ssrc: int | None = None,
         name: str = "voice",
         wall_offset_ns: int = 0,
         oldest_picture_ns: int = 0,
         oldest_sound_ns: int = 0,
         payload_type: int = AUDIO_PAYLOAD_TYPE,
+        report_interval_ns: int = AVPF_LEAST_NS,
+        bandwidth_bps: int | None = None,
+        capture_time_id: int | None = None,
     ) -> None:
         self._receiver = RtpReceiver(
             payload_type=payload_type,
             clock_rate_hz=AUDIO_CLOCK_HZ,
             ordered=False,
             wall_offset_ns=wall_offset_ns,
+            capture_time_id=capture_time_id,
+        )
+        self._reports = ReceptionReporter(
+            ssrc=ssrc or 0,
+            interval_ns=None if ssrc is None else report_interval_ns,
+            bandwidth_bps=bandwidth_bps,
         )
         self._name = name
         self._playout = PlayoutBuffer()
@@ -109,6 +126,8 @@ class VoiceReceiver:
         Garbage is counted. Drain `next_event` afterwards.
         """
         dates = self._receiver.handle_report(datagram, now_ns)
+        if dates:
+            self._reports.handle_sender_report(now_ns)
         self._take_packets(now_ns)
         return dates
 
@@ -121,8 +140,22 @@ class VoiceReceiver:
         self._playout.handle_timeout(now_ns)
 
     def poll_timeout(self) -> int | None:
-        """Return when the next block is due; None during a silence."""
-        return self._playout.poll_timeout()
+        """Return when the next block or report is due; None: not yet."""
+        due = (self._playout.poll_timeout(), self._reports.poll_timeout())
+        return min((due_ns for due_ns in due if due_ns is not None), default=None)
+
+    def poll_feedback(self, now_ns: int) -> bytes | None:
+        """Return an RTCP datagram to send to the stream's sender now, or None."""
+        if not self._reports.is_due(now_ns):
+            return None
+        return self._reports.report(self.report_block(now_ns), now_ns)
+
+    def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
+        """Return the block of a receiver report, for a caller that sends reports itself.
+
+        None: no packet came since the last one.
+        """
+        return self._receiver.report_block(now_ns)
 
     def next_event(self) -> PlayoutBlock | None:
         """Return the next block that is due, with an Opus packet or to be concealed, or None."""

@@ -5,6 +5,7 @@ from collections import deque
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.opus import bitrate_under_cap, heard_stamp
 from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, BLOCK_NS, CaptureStamp
+from kontur_av.rtp.sdp import session_bandwidth_bps
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.streams.budget import Pacer
 from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, SenderCounts, UnitSent
@@ -34,6 +35,7 @@ class VoiceSender(PacedSender):
         wall_offset_ns: int = 0,
         payload_type: int = AUDIO_PAYLOAD_TYPE,
         report_interval_ns: int = NS_PER_S,
+        capture_time_id: int | None = None,
     ) -> None:
         #: The rate for which to make the `OpusEncoder`.
         self.bitrate_bps = bitrate_under_cap(cap_bps)
@@ -47,7 +49,9 @@ class VoiceSender(PacedSender):
             timestamp_offset=identity.timestamp_offset,
             cname=cname,
             report_interval_ns=report_interval_ns,
+            bandwidth_bps=session_bandwidth_bps(cap_bps, NS_PER_S / BLOCK_NS),
             wall_offset_ns=wall_offset_ns,
+            capture_time_id=capture_time_id,
         )
         super().__init__(pacer, rtp)
         self._events: deque[UnitSent] = deque(maxlen=EVENTS_KEPT)

@@ -6,6 +6,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.h264 import H264Decoder
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.meters import Histogram
+from kontur_av.rtp.report_timer import report_interval_ns
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.video_receiver import VideoReceiver
@@ -52,6 +53,10 @@ class PictureOutput:
             wall_offset_ns=clock.wall_offset_ns,
             parameter_sets=stream.parameter_sets,
             payload_type=stream.payload_type,
+            report_interval_ns=report_interval_ns(frequent=stream.feedback),
+            bandwidth_bps=stream.bandwidth_bps,
+            reduced_size=stream.reduced_size,
+            capture_time_id=stream.capture_time_id,
         )
         self.decoded_ns = Histogram()
         self.received_ns = Histogram()
@@ -107,7 +112,12 @@ class SoundOutput:
         self, stream: StreamDescription, clock: MonotonicClock, writer: MatroskaWriter | None
     ) -> None:
         self.receiver = VoiceReceiver(
-            wall_offset_ns=clock.wall_offset_ns, payload_type=stream.payload_type
+            ssrc=secrets.randbits(32),
+            wall_offset_ns=clock.wall_offset_ns,
+            payload_type=stream.payload_type,
+            report_interval_ns=report_interval_ns(frequent=stream.feedback),
+            bandwidth_bps=stream.bandwidth_bps,
+            capture_time_id=stream.capture_time_id,
         )
         self.decoded_ns = Histogram()
         self.received_ns = Histogram()

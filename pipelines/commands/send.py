@@ -28,7 +28,7 @@ from pipelines.commands.media_reports import (
     SourceReport,
     latency_ms,
 )
-from pipelines.commands.send_media import PictureFeed, SoundFeed, open_feed
+from pipelines.commands.send_media import CAPTURE_TIME_ID, PictureFeed, SoundFeed, open_feed
 from pipelines.report.model import to_json
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
@@ -105,6 +105,10 @@ def run(args: argparse.Namespace) -> int:
                 round(args.cap_kbps * 1000), feed.packets_per_s, str(address[0])
             ),
             parameter_sets=feed.parameter_sets,
+            profile_level_id=feed.profile_level_id,
+            feedback=True,
+            reduced_size=True,
+            capture_time_id=CAPTURE_TIME_ID,
         )
         if args.sdp:
             write_text(args.sdp, write_sdp(stream), "--sdp")
@@ -151,7 +155,7 @@ class _SendShell:
                     self._line(now_ns, start_ns)
                 self._step(now_ns, end_ns, next_line_ns)
             self._drain_rest()
-        self._udp.say_goodbye(self._sender)
+        self._udp.say_goodbye(self._sender, self._clock)
         return self._report(start_ns)
 
     def _step(self, now_ns: int, end_ns: int | None, next_line_ns: int) -> None:

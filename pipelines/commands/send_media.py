@@ -27,12 +27,16 @@ from kontur_av.rtp.payload_h264 import (
     nal_type,
     split_annex_b,
 )
+from kontur_av.rtp.sdp import profile_level_id
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources import open_audio, open_video
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_sender import VoiceSender
 from kontur_av.topics.notifier import WaitSet
+
+#: Of the header extension that tells captures.
+CAPTURE_TIME_ID = 1
 
 
 def _parameter_sets(encoder: H264Encoder) -> tuple[bytes, ...]:
@@ -59,8 +63,9 @@ class PictureFeed:
         coded = None if args.coded_size == "auto" else parse_size(args.coded_size, "--coded-size")
         if args.refresh_s is not None and not 0.1 <= args.refresh_s <= 600:
             raise ConfigError(f"--refresh-s {args.refresh_s:g}: take 0.1 to 600 seconds")
-        encoders = [
-            H264Encoder(
+
+        def make(coded: tuple[int, int] | None) -> H264Encoder:
+            return H264Encoder(
                 width=width,
                 height=height,
                 fps=args.fps,
@@ -69,9 +74,8 @@ class PictureFeed:
                 refresh_s=REFRESH_S if args.refresh_s is None else args.refresh_s,
                 search=args.search,
             )
-            for _ in range(2)
-        ]
-        encoder, twin = encoders
+
+        encoder = make(coded)
         self.size, self.coded_size = (width, height), encoder.coded_size
         self.sender = VideoSender(
             cap_bps=_bps(args.cap_kbps),
@@ -80,11 +84,14 @@ class PictureFeed:
             identity=RtpIdentity.draw(secrets.randbits),
             cname=_cname(),
             wall_offset_ns=clock.wall_offset_ns,
+            capture_time_id=CAPTURE_TIME_ID,
             adapt_refresh=args.refresh_s is None,
         )
         # The SDP must exist before the first packet. A second encoder of the same settings has the
-        # same SPS and PPS, and the real one still begins with the first real picture.
-        self.parameter_sets = _parameter_sets(twin)
+        # same SPS and PPS, and the real one still begins with the first real picture. A third shows
+        # the level that pictures may grow to.
+        self.parameter_sets = _parameter_sets(make(coded))
+        self.profile_level_id = profile_level_id(_parameter_sets(make(encoder.largest_size)))
         #: At most: a packet for each picture, and one more for each whole payload of the cap.
         self.packets_per_s = args.fps + _bps(args.cap_kbps) / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
         self._clock = clock
@@ -139,6 +146,7 @@ class SoundFeed:
     payload_type = AUDIO_PAYLOAD_TYPE
     lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
     parameter_sets: tuple[bytes, ...] = ()
+    profile_level_id = ""
     packets_per_s = 50.0
 
     def __init__(self, args: argparse.Namespace, clock: MonotonicClock) -> None:
@@ -149,6 +157,7 @@ class SoundFeed:
             identity=RtpIdentity.draw(secrets.randbits),
             cname=_cname(),
             wall_offset_ns=clock.wall_offset_ns,
+            capture_time_id=CAPTURE_TIME_ID,
         )
         self._encoder = OpusEncoder(bitrate_bps=self.sender.bitrate_bps)
         self.source = open_audio(

@@ -51,7 +51,8 @@ def video_receiver(stream: VideoStream, *, ssrc: int, wall_offset_ns: int) -> Vi
         name=stream.name,
         wall_offset_ns=wall_offset_ns,
         largest=(stream.width, stream.height),
-        keep_alive_ns=None,
+        report_interval_ns=None,
+        reduced_size=True,
     )
 
 

@@ -53,7 +53,7 @@ class Outgoing:
 
     def close(self, now_ns: int) -> None:
         """Send a goodbye, after which a new sender is accepted at once."""
-        goodbye = self._sender.goodbye()
+        goodbye = self._sender.goodbye(now_ns)
         if goodbye is not None:
             self._to_rtcp(goodbye, now_ns)
 

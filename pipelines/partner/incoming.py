@@ -7,13 +7,11 @@ from aiortc.rate import RemoteBitrateEstimator
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.rtp.header_extensions import ABS_SEND_TIME, elements_of
 from kontur_av.rtp.rate_feedback import rate_message
 from kontur_av.rtp.receiver import REORDER_DEPTH_NS
-from kontur_av.rtp.reception import ReceptionLog
 from kontur_av.rtp.repair import TOO_OLD_NS, LossAsker
-from kontur_av.rtp.wire import RtcpReceiverInfo, RtcpSrPacket
+from kontur_av.rtp.wire import RtcpReceiverInfo
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.partner.description import MediaLine
@@ -32,27 +30,18 @@ class _Incoming:
     receiver: of their packets. source: the SSRC of the newest packet; None before the first.
     """
 
-    def __init__(
-        self, line: MediaLine, receiver: VideoReceiver | VoiceReceiver, clock_rate_hz: int
-    ) -> None:
+    def __init__(self, line: MediaLine, receiver: VideoReceiver | VoiceReceiver) -> None:
         self.line = line
         self.source: int | None = None
-        self._receiver, self._clock_rate_hz = receiver, clock_rate_hz
-        self._log: ReceptionLog | None = None
+        self._receiver = receiver
 
     def handle_packet(self, packet: bytes, now_ns: int) -> None:
         """Handle an RTP packet of this stream. Drain the stream's units or blocks afterwards."""
-        source, sequence, timestamp = _numbers(packet)
-        if source != self.source or self._log is None:
-            self.source = source
-            self._log = ReceptionLog(ssrc=source, clock_rate_hz=self._clock_rate_hz)
-        self._log.handle_packet(sequence, timestamp, now_ns)
+        self.source, _ = _numbers(packet)
         self._receiver.handle_packet(packet, now_ns)
 
-    def handle_report(self, report: RtcpSrPacket, datagram: bytes, now_ns: int) -> None:
-        """Handle a sender report, and the datagram that it came in."""
-        if report.ssrc == self.source and self._log is not None:
-            self._log.handle_sender_report(report, now_ns)
+    def handle_report(self, datagram: bytes, now_ns: int) -> None:
+        """Handle a datagram with a sender report."""
         self._receiver.handle_report(datagram, now_ns)
 
     def handle_timeout(self, now_ns: int) -> None:
@@ -65,7 +54,7 @@ class _Incoming:
 
     def block(self, now_ns: int) -> RtcpReceiverInfo | None:
         """Return the report block of this stream, or None."""
-        return None if self._log is None else self._log.block(now_ns)
+        return self._receiver.report_block(now_ns)
 
 
 class IncomingPicture(_Incoming):
@@ -84,11 +73,12 @@ class IncomingPicture(_Incoming):
             ssrc=ssrc,
             name=name,
             wall_offset_ns=wall_offset_ns,
-            keep_alive_ns=None,
+            report_interval_ns=None,
+            reduced_size=True,
             payload_type=line.payload_type,
             reorder_depth_ns=_REPAIR_NS if nack else REORDER_DEPTH_NS,
         )
-        super().__init__(line, self.receiver, VIDEO_CLOCK_HZ)
+        super().__init__(line, self.receiver)
         self._asker = LossAsker(ssrc=ssrc) if nack else None
         self._send_time = line.extensions.get(ABS_SEND_TIME)
         self._estimator = RemoteBitrateEstimator() if "goog-remb" in line.feedback else None
@@ -97,7 +87,7 @@ class IncomingPicture(_Incoming):
 
     def handle_packet(self, packet: bytes, now_ns: int) -> None:
         """Handle an RTP packet of this stream. Drain `receiver` afterwards."""
-        source, sequence, _ = _numbers(packet)
+        source, sequence = _numbers(packet)
         if source != self.source and self._estimator is not None:
             self._estimator = RemoteBitrateEstimator()
         if self._asker is not None:
@@ -159,7 +149,7 @@ class IncomingVoice(_Incoming):
         self.receiver = VoiceReceiver(
             name=name, wall_offset_ns=wall_offset_ns, payload_type=line.payload_type
         )
-        super().__init__(line, self.receiver, AUDIO_CLOCK_HZ)
+        super().__init__(line, self.receiver)
 
     @property
     def figures(self) -> TrackFigures:
@@ -169,10 +159,10 @@ class IncomingVoice(_Incoming):
         )
 
 
-def _numbers(packet: bytes) -> tuple[int, int, int]:
-    """SSRC, sequence number and timestamp of an RTP packet with a whole header."""
-    sequence, timestamp, source = _HEADER.unpack_from(packet)
-    return source, sequence, timestamp
+def _numbers(packet: bytes) -> tuple[int, int]:
+    """SSRC and sequence number of an RTP packet with a whole header."""
+    sequence, _, source = _HEADER.unpack_from(packet)
+    return source, sequence
 
 
 #: The least is that of this time, so that clocks may drift and networks may change.

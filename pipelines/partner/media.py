@@ -186,9 +186,9 @@ class RtcMedia:
         """Return whether the partner has been heard before, but not for 4 s."""
         return self._heard_ns is not None and now_ns - self._heard_ns > SILENCE_NS
 
-    def goodbye(self) -> list[bytes]:
+    def goodbye(self, now_ns: int) -> list[bytes]:
         """Return the last RTCP packets of what was sent."""
-        said = [track.goodbye() for track in self.outgoing.values()]
+        said = [track.goodbye(now_ns) for track in self.outgoing.values()]
         return [one for one in said if one is not None]
 
     @property
@@ -207,4 +207,4 @@ class RtcMedia:
         alone: AnyRtcpPacket = report
         for stream in self._streams():
             if stream.source in (None, report.ssrc) or stream.line.peer_ssrc == report.ssrc:
-                stream.handle_report(report, bytes(alone), now_ns)
+                stream.handle_report(bytes(alone), now_ns)

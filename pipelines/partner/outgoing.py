@@ -165,6 +165,7 @@ class OutgoingTrack:
         if now_ns < self._free_ns or not (self._leaving or self._begin_unit()):
             return None
         packet = self._leaving.popleft()
+        self._rtp.handle_sent(packet, now_ns)
         self._free_ns = max(self._free_ns, now_ns) + len(packet) * 8 * NS_PER_S // self._pace_bps
         if self._history is not None:
             self._history.handle_sent(int.from_bytes(packet[2:4], "big"), packet, now_ns)
@@ -183,9 +184,9 @@ class OutgoingTrack:
             return 0
         return self._free_ns if self._leaving or self._units_waiting else None
 
-    def goodbye(self) -> bytes | None:
+    def goodbye(self, now_ns: int) -> bytes | None:
         """Return the last RTCP packet; None if nothing was sent."""
-        return self._rtp.goodbye()
+        return self._rtp.goodbye(now_ns)
 
     @property
     def figures(self) -> TrackFigures:

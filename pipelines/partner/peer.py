@@ -193,7 +193,7 @@ class RtcPeer:
         self.closed = True
         self._wake.set()
         if self.connected and self.media is not None:
-            for said in self.media.goodbye():
+            for said in self.media.goodbye(self._clock.now_ns()):
                 await self._transport.send(said)
         await self._transport.close()
 

@@ -7,6 +7,7 @@ import contextlib
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rtp_packets import PromptSender
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
@@ -22,7 +23,6 @@ from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import MAX_MISORDER, RtpReceiver
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
-from kontur_av.rtp.sender import RtpSender
 from kontur_av.rtp.wire import parse_rtcp, parse_rtp
 
 # A slice that begins a picture. Its body has no zeros, so it contains no start code.
@@ -41,7 +41,7 @@ class Stream:
     """Send to the depacketizer what `network` makes of the packets."""
 
     def __init__(self, pictures, first_sequence, offset, max_payload_octets):
-        sender = RtpSender(
+        sender = PromptSender(
             payload_type=96,
             clock_rate_hz=90_000,
             ssrc=7,

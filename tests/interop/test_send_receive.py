@@ -13,7 +13,10 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
+from aiortc.rtp import RtcpPacket, RtcpRrPacket, RtcpSdesPacket
+from rtp_packets import PromptSender
 
+from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sdp import StreamDescription, write_sdp
 
 pytestmark = pytest.mark.interop
@@ -274,6 +277,41 @@ def test_we_play_the_opus_that_gstreamer_sends(tmp_path):
     with av.open(str(tmp_path / "r.mkv")) as saved:
         heard = sum(frame.samples for frame in saved.decode(audio=0))
         assert heard >= 0.9 * report["frames_decoded"] * 960 > 0
+
+
+def test_who_sends_a_voice_gets_reports_on_it(tmp_path):
+    port = free_ports()
+    process, _ = receive(tmp_path, port, "audio", seconds=10, feedback=True)
+    sender = PromptSender(
+        payload_type=96,
+        clock_rate_hz=48_000,
+        ssrc=9,
+        first_sequence=65_500,
+        timestamp_offset=0,
+        cname="voice",
+    )
+    answers = []
+    with process as receiver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        wait_for_line(receiver, "waiting")
+        for number in range(150):
+            now_ns = time.monotonic_ns()
+            stamp = CaptureStamp(now_ns, number, "voice")
+            for packet in sender.audio_packets(b"\xf8\xff\xfe", stamp).packets:
+                udp.sendto(packet, ("127.0.0.1", port))
+            if (report := sender.poll_report(now_ns)) is not None:
+                udp.sendto(report, ("127.0.0.1", port + 1))
+            with contextlib.suppress(BlockingIOError):
+                answers.append(udp.recv(1500, socket.MSG_DONTWAIT))
+            time.sleep(0.02)
+        udp.sendto(sender.goodbye(time.monotonic_ns()), ("127.0.0.1", port + 1))
+        finish(receiver)
+    assert len(answers) >= 2
+    for answer in answers:
+        about, who = RtcpPacket.parse(answer)
+        assert isinstance(about, RtcpRrPacket) and isinstance(who, RtcpSdesPacket)
+    (block,) = RtcpPacket.parse(answers[-1])[0].reports
+    assert block.ssrc == 9 and block.highest_sequence > 65_536 and block.packets_lost == 0
+    assert block.lsr
 
 
 def test_we_play_what_ffmpeg_sends_by_its_own_sdp(tmp_path):

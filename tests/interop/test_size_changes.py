@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rtp_packets import PromptSender
 
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, VideoFrame
 from kontur_av.rtp.sdp import StreamDescription, write_sdp
-from kontur_av.rtp.sender import RtpSender
 
 pytestmark = pytest.mark.interop
 
@@ -45,7 +45,7 @@ def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
 def stream():
     """The packets of each picture, and the size in which each was coded."""
     encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=FPS, cap_bps=85_000, refresh_s=20.0)
-    sender = RtpSender(
+    sender = PromptSender(
         payload_type=VIDEO_PAYLOAD_TYPE,
         clock_rate_hz=VIDEO_CLOCK_HZ,
         ssrc=1,

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rtp_packets import PromptSender
 from running_part import CLOCK, SETUP, eventually, running
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -24,7 +25,6 @@ from kontur_av.media import (
     empty_picture,
 )
 from kontur_av.media import AUDIO_PAYLOAD_TYPE as VOICE_PAYLOAD_TYPE
-from kontur_av.rtp.sender import RtpSender
 from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.staleness import State
@@ -55,7 +55,7 @@ def session():
 
 
 def rtp_sender(payload_type, clock_rate_hz):
-    return RtpSender(
+    return PromptSender(
         payload_type=payload_type,
         clock_rate_hz=clock_rate_hz,
         ssrc=7,

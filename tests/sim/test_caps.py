@@ -4,11 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from rtp_packets import PromptSender
 
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.codecs.opus import OpusDecoder, OpusEncoder, bitrate_under_cap
 from kontur_av.media import VIDEO_CLOCK_HZ, CaptureStamp, VideoFrame, empty_picture
-from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpSender
+from kontur_av.rtp.sender import RTP_HEADER_OCTETS
 from kontur_av.streams.budget import Pacer
 
 NS_PER_S = 1_000_000_000
@@ -44,7 +45,7 @@ def send(pictures, cap_bps, channel_bps=None):
     """Encode each picture at once that could start on the channel within its period."""
     encoder = H264Encoder(width=SIZE[0], height=SIZE[1], fps=FPS, cap_bps=cap_bps, refresh_s=20.0)
     pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps)
-    sender = RtpSender(
+    sender = PromptSender(
         payload_type=96,
         clock_rate_hz=VIDEO_CLOCK_HZ,
         ssrc=1,

@@ -1,12 +1,12 @@
 """Octets derived by hand from the standards, so that errors in both directions cannot cancel."""
 
 import pytest
+from rtp_packets import PromptSender
 
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import packetize, parse_payload, split_annex_b
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
-from kontur_av.rtp.sender import RtpSender
 from kontur_av.rtp.wire import parse_rtp
 
 SPS = bytes.fromhex("6742c01e")
@@ -14,8 +14,8 @@ PPS = bytes.fromhex("68ce3c80")
 IDR = bytes.fromhex("6588840102030405060708090a0b")
 
 
-def sender(**changes) -> RtpSender:
-    return RtpSender(
+def sender(**changes) -> PromptSender:
+    return PromptSender(
         **{
             "payload_type": 96,
             "clock_rate_hz": 90_000,
@@ -113,6 +113,10 @@ def test_sdp_of_a_video_stream():
         payload_type=96,
         bandwidth_bps=85_000,
         parameter_sets=(SPS, PPS),
+        profile_level_id="42C015",
+        feedback=True,
+        reduced_size=True,
+        capture_time_id=1,
     )
     assert write_sdp(stream).splitlines() == [
         "v=0",
@@ -120,11 +124,14 @@ def test_sdp_of_a_video_stream():
         "s=kontur-av",
         "c=IN IP4 127.0.0.1",
         "t=0 0",
-        "m=video 5004 RTP/AVP 96",
+        "m=video 5004 RTP/AVPF 96",
         "b=AS:85",
         "a=rtpmap:96 H264/90000",
-        "a=fmtp:96 packetization-mode=1;profile-level-id=42C01E;"
+        "a=fmtp:96 packetization-mode=1;profile-level-id=42C015;"
         "sprop-parameter-sets=Z0LAHg==,aM48gA==",
+        "a=rtcp-fb:96 nack pli",
+        "a=rtcp-rsize",
+        "a=extmap:1 http://www.webrtc.org/experiments/rtp-hdrext/abs-capture-time",
         "a=recvonly",
     ]
     assert parse_sdp(write_sdp(stream)) == stream

@@ -5,12 +5,12 @@ import random
 
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from rtp_packets import PromptSender
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
-from kontur_av.rtp.sender import RtpSender
 
 BLOCK_NS = 20 * NS_PER_MS
 
@@ -22,7 +22,7 @@ class Line:
         self.pauses = pauses
         self.buffer = PlayoutBuffer(**playout)
         self.receiver = RtpReceiver(payload_type=97, clock_rate_hz=48_000, ordered=False)
-        self.sender = RtpSender(
+        self.sender = PromptSender(
             payload_type=97,
             clock_rate_hz=48_000,
             ssrc=5,

@@ -3,19 +3,20 @@
 import struct
 
 import pytest
+from rtp_packets import PromptSender
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S, unix_ns_from_ntp
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.payload_h264 import H264Depacketizer
 from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.rtp.sender import RtpSender
-from kontur_av.rtp.wire import parse_rtp
+from kontur_av.rtp.wire import parse_rtcp, parse_rtp
 
 FRAME_NS = 33_333_333
 
 
-def make_sender(**changes) -> RtpSender:
-    return RtpSender(
+def make_sender(**changes) -> PromptSender:
+    return PromptSender(
         **{
             "payload_type": 96,
             "clock_rate_hz": 90_000,
@@ -116,16 +117,89 @@ def test_a_restarted_microphone_does_not_turn_time_back():
     assert parse_rtp(packet).timestamp == 101 * 960
 
 
-def test_reports_come_with_the_first_packet_and_then_each_second():
+def test_reports_come_with_the_first_packet_and_then_about_each_second():
     rtp = make_sender()
     assert rtp.poll_report(0) is None
     assert rtp.poll_timeout() is None
     rtp.video_packets(picture(0))
     assert rtp.poll_timeout() == 0
     assert rtp.poll_report(5) is not None
-    assert rtp.poll_report(NS_PER_S) is None
-    assert rtp.poll_timeout() == NS_PER_S + 5
-    assert rtp.poll_report(NS_PER_S + 5) is not None
+    sent_ns = [5]
+    while len(sent_ns) < 200:
+        due_ns = rtp.poll_timeout()
+        assert rtp.poll_report(due_ns - 1) is None
+        if rtp.poll_report(due_ns) is not None:
+            sent_ns.append(due_ns)
+    assert sent_ns[-1] / 199 == pytest.approx(NS_PER_S, rel=0.1)
+
+
+def test_a_report_tells_its_own_instant_and_what_was_sent_by_then():
+    rtp = RtpSender(
+        payload_type=96,
+        clock_rate_hz=90_000,
+        ssrc=9,
+        first_sequence=0,
+        timestamp_offset=7,
+        cname="x",
+        wall_offset_ns=NS_PER_S,
+    )
+    made = rtp.video_packets(picture(0))
+    assert rtp.poll_report(0) is None
+    # The picture waited for 0.3 s, and the report is sent half a second after its capture.
+    rtp.handle_sent(made.packets[0], 300 * NS_PER_MS)
+    rtp.video_packets(picture(12))
+    report, _ = parse_rtcp(rtp.poll_report(NS_PER_S // 2))
+    info = report.sender_info
+    # To half a tick: the NTP time is that of the RTP time, without a rounding error.
+    assert unix_ns_from_ntp(info.ntp_timestamp) == pytest.approx(3 * NS_PER_S // 2, abs=5556)
+    assert info.rtp_timestamp == 7 + 45_000
+    assert (info.packet_count, info.octet_count) == (1, made.payload_octets[0])
+
+
+def test_a_capture_that_the_packets_tell_is_dated_without_a_report():
+    rtp = make_sender(capture_time_id=3, wall_offset_ns=NS_PER_S)
+    receiver = make_receiver(capture_time_id=3, wall_offset_ns=NS_PER_S)
+    packets = [rtp.video_packets(picture(number)).packets[0] for number in range(60)]
+    for packet in packets:
+        receiver.handle_packet(packet, 0)
+    # Once a second.
+    assert [number for number, one in enumerate(packets) if one[0] & 0x10] == [0, 31]
+    assert rtp.payload_octets_sent == 60 * 102
+    received = drain(receiver)
+    assert len(received) == 60
+    for number, one in enumerate(received):
+        assert receiver.capture_ns(one.timestamp) == pytest.approx(number * FRAME_NS, abs=12_000)
+    # The sender's reports say something else, such as when it was sent.
+    receiver.handle_report(make_sender().poll_report(0) or b"", 0)
+    assert receiver.capture_ns(received[0].timestamp) == pytest.approx(0, abs=12_000)
+
+
+def test_the_first_packet_of_a_source_is_dated_by_the_capture_it_tells():
+    rtp = make_sender(capture_time_id=3, ssrc=8)
+    receiver = make_receiver(capture_time_id=3)
+    first, second = (rtp.video_packets(picture(number)).packets[0] for number in range(2))
+    stranger = make_sender(capture_time_id=3, ssrc=9).video_packets(picture(500)).packets[0]
+    receiver.handle_packet(stranger, 0)
+    for packet in (first, second):
+        receiver.handle_packet(packet, 0)
+    (one, _) = drain(receiver)
+    assert receiver.capture_ns(one.timestamp) == pytest.approx(0, abs=12_000)
+    receiver.handle_packet(stranger, 0)
+    assert receiver.capture_ns(one.timestamp) == pytest.approx(0, abs=12_000)
+
+
+def test_a_block_answers_the_report_that_came_before_its_source_was_accepted():
+    receiver = make_receiver()
+    packet, report = reported(ssrc=2)
+    assert receiver.report_block(0) is None
+    receiver.handle_report(report, 0)
+    receiver.handle_packet(packet, 10 * NS_PER_MS)
+    block = receiver.report_block(NS_PER_S)
+    ntp = parse_rtcp(report)[0].sender_info.ntp_timestamp
+    assert (block.ssrc, block.lsr, block.dlsr) == (2, ntp >> 16 & 0xFFFF_FFFF, 1 << 16)
+    assert (block.packets_lost, block.fraction_lost) == (0, 0)
+    # RFC 3550 section 6.4: only sources that were heard since the last report have a block.
+    assert receiver.report_block(2 * NS_PER_S) is None
 
 
 def test_loss_is_counted_once_the_gap_is_given_up():
@@ -539,11 +613,11 @@ def test_a_goodbye_revokes_a_report():
     receiver.handle_packet(first, 0)
     packet, report = reported(ssrc=2)
     # A report with a goodbye: the first packet of this source is its last.
-    receiver.handle_report(rtp.goodbye(), 1)
+    receiver.handle_report(rtp.goodbye(1), 1)
     assert numbers(drain(receiver)) == [0]
     assert receiver.ended
     other = make_receiver()
-    other.handle_report(rtp.goodbye(), 1)
+    other.handle_report(rtp.goodbye(1), 1)
     for one in (receiver, other):
         if one is other:
             one.handle_packet(late, 2)
@@ -567,7 +641,7 @@ def test_a_goodbye_admits_a_new_source_at_once():
     rtp, receiver = make_sender(), make_receiver()
     for number in range(3):
         receiver.handle_packet(rtp.video_packets(picture(number)).packets[0], number)
-    receiver.handle_report(rtp.goodbye(), 3)
+    receiver.handle_report(rtp.goodbye(3), 3)
     assert receiver.ended
     for packet in singles(2, ssrc=2):
         receiver.handle_packet(packet, 4)

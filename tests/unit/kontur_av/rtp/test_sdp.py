@@ -34,8 +34,31 @@ def test_sdp_of_a_voice():
     assert (voice.clock_rate_hz, voice.control_port) == (48_000, 6001)
 
 
+def test_feedback_is_offered_with_its_profile_only():
+    # RFC 4585 section 4.2: rtcp-fb is not for RTP/AVP. RFC 5506 section 5: nor is rtcp-rsize.
+    plain = write_sdp(stream(reduced_size=True))
+    assert "AVPF" not in plain and "rtcp-fb" not in plain and "rtcp-rsize" not in plain
+    for description in (
+        stream(feedback=True),
+        stream(feedback=True, reduced_size=True, capture_time_id=14),
+        stream(kind="audio", feedback=True, reduced_size=True),
+    ):
+        text = write_sdp(description)
+        assert f" RTP/AVPF {description.payload_type}\r\n" in text
+        # A voice has no pictures to ask for.
+        assert ("a=rtcp-fb:96 nack pli" in text) == (description.kind == "video")
+        assert parse_sdp(text) == description
+
+
+@pytest.mark.parametrize("line", ["a=extmap:15 {}", "a=extmap:0 {}", "a=extmap:x {}", "a=extmap:3"])
+def test_an_id_that_no_short_header_has_is_not_read(line):
+    address = "http://www.webrtc.org/experiments/rtp-hdrext/abs-capture-time"
+    assert parse_sdp(HEAD + VIDEO + line.format(address)).capture_time_id is None
+    assert parse_sdp(HEAD + VIDEO + f"a=extmap:3/sendonly {address} x").capture_time_id == 3
+
+
 def test_the_usual_control_port_is_not_written():
-    assert "a=rtcp" not in write_sdp(stream(rtcp_port=5005))
+    assert "a=rtcp:" not in write_sdp(stream(rtcp_port=5005))
     assert (stream().clock_rate_hz, stream().control_port) == (90_000, 5005)
 
 
@@ -75,7 +98,7 @@ def test_the_first_known_payload_type_counts_with_its_own_parameters():
         "a=rtcp:7000 IN IP4 10.0.0.1\r\n"
     )
     assert parse_sdp(HEAD + text) == stream(
-        name="Room", payload_type=97, rtcp_port=7000, parameter_sets=(SPS, PPS)
+        name="Room", payload_type=97, rtcp_port=7000, parameter_sets=(SPS, PPS), feedback=True
     )
 
 
@@ -149,3 +172,11 @@ def test_the_bandwidth_has_the_headers_of_ip_udp_and_rtp():
     # 50 packets of 20 octets of payload a second, with 40 octets of headers each; IPv6 has 60.
     assert session_bandwidth_bps(8_000, 50, "192.0.2.1") == 24_000
     assert session_bandwidth_bps(8_000, 50, "2001:db8::1") == 32_000
+
+
+def test_a_level_above_that_of_the_parameter_sets_is_kept():
+    grown = stream(parameter_sets=(SPS, PPS), profile_level_id="42C01F")
+    assert parse_sdp(write_sdp(grown)) == grown
+    usual = write_sdp(stream(parameter_sets=(SPS, PPS)))
+    assert parse_sdp(usual).profile_level_id == ""
+    assert parse_sdp(usual.replace("42C01E", "42c0")).profile_level_id == ""

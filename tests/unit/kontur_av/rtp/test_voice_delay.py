@@ -7,12 +7,12 @@ after processes have started. Sometimes a stall makes several packets arrive tog
 from random import Random
 
 import pytest
+from rtp_packets import PromptSender
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
-from kontur_av.rtp.sender import RtpSender
 
 BLOCK_MS = 20
 #: Duration of a block, look-ahead of the codec, encoding and transmission.
@@ -44,7 +44,7 @@ def listen(arrivals):
     """Return mouth-to-ear latency (ms) of each block heard, and the share of concealed blocks."""
     buffer = PlayoutBuffer()
     receiver = RtpReceiver(payload_type=97, clock_rate_hz=48_000, ordered=False)
-    sender = RtpSender(
+    sender = PromptSender(
         payload_type=97,
         clock_rate_hz=48_000,
         ssrc=5,

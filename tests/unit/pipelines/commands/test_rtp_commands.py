@@ -4,9 +4,14 @@ import argparse
 import socket
 import wave
 
+import numpy as np
 import pytest
 
+from kontur_av.codecs.coding import SLOW_REFRESH_S
+from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.errors import ConfigError
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
+from kontur_av.rtp.payload_h264 import NAL_SPS, nal_type, split_annex_b
 from pipelines.commands import receive, send
 
 SDP = "v=0\nc=IN IP4 127.0.0.1\nm=audio {port} RTP/AVP 97\na=rtpmap:97 opus/48000/2\n"
@@ -79,3 +84,69 @@ def test_receive_says_what_failed_when_nothing_comes(tmp_path, capsys):
     sdp.write_text(SDP.format(port=port))
     assert run(receive, "--sdp", sdp, "--seconds", 0.2) == 1
     assert "no packet came" in capsys.readouterr().err
+
+
+#: H.264 table A-1: of each level_idc the macroblocks a second and a picture, and kbit/s.
+LEVELS = {
+    10: (1485, 99, 64),
+    11: (3000, 396, 192),
+    12: (6000, 396, 384),
+    13: (11_880, 396, 768),
+    20: (11_880, 396, 2000),
+    21: (19_800, 792, 4000),
+    22: (20_250, 1620, 4000),
+    30: (40_500, 1620, 10_000),
+    31: (108_000, 3600, 14_000),
+    32: (216_000, 5120, 20_000),
+    40: (245_760, 8192, 20_000),
+    42: (522_240, 8704, 50_000),
+}
+
+
+@pytest.mark.parametrize(
+    ("size", "fps", "cap_kbps", "grown"),
+    [
+        ((640, 480), 30, 85, True),
+        ((1280, 720), 60, 200, False),
+        ((320, 240), 30, 85, False),
+    ],
+)
+def test_the_sdp_offers_the_level_that_pictures_may_grow_to(size, fps, cap_kbps, grown, tmp_path):
+    sdp = tmp_path / "x.sdp"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
+        there.bind(("127.0.0.1", 0))
+        to = f"127.0.0.1:{there.getsockname()[1]}"
+        width, height = size
+        run(
+            send,
+            *("--video", "scene:static", "--to", to, "--cap-kbps", cap_kbps, "--fps", fps),
+            *("--size", f"{width}x{height}", "--seconds", 0.2, "--sdp", sdp),
+        )
+    text = sdp.read_text()
+    offered = bytes.fromhex(text.split("profile-level-id=")[1][:6])
+    rate, largest, kbps = LEVELS[offered[2]]
+    blocks = -(-width // 16) * -(-height // 16)
+    assert rate >= blocks * fps and largest >= blocks and kbps >= cap_kbps
+    # A picture that stands is soon coded in its full size. Its parameter sets are within the offer.
+    encoder = H264Encoder(
+        width=width,
+        height=height,
+        fps=fps,
+        cap_bps=cap_kbps * 1000,
+        search="thorough",
+        refresh_s=SLOW_REFRESH_S,
+    )
+    picture = empty_picture(width, height)
+    picture.fill(128)
+    across, down = np.arange(width), np.arange(height)[:, None]
+    lines = (across % 32 == 0) | (down % 32 == 0)
+    picture[:height] = 120 + 50 * np.sin(across / 23) + 40 * np.sin(down / 17) + 25 * lines
+    sent = {}
+    for number in range(100 if grown else 1):
+        frame = VideoFrame(picture, CaptureStamp(number * 10**9 // fps, number, "still"))
+        for unit in split_annex_b(encoder.encode(frame).data):
+            if nal_type(unit) == NAL_SPS:
+                sent[encoder.unit_size] = unit
+    assert (size in sent) == (grown or encoder.coded_size == size)
+    for sps in sent.values():
+        assert sps[1] == offered[0] and sps[3] <= offered[2]

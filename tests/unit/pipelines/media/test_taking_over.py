@@ -3,10 +3,10 @@
 from itertools import pairwise
 
 import pytest
+from rtp_packets import PromptSender
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.media import BLOCK_NS, CaptureStamp
-from kontur_av.rtp.sender import RtpSender
 from pipelines.media.taking_over import Takeover
 
 #: Milliseconds between two pictures.
@@ -116,7 +116,7 @@ def test_the_process_knows_when_to_look_for_its_own_source_again(camera):
 
 def rtp_timestamps(stamps):
     """What the voice's sender makes of these blocks, in blocks since the first."""
-    sender = RtpSender(
+    sender = PromptSender(
         payload_type=97,
         clock_rate_hz=48_000,
         ssrc=1,

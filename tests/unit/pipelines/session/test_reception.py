@@ -4,11 +4,11 @@ import socket
 from types import SimpleNamespace
 
 import pytest
+from rtp_packets import PromptSender
 
 from kontur_av.clock import ManualClock
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.receiver import RtpReceiver
-from kontur_av.rtp.sender import RtpSender
 from pipelines.session import reception
 from pipelines.session.reception import Incoming
 from pipelines.session.setup.built_in import BUILT_IN
@@ -50,7 +50,7 @@ def test_a_restarted_receiver_knows_the_last_sender_report(context):
     def receiver():
         return RtpReceiver(payload_type=96, clock_rate_hz=90_000)
 
-    sender = RtpSender(
+    sender = PromptSender(
         payload_type=96,
         clock_rate_hz=90_000,
         ssrc=1,
@@ -60,7 +60,7 @@ def test_a_restarted_receiver_knows_the_last_sender_report(context):
     )
     unit = AccessUnit(b"\x00\x00\x01\x41\x88\x01", CaptureStamp(10**9, 0, "test"), False)
     first, second = sender.video_packets(unit).packets + sender.video_packets(unit).packets
-    report = sender.poll_report(0)
+    report = sender.poll_report(10**9)
     before = receiver()
     for packet in (first, second):
         before.handle_packet(packet, 0)

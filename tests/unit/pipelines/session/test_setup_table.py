@@ -3,10 +3,10 @@
 from dataclasses import asdict, fields, replace
 
 import pytest
+from rtp_packets import PromptSender
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
-from kontur_av.rtp.sender import RtpSender
 from pipelines.media.session_streams import REPORT_INTERVAL_NS
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.segments import Segment
@@ -203,7 +203,7 @@ def pus_octets_per_s(end):
 
 
 def test_reports_and_telemetry_of_a_session_fit_the_reserve():
-    rtp = RtpSender(
+    rtp = PromptSender(
         payload_type=96,
         clock_rate_hz=90_000,
         ssrc=1,
