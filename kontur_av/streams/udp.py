@@ -118,11 +118,11 @@ class UdpReceiver:
         self._rtcp.close()
 
     def _answer(self, receiver: VideoReceiver | VoiceReceiver, clock: Clock) -> None:
-        if self._sender is None:
-            return
+        # Without a report of the sender, nobody is known who would read it.
         while (feedback := receiver.poll_feedback(clock.now_ns())) is not None:
-            with suppress(OSError):
-                self._rtcp.sendto(feedback, self._sender)
+            if self._sender is not None:
+                with suppress(OSError):
+                    self._rtcp.sendto(feedback, self._sender)
 
 
 def _bound(host: str, port: int) -> socket.socket:
