@@ -21,10 +21,13 @@ Use::
 """
 
 import ctypes
+import os
+import shutil
 import struct
 import time
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -36,6 +39,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Quality, VideoFrame, check_size
 from kontur_av.topics.notifier import NotificationListener, Notifier, WaitSet
 from kontur_av.topics.session_files import (
+    SHARED_MEMORY,
     choose_session,
     make_session_root,
     notifier_path,
@@ -49,11 +53,15 @@ MAX_READERS = 16
 _MAX_WRITERS = 4
 _MAX_NODES = 64
 #: A recorder that sleeps half a second loses nothing of a topic with 50 samples a second. Room in
-#: shared memory is taken only when it is written.
+#: shared memory is taken only when it is written, but for what a writer reserves.
 _MAX_DEPTH = 32
+#: A writer's samples at first, of which usually no more are in use: of a large one, and octets.
+_RESERVED_SAMPLES, _RESERVED_OCTETS = 5, 1 << 20
 #: Two that a reader holds, and one that `latest` receives before it releases an older one.
 _MAX_LEASES = 3
 _SOURCE_OCTETS = 16
+#: At most, of iceoryx2's own header and alignment.
+_SAMPLE_OVERHEAD = 256
 
 SampleView = NDArray[np.uint8]
 
@@ -341,8 +349,12 @@ class TopicBus:
         """Return a writer for samples of up to `max_octets` octets.
 
         wake: False leaves sleeping readers asleep, for state that is polled.
+
+        Raises ConfigError if shared memory has no room for it. What it usually needs is reserved
+        here: a page that the kernel cannot give later would end the process by SIGBUS.
         """
         service = self._data_service(topic)
+        before = _segments()
         publisher = (
             service.publisher_builder()
             .initial_max_slice_len(max_octets)
@@ -351,6 +363,12 @@ class TopicBus:
             .backpressure_strategy(iox2.BackpressureStrategy.DiscardData)
             .create()
         )
+        try:
+            for path in _segments() - before:
+                _reserve(path, max_octets)
+        except OSError as error:
+            publisher.delete()
+            raise ConfigError(shared_memory_full(error)) from None
         notifier = Notifier(notifier_path(self._session, topic)) if wake else None
         self._ports.append(publisher)
         if notifier is not None:
@@ -439,6 +457,36 @@ class Waiter:
 def _octets_type(octets: int) -> Any:
     """Return the ctypes array of this length. Making a type takes longer than making its view."""
     return ctypes.c_uint8 * octets
+
+
+def shared_memory_full(error: OSError) -> str:
+    """One line about shared memory without room, with the mend."""
+    free = shutil.disk_usage(SHARED_MEMORY).free
+    return (
+        f"shared memory is full ({error.strerror}, {free / 1e6:.0f} MB free in {SHARED_MEMORY}): "
+        "end the program that fills it, or give more (in a container: --shm-size=256m)"
+    )
+
+
+def _segments() -> set[str]:
+    """The segments with samples that this process has mapped."""
+    with Path("/proc/self/maps").open(encoding="utf-8", errors="replace") as maps:
+        paths = {line.rpartition(" ")[2].rstrip("\n") for line in maps if "_0.data" in line}
+    return {path for path in paths if path.endswith("_0.data")}
+
+
+def _reserve(segment: str, max_octets: int) -> None:
+    """Take the pages of the first samples of a segment; OSError if there are too few.
+
+    iceoryx2 uses the lowest sample that is free.
+    """
+    samples = min(max(_RESERVED_OCTETS // max_octets, _RESERVED_SAMPLES), _MAX_DEPTH)
+    descriptor = os.open(segment, os.O_RDWR | os.O_CLOEXEC)
+    try:
+        wanted = samples * (max_octets + _HEADER.size + _SAMPLE_OVERHEAD)
+        os.posix_fallocate(descriptor, 0, min(wanted, os.fstat(descriptor).st_size))
+    finally:
+        os.close(descriptor)
 
 
 def _view(sample: Any, octets: int) -> SampleView:

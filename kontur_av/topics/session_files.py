@@ -11,7 +11,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 
-_SHARED_MEMORY = Path("/dev/shm")
+SHARED_MEMORY = Path("/dev/shm")
 
 #: A Unix socket's path has at most 107 octets (unix(7)). A session's directory may hold one, with
 #: a name of at most 16 octets.
@@ -51,7 +51,7 @@ def remove_session(session: str) -> int:
 
 def shared_memory(session: str) -> list[Path]:
     """Return the session's present files in shared memory."""
-    return list(_SHARED_MEMORY.glob(f"{shared_memory_prefix(session)}*"))
+    return list(SHARED_MEMORY.glob(f"{shared_memory_prefix(session)}*"))
 
 
 def sessions() -> list[str]:
@@ -94,7 +94,7 @@ def notifier_path(session: str, topic: str) -> Path:
     It lies in shared memory, so that no file system journals its writes.
     """
     digest = hashlib.sha256(topic.encode()).hexdigest()[:16]
-    return _SHARED_MEMORY / f"{shared_memory_prefix(session)}{digest}.notifier"
+    return SHARED_MEMORY / f"{shared_memory_prefix(session)}{digest}.notifier"
 
 
 def user_root() -> Path:

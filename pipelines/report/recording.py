@@ -5,7 +5,8 @@ from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
 
 RECORDER = "recorder"
-_MEND = "give the recording a larger or a faster disk"
+_DISK = "give the recording a larger or a faster disk"
+_PROCESSOR = "leave the recorder more of the processors: fewer cameras, or a faster machine"
 
 
 def recorder_report(collector: Collector) -> RecorderFigures | None:
@@ -28,13 +29,23 @@ def seat_recording(collector: Collector) -> dict[str, str | int | None]:
 
 
 def recorder_warnings(collector: Collector) -> list[Warning]:
-    """What is not in the recording."""
+    """What is not in the recording, and whether the disk or the processors were too slow for it.
+
+    A disk makes the recorder drop what it has read. What was gone before it was read is missing
+    because the recorder did not run in time.
+    """
     figures = _figures(collector)
     if not (figures.lost or figures.disk_faults):
         return []
     why = f"; {figures.fault}" if figures.fault else ""
-    measured = f"{figures.lost} messages are not in the recording{why}"
-    return [Warning(what="not_recorded", where=RECORDER, measured=measured, mend=_MEND)]
+    dropped = sum(one.dropped for one in figures.channels.values())
+    missed = figures.lost - dropped
+    measured = f"{figures.lost} messages are not in the recording"
+    if missed:
+        measured += f", of which {missed} were gone before they were read"
+    mends = [_DISK] * bool(dropped or figures.disk_faults) + [_PROCESSOR] * bool(missed)
+    mend = "; ".join(mends)
+    return [Warning(what="not_recorded", where=RECORDER, measured=measured + why, mend=mend)]
 
 
 def recording_line(collector: Collector) -> tuple[str, bool] | None:

@@ -48,6 +48,7 @@ from pipelines.report.sync.section import sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
 from pipelines.session.figures import LoopFigures, ProbeFigures
+from pipelines.session.restarts import lacks_room
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import ROBOT, HapticRow
 from telepresence.haptics.envelope import SafetyFigures
@@ -333,6 +334,8 @@ def failures(
     if topology.alone is None:
         found += disagreements(sync_section(setup, collector.sync, media=media), unjudged=taken)
     for process, reported in collector.processes.items():
+        if lacks_room(reported.last_error or ""):
+            found.append(f"{process}: {reported.last_error}")
         dropped = reported.total(ProbeFigures).probe_values_dropped
         if dropped:
             found.append(f"{process}: {dropped} values for this report were lost")

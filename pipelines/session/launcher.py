@@ -27,7 +27,7 @@ from kontur_av.errors import ConfigError
 from pipelines.session.page_listener import PageListener
 from pipelines.session.probe import Message
 from pipelines.session.process import LOOPBACK, Context, become
-from pipelines.session.restarts import RestartPolicy
+from pipelines.session.restarts import NO_ROOM, RestartPolicy
 from pipelines.session.session_switch import (
     PATIENCE_NS,
     Activity,
@@ -412,6 +412,8 @@ def _one_line(error: BaseException) -> str:
 
 
 def _signal_name(number: int) -> str:
+    if number == signal.SIGBUS:
+        return NO_ROOM
     try:
         return signal.Signals(number).name
     except ValueError:  # most real-time signals have no name

@@ -14,10 +14,10 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, MonotonicClock
+from kontur_av.topics.session_files import SHARED_MEMORY
 
 #: Shared memory that must be free. iceoryx2 reserves far more, but sparsely: measured, a topic of
 #: 640x480 pictures uses about 1 MB.
@@ -26,7 +26,7 @@ NEEDED_SHM_OCTETS = 48_000_000
 #: connection each, and a topic each.
 NEEDED_DESCRIPTORS = 512
 
-_SHM = Path("/dev/shm")
+
 #: The priority of the 1 kHz loops. It is not imported, because that module may be broken.
 _RT_PRIORITY = 10
 _TIMER_CYCLES = 400
@@ -115,16 +115,16 @@ def check_rtp() -> Finding:
 
 
 def check_shared_memory(
-    free_octets: Callable[[], int] = lambda: shutil.disk_usage(_SHM).free,
+    free_octets: Callable[[], int] = lambda: shutil.disk_usage(SHARED_MEMORY).free,
     needed_octets: int = NEEDED_SHM_OCTETS,
 ) -> Finding:
     """Check the free shared memory: without room, writers are killed by SIGBUS again and again."""
-    if not _SHM.is_dir():
-        return Finding("missing", f"no {_SHM}", "mount a tmpfs there")
+    if not SHARED_MEMORY.is_dir():
+        return Finding("missing", f"no {SHARED_MEMORY}", "mount a tmpfs there")
     free = free_octets()
-    found = f"{free / 1e6:.0f} MB free in {_SHM}"
-    if not os.access(_SHM, os.W_OK):
-        return Finding("missing", f"{_SHM} is not writable", f"chmod 1777 {_SHM}")
+    found = f"{free / 1e6:.0f} MB free in {SHARED_MEMORY}"
+    if not os.access(SHARED_MEMORY, os.W_OK):
+        return Finding("missing", f"{SHARED_MEMORY} is not writable", f"chmod 1777 {SHARED_MEMORY}")
     if free < needed_octets:
         needed_mb = -(-needed_octets // 1_000_000)
         return Finding(
@@ -181,7 +181,9 @@ def check_topics() -> Finding:
         remove_session(session)
     found = f"iceoryx2 {version('iceoryx2')}"
     if not well:
-        return Finding("missing", f"{found}: what was published did not arrive", f"check {_SHM}")
+        return Finding(
+            "missing", f"{found}: what was published did not arrive", f"check {SHARED_MEMORY}"
+        )
     if not woken:
         # See kontur_av/topics/notifier.py.
         kernel = f"Linux {platform.release()}"

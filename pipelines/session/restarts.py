@@ -11,6 +11,13 @@ GOOD_LIFE_NS = 5 * NS_PER_S
 #: A restarted sender does not know what its predecessor sent. So that the cap holds over any
 #: second, no second may contain both. The 10 ms are the guard of `Budget`.
 SENDER_REST_NS = NS_PER_S + 10 * NS_PER_MS
+#: Why the kernel sends SIGBUS to a process of a session.
+NO_ROOM = "SIGBUS, because shared memory is full"
+
+
+def lacks_room(last_error: str) -> bool:
+    """Whether a process ended because shared memory was full."""
+    return "shared memory is full" in last_error
 
 
 class RestartPolicy:

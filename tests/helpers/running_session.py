@@ -79,7 +79,8 @@ class RunningSession:
     #: The words before the command.
     prefix = ()
 
-    def __init__(self, setup, *options, directory):
+    def __init__(self, setup, *options, directory, prefix=()):
+        self.prefix = prefix
         pages = "--page" in options
         changes = {"rtc": RtcLeg()} if "--rtc" in options else {}
         self.setup = load_setup(setup, changes=changes)

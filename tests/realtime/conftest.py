@@ -14,8 +14,8 @@ def start(tmp_path):
     """start("taskboard", *options): a running session, which ends after the test in any case."""
     started = []
 
-    def start_session(setup, *options):
-        started.append(RunningSession(setup, *options, directory=tmp_path))
+    def start_session(setup, *options, prefix=()):
+        started.append(RunningSession(setup, *options, directory=tmp_path, prefix=prefix))
         return started[-1]
 
     yield start_session

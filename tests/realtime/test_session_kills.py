@@ -2,7 +2,9 @@
 
 import contextlib
 import os
+import shutil
 import signal
+import subprocess
 import time
 from pathlib import Path
 
@@ -142,3 +144,24 @@ def test_a_repeatedly_failing_process_affects_no_other(start):
     assert 2 <= restarts.pop("camera_static") <= 8
     assert set(restarts.values()) == {0}
     session.assert_nothing_left()
+
+
+def test_a_session_goes_on_when_another_program_fills_shared_memory(start):
+    own = "mount -t tmpfs -o size=100m none /dev/shm && exec \"$@\""
+    mounted = ("unshare", "-rm", "sh", "-c", own, "sh")
+    if subprocess.run([*mounted, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("no mount namespace is permitted here")
+    session = start("taskboard", prefix=mounted)
+    pids = session.pids()
+    session.wait_for_flow()
+    filler = Path(f"/proc/{pids['robot']}/root/dev/shm/filler")
+    with contextlib.suppress(OSError), filler.open("wb", buffering=0) as file:
+        while True:
+            file.write(bytes(1 << 20) if shutil.disk_usage(filler).free >= 1 << 20 else bytes(4096))
+    assert shutil.disk_usage(filler).free < 4096
+    time.sleep(2)
+    session.wait_for_flow()
+    filler.unlink()
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    assert {entry["restarts"] for entry in report["processes"].values()} == {0}

@@ -1,5 +1,8 @@
 """The warnings of a session, and when there are none."""
 
+from pipelines.recording.figures import RecordedChannel, RecorderFigures
+from pipelines.report.collector import Collector
+from pipelines.report.recording import recorder_warnings
 from pipelines.report.warnings import loop_warnings, picture_warnings, restart_warning
 
 
@@ -65,3 +68,22 @@ def test_a_restart_is_a_warning_with_its_reason():
     warning = restart_warning("stereo", 1, "ended by SIGKILL")
     assert warning.measured == "it was started again once: ended by SIGKILL"
     assert restart_warning("stereo", 2, "").measured == "it was started again 2 times"
+    full = restart_warning("stereo", 1, f"ended by {NO_ROOM}")
+    assert "/dev/shm" in full.mend and "report an error" not in full.mend
+
+
+@pytest.mark.parametrize(
+    ("channel", "mended"),
+    [
+        (RecordedChannel(kept=9, missed=3), ["processors"]),
+        (RecordedChannel(kept=9, dropped=3), ["disk"]),
+        (RecordedChannel(kept=9, dropped=3, missed=1), ["disk", "processors"]),
+    ],
+)
+def test_what_a_recording_lacks_is_blamed_on_what_was_too_slow(channel, mended):
+    collector = Collector(topology_of(BUILT_IN["taskboard"], recorder=True))
+    figures = RecorderFigures(parts=1, channels={"/haptic/up/sent": channel})
+    collector.handle_message("recorder", message(figures), 1)
+    (warning,) = recorder_warnings(collector)
+    found = [word for word in ("disk", "processors") if word in warning.mend]
+    assert found == mended and warning.measured.startswith(f"{channel.lost} messages")
