@@ -147,7 +147,7 @@ def test_a_repeatedly_failing_process_affects_no_other(start):
 
 
 def test_a_session_goes_on_when_another_program_fills_shared_memory(start):
-    own = "mount -t tmpfs -o size=100m none /dev/shm && exec \"$@\""
+    own = 'mount -t tmpfs -o size=100m none /dev/shm && exec "$@"'
     mounted = ("unshare", "-rm", "sh", "-c", own, "sh")
     if subprocess.run([*mounted, "true"], capture_output=True, check=False).returncode:
         pytest.skip("no mount namespace is permitted here")

@@ -1,9 +1,15 @@
 """The warnings of a session, and when there are none."""
 
+import pytest
+from told import message
+
 from pipelines.recording.figures import RecordedChannel, RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.recording import recorder_warnings
 from pipelines.report.warnings import loop_warnings, picture_warnings, restart_warning
+from pipelines.session.restarts import NO_ROOM
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.table import topology_of
 
 
 def loop(*, cycles=1000, left_out=0, late_ns=0, scheduler="other"):
