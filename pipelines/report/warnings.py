@@ -9,7 +9,6 @@ from collections.abc import Iterable, Mapping
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.sources.page import PAGE
 from kontur_av.streams.paced_sender import SenderCounts
-from kontur_av.topics.session_files import SHARED_MEMORY
 from pipelines.media.figures import CaptureFigures
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
@@ -144,7 +143,7 @@ def restart_warning(process: str, restarts: int, last_error: str) -> Warning:
     why = f": {last_error}" if last_error else ""
     mend = "mend what its error names; report an error of this software"
     if lacks_room(last_error):
-        mend = f"end the program that fills {SHARED_MEMORY}, or give more (--shm-size=256m)"
+        mend = "end the program that fills /dev/shm, or give more (--shm-size=256m)"
     times = "once" if restarts == 1 else f"{restarts} times"
     return Warning(
         what="restarted",
