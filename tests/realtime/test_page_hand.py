@@ -67,6 +67,14 @@ def test_the_robot_follows_a_pages_hand_and_stops_with_it(start, monkeypatch):
         refused = page.ask(JoystickEvent.ACKNOWLEDGE)
         assert "not in the state halted" in refused.refusal
         assert page.ask(JoystickEvent.START).state == JoystickState.APPLICATION
+        # The button was held all the time, so this is no new press.
+        for number in range(250):
+            page.point(0.9 - 0.002 * number, 0.9)
+            time.sleep(PERIOD_NS / NS_PER_S)
+        held = page.robot()
+        assert (held.x_m, held.y_m) == pytest.approx((rest.x_m, rest.y_m), abs=1e-4)
+        page.point(0.0, 0.0, dead_man=False)
+        eventually(lambda: not page.rows()["flags"][-1] & DEAD_MAN, "the release")
         page.move_until(lambda state: state.x_m < rest.x_m - 0.02)
     _, report = session.interrupt()
     assert report["joystick"]["device"] == "browser page"
