@@ -13,6 +13,7 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import ProcessRow, SessionOptions, Topology
 from telepresence.haptics.device.spec import SIMULATED
+from telepresence.haptics.robot_device import SIMULATED_ROBOT
 
 #: Within a stage, processes start in the order of the rooms.
 ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
@@ -30,6 +31,7 @@ def topology_of(
     setup: Setup,
     *,
     joystick: str = SIMULATED,
+    robot: str = SIMULATED_ROBOT,
     snapshots: bool = False,
     pages: bool = False,
     recorder: bool = False,
@@ -43,6 +45,7 @@ def topology_of(
     """
     options = SessionOptions(
         joystick=joystick,
+        robot=robot,
         snapshots=snapshots,
         pages=pages,
         recorder=recorder,

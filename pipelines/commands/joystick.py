@@ -105,7 +105,7 @@ def _test(spec: str, check: str, report: Path | None) -> int:
     while (transition := bench.operation.next_event()) is not None:
         transitions.append(transition)
     with output_that_may_fail():
-        console.print(_table(bench.results))
+        console.print(results_table(bench.results))
         for result in bench.results:
             if words := result.trouble or result.skipped:
                 console.print(f"{result.name}: {words}", highlight=False, soft_wrap=True)
@@ -144,7 +144,8 @@ def _run_live(bench: CheckBench, device: JoystickDevice, console: Console) -> fl
     return (now_ns - began_ns) / NS_PER_S
 
 
-def _table(results: list[CheckResult]) -> Table:
+def results_table(results: list[CheckResult]) -> Table:
+    """The figures of checks with their limits, for a terminal."""
     table = Table(title="Functional checks", title_justify="left")
     for name in ("check", "figure"):
         table.add_column(name)

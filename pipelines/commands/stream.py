@@ -57,6 +57,7 @@ from pipelines.session.setup.table import STEREO, Setup, VideoStream
 from pipelines.session.topology import RTC, Segment, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
+from telepresence.haptics.robot_device import SIMULATED_ROBOT, check_robot
 from telepresence.world import audio_scenes, video_scenes
 
 
@@ -89,8 +90,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--joystick",
         default=SIMULATED,
         metavar="SPEC",
-        help="sim, page (the hand of who sits at the operator's page), evdev or "
-        "evdev:/dev/input/eventN (default: sim); see `kontur-av joystick list`",
+        help="sim, page (the hand of who sits at the operator's page), evdev, "
+        "evdev:/dev/input/eventN or your own: module:Class (default: sim); see `kontur-av joystick "
+        "list`",
+    )
+    parser.add_argument(
+        "--robot",
+        default=SIMULATED_ROBOT,
+        metavar="SPEC",
+        help="sim, or your own: module:Class (default: sim)",
     )
     add_task_arguments(parser)
     add_page_arguments(parser)
@@ -114,6 +122,8 @@ def run(args: argparse.Namespace) -> int:
     _check_page_sources(setup, inputs, pages=not args.no_page)
     if Segment.SPACE in plan.segments:
         check_joystick(args.joystick)
+    if Segment.GROUND in plan.segments:
+        check_robot(args.robot)
     tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
     check_writable(args.report)
@@ -125,6 +135,7 @@ def run(args: argparse.Namespace) -> int:
     topology = topology_of(
         setup,
         joystick=args.joystick,
+        robot=args.robot,
         snapshots=snapshots is not None,
         pages=not args.no_page,
         recorder=True,

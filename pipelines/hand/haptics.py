@@ -13,6 +13,7 @@ from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.ownership import HapticOwnership, Owner
+from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.haptics.sample import Feedback
 from telepresence.haptics.step_detector import StepDetector
@@ -76,6 +77,7 @@ class RobotEnd(_End[RobotSide]):
 
     life: 1 to 2^24-1; no earlier life of this end had it.
     envelope: whether the robot may follow the hand; one with the default limits, if None.
+    robot: the simulated one, if None.
     ownership: where a partner may drive, too. Then `handle_datagram` is for datagrams of the
     joystick in space, and `handle_partner` for the partner's; send to the owner alone.
     """
@@ -89,6 +91,7 @@ class RobotEnd(_End[RobotSide]):
         mediated: bool = False,
         ownership: HapticOwnership | None = None,
         envelope: SafetyEnvelope | None = None,
+        robot: Robot | None = None,
     ) -> None:
         self.envelope = envelope = envelope or SafetyEnvelope()
         limits = envelope.limits
@@ -101,7 +104,12 @@ class RobotEnd(_End[RobotSide]):
             half_height_m=limits.half_height_m,
         )
         side = RobotSide(
-            link=link, model=model, mediated=mediated, ownership=ownership, envelope=envelope
+            link=link,
+            model=model,
+            mediated=mediated,
+            ownership=ownership,
+            envelope=envelope,
+            robot=robot,
         )
         super().__init__(side, probe)
         self._ownership = ownership

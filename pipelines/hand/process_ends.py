@@ -1,6 +1,7 @@
 """The processes of robot (ground) and joystick (space), each a 1 kHz loop."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from itertools import count
 
 from kontur_av.media import CaptureStamp
@@ -26,6 +27,7 @@ from pipelines.hand.safety_ends import (
     keep_robot,
     look_at_picture,
     watch_camera,
+    within,
 )
 from pipelines.session.exercises import new_exercises
 from pipelines.session.orders import KeptOrders
@@ -52,6 +54,7 @@ from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership
+from telepresence.haptics.robot_device import open_robot
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
 from telepresence.tasks.definitions import ControlMode
 from telepresence.world import WorldState
@@ -65,7 +68,8 @@ def run_robot(context: Context) -> None:
 
     In a session with tasks it is off until the kernel or a person switches it on.
     """
-    with context.open_bus() as bus:
+    robot = open_robot(context.topology.options.robot)
+    with closing(robot), context.open_bus() as bus:
         writer = bus.writer(ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
         numbers = count()
 
@@ -86,7 +90,8 @@ def run_robot(context: Context) -> None:
             deadband=setup.deadband != "off",
             mediated=mediated,
             ownership=ownership,
-            envelope=SafetyEnvelope(setup.safety, stopped=kept.stopped),
+            envelope=SafetyEnvelope(within(setup.safety, robot.facts), stopped=kept.stopped),
+            robot=robot,
         )
         to_gateway = context.own_sender(topology.entry_port(TELEMETRY)) if mediated else None
 

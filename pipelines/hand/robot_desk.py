@@ -7,9 +7,10 @@ from pipelines.hand.hand_topics import RobotOrders
 from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
+from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.sample import STATE_HALTED
 from telepresence.tasks.definitions import ControlMode
-from telepresence.tasks.robot_control import RobotControl
+from telepresence.tasks.robot_control import RobotControl, RobotLimits
 
 #: An unchanged status is told at this interval.
 STATUS_NS = 50 * NS_PER_MS
@@ -35,12 +36,13 @@ class RobotDesk:
         now_ns: int,
         orders: RobotOrders | None = None,
     ) -> None:
-        if orders is None or tasks:
-            mode = ControlMode.POSITION if tasks else ControlMode.TELEPRESENCE
-            self.control = RobotControl(side.robot, powered=not tasks, mode=mode)
-        else:
-            mode = ControlMode(orders.mode)
-            self.control = RobotControl(side.robot, powered=orders.powered, mode=mode)
+        powered = not tasks
+        mode = ControlMode.POSITION if tasks else ControlMode.TELEPRESENCE
+        if orders is not None and not tasks:
+            powered, mode = orders.powered, ControlMode(orders.mode)
+        self.control = RobotControl(
+            side.robot, limits=_limits(side.robot.facts), powered=powered, mode=mode
+        )
         self._envelope = side.envelope or SafetyEnvelope()
         self._link = side.link
         self._life = life
@@ -147,3 +149,15 @@ class RobotDesk:
             case "set_mode":
                 return control.set_mode(command.mode)
         return f"the robot has no function {command.function}"
+
+
+def _limits(facts: RobotFacts | None) -> RobotLimits | None:
+    """Beyond what a user's robot can do it switches itself off; None: the simulated one's."""
+    if facts is None:
+        return None
+    return RobotLimits(
+        force_n=facts.force_limit_n,
+        width_m=facts.half_width_m,
+        height_m=facts.half_height_m,
+        fastest_m_s=facts.speed_m_s,
+    )

@@ -1,5 +1,7 @@
 """What robot and joystick do about orders that outlive a process: emergency stop, halt, power."""
 
+from dataclasses import replace
+
 from kontur_av.sources.stereo import HALF
 from kontur_av.streams.lipsync import LAG
 from kontur_av.topics.bus import TopicBus
@@ -19,12 +21,29 @@ from pipelines.session.topology import (
     Topology,
 )
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.envelope import Hold
+from telepresence.haptics.envelope import Hold, SafetyLimits
+from telepresence.haptics.robot import RobotFacts
 from telepresence.tasks.definitions import ControlMode
 
 #: Of a robot that does not know what was ordered, and of such a joystick.
 UNKNOWN_ROBOT = RobotOrders(powered=False, mode=ControlMode.TELEPRESENCE.value)
 UNKNOWN_JOYSTICK = JoystickOrders(paused=True)
+
+
+def within(limits: SafetyLimits, facts: RobotFacts | None) -> SafetyLimits:
+    """Return a setup's limits, where a user's robot has less its own."""
+    if facts is None:
+        return limits
+    speed_m_s = min(limits.speed_m_s, facts.speed_m_s)
+    return replace(
+        limits,
+        speed_m_s=speed_m_s,
+        approach_m_s=min(limits.approach_m_s, speed_m_s),
+        slow_m_s=min(limits.slow_m_s, speed_m_s),
+        force_n=min(limits.force_n, facts.force_limit_n),
+        half_width_m=min(limits.half_width_m, facts.half_width_m),
+        half_height_m=min(limits.half_height_m, facts.half_height_m),
+    )
 
 
 def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:

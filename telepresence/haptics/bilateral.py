@@ -10,7 +10,7 @@ from math import hypot
 from typing import Any, Protocol
 
 from kontur_av.clock import NS_PER_MS
-from telepresence.haptics.board import Board, led_at
+from telepresence.haptics.board import Board
 from telepresence.haptics.envelope import Hold, SafetyEnvelope
 from telepresence.haptics.figures import PortFigures
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
@@ -246,7 +246,7 @@ class RobotSide(_Side):
                     envelope.require_press(Hold.OWNER)
         if self.estimator is not None:
             self.estimator.handle_sample(now_ns, x_m, y_m, robot.push_x_n, robot.push_y_n, contact)
-        self.lit = lit = led_at(robot.x_m, robot.y_m) if contact else None
+        self.lit = lit = robot.led()
         feedback = (
             robot.push_x_n,
             robot.push_y_n,

@@ -5,10 +5,11 @@ coupling between the joints are compensated, so the tip is a point mass with the
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.board import WALL_X_M as WALL_X_M
-from telepresence.haptics.board import Board
+from telepresence.haptics.board import Board, led_at
 from telepresence.haptics.sample import MODE_IMPEDANCE, MODE_OFF, MODE_POSITION, MODE_TORQUE
 
 MODE_NAMES = {
@@ -40,6 +41,24 @@ class RobotModel:
     position_m_s: float = 0.3
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RobotFacts:
+    """What a robot is. Beyond its limits the session switches it off.
+
+    takes: "force" (N at the tip), or "position" for a robot that only takes places: then the
+    session moves a virtual mass by the forces, and the robot follows its place.
+    force_limit_n: per axis. speed_m_s: of the tip.
+    half_width_m, half_height_m: of the workspace, from its middle.
+    """
+
+    name: str
+    takes: Literal["force", "position"] = "force"
+    force_limit_n: float = 30.0
+    speed_m_s: float = 0.5
+    half_width_m: float = 0.15
+    half_height_m: float = 0.10
+
+
 class Robot:
     """State of the simulated robot; `step` advances it.
 
@@ -51,11 +70,16 @@ class Robot:
     coupled: the caller computes the force of impedance mode, such as the bilateral controller, and
     calls `step`; otherwise call `drive`.
     work_j: work that the joints have done at the tip.
+    facts: of a user's robot (`telepresence.haptics.robot_device`); None for the simulated one.
+    error: why a user's robot cannot go on, in one line.
 
     In torque mode it applies `set_torque`; in position mode it moves to `set_position` and stays.
     In impedance mode a spring and a damper pull the tip to the centre given to `set_impedance`.
     It is coupled at first.
     """
+
+    facts: RobotFacts | None = None
+    error = ""
 
     def __init__(
         self,
@@ -108,6 +132,13 @@ class Robot:
         self.mode, self.coupled = MODE_IMPEDANCE, False
         self._target_x, self._target_y = x_m, y_m
         self._stiffness, self._damping = stiffness_n_m, damping_n_s_m
+
+    def led(self) -> int | None:
+        """Return the index of the LED that the tip touches, or None."""
+        return led_at(self.x_m, self.y_m) if self.contact else None
+
+    def close(self) -> None:
+        """The session ends; a user's robot is switched off."""
 
     def drive(self, dt_ns: int) -> None:
         """Advance by `dt_ns`, at most 1 ms, as the mode requires."""

@@ -236,6 +236,8 @@ class RobotControl:
 
     def reset(self) -> str:
         """A person resets the fault; only once its cause is gone."""
+        if self.robot.error:
+            return self._refuse(f"the cause is still there: {self.robot.error}")
         kind = self._broken_limit()
         if kind is not Fault.NONE and kind is not Fault.WORKSPACE:
             return self._refuse(f"the cause is still there: {self._words(kind)}")
@@ -248,6 +250,9 @@ class RobotControl:
         self._now_ns = now_ns
         self.steps += 1
         if self.powered:
+            if self.robot.error:
+                self.handle_fault(self.robot.error)
+                return
             kind = self._broken_limit()
             if kind is _NONE:
                 self._outside = False

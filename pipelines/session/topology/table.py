@@ -27,6 +27,7 @@ from pipelines.session.topology.streams import (
 )
 from pipelines.session.topology.topics import Topic
 from telepresence.haptics.device.spec import SIMULATED
+from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.link.flows import Flow
 
 
@@ -34,7 +35,7 @@ from telepresence.link.flows import Flow
 class SessionOptions:
     """What a session has beside what its setup says.
 
-    joystick: SPEC of the joystick. snapshots: with the process that keeps pictures as files.
+    joystick, robot: their SPECs. snapshots: with the process that keeps pictures as files.
     pages: with the processes that serve a browser page at each end.
     recorder: with the process that can record the session.
     trainer: with the process that takes a trainer's requests.
@@ -42,6 +43,7 @@ class SessionOptions:
     """
 
     joystick: str = SIMULATED
+    robot: str = SIMULATED_ROBOT
     snapshots: bool = False
     pages: bool = False
     recorder: bool = False

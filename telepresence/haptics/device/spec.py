@@ -7,6 +7,7 @@
 | `page` | the simulated joystick in the hand of a person at a browser page |
 | `evdev` | the first game controller |
 | `evdev:PATH` | the one at PATH, such as /dev/input/event5 |
+| `module:Class` | a user's `JoystickDevice`; so is the name of an entry point of `GROUP` |
 """
 
 from kontur_av.errors import ConfigError
@@ -15,10 +16,13 @@ from telepresence.haptics.device.gamepad import open_gamepad
 from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.simulated import FAULTS, SimulatedDevice
 from telepresence.haptics.hand import Hand
+from telepresence.parts import load_part
 
 SIMULATED = "sim"
 PAGE = "page"
 GAME_CONTROLLER = "evdev"
+#: The entry points of joysticks.
+GROUP = "kontur_av.joysticks"
 
 
 def check_joystick(spec: str) -> None:
@@ -47,9 +51,13 @@ def open_device(spec: str, *, hand: Hand | None = None) -> JoystickDevice:
         return PageDevice()
     if kind == GAME_CONTROLLER:
         return open_gamepad(rest)
-    raise ConfigError(
-        f"joystick {spec!r}: write sim, sim:FAULT, page, evdev or evdev:/dev/input/eventN"
-    )
+    if not spec.isidentifier() and ":" not in spec:
+        raise ConfigError(
+            f"joystick {spec!r}: write sim, sim:FAULT, page, evdev, evdev:/dev/input/eventN or "
+            "module:Class"
+        )
+    device: JoystickDevice = load_part(spec, GROUP)
+    return device
 
 
 def _fault(spec: str) -> str:

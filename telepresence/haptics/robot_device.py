@@ -1,0 +1,211 @@
+"""A user's robot: the interface of its driver, and how a session drives it.
+
+A driver is a class of its own, named by `module:Class` or by an entry point of `GROUP`. It says
+where the tip is and what pushes it, and takes a force or a place. Modes, passivity, limits and the
+safety envelope stay on this side.
+"""
+
+from math import hypot, isfinite
+from typing import NamedTuple, Protocol
+
+from telepresence.haptics.robot import Robot, RobotFacts
+from telepresence.haptics.sample import MODE_OFF
+from telepresence.parts import load_part
+
+#: The entry points of robots.
+GROUP = "kontur_av.robots"
+#: The robot that the session simulates.
+SIMULATED_ROBOT = "sim"
+#: A robot that takes places and is further than this from the one it was given does not follow.
+_LAG_M = 0.02
+
+
+class RobotReading(NamedTuple):
+    """What a robot measures.
+
+    x_m, y_m, vx_m_s, vy_m_s: place of the tip from the middle, and its velocity.
+    push_x_n, push_y_n: the force of its surroundings on the tip.
+    contact: it touches something.
+    error: why it cannot go on, in one line; "" if it can.
+    """
+
+    x_m: float
+    y_m: float
+    vx_m_s: float
+    vy_m_s: float
+    push_x_n: float = 0.0
+    push_y_n: float = 0.0
+    contact: bool = False
+    error: str = ""
+
+
+class RobotDevice(Protocol):
+    """A robot's driver. No method but `configure` and `power_on` may block.
+
+    Lifecycle: `configure`, `power_on`; then `activate` and `deactivate` as often as the session
+    switches it on and off; `power_off` at the end, whatever happens. In each cycle of 1 ms:
+    `write_force` or `write_position` while it is active, then `advance`, then `read`.
+    """
+
+    @property
+    def facts(self) -> RobotFacts: ...
+
+    def configure(self) -> None:
+        """Connect to the robot. Raises ConfigError, with the mend, if that is not possible."""
+
+    def power_on(self) -> None:
+        """Give it power; it must not move."""
+
+    def activate(self) -> None:
+        """From now on it follows what is written."""
+
+    def deactivate(self) -> None:
+        """It brakes, and stays where it is, whatever was written."""
+
+    def power_off(self) -> None:
+        """Take its power; also after an error."""
+
+    def read(self) -> RobotReading:
+        """Return the newest measurement; the same one again if there is no newer."""
+
+    def write_force(self, x_n: float, y_n: float) -> None:
+        """Exert this force at the tip (N, N) until the next call."""
+
+    def write_position(self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float) -> None:
+        """Follow this place (m) and velocity (m/s); only of a robot that takes places."""
+
+    def advance(self, dt_ns: int) -> None:
+        """`dt_ns` pass until the next cycle; a simulated robot moves on by them."""
+
+
+class _Surroundings:
+    """In the place of the simulated board: what the robot's sensor measures."""
+
+    wall_n = 0.0
+    touching = False
+
+    def __init__(self) -> None:
+        self.push_n = (0.0, 0.0)
+
+    def press(self, _x: float, _y: float, _vx: float, _vy: float) -> tuple[float, float]:
+        return self.push_n
+
+
+class DrivenRobot(Robot):
+    """A `Robot` that is a user's. Its modes are those of the simulated one, at the tip.
+
+    error: why it cannot go on; the session then switches it off.
+    """
+
+    def __init__(self, device: RobotDevice) -> None:
+        self._device = device
+        self._active = False
+        self.facts = device.facts
+        self._surroundings = _Surroundings()
+        device.configure()
+        device.power_on()
+        first = device.read()
+        super().__init__(x_m=first.x_m, y_m=first.y_m)
+        self._press = self._surroundings.press
+        self._limit = min(self.facts.force_limit_n, self.model.force_limit_n)
+        self._take(first)
+
+    def couple(self) -> None:
+        super().couple()
+        self._follow(active=True)
+
+    def set_off(self) -> None:
+        super().set_off()
+        self._follow(active=False)
+
+    def set_torque(self, first_n_m: float, second_n_m: float) -> None:
+        super().set_torque(first_n_m, second_n_m)
+        self._follow(active=True)
+
+    def set_position(self, x_m: float, y_m: float) -> None:
+        super().set_position(x_m, y_m)
+        self._follow(active=True)
+
+    def set_impedance(
+        self, x_m: float, y_m: float, stiffness_n_m: float, damping_n_s_m: float
+    ) -> None:
+        super().set_impedance(x_m, y_m, stiffness_n_m, damping_n_s_m)
+        self._follow(active=True)
+
+    def drive(self, dt_ns: int) -> None:
+        if self.mode != MODE_OFF:
+            super().drive(dt_ns)
+            return
+        # Its own brakes hold it.
+        self._device.advance(dt_ns)
+        self._take(self._device.read())
+
+    def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
+        device, limit = self._device, self._limit
+        if self.facts.takes == "position":
+            super().step(fx_n, fy_n, dt_ns)
+            device.write_position(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s)
+            device.advance(dt_ns)
+            reading = device.read()
+            if self._feel(reading) and not self._is_near(reading):
+                self.error = "it does not follow the places that it is given"
+            return
+        fx_n, fy_n = max(-limit, min(limit, fx_n)), max(-limit, min(limit, fy_n))
+        device.write_force(fx_n, fy_n)
+        device.advance(dt_ns)
+        self._take(device.read())
+        self.work_j += (fx_n * self.vx_m_s + fy_n * self.vy_m_s) * dt_ns / 1e9
+
+    def close(self) -> None:
+        """Switch it off for good."""
+        try:
+            self._follow(active=False)
+        finally:
+            self._device.power_off()
+
+    def led(self) -> int | None:
+        return None
+
+    def _follow(self, *, active: bool) -> None:
+        if active is not self._active:
+            self._active = active
+            (self._device.activate if active else self._device.deactivate)()
+
+    def _take(self, reading: RobotReading) -> None:
+        """Stand where the robot stands."""
+        if self._feel(reading):
+            self.x_m, self.y_m, self.vx_m_s, self.vy_m_s = reading[:4]
+
+    def _is_near(self, reading: RobotReading) -> bool:
+        return hypot(reading.x_m - self.x_m, reading.y_m - self.y_m) < _LAG_M
+
+    def _feel(self, reading: RobotReading) -> bool:
+        """Take the force of the surroundings; return whether all of the reading are numbers."""
+        if not all(map(isfinite, reading[:6])):
+            self.error = "a measurement is not a number"
+            return False
+        self.push_x_n, self.push_y_n = self._surroundings.push_n = reading[4:6]
+        self.contact = reading.contact
+        self.force_n = hypot(self.push_x_n, self.push_y_n)
+        self.error = reading.error
+        return True
+
+
+def load_robot(spec: str) -> RobotDevice:
+    """Return the driver that `spec` names: `module:Class` or an entry point of `GROUP`.
+
+    Raises ConfigError if there is none. Nothing is switched on.
+    """
+    device: RobotDevice = load_part(spec, GROUP)
+    return device
+
+
+def open_robot(spec: str) -> Robot:
+    """Return the robot that `spec` names, `sim` or as of `load_robot`, with power."""
+    return Robot() if spec == SIMULATED_ROBOT else DrivenRobot(load_robot(spec))
+
+
+def check_robot(spec: str) -> None:
+    """Raise ConfigError if `spec` names no robot; nothing is switched on."""
+    if spec != SIMULATED_ROBOT:
+        load_robot(spec)

@@ -1,0 +1,41 @@
+"""A user's robot in a whole session, by the command that the documents give."""
+
+import shutil
+import time
+from pathlib import Path
+
+from running_session import eventually
+
+from pipelines.session.robot_state import unpack_state
+from pipelines.session.topology import ROBOT_TOPIC
+
+SAMPLE = Path(__file__).resolve().parents[2] / "samples/own_robot.py"
+
+
+def test_the_samples_robot_is_moved_touches_its_wall_and_stops(start, tmp_path, monkeypatch):
+    shutil.copy(SAMPLE, tmp_path)
+    session = start("taskboard", "--robot", "own_robot:Mass", "--record", "run.mcap")
+    session.wait_for_flow()
+    with session.bus(monkeypatch) as bus:
+        reader = bus.reader(ROBOT_TOPIC)
+
+        def state():
+            lease = eventually(reader.latest, "a state of the robot")
+            with lease:
+                return unpack_state(lease.octets())
+
+        eventually(lambda: state().contact and state().force_n > 1.0, "a contact")
+        assert session.ask("stop").returncode == 0
+        eventually(lambda: "emergency stop" in session.ask("tc", "robot", "power_on").stdout, "it")
+        place = state()
+        for _ in range(100):
+            assert abs(state().x_m - place.x_m) < 0.002
+            time.sleep(0.01)
+        session.ask("stop", "--release")
+        session.ask("tc", "robot", "power_on")
+        eventually(lambda: abs(state().x_m - place.x_m) > 0.02, "a motion after a new press")
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    assert report["haptic"]["up"]["received"] > 0
+    assert report["safety"]["stops"] == 1
+    assert report["processes"]["robot"]["restarts"] == 0
