@@ -16,13 +16,19 @@ from xdist.scheduler import LoadScopeScheduling
 from xdist.workermanage import WorkerController
 
 #: Tests in these rooms start processes that need the machine.
-SERIAL = ("tests/browser/", "tests/interop/", "tests/realtime/")
+SERIAL = ("tests/browser/", "tests/realtime/")
+#: Those in this one start processes, too, but mostly wait: one at a time, beside quick tests.
+BESIDE = "tests/interop/"
 
 UNSTEADY = "unsteady"
 
 
 def is_serial(nodeid: str) -> bool:
     return nodeid.startswith(SERIAL)
+
+
+def runs_again(nodeid: str) -> bool:
+    return nodeid.startswith((*SERIAL, BESIDE))
 
 
 class SerialLast(LoadScopeScheduling):
@@ -34,6 +40,8 @@ class SerialLast(LoadScopeScheduling):
     def _split_scope(self, nodeid: str) -> str:
         if is_serial(nodeid):
             return "serial"
+        if nodeid.startswith(BESIDE):
+            return BESIDE
         # Simulations of one file share their runs.
         return nodeid.partition("::")[0] if nodeid.startswith("tests/sim/") else nodeid
 
@@ -85,7 +93,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    if not is_serial(item.nodeid):
+    if not runs_again(item.nodeid):
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     reports = runtestprotocol(item, log=False, nextitem=nextitem)

@@ -64,7 +64,7 @@ def test_idle_connections_keep_nobody_out(session):
     url = session.pages()["space"]
     idle = []
     try:
-        idle.extend(socket.create_connection(("127.0.0.1", 8310)) for _ in range(1400))
+        idle.extend(socket.create_connection(("127.0.0.1", 8310)) for _ in range(700))
 
         async def deeds(visitor):
             async with visitor.page() as page:

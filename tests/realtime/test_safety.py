@@ -61,7 +61,7 @@ def test_a_halt_outlives_the_joystick_and_a_stop_outlives_both(start, monkeypatc
         tip.way(0.5)
         restarted(session, "joystick", pids, signal.SIGKILL)
         # Long enough for self-test, calibration and a press.
-        assert tip.way(8) < STILL_M
+        assert tip.way(5) < STILL_M
         assert session.ask("tc", "joystick", "start").returncode == 0
         tip.wait_until_it_moves()
 
@@ -71,7 +71,7 @@ def test_a_halt_outlives_the_joystick_and_a_stop_outlives_both(start, monkeypatc
         assert tip.way(1) < STILL_M
         for name in ("robot", "joystick"):
             restarted(session, name, pids, signal.SIGKILL)
-        assert tip.way(8) < STILL_M
+        assert tip.way(5) < STILL_M
         refused = session.ask("tc", "robot", "power_on")
         assert refused.returncode == 1 and "emergency stop" in refused.stdout + refused.stderr
         assert session.ask("stop", "--release").returncode == 0
