@@ -8,7 +8,7 @@ each is called.
 
 from telepresence.haptics.robot_device import RobotFacts, RobotReading
 
-MASS_KG, FRICTION_N_S_M, WALL_X_M, WALL_N_M = 1.0, 2.0, -0.05, 600.0
+MASS_KG, FRICTION_N_S_M, WALL_X_M, WALL_N_M = 1.0, 2.0, 0.06, 600.0
 
 
 class Mass:
@@ -34,11 +34,12 @@ class Mass:
     def power_off(self) -> None: ...
 
     def wall(self) -> float:
-        return max(0.0, WALL_N_M * (WALL_X_M - self.x))
+        """The force of the wall along x (N)."""
+        return min(0.0, WALL_N_M * (WALL_X_M - self.x))
 
     def read(self) -> RobotReading:
         push = self.wall()
-        return RobotReading(self.x, self.y, self.vx, self.vy, push, 0.0, contact=push > 0.0)
+        return RobotReading(self.x, self.y, self.vx, self.vy, push, 0.0, contact=push < 0.0)
 
     def write_force(self, x_n: float, y_n: float) -> None:
         self.force = (x_n, y_n)

@@ -42,9 +42,7 @@ def load_part(spec: str, group: str) -> Any:
         ) from None
     except Exception as error:
         # The user's own code: whatever it raises is theirs to mend.
-        raise ConfigError(
-            f"{spec!r} cannot be made: {type(error).__name__}: {error}"
-        ) from error
+        raise ConfigError(f"{spec!r} cannot be made: {type(error).__name__}: {error}") from error
 
 
 def _registered(name: str, group: str) -> bool:

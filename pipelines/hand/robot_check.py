@@ -62,7 +62,7 @@ class RobotCheck:
             self._work_j = 0.0
             if facts.takes == "force":
                 force_n = _GENTLE * facts.force_limit_n
-                pushed = self._cycles(_SPELL_NS, lambda _: (force_n, 0.0))
+                pushed = self._cycles(_SPELL_NS // 3, lambda _: (force_n, 0.0))
                 braked = self._cycles(2 * _SPELL_NS, self._brake)
             else:
                 way_m = _GENTLE * facts.half_width_m
@@ -82,7 +82,7 @@ class RobotCheck:
     def stops(self) -> tuple[Figure, ...]:
         """Switched off in motion, it comes to rest and stays, whatever is written."""
         with self._active():
-            self._cycles(_SPELL_NS // 2, self._gentle)
+            self._cycles(_SPELL_NS // 3, self._gentle)
         self._cycles(_STOP_NS, None)
         return self._still(self._cycles(_SPELL_NS, self._gentle, active=False))
 
@@ -90,7 +90,7 @@ class RobotCheck:
         """A session that is late by 50 ms does not make it run away."""
         facts = self._device.facts
         with self._active():
-            self._cycles(_SPELL_NS // 2, self._gentle)
+            self._cycles(_SPELL_NS // 3, self._gentle)
             late = self._cycles(50 * NS_PER_MS, None)
         fastest = max(hypot(one.vx_m_s, one.vy_m_s) for one in late)
         return (Figure("speed", fastest, "m/s", most=facts.speed_m_s),)

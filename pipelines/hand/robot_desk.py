@@ -152,12 +152,12 @@ class RobotDesk:
 
 
 def _limits(facts: RobotFacts | None) -> RobotLimits | None:
-    """Beyond what a user's robot can do it switches itself off; None: the simulated one's."""
+    """At twice what a user's robot can do it is switched off; None: the simulated one's limits."""
     if facts is None:
         return None
     return RobotLimits(
-        force_n=facts.force_limit_n,
+        force_n=2.0 * facts.force_limit_n,
         width_m=facts.half_width_m,
         height_m=facts.half_height_m,
-        fastest_m_s=facts.speed_m_s,
+        fastest_m_s=2.0 * facts.speed_m_s,
     )

@@ -43,7 +43,8 @@ class RobotModel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotFacts:
-    """What a robot is. Beyond its limits the session switches it off.
+    """What a robot is. The session keeps it within these limits. At twice its force or speed, and
+    outside of its workspace, it is switched off.
 
     takes: "force" (N at the tip), or "position" for a robot that only takes places: then the
     session moves a virtual mass by the forces, and the robot follows its place.

@@ -87,7 +87,7 @@ class _Surroundings:
     def __init__(self) -> None:
         self.push_n = (0.0, 0.0)
 
-    def press(self, _x: float, _y: float, _vx: float, _vy: float) -> tuple[float, float]:
+    def press(self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float) -> tuple[float, float]:
         return self.push_n
 
 
@@ -100,14 +100,15 @@ class DrivenRobot(Robot):
     def __init__(self, device: RobotDevice) -> None:
         self._device = device
         self._active = False
-        self.facts = device.facts
+        self.facts = facts = device.facts
+        self._takes_places = facts.takes == "position"
         self._surroundings = _Surroundings()
         device.configure()
         device.power_on()
         first = device.read()
         super().__init__(x_m=first.x_m, y_m=first.y_m)
         self._press = self._surroundings.press
-        self._limit = min(self.facts.force_limit_n, self.model.force_limit_n)
+        self._limit = min(facts.force_limit_n, self.model.force_limit_n)
         self._take(first)
 
     def couple(self) -> None:
@@ -142,7 +143,7 @@ class DrivenRobot(Robot):
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
         device, limit = self._device, self._limit
-        if self.facts.takes == "position":
+        if self._takes_places:
             super().step(fx_n, fy_n, dt_ns)
             device.write_position(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s)
             device.advance(dt_ns)
