@@ -1,15 +1,18 @@
 """Opens the sources that SPECs name, as in `--source NAME=SPEC`.
 
 A SPEC is a path to a media file, or `mcap:FILE#CHANNEL`, `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`,
-`scene:NAME`, or `page` for an input of a session that only browser pages fill.
+`scene:NAME`, or `page` for an input of a session that only browser pages fill. `module:Class`, or
+the name of an entry point of `GROUP`, is a user's own: called as a scene's factory is.
 """
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Literal
 
 from kontur_av.clock import Clock
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
+from kontur_av.parts import find_part, make_part, names_part
 from kontur_av.sources.page import PAGE, PageAudio, PageVideo
 from kontur_av.sources.source import (
     AudioSceneFactory,
@@ -21,6 +24,8 @@ from kontur_av.sources.source import (
 # Kinds are imported on demand, so that a process that draws a scene does not load FFmpeg.
 
 _KINDS = ("mcap", "pipe", "v4l2", "alsa", "scene")
+#: A user's class, and the entry points of such classes.
+_PART, GROUP = "part", "kontur_av.sources"
 
 
 def open_video(
@@ -62,6 +67,9 @@ def open_video(
         return RecordedVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
     if kind == "alsa":
         raise _no_pictures(spec)
+    if kind == _PART:
+        pictures: VideoSource = make_part(spec, GROUP, name, width, height, fps, clock)
+        return pictures
     from kontur_av.sources.file import FileVideo
 
     return FileVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
@@ -92,6 +100,9 @@ def open_audio(
         return RecordedAudio(rest, name=name, clock=clock)
     if kind in ("pipe", "v4l2"):
         raise _no_sound(spec)
+    if kind == _PART:
+        sound: AudioSource = make_part(spec, GROUP, name, clock)
+        return sound
     from kontur_av.sources.file import FileAudio
 
     return FileAudio(rest, name=name, clock=clock)
@@ -129,6 +140,8 @@ def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str]
         from kontur_av.sources.microphone import check_microphone
 
         check_microphone(rest)
+    elif family == _PART:
+        find_part(spec, GROUP)
     else:
         from kontur_av.sources.file import check_file
 
@@ -146,8 +159,10 @@ def _split(spec: str) -> tuple[str, str]:
     if not spec:
         raise ConfigError(
             "a source is empty: give a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, "
-            "alsa:DEVICE, scene:NAME or page"
+            "alsa:DEVICE, scene:NAME, module:Class or page"
         )
+    if names_part(spec, GROUP) and not Path(spec).exists():
+        return _PART, spec
     return "file", spec
 
 

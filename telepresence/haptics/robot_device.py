@@ -8,9 +8,9 @@ safety envelope stay on this side.
 from math import hypot, isfinite
 from typing import NamedTuple, Protocol
 
+from kontur_av.parts import make_part
 from telepresence.haptics.robot import Robot, RobotFacts
 from telepresence.haptics.sample import MODE_OFF
-from telepresence.parts import load_part
 
 #: The entry points of robots.
 GROUP = "kontur_av.robots"
@@ -197,7 +197,7 @@ def load_robot(spec: str) -> RobotDevice:
 
     Raises ConfigError if there is none. Nothing is switched on.
     """
-    device: RobotDevice = load_part(spec, GROUP)
+    device: RobotDevice = make_part(spec, GROUP)
     return device
 
 

@@ -253,7 +253,7 @@ LIBRARIES = {
     "telepresence/link/protection/identity.py": ({"datetime"}, "dates of a certificate; no clock"),
     "telepresence/link/protection/segment.py": ({"hmac"}, "codes, compared in constant time"),
     "telepresence/link/radio/orbit.py": ({"sgp4"}, "the model of orbits"),
-    "telepresence/parts.py": ({"pathlib", "sys"}, "a user's module"),
+    "kontur_av/parts.py": ({"pathlib", "sys"}, "a user's module"),
     "telepresence/link/radio/profile_file.py": ({"pathlib"}, "a file"),
     "telepresence/tmtc/k2aci.py": ({"cbor2"}, "CBOR: octets only"),
     "telepresence/tmtc/pus/dictionary_file.py": ({"pathlib"}, "a file"),

@@ -11,12 +11,12 @@
 """
 
 from kontur_av.errors import ConfigError
+from kontur_av.parts import make_part, names_part
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.gamepad import open_gamepad
 from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.simulated import FAULTS, SimulatedDevice
 from telepresence.haptics.hand import Hand
-from telepresence.parts import load_part
 
 SIMULATED = "sim"
 PAGE = "page"
@@ -51,12 +51,12 @@ def open_device(spec: str, *, hand: Hand | None = None) -> JoystickDevice:
         return PageDevice()
     if kind == GAME_CONTROLLER:
         return open_gamepad(rest)
-    if not spec.isidentifier() and ":" not in spec:
+    if not names_part(spec, GROUP):
         raise ConfigError(
             f"joystick {spec!r}: write sim, sim:FAULT, page, evdev, evdev:/dev/input/eventN or "
             "module:Class"
         )
-    device: JoystickDevice = load_part(spec, GROUP)
+    device: JoystickDevice = make_part(spec, GROUP)
     return device
 
 

@@ -144,7 +144,7 @@ def test_it_is_named_by_module_and_class(monkeypatch):
     [
         ("nothing_here:Arm", "no module 'nothing_here'"),
         ("math:Arm", "has no class 'Arm'"),
-        ("math:sqrt", "cannot be made"),
+        ("math:sqrt", "cannot be made: TypeError"),
         ("arm", "write module:Class"),
     ],
 )
