@@ -9,7 +9,7 @@ from running_session import eventually
 from pipelines.session.robot_state import unpack_state
 from pipelines.session.topology import ROBOT_TOPIC
 
-SAMPLE = Path(__file__).resolve().parents[2] / "samples/own_robot.py"
+SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_robot.py"
 
 
 def test_the_samples_robot_is_moved_touches_its_wall_and_stops(start, tmp_path, monkeypatch):
