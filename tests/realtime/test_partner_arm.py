@@ -132,7 +132,8 @@ def test_a_second_arm_is_the_partners_own_across_the_internet(start_lab, tmp_pat
     second = report["second_arm"]
     assert second["received"] > 0 and second["sessions"] >= 1
     samples = report["rtc"]["samples"]
-    assert samples["taken"] >= second["received"] - 100 and samples["given"] > 0
+    # What a killed process counted since its last report, half a second at most, is lost.
+    assert samples["taken"] >= second["received"] - 700 and samples["given"] > 0
     # A greeting of 12 zeros is a sample of an unknown session, not garbage.
     assert second["garbage"] + second["strays"] >= 31
     assert report["haptic"]["up"]["received"] > 0

@@ -145,7 +145,7 @@ def test_it_is_named_by_module_and_class(monkeypatch):
         ("nothing_here:Arm", "no module 'nothing_here'"),
         ("math:Arm", "has no class 'Arm'"),
         ("math:sqrt", "cannot be made: TypeError"),
-        ("arm", "write module:Class"),
+        ("arm", "module:Class"),
     ],
 )
 def test_a_robot_or_joystick_that_is_not_there_is_one_line(spec, words):
