@@ -8,7 +8,6 @@ Instants within messages of `kontur_av` are on the session's clock. `timestamp` 
 `foxglove` is wall time, as the `log_time` of every message is.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any
@@ -264,14 +263,6 @@ SCHEMAS = (
     LOSSES,
     FIGURES,
 )
-
-
-def schema_named(full_name: str) -> MessageSchema:
-    """The schema of that name; KeyError for one that is not in `SCHEMAS`."""
-    return _BY_NAME[full_name]
-
-
-_BY_NAME: Mapping[str, MessageSchema] = {schema.full_name: schema for schema in SCHEMAS}
 
 
 def descriptor_set(schema: MessageSchema) -> bytes:

@@ -13,8 +13,7 @@ from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
 from pipelines.mission.figures import TaskFigures
 from pipelines.report.collector import Collector
-from pipelines.report.present import shown_now
-from pipelines.report.silence import silences
+from pipelines.report.silence import shown_now, silences
 from pipelines.session.figures import TrainerFigures
 from pipelines.session.session_events import Event
 from pipelines.session.session_switch import Activity, SessionSwitch

@@ -31,9 +31,9 @@ from pipelines.report.model import (
     StreamReport,
     TraceSeries,
 )
+from pipelines.report.sections import spread_ms
 from pipelines.report.session_report import skew_reports, stream_latency_ms
-from pipelines.report.spread import spread_ms
-from pipelines.report.sync.section import sync_section
+from pipelines.report.sync_figures import sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.trace import TRACED, rows_of
 from pipelines.session.figures import DatedEvent

@@ -10,18 +10,10 @@ from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.media.figures import GainFigures
-from pipelines.report.arm_figures import (
-    arm_report,
-    exercises,
-    second_arm_report,
-    task_runs,
-    task_warnings,
-)
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import Pauses, StreamFigures
-from pipelines.report.link_figures import gateway_figures, link_figures, punctuality_us
+from pipelines.report.link_report import gateway_figures, link_figures, punctuality_us
 from pipelines.report.model import (
-    CpuReport,
     HapticReport,
     ProcessReport,
     SessionReport,
@@ -30,8 +22,18 @@ from pipelines.report.model import (
     StreamLatency,
     StreamReport,
 )
-from pipelines.report.recording import recorder_report, recorder_warnings
-from pipelines.report.rtc_figures import rtc_report
+from pipelines.report.sections import (
+    arm_report,
+    cpu_report,
+    exercises,
+    recorder_report,
+    recorder_warnings,
+    rtc_report,
+    second_arm_report,
+    spread_ms,
+    task_runs,
+    task_warnings,
+)
 from pipelines.report.silence import (
     MISSED_NS,
     missed_ns,
@@ -42,9 +44,7 @@ from pipelines.report.silence import (
     taken_by_page,
     waits_for_page,
 )
-from pipelines.report.spread import spread_ms
-from pipelines.report.sync.figures import disagreements
-from pipelines.report.sync.section import sync_section
+from pipelines.report.sync_figures import disagreements, sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
 from pipelines.session.figures import LoopFigures, ProbeFigures
@@ -142,16 +142,6 @@ def skew_reports(collector: Collector) -> dict[str, SkewReport | None]:
     return {
         name: skew.summary_ms() if skew.count else None for name, skew in collector.skews.items()
     }
-
-
-def cpu_report(cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float) -> CpuReport:
-    """The CPU time of a session of `seconds`."""
-    total_s = sum(cpu_s.values()) + launcher_cpu_s
-    return CpuReport(
-        total_s=round(total_s, 2),
-        launcher_s=round(launcher_cpu_s, 2),
-        cores_used=round(total_s / max(seconds, 1e-9), 3),
-    )
 
 
 def _radio_epoch_ns(collector: Collector) -> int:

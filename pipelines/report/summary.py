@@ -6,7 +6,6 @@ from rich.table import Table
 from rich.text import Text
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.report.clock import clock_words
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.link_report import end_line, ledger_line, peer_lines
 from pipelines.report.model import (
@@ -16,6 +15,7 @@ from pipelines.report.model import (
     StreamReport,
     SyncReport,
 )
+from pipelines.report.sections import clock_words
 from pipelines.session.task_journal import TaskRow
 from pipelines.session.topology import Segment
 

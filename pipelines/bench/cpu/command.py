@@ -14,9 +14,7 @@ import pipelines
 from kontur_av.errors import ConfigError
 from pipelines.bench.cpu.figures import CpuResult, CpuRun, headlines, middle, read_run
 from pipelines.bench.session import live_report
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
-from pipelines.report.result_file import write_result
+from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.session.options import add_setup_argument
 from pipelines.session.setup.setup_file import load_setup
 

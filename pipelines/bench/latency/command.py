@@ -21,11 +21,9 @@ from pipelines.bench.latency.runs import (
 from pipelines.bench.latency.targets import MEANT_FOR, LatencyVerdict, judge
 from pipelines.bench.session import live_session
 from pipelines.report.charts import check_plot, save
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
+from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, JsonReader
-from pipelines.report.result_file import write_result
-from pipelines.report.sync.limits import LIMITS
+from pipelines.report.sync_figures import LIMITS
 from pipelines.report.terms import TERMS
 from pipelines.session.options import (
     add_deadband_argument,

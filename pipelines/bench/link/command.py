@@ -27,10 +27,8 @@ from pipelines.bench.link.virtual import (
     header_octets,
     voice_waits,
 )
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
+from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, Percentiles, as_json, spread
-from pipelines.report.result_file import write_result
 from pipelines.session.setup.setup_file import load_setup
 from telepresence.link.profile import DOWNLINK, UPLINK
 

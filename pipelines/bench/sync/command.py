@@ -18,12 +18,10 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_session
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
 from pipelines.report.charts import check_plot, distributions, save
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
+from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, JsonReader, as_json
-from pipelines.report.result_file import write_result
-from pipelines.report.sync.figures import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
-from pipelines.report.sync.matching import Matched
+from pipelines.report.sync_figures import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
+from pipelines.report.sync_matching import Matched
 from pipelines.session.options import radio_change
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import check_sources

@@ -28,10 +28,8 @@ from pipelines.bench.video.run import TrialTerms, measure
 from pipelines.bench.video.tables import figures_table, headlines, notes, verdicts_table
 from pipelines.bench.video.targets import ALONE, OURS, judge
 from pipelines.report.charts import check_plot, distributions, save
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
+from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json
-from pipelines.report.result_file import write_result
 
 FPS = 30
 
