@@ -1,4 +1,4 @@
-"""Inputs that deliver nothing, and streams that show nothing although their input delivers."""
+"""What streams show now; those that show nothing, and inputs that deliver nothing."""
 
 from dataclasses import dataclass
 

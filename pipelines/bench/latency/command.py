@@ -1,28 +1,22 @@
 """`kontur-av bench latency`: the latency of every stream of a setup, end to end and by stage."""
 
 import argparse
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
-from pipelines.bench.latency.charts import lead_chart
-from pipelines.bench.latency.runs import (
-    VIRTUAL_CLOCK,
-    ClockMethod,
-    live_clock,
-    radio_delay_ms,
-    virtual_run,
-)
 from pipelines.bench.latency.targets import MEANT_FOR, LatencyVerdict, judge
 from pipelines.bench.session import live_session
-from pipelines.report.charts import check_plot, save
+from pipelines.report.charts import check_plot, lead_chart, save
 from pipelines.report.report_file import check_writable, open_console, write_result
-from pipelines.report.result import Headline, Json, JsonReader
+from pipelines.report.result import Headline, Json, JsonReader, as_json
 from pipelines.report.sync_figures import LIMITS
 from pipelines.report.terms import TERMS
 from pipelines.session.options import (
@@ -36,6 +30,7 @@ from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.media import check_virtual_sources
+from pipelines.virtual.simulate import simulate
 
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
 #: A longer lead of the force over its picture is noticeable.
@@ -51,6 +46,20 @@ _SKEWS = {
     "audio_haptic": ("audio", "force"),
     "audio_video": ("audio", "video"),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class ClockMethod:
+    """How instants were compared.
+
+    method: in words. error_us: the largest error of a difference of two instants.
+    """
+
+    method: str
+    error_us: float
+
+
+VIRTUAL_CLOCK = ClockMethod("one virtual clock for all", 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -341,3 +350,34 @@ def _leads(leads: Mapping[str, JsonReader]) -> Table:
         ]
         table.add_row(term, *cells)
     return table
+
+
+_READINGS = 2000
+
+
+def virtual_run(setup: Setup, *, seconds: float, seed: int) -> JsonReader:
+    """The report of a session on virtual time."""
+    return JsonReader(as_json(simulate(setup, seconds=seconds, seed=seed)))
+
+
+def live_clock(report: JsonReader) -> ClockMethod:
+    """The clock of a live session, and the largest error of a difference of two readings.
+
+    The error is the time that a reading takes (p99) or the clock's resolution, whichever is
+    longer. For media, add the error of the capture time that RTCP carried.
+    """
+    readings = [time.monotonic_ns() for _ in range(_READINGS)]
+    steps = sorted(after - before for before, after in pairwise(readings))
+    resolution_ns = time.get_clock_info("monotonic").resolution * NS_PER_S
+    reading_us = max(resolution_ns, steps[len(steps) * 99 // 100]) / NS_PER_US
+    stamps = [of.number("capture_stamp_error_us") for _, of in report.items("streams")]
+    error_us = reading_us + max(stamps, default=0.0)
+    return ClockMethod("CLOCK_MONOTONIC, one for all processes of the host", round(error_us, 2))
+
+
+def radio_delay_ms(report: JsonReader) -> tuple[float, float]:
+    """The least and the largest delay of the radio, ground to space."""
+    if not report.has("gateways", "ground", "radio"):
+        return 0.0, 0.0
+    radio = report.at("gateways", "ground", "radio")
+    return radio.number("delay_min_ns") / NS_PER_MS, radio.number("delay_max_ns") / NS_PER_MS

@@ -10,8 +10,7 @@ from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.bench.link.cost import slot_cost
-from pipelines.bench.link.live import LoopPunctuality, live_punctuality
+from pipelines.bench.link.live import LoopPunctuality, live_punctuality, slot_cost
 from pipelines.bench.link.paired import WAYS, headlines
 from pipelines.bench.link.protected import paired_run
 from pipelines.bench.link.resume import resumptions

@@ -15,7 +15,12 @@ from kontur_av.errors import ProtocolError
 from pipelines.hand.haptic_trace import ACTED, CONTACT, DEAD_MAN
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import (
+    FIGURES,
+    HAPTIC_SAMPLES,
+    LOSSES,
     SAMPLE,
+    SCHEMAS,
+    TRANSFER_FRAMES,
     RecordedFigures,
     RecordedFrames,
     RecorderLosses,
@@ -23,15 +28,7 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
-from pipelines.recording.schemas import (
-    FIGURES,
-    HAPTIC_SAMPLES,
-    LOSSES,
-    SCHEMAS,
-    TIMESTAMP,
-    TRANSFER_FRAMES,
-    MessageSchema,
-)
+from pipelines.recording.schemas import TIMESTAMP, MessageSchema
 
 #: Numbers of any type, (rows,), or a text for each row.
 Column = NDArray[Any] | list[str]
