@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import msgspec
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.codecs.h264 import DecoderCounts
 from kontur_av.streams.paced_sender import SenderCounts
@@ -156,10 +158,7 @@ def _pauses_s(pauses: Pauses, collector: Collector) -> list[tuple[float, float]]
     """Begin and end of each pause, in seconds of the session, until its last report."""
     epoch_ns = _radio_epoch_ns(collector)
     end_ns = max((told.told_ns for told in collector.processes.values()), default=epoch_ns)
-    return [
-        (round((begin_ns - epoch_ns) / NS_PER_S, 3), round((until_ns - epoch_ns) / NS_PER_S, 3))
-        for begin_ns, until_ns in pauses.within(epoch_ns, end_ns)
-    ]
+    return pauses.within_s(epoch_ns, end_ns)
 
 
 def stream_report(
@@ -198,15 +197,8 @@ def stream_report(
 
 def stream_latency_ms(figures: StreamFigures) -> StreamLatency:
     """From capture to display, with its stages."""
-    whole = spread_ms(figures.latency)
     return StreamLatency(
-        p50=whole.p50,
-        p95=whole.p95,
-        p99=whole.p99,
-        p99_9=whole.p99_9,
-        max=whole.max,
-        mean=whole.mean,
-        count=whole.count,
+        **msgspec.structs.asdict(spread_ms(figures.latency)),
         stages=Stages(
             **{stage: spread_ms(histogram) for stage, histogram in figures.stages.items()}
         ),
