@@ -16,7 +16,7 @@ import pipelines
 from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_report
 from pipelines.report.report_file import check_writable, open_console, write_result
-from pipelines.report.result import Headline, JsonReader
+from pipelines.report.result import Headline, JsonReader, titled_table
 from pipelines.session.options import add_setup_argument
 from pipelines.session.setup.setup_file import load_setup
 
@@ -106,14 +106,12 @@ def _checked_tree(path: Path | None) -> Path | None:
 
 
 def _table(found: dict[str, list[CpuRun]], result: CpuResult) -> Table:
-    table = Table(
-        title=f"{result.setup}, {len(result.runs)} sessions of {result.seconds:g} s each: "
+    table = titled_table(
+        f"{result.setup}, {len(result.runs)} sessions of {result.seconds:g} s each: "
         "median (least to most)",
-        title_justify="left",
+        *("tree", "CPU s a second", "uplink picture p50, ms", "p99, ms"),
+        left=("tree",),
     )
-    table.add_column("tree")
-    for heading in ("CPU s a second", "uplink picture p50, ms", "p99, ms"):
-        table.add_column(heading, justify="right")
     for name, runs in found.items():
         table.add_row(
             name,

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
@@ -16,7 +17,7 @@ from pipelines.bench.latency.targets import MEANT_FOR, LatencyVerdict, judge
 from pipelines.bench.session import live_session
 from pipelines.report.charts import check_plot, lead_chart, save
 from pipelines.report.report_file import check_writable, open_console, write_result
-from pipelines.report.result import Headline, Json, JsonReader, as_json
+from pipelines.report.result import Headline, JsonReader, as_json, titled_table
 from pipelines.report.sync_figures import LIMITS
 from pipelines.report.terms import TERMS
 from pipelines.session.options import (
@@ -36,6 +37,8 @@ _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
 #: A longer lead of the force over its picture is noticeable.
 _NOTICED_MS = LIMITS["video_haptic"].most_ns / NS_PER_MS
 _HISTOGRAM_PERCENT = 0.4
+#: Of tables.
+_STYLE: dict[str, Any] = {"box": SIMPLE_HEAD, "padding": (0, 1, 0, 0)}
 
 _LEAD_NOTE = (
     "of an event at any instant of the camera's period; docs/latency.md says how each is obtained\n"
@@ -60,24 +63,6 @@ class ClockMethod:
 
 
 VIRTUAL_CLOCK = ClockMethod("one virtual clock for all", 0.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LatencyResult:
-    """clocks: of each session. leads: the section `video_lead` of each report, by its label.
-
-    virtual, live, other_setups: whole reports of the sessions.
-    """
-
-    setup: str
-    radio: str
-    seed: int
-    clocks: Mapping[str, ClockMethod]
-    targets: Sequence[LatencyVerdict]
-    leads: Mapping[str, Json]
-    virtual: Json
-    live: Json
-    other_setups: Mapping[str, Json]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -144,17 +129,18 @@ def run(args: argparse.Namespace) -> int:
         }
         limits = {f"noticeable from {_NOTICED_MS:g} ms": _NOTICED_MS}
         save(lead_chart(shown, limits), args.plot)
-    result = LatencyResult(
-        setup=setup.name,
-        radio=setup.radio_profile.name,
-        seed=args.seed,
-        clocks=clocks,
-        targets=verdicts,
-        leads={label: lead.json for label, lead in leads.items()},
-        virtual=runs["virtual"].json,
-        live=None if live is None else live.json,
-        other_setups={name: report.json for name, report in others.items()},
-    )
+    # Clocks of each session; the section `video_lead` of each report; whole reports.
+    result = {
+        "setup": setup.name,
+        "radio": setup.radio_profile.name,
+        "seed": args.seed,
+        "clocks": clocks,
+        "targets": verdicts,
+        "leads": {label: lead.json for label, lead in leads.items()},
+        "virtual": runs["virtual"].json,
+        "live": None if live is None else live.json,
+        "other_setups": {name: report.json for name, report in others.items()},
+    }
     judged = (setup.name, args.radio) == MEANT_FOR
     write_result(args.report, result, _headlines(verdicts, live, runs, judged=judged))
     return 1 if failures else 0
@@ -220,17 +206,10 @@ def _heading(args: argparse.Namespace, setup: Setup) -> str:
 
 
 def _latencies(runs: Mapping[str, JsonReader]) -> Table:
-    table = Table(
-        title="latency, ms: capture to display, mouth to ear, sample to sample",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
-    table.add_column("", no_wrap=True)
-    for name in runs:
-        table.add_column(f"{name}\nn", justify="right")
-        for percentile in _PERCENTILES:
-            table.add_column(percentile, justify="right")
+    headings = [heading for name in runs for heading in (f"{name}\nn", *_PERCENTILES)]
+    title = "latency, ms: capture to display, mouth to ear, sample to sample"
+    table = titled_table(title, "", *headings, **_STYLE)
+    table.columns[0].no_wrap = True
     for label, found in _rows(runs):
         table.add_row(label, *(cell for cells in found for cell in cells))
     return table
@@ -307,16 +286,9 @@ def _sense_cells(of: JsonReader | None) -> list[str]:
 def _targets(
     setup: Setup, radio: str, verdicts: Sequence[LatencyVerdict], live: JsonReader | None
 ) -> Table:
-    table = Table(
-        title=f"targets of {MEANT_FOR[0]} on {MEANT_FOR[1]}, virtual time",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
-    for heading in ("", "bound", "found", ""):
-        table.add_column(heading)
-    if live is not None:
-        table.add_column("live, for information")
+    headings = ["", "bound", "found", "", *["live, for information"] * (live is not None)]
+    title = f"targets of {MEANT_FOR[0]} on {MEANT_FOR[1]}, virtual time"
+    table = titled_table(title, *headings, left=headings, **_STYLE)
     beside = {} if live is None else {verdict.what: verdict.found for verdict in judge(live)}
     for verdict in verdicts:
         cells = [verdict.what, verdict.bound, verdict.found, "met" if verdict.met else "MISSED"]
@@ -327,19 +299,13 @@ def _targets(
 
 
 def _leads(leads: Mapping[str, JsonReader]) -> Table:
-    table = Table(
-        title="by how much force comes before the picture of the same event: means, ms",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
-    table.add_column("term")
     found = {label: lead for label, lead in leads.items() if lead.value is not None}
+    headings = ["term"]
     for label in found:
         setup, _, kind = label.rpartition(", ")
-        table.add_column(f"{setup}\n{kind}: video", justify="right")
-        table.add_column("\nforce", justify="right")
-        table.add_column("\nlead", justify="right")
+        headings += [f"{setup}\n{kind}: video", "\nforce", "\nlead"]
+    title = "by how much force comes before the picture of the same event: means, ms"
+    table = titled_table(title, *headings, left=("term",), **_STYLE)
     for term in (*TERMS, "total"):
         if term == "total":
             table.add_section()

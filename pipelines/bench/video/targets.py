@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from rich.table import Table
 
 from pipelines.bench.video.figures import ContenderFigures
-from pipelines.report.result import Headline
+from pipelines.report.result import Headline, titled_table
 
 #: The contender of this project.
 OURS = "kontur-av"
@@ -177,10 +177,7 @@ def _kbps(rate_bps: float) -> str:
 
 
 def figures_table(title: str, measured: Mapping[str, ContenderFigures]) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column("")
-    for name in measured:
-        table.add_column(name, justify="right")
+    table = titled_table(title, "", *measured)
     for heading, value in _ROWS:
         table.add_row(heading, *(value(found) for found in measured.values()))
     return table
@@ -214,9 +211,7 @@ def notes(name: str, found: ContenderFigures) -> list[str]:
 
 
 def verdicts_table(title: str, verdicts: Sequence[VideoVerdict]) -> Table:
-    table = Table(title=title, title_justify="left")
-    for heading in ("", "target", "found", "against", ""):
-        table.add_column(heading, justify="left" if not heading else "right")
+    table = titled_table(title, "", "target", "found", "against", "")
     for verdict in verdicts:
         table.add_row(
             verdict.what,
