@@ -4,9 +4,9 @@ import argparse
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
@@ -37,8 +37,7 @@ _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
 #: A longer lead of the force over its picture is noticeable.
 _NOTICED_MS = LIMITS["video_haptic"].most_ns / NS_PER_MS
 _HISTOGRAM_PERCENT = 0.4
-#: Of tables.
-_STYLE: dict[str, Any] = {"box": SIMPLE_HEAD, "padding": (0, 1, 0, 0)}
+_table = partial(titled_table, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
 
 _LEAD_NOTE = (
     "of an event at any instant of the camera's period; docs/latency.md says how each is obtained\n"
@@ -208,7 +207,7 @@ def _heading(args: argparse.Namespace, setup: Setup) -> str:
 def _latencies(runs: Mapping[str, JsonReader]) -> Table:
     headings = [heading for name in runs for heading in (f"{name}\nn", *_PERCENTILES)]
     title = "latency, ms: capture to display, mouth to ear, sample to sample"
-    table = titled_table(title, "", *headings, **_STYLE)
+    table = _table(title, "", *headings)
     table.columns[0].no_wrap = True
     for label, found in _rows(runs):
         table.add_row(label, *(cell for cells in found for cell in cells))
@@ -288,7 +287,7 @@ def _targets(
 ) -> Table:
     headings = ["", "bound", "found", "", *["live, for information"] * (live is not None)]
     title = f"targets of {MEANT_FOR[0]} on {MEANT_FOR[1]}, virtual time"
-    table = titled_table(title, *headings, left=headings, **_STYLE)
+    table = _table(title, *headings, left=headings)
     beside = {} if live is None else {verdict.what: verdict.found for verdict in judge(live)}
     for verdict in verdicts:
         cells = [verdict.what, verdict.bound, verdict.found, "met" if verdict.met else "MISSED"]
@@ -305,7 +304,7 @@ def _leads(leads: Mapping[str, JsonReader]) -> Table:
         setup, _, kind = label.rpartition(", ")
         headings += [f"{setup}\n{kind}: video", "\nforce", "\nlead"]
     title = "by how much force comes before the picture of the same event: means, ms"
-    table = titled_table(title, *headings, left=("term",), **_STYLE)
+    table = _table(title, *headings, left=("term",))
     for term in (*TERMS, "total"):
         if term == "total":
             table.add_section()

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 
 import cv2
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import RateMeter
+from pipelines.report.result import spread
 
 _WINDOWS_NS = (NS_PER_S, 100 * NS_PER_MS)
 
@@ -52,11 +53,7 @@ def shown(
 
 def percentiles(values: Sequence[float]) -> dict[str, float]:
     """p50, p95, p99 and max, exact ones by nearest rank; NaN without values."""
-    ordered = sorted(values)
-    if not ordered:
-        return dict.fromkeys(("p50", "p95", "p99", "max"), math.nan)
-    rank = {f"p{p}": -(-len(ordered) * p // 100) - 1 for p in (50, 95, 99)}
-    return {**{name: ordered[at] for name, at in rank.items()}, "max": ordered[-1]}
+    return asdict(spread(values))
 
 
 def largest_bps(came_ns: Sequence[int], octets: Sequence[int]) -> tuple[float, float]:
