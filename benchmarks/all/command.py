@@ -14,8 +14,7 @@ from benchmarks.all.plan import Measurement, in_turn, measurements
 from benchmarks.all.records import path_of, read_record, read_records, write_record
 from benchmarks.all.run import measure
 from kontur_av.errors import ConfigError
-from pipelines.report.console import TableConsole, open_console
-from pipelines.report.report_file import check_writable, write_text
+from pipelines.report.report_file import TableConsole, check_writable, open_console, write_text
 from pipelines.virtual.campaign.places import PACKAGES, code_digest
 
 _DEFAULT_FOLDER = Path("measurements")

@@ -19,10 +19,8 @@ from benchmarks.haptics.plan import plan
 from benchmarks.haptics.run import run_cell
 from kontur_av.errors import ConfigError
 from pipelines.report.charts import check_plot, save
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
+from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json
-from pipelines.report.result_file import write_result
 from pipelines.virtual.campaign.places import add_place_arguments, cluster_of, jobs_of
 from pipelines.virtual.campaign.sessions import Progress
 

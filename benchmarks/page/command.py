@@ -22,10 +22,8 @@ from benchmarks.page.voice import voice_run
 from kontur_av.errors import ConfigError
 from pipelines.bench.course.marks import NUMBERS
 from pipelines.report.charts import check_plot, distributions, save
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
+from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, spread
-from pipelines.report.result_file import write_result
 
 #: For Chromium to start, beside the measured time.
 _SPARE_S = 60

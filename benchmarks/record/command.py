@@ -23,9 +23,7 @@ from benchmarks.record.recount import compare_files, recount
 from benchmarks.record.run import kills
 from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_report
-from pipelines.report.console import TableConsole, open_console
-from pipelines.report.report_file import check_writable
-from pipelines.report.result_file import write_result
+from pipelines.report.report_file import TableConsole, check_writable, open_console, write_result
 from pipelines.session.options import add_setup_argument
 from pipelines.session.setup.setup_file import load_setup
 

@@ -8,7 +8,7 @@ from mcap.opcode import Opcode
 
 from kontur_av.clock import NS_PER_S
 from pipelines.recording.facts import FACTS, RecordingFacts
-from pipelines.recording.records import HEAD, MAGIC
+from pipelines.recording.mcap_stream import HEAD, MAGIC
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.report.result import Headline, JsonReader, spread
 

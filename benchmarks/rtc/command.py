@@ -31,10 +31,8 @@ from benchmarks.rtc.reception import reception_run
 from benchmarks.rtc.session import session_run
 from kontur_av.errors import ConfigError
 from pipelines.bench.course.marks import NUMBERS
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
+from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline
-from pipelines.report.result_file import write_result
 
 _PORT = 8390
 _PARTS = ("pixel", "reception", "session")

@@ -40,12 +40,17 @@ from pipelines.bench.video.clips import Clip
 from pipelines.bench.video.command import FPS, check_options
 from pipelines.bench.video.contenders import Contender, ContenderError
 from pipelines.bench.video.run import Trial, TrialTerms, measure
-from pipelines.bench.video.tables import figures_table, headlines, notes, verdicts_table
-from pipelines.bench.video.targets import VideoVerdict, judge
+from pipelines.bench.video.targets import (
+    VideoVerdict,
+    figures_table,
+    headlines,
+    judge,
+    notes,
+    verdicts_table,
+)
 from pipelines.report.charts import distributions, save
-from pipelines.report.console import open_console
+from pipelines.report.report_file import open_console, write_result
 from pipelines.report.result import Headline, Json, as_json
-from pipelines.report.result_file import write_result
 
 _WIDE_KBPS = (512.0, 530.0)
 _LONGEST_LEAD_S = 60

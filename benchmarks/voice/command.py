@@ -17,10 +17,8 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.sources.source import BLOCK_NS
 from pipelines.report.charts import check_plot, distributions, save
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
+from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Percentiles, spread
-from pipelines.report.result_file import write_result
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import VoiceStream
 

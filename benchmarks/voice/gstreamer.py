@@ -20,7 +20,7 @@ from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
 from kontur_av.rtp.wire import signed_32
 from kontur_av.sources.source import BLOCK_NS
-from pipelines.bench.ports import open_udp_ports
+from pipelines.bench.video.contenders import open_udp_ports
 from pipelines.session.children import ended_alike
 
 _LOOPBACK = "127.0.0.1"

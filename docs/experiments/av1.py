@@ -26,8 +26,7 @@ from kontur_av.codecs.h264_settings import coded_size_for
 from kontur_av.codecs.scaling import shrink
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from pipelines.bench.video.clips import CLIPS, clips
-from pipelines.bench.video.figures import percentiles
-from pipelines.bench.video.quality import psnr_db, ssim, summarise
+from pipelines.bench.video.figures import percentiles, psnr_db, ssim, summarise
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 CAP_BPS, CHANNEL_BPS = 85_000, 88_000

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.report.console import discard_output
+from pipelines.report.report_file import discard_output
 
 
 def check_options(args: argparse.Namespace) -> None:

@@ -13,8 +13,8 @@ from pipelines.commands.recorded_parts import read_recording
 from pipelines.recording.export.csv_files import CsvExport
 from pipelines.recording.export.films import MatroskaExport
 from pipelines.recording.export.mat_file import MatExport, check_packages
-from pipelines.recording.export.outputs import Outputs
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
+from pipelines.recording.recording_file import Outputs
 
 #: The bar moves after this many messages.
 _STEP = 500

@@ -18,7 +18,7 @@ from pipelines.commands.stream import check_room
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.process_replaying import ReplayStart
 from pipelines.recording.recorded_session import RecordedSession
-from pipelines.recording.replay_rows import Script, replay_topology
+from pipelines.recording.rows import Script, replay_topology
 from pipelines.report.collector import Collector
 from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable

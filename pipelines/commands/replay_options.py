@@ -8,8 +8,12 @@ from types import MappingProxyType
 
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.commands.recorded_parts import read_recording
-from pipelines.recording.recorded_session import RecordedSession, SentUnit, read_session
-from pipelines.recording.replay_caps import cap_needed_bps
+from pipelines.recording.recorded_session import (
+    RecordedSession,
+    SentUnit,
+    cap_needed_bps,
+    read_session,
+)
 from pipelines.session.options import port_changes, radio_changes
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.table import (

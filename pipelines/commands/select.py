@@ -9,9 +9,8 @@ from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import choose_session
 from pipelines.commands.telecommand import Sending
 from pipelines.mission.choosing import CAMERA, SELECT
-from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
+from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand, selection_error
 from pipelines.mission.tmtc_socket import tmtc_socket_name
-from pipelines.mission.tmtc_words import selection_error
 from pipelines.session.asking import running_sessions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import TMTC_TOPICS

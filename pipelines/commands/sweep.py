@@ -15,9 +15,7 @@ from rich.table import Table
 
 from kontur_av.errors import ConfigError
 from pipelines.report.charts import check_plot, save
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable, write_text
-from pipelines.report.result_file import write_result
+from pipelines.report.report_file import check_writable, open_console, write_result, write_text
 from pipelines.session.children import ended_alike
 from pipelines.virtual.campaign.chart import chart
 from pipelines.virtual.campaign.figures import (

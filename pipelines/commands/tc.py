@@ -7,11 +7,11 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import choose_session
 from pipelines.commands.telecommand import Sending
-from pipelines.mission.tmtc_socket import tmtc_socket_name
-from pipelines.mission.tmtc_words import (
+from pipelines.mission.tmtc_messages import (
     SHORT_VERBS,
     command_from_words,
 )
+from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.asking import running_sessions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import TMTC_TOPICS

@@ -11,10 +11,11 @@ from pipelines.mission.tmtc_messages import (
     Reported,
     SendCommand,
     TmtcNews,
+    report_words,
     unpack_news,
+    update_words,
 )
 from pipelines.mission.tmtc_socket import send_to_tmtc
-from pipelines.mission.tmtc_words import report_words, update_words
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary import Application
 

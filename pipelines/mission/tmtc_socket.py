@@ -5,11 +5,28 @@ It is in the session's directory, which only its user may enter.
 
 import os
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
+from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import session_root
-from pipelines.mission.tmtc_messages import MAX_REQUEST_OCTETS, TmtcRequest, pack_request
-from pipelines.session.setup.segments import Segment
+from pipelines.mission.tmtc_messages import (
+    MAX_REQUEST_OCTETS,
+    FunctionAsked,
+    FunctionDone,
+    K2aciArrived,
+    K2aciUpdate,
+    SendK2aci,
+    SetValues,
+    TmtcRequest,
+    Values,
+    k2aci_message,
+    pack_request,
+    plain_fields,
+    unpack_news,
+)
+from pipelines.session.topology import TMTC_TOPICS, Segment
+from telepresence.tmtc.k2aci import K2aciMessage
 
 
 def tmtc_socket_name(segment: Segment) -> str:
@@ -59,3 +76,61 @@ class TmtcSocket:
         """Take no more requests."""
         self._path.unlink(missing_ok=True)
         self.socket.close()
+
+
+_DEPTH = 32
+#: A message that nobody has taken is handed over again after this time.
+_AGAIN_NS = 500_000_000
+_MOST_WAITING = 64
+
+
+class TmtcClient:
+    """An application of a mission. Call `work` often.
+
+    first_number: above those of earlier lives.
+    """
+
+    def __init__(
+        self, bus: TopicBus, session: str, segment: Segment, application: str, *, first_number: int
+    ) -> None:
+        self._session, self._segment, self._application = session, segment, application
+        self._client = f"{application} {first_number}"
+        self._number = 0
+        self._news = bus.reader(TMTC_TOPICS[segment], depth=_DEPTH)
+        self._waiting: dict[int, SendK2aci] = {}
+        self._again_ns = 0
+
+    def send(self, message: K2aciMessage) -> None:
+        """Send a message to the application at the other end."""
+        self._number += 1
+        request = SendK2aci(
+            self._client, self._number, type(message).__name__, plain_fields(message)
+        )
+        if len(self._waiting) < _MOST_WAITING:
+            self._waiting[self._number] = request
+        send_to_tmtc(self._session, self._segment, request)
+
+    def tell(self, values: Values) -> None:
+        """The application's parameters have these values."""
+        send_to_tmtc(self._session, self._segment, SetValues(self._application, values))
+
+    def answer(self, asked: FunctionAsked, refusal: str) -> None:
+        """A function was carried out, or refused for a reason."""
+        done = FunctionDone(self._application, asked.token, refusal)
+        send_to_tmtc(self._session, self._segment, done)
+
+    def work(self, now_ns: int) -> Iterator[K2aciMessage | FunctionAsked]:
+        """Yield what has come for this application."""
+        while (lease := self._news.next()) is not None:
+            with lease:
+                news = unpack_news(lease.octets())
+            if isinstance(news, K2aciArrived):
+                yield k2aci_message(news.kind, news.fields)
+            elif isinstance(news, FunctionAsked) and news.application == self._application:
+                yield news
+            elif isinstance(news, K2aciUpdate) and news.client == self._client:
+                self._waiting.pop(news.id, None)
+        if self._waiting and now_ns >= self._again_ns:
+            self._again_ns = now_ns + _AGAIN_NS
+            for request in self._waiting.values():
+                send_to_tmtc(self._session, self._segment, request)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from mcap.records import Channel, Schema
 
 from kontur_av.recorded_format import FORMAT, FORMAT_KEY
-from pipelines.recording.schemas import (
+from pipelines.recording.messages import (
     AUDIO,
     EVENT,
     FIGURES,
@@ -24,9 +24,8 @@ from pipelines.recording.schemas import (
     TRANSFER_FRAMES,
     UNIT_FACTS,
     VIDEO,
-    MessageSchema,
-    descriptor_set,
 )
+from pipelines.recording.schemas import MessageSchema, descriptor_set
 from pipelines.session.topology import (
     RTC_CAMERA,
     RTC_VIDEO,

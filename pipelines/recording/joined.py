@@ -8,10 +8,15 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.inventory import Inventory, take_inventory
-from pipelines.recording.messages import RecordedEvent, unpack, unpack_haptics
+from pipelines.recording.messages import (
+    EVENT,
+    HAPTIC_SAMPLES,
+    RecordedEvent,
+    unpack,
+    unpack_haptics,
+)
 from pipelines.recording.recover import refuse_foreign
 from pipelines.recording.scan import FoundMessage, Scan
-from pipelines.recording.schemas import EVENT, HAPTIC_SAMPLES
 
 #: Clocks of parts of one recording differ by less: the recorder reads them once.
 _MOST_CLOCK_CHANGE_NS = NS_PER_S

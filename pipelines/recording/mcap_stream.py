@@ -5,18 +5,23 @@ minutes in memory. Here a chunk also ends by time. Each one repeats the schemas 
 messages. So it can be read alone, however much of the file before it is damaged, and its CRC-32
 covers all that is needed to read it.
 
-Written after the MCAP specification, https://mcap.dev/spec.
+Written after the MCAP specification, https://mcap.dev/spec. Records are the classes of `mcap`.
 """
 
+import struct
 from binascii import crc32
 from collections import Counter, deque
 from collections.abc import Mapping
+from io import BytesIO
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
+    AttachmentIndex,
     Channel,
     Chunk,
     ChunkIndex,
@@ -33,7 +38,54 @@ from mcap.records import (
 )
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.recording.records import HEAD, MAGIC, MESSAGE, octets_of
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+#: Every record: opcode, length of what follows.
+HEAD: Final = struct.Struct("<BQ")
+#: A chunk: instants of its first and last message, length and CRC-32 of what is in it. Then follow
+#: the name of the compression and the compressed records, each behind its length.
+CHUNK: Final = struct.Struct("<QQQI")
+LENGTH_4, LENGTH_8 = struct.Struct("<I"), struct.Struct("<Q")
+#: A message: channel, sequence number, instants of logging and publishing.
+MESSAGE: Final = struct.Struct("<HIQQ")
+
+Readable = (
+    AttachmentIndex
+    | Channel
+    | ChunkIndex
+    | DataEnd
+    | Footer
+    | Header
+    | MessageIndex
+    | Metadata
+    | MetadataIndex
+    | Schema
+    | Statistics
+    | SummaryOffset
+)
+Kind = TypeVar("Kind", bound=Readable)
+
+
+def octets_of(record: McapRecord) -> bytes:
+    """Return a record as it stands in a file."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+def parse_record(kind: type[Kind], content: bytes) -> Kind | None:
+    """Return the record in `content`, what follows opcode and length, or None for anything else.
+
+    It is read strictly: the record, written again, has the same octets. More may follow, because
+    later versions of the format may add fields.
+    """
+    try:
+        record: Kind = kind.read(ReadDataStream(BytesIO(content)))
+        again = octets_of(record)[HEAD.size :]
+    except (McapError, struct.error, ValueError, OverflowError):
+        return None
+    return record if content.startswith(again) else None
+
 
 #: A chunk that is not full ends this long after its first message. So a file that is cut within a
 #: chunk lacks this chunk and the one after it: less than a second.

@@ -6,11 +6,9 @@ the name of the schema's field; `wall_ns` is the schema's `timestamp`. Haptic sa
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from math import nan
-from types import MappingProxyType
-from typing import Any, ClassVar, Final, TypeVar
+from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 import numpy as np
 from google.protobuf.message import DecodeError
@@ -22,21 +20,24 @@ from kontur_av.media import CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand import haptic_trace
 from pipelines.recording.schemas import (
-    AUDIO,
-    EVENT,
-    FIGURES,
-    HAPTIC_SAMPLES,
-    LINK_RECEIVED,
-    LINK_SENT,
-    LOG,
-    LOSSES,
-    SPACE_PACKET,
+    FOXGLOVE,
+    OWN,
     TIMESTAMP,
-    TRANSFER_FRAMES,
-    UNIT_FACTS,
-    VIDEO,
+    Bool,
+    Double,
+    Fixed32,
+    Int64,
+    Level,
     MessageSchema,
+    Octets,
+    Sfixed64,
+    Text,
+    Uint32,
+    Uint64,
+    WallTime,
     message_class,
+    numbered,
+    record,
 )
 from telepresence.haptics.mediated.wall import parse_wall
 from telepresence.link.figures import (
@@ -58,28 +59,26 @@ class Recorded:
 
     __slots__ = ()
     schema: ClassVar[MessageSchema]
-    parts: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    parts: ClassVar[Mapping[str, Any]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("CompressedVideo", "one access unit", package=FOXGLOVE)
 class RecordedPicture(Recorded):
     """An access unit (Annex B), captured at `wall_ns` of wall time."""
 
-    schema = VIDEO
-    wall_ns: int
-    frame_id: str
-    data: bytes
-    format: str = H264
+    wall_ns: Annotated[WallTime, "instant of capture, wall time"]
+    frame_id: Annotated[Text, "camera or stream"]
+    data: Annotated[Octets, "an Annex B byte stream with exactly one picture"]
+    format: Annotated[Text, "`h264`"] = H264
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("CompressedAudio", "one packet of sound", package=FOXGLOVE)
 class RecordedSound(Recorded):
     """An Opus packet, whose first sample was captured at `wall_ns` of wall time."""
 
-    schema = AUDIO
-    wall_ns: int
-    data: bytes
-    format: str = OPUS
+    wall_ns: Annotated[WallTime, "instant of capture of its first sample, wall time"]
+    data: Annotated[Octets, "one Opus packet"]
+    format: Annotated[Text, "`opus`"] = OPUS
 
 
 class LogLevel(IntEnum):
@@ -88,34 +87,35 @@ class LogLevel(IntEnum):
     UNKNOWN, DEBUG, INFO, WARNING, ERROR, FATAL = range(6)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("Log", "a line for people", package=FOXGLOVE, levels=LogLevel)
 class LogLine(Recorded):
     """A line for people. name: what it is about."""
 
-    schema = LOG
-    wall_ns: int
-    level: int
-    message: str
-    name: str
-    file: str = ""
-    line: int = 0
+    wall_ns: Annotated[WallTime, "wall time"]
+    level: Annotated[Level, "INFO, WARNING or ERROR"]
+    message: Annotated[Text, "text"]
+    name: Annotated[Text, "what it is about: `link`, `process`, `camera`, …"]
+    file: Annotated[Text, "empty"] = ""
+    line: Annotated[Fixed32, "0"] = 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("UnitFacts", "what the access unit of the same sequence number does not say itself")
 class UnitFacts(Recorded):
     """What an access unit does not say itself; fields as in the schema."""
 
-    schema = UNIT_FACTS
-    capture_ns: int
-    key: bool
-    damaged: bool
-    shows_loss: bool
-    refused: bool
-    dated: bool
-    width_px: int
-    height_px: int
-    octets: int
-    added: bool = False
+    capture_ns: Annotated[Int64, "instant of capture, session clock; 0 if not dated"]
+    key: Annotated[Bool, "an IDR picture, at which any decoder can start"]
+    damaged: Annotated[Bool, "packets of it are missing"]
+    shows_loss: Annotated[Bool, "its picture shows a loss: its own, or that of an earlier one"]
+    refused: Annotated[Bool, "the decoder returned no picture for it, or one that is too large"]
+    dated: Annotated[Bool, "the instant of capture is known"]
+    width_px: Annotated[Uint32, "width of its picture, pixels; 0 if refused"]
+    height_px: Annotated[Uint32, "height of its picture, pixels"]
+    octets: Annotated[Uint32, "length of the access unit; more in front of it are parameter sets"]
+    added: Annotated[
+        Bool,
+        "no unit of the stream: a key picture that the recorder put ahead of it",
+    ] = False
 
     @classmethod
     def of(cls, unit: CodedUnit, stamp: CaptureStamp) -> "UnitFacts":
@@ -133,66 +133,65 @@ class UnitFacts(Recorded):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("SpacePacket", "a telecommand or its telemetry")
 class RecordedPacket(Recorded):
     """A space packet, sent or received at `session_ns`."""
 
-    schema = SPACE_PACKET
-    session_ns: int
-    data: bytes
-    what: str
+    session_ns: Annotated[Int64, "instant at which it was sent or received, session clock"]
+    data: Annotated[Octets, "the packet, with its primary header (CCSDS 133.0-B-2)"]
+    what: Annotated[Text, "the message in words"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("TransferFrames", "frames of the radio link; both fields have the same number of values")
 class RecordedFrames(Recorded):
     """Transfer frames, and when each was sent or received."""
 
-    schema = TRANSFER_FRAMES
-    time_ns: Sequence[int]
-    data: Sequence[bytes]
+    time_ns: Annotated[
+        Sequence[Sfixed64],
+        "instant at which it was sent or received, session clock",
+    ]
+    data: Annotated[Sequence[Octets], "the frame, with its check"]
 
     def __post_init__(self) -> None:
         if len(self.time_ns) != len(self.data):
             raise ValueError(f"{len(self.data)} frames with {len(self.time_ns)} instants")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("Carried")
 class CarriedOctets:
     """Octets of frames, by what they carried."""
 
-    what: str
-    octets: int
+    what: Annotated[Text, "haptic, voice, video, header, idle, …"]
+    octets: Annotated[Uint64, "octets"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("Queue")
 class QueueState:
     """What waits in the queue of a level, and what went through it."""
 
-    level: str
-    packets: int
-    octets: int
-    oldest_age_ns: int
-    accepted: int
-    dropped: int
+    level: Annotated[Text, "level"]
+    packets: Annotated[Uint32, "packets that wait"]
+    octets: Annotated[Uint32, "octets that wait"]
+    oldest_age_ns: Annotated[Int64, "age of the oldest packet, ns"]
+    accepted: Annotated[Uint64, "packets put into the queue"]
+    dropped: Annotated[Uint64, "packets dropped"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("LinkSent", "a direction of the link at its sender; counts are since its process began")
 class LinkSent(Recorded):
     """A direction of the link at its sender; fields as in the schema."""
 
-    schema = LINK_SENT
-    parts = MappingProxyType({"Carried": CarriedOctets, "Queue": QueueState})
-    session_ns: int
-    capacity_bps: int
-    frames: int
-    haptic_sent: int
-    haptic_superseded: int
-    carried: Sequence[CarriedOctets]
-    queues: Sequence[QueueState]
-    delay_ns: int
-    radio_frames_lost: int
-    signal: bool
-    state: str
+    session_ns: Annotated[Int64, "session clock"]
+    capacity_bps: Annotated[Uint32, "of the channel, bit/s"]
+    frames: Annotated[Uint64, "frames sent"]
+    haptic_sent: Annotated[Uint64, "haptic samples sent"]
+    haptic_superseded: Annotated[Uint64, "samples that a newer one replaced before their slot came"]
+    carried: Annotated[Sequence[CarriedOctets], "octets of all frames, by what they carried"]
+    queues: Annotated[Sequence[QueueState], "by level"]
+    delay_ns: Annotated[Int64, "delay of the radio path, ns"]
+    radio_frames_lost: Annotated[Uint64, "frames that the radio path lost"]
+    signal: Annotated[Bool, "the sender hears its peer"]
+    state: Annotated[Text, "the sender's state of the connection"]
 
     @classmethod
     def of(
@@ -231,20 +230,21 @@ class LinkSent(Recorded):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record(
+    "LinkReceived", "a direction of the link at its receiver; counts are since its process began"
+)
 class LinkReceived(Recorded):
     """A direction of the link at its receiver; fields as in the schema."""
 
-    schema = LINK_RECEIVED
-    session_ns: int
-    frames: int
-    frames_lost: int
-    frames_dropped: int
-    haptic_received: int
-    packets: int
-    packets_dropped: int
-    signal: bool
-    state: str
+    session_ns: Annotated[Int64, "session clock"]
+    frames: Annotated[Uint64, "good frames"]
+    frames_lost: Annotated[Uint64, "frames that are missing"]
+    frames_dropped: Annotated[Uint64, "frames that were refused"]
+    haptic_received: Annotated[Uint64, "haptic samples received"]
+    packets: Annotated[Uint64, "packets delivered"]
+    packets_dropped: Annotated[Uint64, "packets dropped"]
+    signal: Annotated[Bool, "good frames arrive"]
+    state: Annotated[Text, "the receiver's state of the connection"]
 
     @classmethod
     def of(
@@ -264,46 +264,46 @@ class LinkReceived(Recorded):
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("Event", "something that happened")
 class RecordedEvent(Recorded):
     """Something that happened. number: counts the events of the session from 1."""
 
-    schema = EVENT
-    session_ns: int
-    number: int
-    what: str
-    text: str
+    session_ns: Annotated[Int64, "session clock"]
+    number: Annotated[Uint32, "counts the events of the session from 1"]
+    what: Annotated[Text, "`link`, `process`, `camera`, `stale`, `contact`, `recorder`, …"]
+    text: Annotated[Text, "a line for people"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("Loss")
 class ChannelLoss:
     """Messages of a channel that are not in the file.
 
     missed: gone before they were read. dropped: read, but the disk was too slow or full.
     """
 
-    channel: str
-    missed: int
-    dropped: int
+    channel: Annotated[Text, "channel"]
+    missed: Annotated[Uint64, "messages that were gone before they were read"]
+    dropped: Annotated[Uint64, "messages dropped because the disk was too slow or full"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record(
+    "RecorderLosses",
+    "what the recorder could not keep since it began; written when a count has changed",
+)
 class RecorderLosses(Recorded):
     """What the recorder could not keep since it began."""
 
-    schema = LOSSES
-    parts = MappingProxyType({"Loss": ChannelLoss})
-    session_ns: int
-    losses: Sequence[ChannelLoss]
+    session_ns: Annotated[Int64, "session clock"]
+    losses: Annotated[Sequence[ChannelLoss], "by channel"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record("Figure")
 class RecordedFigure:
     """The value of a figure: a number, or a text."""
 
-    name: str
-    number: float
-    text: str
+    name: Annotated[Text, "as in the session's report, without `streams.`"]
+    number: Annotated[Double, "its value; NaN for a text, or while it is not known"]
+    text: Annotated[Text, "its value if it is a text"]
 
     @classmethod
     def of(cls, name: str, value: float | str | bool | None) -> "RecordedFigure":
@@ -313,14 +313,14 @@ class RecordedFigure:
         return cls(name=name, number=nan if value is None else float(value), text="")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@record(
+    "Figures", "figures of the session that have changed since the message before; at first all"
+)
 class RecordedFigures(Recorded):
     """Figures of the session that have changed."""
 
-    schema = FIGURES
-    parts = MappingProxyType({"Figure": RecordedFigure})
-    session_ns: int
-    figures: Sequence[RecordedFigure]
+    session_ns: Annotated[Int64, "session clock"]
+    figures: Annotated[Sequence[RecordedFigure], "one for each"]
 
 
 Value = TypeVar("Value", bound=Recorded)
@@ -382,18 +382,39 @@ def _text(value: object) -> object:
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
 
 
+#: Cycles of one end of the hand: columns, so no record.
+HAPTIC_SAMPLES = MessageSchema(
+    package=OWN,
+    name="HapticSamples",
+    what="cycles of one end of the hand, 1 kHz; all fields have the same number of values",
+    fields=numbered(
+        ("sfixed64[]", "time_ns", "instant of the cycle, session clock"),
+        ("sfixed32[]", "sequence", "number of the sample on the link, 0 to 65535; -1: none"),
+        ("float[]", "x_m", "position of this end's handle or tip, m"),
+        ("float[]", "y_m", "as `x_m`"),
+        ("float[]", "fx_n", "force that the handle displays, or of the board on the tip, N"),
+        ("float[]", "fy_n", "as `fx_n`"),
+        ("float[]", "energy_uj", "credit of this end's port, µJ"),
+        (
+            "fixed32[]",
+            "flags",
+            "bit 0 contact, 1 dead-man, 2 passivity acted; 8 to 11 joystick's state; "
+            "16 to 23 lit LED + 1",
+        ),
+    ),
+)
+_DTYPES = {"sfixed64": "<i8", "sfixed32": "<i4", "float": "<f4", "fixed32": "<u4"}
 #: A haptic sample of a recording; fields as in the schema.
-SAMPLE: Final = np.dtype(
-    [
-        ("time_ns", "<i8"),
-        ("sequence", "<i4"),
-        ("x_m", "<f4"),
-        ("y_m", "<f4"),
-        ("fx_n", "<f4"),
-        ("fy_n", "<f4"),
-        ("energy_uj", "<f4"),
-        ("flags", "<u4"),
-    ]
+SAMPLE: Final = np.dtype([(row.name, _DTYPES[row.type]) for row in HAPTIC_SAMPLES.fields])
+VIDEO, AUDIO, LOG = RecordedPicture.schema, RecordedSound.schema, LogLine.schema
+UNIT_FACTS, SPACE_PACKET = UnitFacts.schema, RecordedPacket.schema
+TRANSFER_FRAMES, LINK_SENT = RecordedFrames.schema, LinkSent.schema
+LINK_RECEIVED, EVENT = LinkReceived.schema, RecordedEvent.schema
+LOSSES, FIGURES = RecorderLosses.schema, RecordedFigures.schema
+#: All schemas; a channel names its own by its place here.
+SCHEMAS = (
+    *(VIDEO, AUDIO, LOG, UNIT_FACTS, HAPTIC_SAMPLES, SPACE_PACKET, TRANSFER_FRAMES),
+    *(LINK_SENT, LINK_RECEIVED, EVENT, LOSSES, FIGURES),
 )
 #: The `sequence` of a cycle without a sample on the link.
 NO_SAMPLE: Final = haptic_trace.NO_SAMPLE

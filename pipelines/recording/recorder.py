@@ -22,7 +22,6 @@ from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import rows_of
 from pipelines.link.frame_batch import unpack_frames
-from pipelines.recording.camera_coder import CameraCoder
 from pipelines.recording.channels import (
     EVENTS,
     LOG_LINES,
@@ -56,13 +55,14 @@ from pipelines.recording.messages import (
     pack_haptics,
     packet_words,
 )
-from pipelines.recording.sources import Content, Source
-from pipelines.recording.stream_start import (
+from pipelines.recording.own_pictures import (
     KEY_PATIENCE_NS,
     MOST_HELD_OCTETS,
+    CameraCoder,
     KeyPictureWanted,
     StreamStart,
 )
+from pipelines.recording.sources import Content, Source
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.topology import Topology
 from telepresence.link.figures import GatewayFigures

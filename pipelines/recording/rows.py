@@ -1,4 +1,8 @@
-"""The process that records a session."""
+"""The process that records a session, and the table of one that sends a recording again."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
 
 from pipelines.session.topology import (
     JOYSTICK_TRACE_TOPIC,
@@ -18,6 +22,8 @@ from pipelines.session.topology import (
     gateway_topic,
     packets_topic,
 )
+from pipelines.session.topology.rows import MediaRow, VideoRow
+from pipelines.session.topology.topics import Topic
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
@@ -56,4 +62,89 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             ),
             what="records the session, if that is wished",
         ),
+    )
+
+
+_ENCODING = "pipelines.media.process_video_send:run_video_send"
+
+
+class Script(NamedTuple):
+    """What a process runs in place of its own: "module:function", and its arguments."""
+
+    run: str
+    arguments: Mapping[str, object]
+
+
+def replay_topology(
+    session: Topology,
+    scripts: Mapping[str, Script],
+    recoded: Mapping[str, Script] | None = None,
+    *,
+    radio_after_ns: int = 0,
+) -> Topology:
+    """The table of `session`, with processes that send what was recorded.
+
+    scripts: by process. recoded: by stream, the script of its only camera; the stream's own sender
+    codes these pictures. All other inputs are left out, and so is what merges their pictures.
+    radio_after_ns: the radio's time 0, after the start of the session.
+    """
+    rows = (
+        _replayed(process, session, scripts, recoded or {}, radio_after_ns)
+        for process in session.processes
+    )
+    return replace(session, processes=tuple(row for row in rows if row is not None))
+
+
+def _replayed(
+    process: ProcessRow,
+    session: Topology,
+    scripts: Mapping[str, Script],
+    recoded: Mapping[str, Script],
+    radio_after_ns: int,
+) -> ProcessRow | None:
+    """The row of a process in a replay; None: it has nothing to do."""
+    for name, script in recoded.items():
+        media = session.video(name)
+        topic = session.input(media.inputs[0]).topic
+        if process.name == session.input(media.inputs[0]).process:
+            return _scripted(process, script, writes=(topic,))
+        if process.name == media.sender:
+            sender = Script(_ENCODING, {"stream": media.stream, "topic": topic})
+            reads = (topic, media.backlog_topic)
+            return _scripted(process, sender, reads=reads, writes=(media.sent_topic,))
+    if (own := scripts.get(process.name)) is not None:
+        media_rows = [row for row in session.media_streams if row.sender == process.name]
+        return _scripted(
+            process,
+            own,
+            reads=tuple(row.backlog_topic for row in media_rows if isinstance(row, VideoRow)),
+            writes=tuple(_sent_topics(media_rows)),
+        )
+    merged = {camera.topic for camera in session.cameras}
+    captures = {row.process for row in session.inputs}
+    if process.name in captures or merged.intersection(process.writes):
+        return None
+    if process.name in {link.sender for link in session.links}:
+        return replace(process, arguments={**process.arguments, "radio_after_ns": radio_after_ns})
+    return process
+
+
+def _sent_topics(rows: list[MediaRow]) -> list[Topic]:
+    return [row.sent_topic for row in rows if isinstance(row, VideoRow)]
+
+
+def _scripted(
+    process: ProcessRow,
+    script: Script,
+    *,
+    reads: tuple[Topic, ...] = (),
+    writes: tuple[Topic, ...] = (),
+) -> ProcessRow:
+    return replace(
+        process,
+        run=script.run,
+        arguments=script.arguments,
+        reads=reads,
+        writes=writes,
+        what=f"replay: {process.what}",
     )

@@ -24,7 +24,7 @@ from mcap.records import Channel, DataEnd, Footer, Header, Message, Metadata, Sc
 from kontur_av.errors import ProtocolError
 from kontur_av.recorded_format import FORMAT_KEY
 from pipelines.recording.facts import FACTS, is_sealed, needs_seal
-from pipelines.recording.records import (
+from pipelines.recording.mcap_stream import (
     CHUNK,
     HEAD,
     LENGTH_4,

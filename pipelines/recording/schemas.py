@@ -1,4 +1,4 @@
-"""The protobuf schemas of a recording, as a table. A core.
+"""The protobuf schemas of a recording, made of its records (`messages`). A core.
 
 Those of the package `foxglove` are the public ones (https://docs.foxglove.dev/docs/sdk/schemas), so
 that other tools show pictures, sound and log. Those of `kontur_av` are this project's own. A field
@@ -8,15 +8,26 @@ Instants within messages of `kontur_av` are on the session's clock. `timestamp` 
 `foxglove` is wall time, as the `log_time` of every message is.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, lru_cache
-from typing import Any
+from enum import Enum
+from functools import cache
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 
 TIMESTAMP = "google.protobuf.Timestamp"
 OWN, FOXGLOVE = "kontur_av", "foxglove"
+T = TypeVar("T")
 
 _Proto = descriptor_pb2.FieldDescriptorProto
 _SCALARS = {
@@ -69,7 +80,7 @@ class MessageSchema:
         return f"{self.package}.{self.name}"
 
 
-def _rows(*rows: tuple[str, str, str]) -> tuple[FieldRow, ...]:
+def numbered(*rows: tuple[str, str, str]) -> tuple[FieldRow, ...]:
     """Fields (type, name, meaning), numbered from 1; a type that ends with [] is repeated."""
     return tuple(
         FieldRow(
@@ -83,195 +94,57 @@ def _rows(*rows: tuple[str, str, str]) -> tuple[FieldRow, ...]:
     )
 
 
-def _own(
-    name: str, what: str, *rows: tuple[str, str, str], nested: tuple[MessageSchema, ...] = ()
-) -> MessageSchema:
-    return MessageSchema(package=OWN, name=name, what=what, fields=_rows(*rows), nested=nested)
+#: Types of the fields of a record: what Python holds, and its protobuf type.
+Bool = Annotated[bool, "bool"]
+Double = Annotated[float, "double"]
+Fixed32 = Annotated[int, "fixed32"]
+Int64 = Annotated[int, "int64"]
+Level = Annotated[int, "Level"]
+Octets = Annotated[bytes, "bytes"]
+Sfixed64 = Annotated[int, "sfixed64"]
+Text = Annotated[str, "string"]
+Uint32 = Annotated[int, "uint32"]
+Uint64 = Annotated[int, "uint64"]
+WallTime = Annotated[int, TIMESTAMP]
 
 
-def _foxglove(
-    name: str, what: str, *rows: tuple[str, str, str], levels: tuple[str, ...] = ()
-) -> MessageSchema:
-    return MessageSchema(package=FOXGLOVE, name=name, what=what, fields=_rows(*rows), levels=levels)
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def record(
+    name: str, what: str = "", *, package: str = OWN, levels: type[Enum] | None = None
+) -> Callable[[type[T]], type[T]]:
+    """Make a frozen dataclass of a class, and its schema of its fields, in their order.
 
+    A field is `Annotated[type, meaning]`. `wall_ns` is the schema's `timestamp`. A field of
+    `Sequence[record]` holds nested messages; `parts` has their classes by name.
+    """
 
-VIDEO = _foxglove(
-    "CompressedVideo",
-    "one access unit",
-    (TIMESTAMP, "timestamp", "instant of capture, wall time"),
-    ("string", "frame_id", "camera or stream"),
-    ("bytes", "data", "an Annex B byte stream with exactly one picture"),
-    ("string", "format", "`h264`"),
-)
-AUDIO = _foxglove(
-    "CompressedAudio",
-    "one packet of sound",
-    (TIMESTAMP, "timestamp", "instant of capture of its first sample, wall time"),
-    ("bytes", "data", "one Opus packet"),
-    ("string", "format", "`opus`"),
-)
-LOG = _foxglove(
-    "Log",
-    "a line for people",
-    (TIMESTAMP, "timestamp", "wall time"),
-    ("Level", "level", "INFO, WARNING or ERROR"),
-    ("string", "message", "text"),
-    ("string", "name", "what it is about: `link`, `process`, `camera`, …"),
-    ("string", "file", "empty"),
-    ("fixed32", "line", "0"),
-    levels=("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"),
-)
-UNIT_FACTS = _own(
-    "UnitFacts",
-    "what the access unit of the same sequence number does not say itself",
-    ("int64", "capture_ns", "instant of capture, session clock; 0 if not dated"),
-    ("bool", "key", "an IDR picture, at which any decoder can start"),
-    ("bool", "damaged", "packets of it are missing"),
-    ("bool", "shows_loss", "its picture shows a loss: its own, or that of an earlier one"),
-    ("bool", "refused", "the decoder returned no picture for it, or one that is too large"),
-    ("bool", "dated", "the instant of capture is known"),
-    ("uint32", "width_px", "width of its picture, pixels; 0 if refused"),
-    ("uint32", "height_px", "height of its picture, pixels"),
-    ("uint32", "octets", "length of the access unit; more in front of it are parameter sets"),
-    ("bool", "added", "no unit of the stream: a key picture that the recorder put ahead of it"),
-)
-HAPTIC_SAMPLES = _own(
-    "HapticSamples",
-    "cycles of one end of the hand, 1 kHz; all fields have the same number of values",
-    ("sfixed64[]", "time_ns", "instant of the cycle, session clock"),
-    ("sfixed32[]", "sequence", "number of the sample on the link, 0 to 65535; -1: none"),
-    ("float[]", "x_m", "position of this end's handle or tip, m"),
-    ("float[]", "y_m", "as `x_m`"),
-    ("float[]", "fx_n", "force that the handle displays, or of the board on the tip, N"),
-    ("float[]", "fy_n", "as `fx_n`"),
-    ("float[]", "energy_uj", "credit of this end's port, µJ"),
-    (
-        "fixed32[]",
-        "flags",
-        "bit 0 contact, 1 dead-man, 2 passivity acted; 8 to 11 joystick's state; "
-        "16 to 23 lit LED + 1",
-    ),
-)
-SPACE_PACKET = _own(
-    "SpacePacket",
-    "a telecommand or its telemetry",
-    ("int64", "session_ns", "instant at which it was sent or received, session clock"),
-    ("bytes", "data", "the packet, with its primary header (CCSDS 133.0-B-2)"),
-    ("string", "what", "the message in words"),
-)
-TRANSFER_FRAMES = _own(
-    "TransferFrames",
-    "frames of the radio link; both fields have the same number of values",
-    ("sfixed64[]", "time_ns", "instant at which it was sent or received, session clock"),
-    ("bytes[]", "data", "the frame, with its check"),
-)
-LINK_SENT = _own(
-    "LinkSent",
-    "a direction of the link at its sender; counts are since its process began",
-    ("int64", "session_ns", "session clock"),
-    ("uint32", "capacity_bps", "of the channel, bit/s"),
-    ("uint64", "frames", "frames sent"),
-    ("uint64", "haptic_sent", "haptic samples sent"),
-    ("uint64", "haptic_superseded", "samples that a newer one replaced before their slot came"),
-    ("Carried[]", "carried", "octets of all frames, by what they carried"),
-    ("Queue[]", "queues", "by level"),
-    ("int64", "delay_ns", "delay of the radio path, ns"),
-    ("uint64", "radio_frames_lost", "frames that the radio path lost"),
-    ("bool", "signal", "the sender hears its peer"),
-    ("string", "state", "the sender's state of the connection"),
-    nested=(
-        _own(
-            "Carried",
-            "",
-            ("string", "what", "haptic, voice, video, header, idle, …"),
-            ("uint64", "octets", "octets"),
-        ),
-        _own(
-            "Queue",
-            "",
-            ("string", "level", "level"),
-            ("uint32", "packets", "packets that wait"),
-            ("uint32", "octets", "octets that wait"),
-            ("int64", "oldest_age_ns", "age of the oldest packet, ns"),
-            ("uint64", "accepted", "packets put into the queue"),
-            ("uint64", "dropped", "packets dropped"),
-        ),
-    ),
-)
-LINK_RECEIVED = _own(
-    "LinkReceived",
-    "a direction of the link at its receiver; counts are since its process began",
-    ("int64", "session_ns", "session clock"),
-    ("uint64", "frames", "good frames"),
-    ("uint64", "frames_lost", "frames that are missing"),
-    ("uint64", "frames_dropped", "frames that were refused"),
-    ("uint64", "haptic_received", "haptic samples received"),
-    ("uint64", "packets", "packets delivered"),
-    ("uint64", "packets_dropped", "packets dropped"),
-    ("bool", "signal", "good frames arrive"),
-    ("string", "state", "the receiver's state of the connection"),
-)
-EVENT = _own(
-    "Event",
-    "something that happened",
-    ("int64", "session_ns", "session clock"),
-    ("uint32", "number", "counts the events of the session from 1"),
-    ("string", "what", "`link`, `process`, `camera`, `stale`, `contact`, `recorder`, …"),
-    ("string", "text", "a line for people"),
-)
-LOSSES = _own(
-    "RecorderLosses",
-    "what the recorder could not keep since it began; written when a count has changed",
-    ("int64", "session_ns", "session clock"),
-    ("Loss[]", "losses", "by channel"),
-    nested=(
-        _own(
-            "Loss",
-            "",
-            ("string", "channel", "channel"),
-            ("uint64", "missed", "messages that were gone before they were read"),
-            ("uint64", "dropped", "messages dropped because the disk was too slow or full"),
-        ),
-    ),
-)
-FIGURES = _own(
-    "Figures",
-    "figures of the session that have changed since the message before; at first all",
-    ("int64", "session_ns", "session clock"),
-    ("Figure[]", "figures", "one for each"),
-    nested=(
-        _own(
-            "Figure",
-            "",
-            ("string", "name", "as in the session's report, without `streams.`"),
-            ("double", "number", "its value; NaN for a text, or while it is not known"),
-            ("string", "text", "its value if it is a text"),
-        ),
-    ),
-)
+    def made(kind: type[T]) -> type[T]:
+        made: Any = dataclass(frozen=True, slots=True, kw_only=True)(kind)
+        rows: list[tuple[str, str, str]] = []
+        made.parts = {}
+        for field, hint in get_type_hints(kind, include_extras=True).items():
+            if get_origin(hint) is ClassVar:
+                continue
+            *types, meaning = hint.__metadata__
+            if not types:
+                (item,) = get_args(hint.__origin__)
+                if hasattr(item, "schema"):
+                    made.parts[item.schema.name] = item
+                    types = [f"{item.schema.name}[]"]
+                else:
+                    types = [f"{item.__metadata__[0]}[]"]
+            rows.append((types[0], field.replace("wall_ns", "timestamp"), meaning))
+        made.schema = MessageSchema(
+            package=package,
+            name=name,
+            what=what,
+            fields=numbered(*rows),
+            nested=tuple(part.schema for part in made.parts.values()),
+            levels=tuple(levels.__members__) if levels else (),
+        )
+        return made  # type: ignore[no-any-return]
 
-SCHEMAS = (
-    VIDEO,
-    AUDIO,
-    LOG,
-    UNIT_FACTS,
-    HAPTIC_SAMPLES,
-    SPACE_PACKET,
-    TRANSFER_FRAMES,
-    LINK_SENT,
-    LINK_RECEIVED,
-    EVENT,
-    LOSSES,
-    FIGURES,
-)
-
-
-def schema_named(full_name: str) -> MessageSchema:
-    """The schema of that name; KeyError for one that is not in `SCHEMAS`."""
-    return _BY_NAME[full_name]
-
-
-_BY_NAME: Mapping[str, MessageSchema] = {schema.full_name: schema for schema in SCHEMAS}
+    return made
 
 
 def descriptor_set(schema: MessageSchema) -> bytes:
@@ -283,17 +156,14 @@ def descriptor_set(schema: MessageSchema) -> bytes:
 
 @cache
 def message_class(schema: MessageSchema) -> Any:
-    """Return protobuf's class of its messages."""
-    return message_factory.GetMessageClass(_pool().FindMessageTypeByName(schema.full_name))
+    """Return protobuf's class of its messages.
 
-
-@lru_cache(maxsize=1)
-def _pool() -> Any:
-    """A pool of our own, in which no other library can have another schema of the same name."""
+    Each has a pool of its own, in which no library can have another schema of the same name.
+    """
     pool = descriptor_pool.DescriptorPool()
-    for file in (_timestamp_file(), *(_file(schema) for schema in SCHEMAS)):
+    for file in (_timestamp_file(), _file(schema)):
         pool.AddSerializedFile(file.SerializeToString())
-    return pool
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.full_name))
 
 
 def _timestamp_file() -> Any:

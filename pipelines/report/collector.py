@@ -16,7 +16,7 @@ from pipelines.media.figures import DisplayFigures
 from pipelines.report.journeys import HapticFigures, StreamFigures
 from pipelines.report.process_figures import ProcessFigures
 from pipelines.report.skew import LipSyncShare, Skew
-from pipelines.report.sync.figures import PERCEIVED, SyncFigures
+from pipelines.report.sync_figures import PERCEIVED, SyncFigures
 from pipelines.report.trace import Trace
 from pipelines.session.probe import Message, Series
 from pipelines.session.rows import (

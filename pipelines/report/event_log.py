@@ -13,8 +13,7 @@ from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
 from pipelines.mission.figures import TaskFigures
 from pipelines.report.collector import Collector
-from pipelines.report.present import shown_now
-from pipelines.report.silence import silences
+from pipelines.report.silence import shown_now, silences
 from pipelines.session.figures import TrainerFigures
 from pipelines.session.session_events import Event
 from pipelines.session.session_switch import Activity, SessionSwitch
@@ -54,14 +53,8 @@ class EventLog:
         self._setup, self._collector = setup, collector
         self._number = 0
         self._running = True
-        #: By segment and kind: until when the record of its gateway has been told.
-        self._link_told_ns: dict[tuple[Segment, str], int] = {}
-        #: By segment: until when the events of its path have been told.
-        self._peer_told_ns: dict[Segment, int] = {}
-        #: Until when a trainer's doings have been told.
-        self._exercise_told_ns = -1
-        #: Until when the robot's owners have been told.
-        self._owner_told_ns = -1
+        #: By record: until when it has been told.
+        self._told_ns: dict[tuple[str, ...], int] = {}
         #: Run and stage of a task until which they have been told.
         self._task_told = 0, 0
         self._pass_s: float | None = None
@@ -84,10 +77,7 @@ class EventLog:
         """Find what happened since the last look. started_ns: when the session began."""
         found = [
             *self._session(switch),
-            *self._links(),
-            *self._peers(),
-            *self._exercises(),
-            *self._owners(),
+            *self._recorded(),
             *self._tasks(now_ns),
             *self._passes(started_ns, now_ns),
             *self._cameras(),
@@ -112,49 +102,35 @@ class EventLog:
             text = "session started" if self._running else "session stopped"
             yield switch.changed_ns, "session", text
 
-    def _links(self) -> Iterator[tuple[int, str, str]]:
+    def _recorded(self) -> Iterator[tuple[int, str, str]]:
+        """What processes record with its instants: of the link, its path, trainer and owners."""
         for segment in Segment:
-            link = self._collector.process(self._collector.topology.gateway(segment).name).link
-            if link is None:
-                continue
-            # Each kind for itself: a loss is dated back to the last frame before it.
-            for kind, record in _supervised(link.supervision).items():
-                told_ns = self._link_told_ns.get((segment, kind), -1)
-                for at_ns, text in record:
-                    if at_ns > told_ns:
-                        yield at_ns, "link", f"{segment.value}: {text}"
-                newest_ns = max([told_ns, *(at_ns for at_ns, _ in record)])
-                self._link_told_ns[segment, kind] = newest_ns
-
-    def _peers(self) -> Iterator[tuple[int, str, str]]:
-        """What happened on the paths to another machine."""
-        for segment in Segment:
-            process = self._collector.process(self._collector.topology.gateway(segment).name)
-            peer = process.find(PeerFigures)
-            if peer is None:
-                continue
-            told_ns = self._peer_told_ns.get(segment, -1)
-            for event in peer.events:
-                at_ns = peer.begun_ns + event.at_ns
-                if at_ns > told_ns:
-                    yield at_ns, "link", f"{segment.value}: {event.what}"
-            newest_ns = [peer.begun_ns + event.at_ns for event in peer.events]
-            self._peer_told_ns[segment] = max([told_ns, *newest_ns])
-
-    def _exercises(self) -> Iterator[tuple[int, str, str]]:
-        """What a trainer did."""
-        for event in self._collector.process(TRAINER).total(TrainerFigures).exercises:
-            if event.at_ns > self._exercise_told_ns:
-                self._exercise_told_ns = event.at_ns
-                yield event.at_ns, "session", f"trainer: {event.what}"
-
-    def _owners(self) -> Iterator[tuple[int, str, str]]:
-        """Who drives the robot."""
+            end = segment.value
+            gateway = self._collector.process(self._collector.topology.gateway(segment).name)
+            if gateway.link is not None:
+                # Each kind for itself: a loss is dated back to the last frame before it.
+                for kind, record in _supervised(gateway.link.supervision).items():
+                    yield from self._fresh("link", end, record, end, kind)
+            peer = gateway.find(PeerFigures)
+            if peer is not None:
+                events = [(peer.begun_ns + event.at_ns, event.what) for event in peer.events]
+                yield from self._fresh("link", end, events, end, "path")
+        trainer = self._collector.process(TRAINER).total(TrainerFigures)
+        exercises = [(event.at_ns, event.what) for event in trainer.exercises]
+        yield from self._fresh("session", "trainer", exercises, "trainer")
         arm = self._collector.process("robot").find(OwnershipFigures)
-        for event in () if arm is None else arm.events:
-            if event.at_ns > self._owner_told_ns:
-                self._owner_told_ns = event.at_ns
-                yield event.at_ns, "session", f"robot: {event.what}"
+        owners = [] if arm is None else [(event.at_ns, event.what) for event in arm.events]
+        yield from self._fresh("session", "robot", owners, "robot")
+
+    def _fresh(
+        self, what: str, who: str, record: Sequence[tuple[int, str]], *key: str
+    ) -> Iterator[tuple[int, str, str]]:
+        """The instants and words of a record that were not told yet."""
+        told_ns = self._told_ns.get(key, -1)
+        for at_ns, text in record:
+            if at_ns > told_ns:
+                yield at_ns, what, f"{who}: {text}"
+        self._told_ns[key] = max([told_ns, *(at_ns for at_ns, _ in record)])
 
     def _tasks(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
         """Selection, start and end of the runs of tasks."""

@@ -31,9 +31,9 @@ from pipelines.report.model import (
     StreamReport,
     TraceSeries,
 )
+from pipelines.report.sections import spread_ms
 from pipelines.report.session_report import skew_reports, stream_latency_ms
-from pipelines.report.spread import spread_ms
-from pipelines.report.sync.section import sync_section
+from pipelines.report.sync_figures import sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.trace import TRACED, rows_of
 from pipelines.session.figures import DatedEvent
@@ -270,13 +270,6 @@ def _received(report: msgspec.Struct) -> Mapping[str, Any]:
     return {name: getattr(report, name) for name, one in marks.items() if RECEIVED in one}
 
 
-def _pauses_s(pauses_ns: Iterable[tuple[int, int]], began_ns: int) -> list[tuple[float, float]]:
-    return [
-        (round((begin - began_ns) / NS_PER_S, 3), round((end - began_ns) / NS_PER_S, 3))
-        for begin, end in pauses_ns
-    ]
-
-
 def _stream(
     name: str,
     reports: Mapping[Segment, SessionReport],
@@ -295,7 +288,7 @@ def _stream(
         **_received(received),
         latency_ms=stream_latency_ms(figures),
         latency_error_ms=round(error_ns / NS_PER_MS, 3),
-        pauses_s=_pauses_s(figures.pauses.within(began_ns, ended_ns), began_ns),
+        pauses_s=figures.pauses.within_s(began_ns, ended_ns),
         capture_stamp_error_us=round(figures.stamp_error.max / 1000, 1),
     )
 
@@ -316,7 +309,7 @@ def _haptic(
         side=None,
         **_received(received),
         latency_ms=spread_ms(figures.latency),
-        pauses_s=_pauses_s(figures.pauses.within(began_ns, ended_ns), began_ns),
+        pauses_s=figures.pauses.within_s(began_ns, ended_ns),
     )
 
 

@@ -80,6 +80,13 @@ class Pauses:
             every = [(begin_ns, self.first_ns), *self.ended_ns, (self.last_ns, end_ns)]
         return [pause for pause in every if pause[1] - pause[0] > self.least_ns]
 
+    def within_s(self, begin_ns: int, end_ns: int) -> list[tuple[float, float]]:
+        """The same in seconds of the session."""
+        return [
+            (round((first - begin_ns) / NS_PER_S, 3), round((last - begin_ns) / NS_PER_S, 3))
+            for first, last in self.within(begin_ns, end_ns)
+        ]
+
 
 @dataclass(slots=True)
 class _Journey:

@@ -14,16 +14,13 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram
 from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
-from pipelines.report.clock import clock_lines
 from pipelines.report.collector import Collector
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.journeys import StreamFigures
-from pipelines.report.link_figures import peer_words
-from pipelines.report.present import last_bps, shown_now
-from pipelines.report.recording import recording_line
-from pipelines.report.rtc_figures import rtc_line
+from pipelines.report.link_report import peer_words
+from pipelines.report.sections import clock_lines, recording_line, rtc_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
-from pipelines.report.silence import silences
+from pipelines.report.silence import last_bps, shown_now, silences
 from pipelines.report.summary import NO_SAMPLE
 from pipelines.session.launcher import Launcher
 from pipelines.session.session_switch import Activity

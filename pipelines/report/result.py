@@ -1,10 +1,12 @@
-"""What a bench found: its headline figures, its percentiles, and one way to JSON."""
+"""What a bench found: its headline figures, percentiles, tables, and one way to JSON."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
+
+from rich.table import Table
 
 from pipelines.report.model import Report, to_builtins
 
@@ -48,6 +50,18 @@ def spread(values: Sequence[float], *, per_unit: float = 1.0) -> Percentiles:
         ordered[-(-len(ordered) * percent // 100) - 1] / per_unit for percent in (50, 95, 99, 100)
     )
     return Percentiles(p50, p95, p99, largest)
+
+
+def titled_table(title: str, *headings: str, left: Container[str] = (), **style: Any) -> Table:
+    """An empty table of a bench: numbers stand right.
+
+    left: the headings of columns of words; one without a heading is such a column, too.
+    style: what else `rich.table.Table` takes.
+    """
+    table = Table(title=title, title_justify="left", **style)
+    for heading in headings:
+        table.add_column(heading, justify="left" if not heading or heading in left else "right")
+    return table
 
 
 def as_json(value: object, *, digits: int | None = None) -> Json:

@@ -25,20 +25,18 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from pipelines.mission.figures import TmtcFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog, ProcessNow
-from pipelines.report.link_figures import gateway_figures, link_figures
+from pipelines.report.link_report import gateway_figures, link_figures
 from pipelines.report.model import DirectionReport, GatewayReport, to_builtins
-from pipelines.report.present import last_bps, shown_now
-from pipelines.report.recording import seat_recording
-from pipelines.report.rtc_figures import rtc_now
+from pipelines.report.sections import cpu_report, rtc_now, seat_recording
 from pipelines.report.session_report import (
-    cpu_report,
     haptic_report,
     joystick_report,
     process_report,
     skew_reports,
     stream_report,
 )
-from pipelines.report.sync.limits import LIMITS
+from pipelines.report.silence import last_bps, shown_now
+from pipelines.report.sync_figures import LIMITS
 from pipelines.seats.figures import HOLDER, PageFigures
 from pipelines.session.session_events import Event
 from pipelines.session.session_switch import Activity, SessionSwitch

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import msgspec
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.codecs.h264 import DecoderCounts
 from kontur_av.streams.paced_sender import SenderCounts
@@ -10,18 +12,10 @@ from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.media.figures import GainFigures
-from pipelines.report.arm_figures import (
-    arm_report,
-    exercises,
-    second_arm_report,
-    task_runs,
-    task_warnings,
-)
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import Pauses, StreamFigures
-from pipelines.report.link_figures import gateway_figures, link_figures, punctuality_us
+from pipelines.report.link_report import gateway_figures, link_figures, punctuality_us
 from pipelines.report.model import (
-    CpuReport,
     HapticReport,
     ProcessReport,
     SessionReport,
@@ -30,8 +24,18 @@ from pipelines.report.model import (
     StreamLatency,
     StreamReport,
 )
-from pipelines.report.recording import recorder_report, recorder_warnings
-from pipelines.report.rtc_figures import rtc_report
+from pipelines.report.sections import (
+    arm_report,
+    cpu_report,
+    exercises,
+    recorder_report,
+    recorder_warnings,
+    rtc_report,
+    second_arm_report,
+    spread_ms,
+    task_runs,
+    task_warnings,
+)
 from pipelines.report.silence import (
     MISSED_NS,
     missed_ns,
@@ -42,9 +46,7 @@ from pipelines.report.silence import (
     taken_by_page,
     waits_for_page,
 )
-from pipelines.report.spread import spread_ms
-from pipelines.report.sync.figures import disagreements
-from pipelines.report.sync.section import sync_section
+from pipelines.report.sync_figures import disagreements, sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
 from pipelines.session.figures import LoopFigures, ProbeFigures
@@ -144,16 +146,6 @@ def skew_reports(collector: Collector) -> dict[str, SkewReport | None]:
     }
 
 
-def cpu_report(cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float) -> CpuReport:
-    """The CPU time of a session of `seconds`."""
-    total_s = sum(cpu_s.values()) + launcher_cpu_s
-    return CpuReport(
-        total_s=round(total_s, 2),
-        launcher_s=round(launcher_cpu_s, 2),
-        cores_used=round(total_s / max(seconds, 1e-9), 3),
-    )
-
-
 def _radio_epoch_ns(collector: Collector) -> int:
     """When the radio's time began: with its gateway."""
     first = collector.topology.segments[0]
@@ -166,10 +158,7 @@ def _pauses_s(pauses: Pauses, collector: Collector) -> list[tuple[float, float]]
     """Begin and end of each pause, in seconds of the session, until its last report."""
     epoch_ns = _radio_epoch_ns(collector)
     end_ns = max((told.told_ns for told in collector.processes.values()), default=epoch_ns)
-    return [
-        (round((begin_ns - epoch_ns) / NS_PER_S, 3), round((until_ns - epoch_ns) / NS_PER_S, 3))
-        for begin_ns, until_ns in pauses.within(epoch_ns, end_ns)
-    ]
+    return pauses.within_s(epoch_ns, end_ns)
 
 
 def stream_report(
@@ -208,15 +197,8 @@ def stream_report(
 
 def stream_latency_ms(figures: StreamFigures) -> StreamLatency:
     """From capture to display, with its stages."""
-    whole = spread_ms(figures.latency)
     return StreamLatency(
-        p50=whole.p50,
-        p95=whole.p95,
-        p99=whole.p99,
-        p99_9=whole.p99_9,
-        max=whole.max,
-        mean=whole.mean,
-        count=whole.count,
+        **msgspec.structs.asdict(spread_ms(figures.latency)),
         stages=Stages(
             **{stage: spread_ms(histogram) for stage, histogram in figures.stages.items()}
         ),

@@ -1,11 +1,14 @@
-"""Inputs that deliver nothing, and streams that show nothing although their input delivers."""
+"""What streams show now; those that show nothing, and inputs that deliver nothing."""
 
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.meters import RateMeter
 from kontur_av.sources.page import PAGE
-from pipelines.media.figures import CaptureFigures
+from kontur_av.streams.staleness import State
+from pipelines.media.figures import CaptureFigures, DisplayFigures
 from pipelines.report.collector import Collector
+from pipelines.session.probe import FLUSH_NS
 from pipelines.session.setup.table import (
     VOICE_PACKETS_PER_S,
     Setup,
@@ -170,3 +173,29 @@ def _chosen_inputs(
         return collector.topology.media(stream.name).inputs
     camera = collector.process("selector").selected or setup.cameras[0]
     return collector.topology.camera(camera).inputs
+
+
+#: Figures are at most this old: a process reports twice a second, and may be late.
+_TOLD_AFTER_NS = 2 * FLUSH_NS
+
+
+def last_bps(rate: RateMeter, now_ns: int) -> float:
+    """The rate of the last second that the processes have reported."""
+    return rate.last_bps(now_ns - _TOLD_AFTER_NS)
+
+
+def shown_now(
+    stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, now_ns: int
+) -> tuple[State, int | None]:
+    """The state of what is shown of `stream`, and its age in ns.
+
+    None: nothing was shown yet, or its clock is not known.
+    """
+    display = collector.process(collector.topology.media(stream.name).display)
+    reported = display.total(DisplayFigures, stream.name)
+    if reported.age_ns is None:
+        return reported.state, None
+    age_ns = reported.age_ns + max(0, now_ns - display.told_ns - _TOLD_AFTER_NS)
+    if age_ns >= setup.stale_after_ns(stream):
+        return State.STALE, age_ns
+    return reported.state, age_ns

@@ -6,7 +6,6 @@ from rich.table import Table
 from rich.text import Text
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.report.clock import clock_words
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.link_report import end_line, ledger_line, peer_lines
 from pipelines.report.model import (
@@ -16,6 +15,8 @@ from pipelines.report.model import (
     StreamReport,
     SyncReport,
 )
+from pipelines.report.sections import clock_words
+from pipelines.report.terms import TERMS
 from pipelines.session.task_journal import TaskRow
 from pipelines.session.topology import Segment
 
@@ -195,17 +196,8 @@ def stages_line(report: SessionReport) -> str:
     if report.video_lead is None:
         return ""
     video = report.video_lead.video_ms
-    terms = {
-        "camera": video.camera,
-        "capture": video.capture,
-        "encoding": video.encoding,
-        "queueing": video.queueing,
-        "serialisation": video.serialisation,
-        "propagation": video.propagation,
-        "decoding": video.decoding,
-        "display": video.display,
-    }
-    parts = ", ".join(f"{name} {ms:.0f}" for name, ms in terms.items() if round(ms))
+    terms = ((name, getattr(video, name)) for name in TERMS)
+    parts = ", ".join(f"{name} {ms:.0f}" for name, ms in terms if round(ms))
     return f"uplink picture {video.total:.0f} ms: {parts}"
 
 

@@ -18,41 +18,14 @@ from numpy.typing import NDArray
 from kontur_av.errors import ProtocolError
 from pipelines.report.model import TraceBlock, TraceSeries
 from pipelines.session.probe import Series
-from pipelines.session.rows import (
-    INSTANTS,
-    ClickRow,
-    ClockRow,
-    CodingRow,
-    ContactRow,
-    DecodedRow,
-    LightRow,
-    Row,
-    RxRow,
-    SampleReceivedRow,
-    SampleSentRow,
-    ShownRow,
-    StepRow,
-    TxRow,
-)
+from pipelines.session.rows import INSTANTS, LatenessRow, OutRow, Row, SendingRow
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 
-#: By name in a report.
+#: By name in a report: all rows but those of one end alone.
 TRACED: dict[str, type[Row]] = {
     kind.__name__.removesuffix("Row"): kind
-    for kind in (
-        ClickRow,
-        ClockRow,
-        CodingRow,
-        ContactRow,
-        DecodedRow,
-        LightRow,
-        RxRow,
-        SampleReceivedRow,
-        SampleSentRow,
-        ShownRow,
-        StepRow,
-        TxRow,
-    )
+    for kind in INSTANTS
+    if kind not in (OutRow, LatenessRow, SendingRow)
 }
 _NAMES = {kind: name for name, kind in TRACED.items()}
 #: A block is packed when it has as many values.

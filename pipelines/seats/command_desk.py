@@ -14,8 +14,8 @@ from pipelines.mission.tmtc_messages import (
     K2aciUpdate,
     SendCommand,
     SendK2aci,
+    selection_error,
 )
-from pipelines.mission.tmtc_words import selection_error
 from pipelines.seats.texts import (
     Answered,
     ChatLine,

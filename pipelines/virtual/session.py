@@ -23,9 +23,9 @@ from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
 from pipelines.mission.choosing import CAMERA, SELECT, CameraChoice
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, SendCommand, TmtcNews
-from pipelines.report.arm_figures import run_since
 from pipelines.report.collector import Collector
 from pipelines.report.model import CostsReport, SessionReport, SimulationReport
+from pipelines.report.sections import run_since
 from pipelines.report.session_report import build_report
 from pipelines.session.probe import FLUSH_NS
 from pipelines.session.setup.table import STEREO, Setup

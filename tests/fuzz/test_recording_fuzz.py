@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from recordings import FACTS_OF_A_TEST, Step, damaged, scanned, sequences_in, steps, write
 
 from pipelines.recording.facts import FACTS, RecordingFacts
-from pipelines.recording.records import MAGIC
+from pipelines.recording.mcap_stream import MAGIC
 
 flips = st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(1, 255)), max_size=4)
 

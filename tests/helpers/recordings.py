@@ -11,8 +11,9 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from kontur_av.recorded_format import FORMAT, FORMAT_KEY
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.mcap_stream import McapStream
+from pipelines.recording.messages import EVENT, VIDEO
 from pipelines.recording.scan import FoundMessage, Scan
-from pipelines.recording.schemas import EVENT, VIDEO, descriptor_set
+from pipelines.recording.schemas import descriptor_set
 
 LIBRARY = "kontur-av test"
 WALL_NS = 1_800_000_000_000_000_000

@@ -9,7 +9,7 @@ import pytest
 
 BENCH = """
 import argparse, json, sys
-from pipelines.report.console import open_console
+from pipelines.report.report_file import open_console
 console = open_console(argparse.Namespace(report=sys.argv[1] or None, plot=None))
 for number in range(100):
     console.print("ten letters " * 100, highlight=False)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_S
-from pipelines.mission.tmtc_words import selection_error
+from pipelines.mission.tmtc_messages import selection_error
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.session import Selection, Simulation
 from pipelines.virtual.workers import Workers

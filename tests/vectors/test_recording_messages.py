@@ -11,6 +11,7 @@ import pytest
 from kontur_av.errors import ProtocolError
 from pipelines.recording.messages import (
     SAMPLE,
+    SCHEMAS,
     CarriedOctets,
     ChannelLoss,
     LinkReceived,
@@ -32,7 +33,6 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
-from pipelines.recording.schemas import SCHEMAS
 
 VECTORS = [
     (

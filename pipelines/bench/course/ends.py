@@ -18,7 +18,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
@@ -262,7 +262,7 @@ def _watch(fd: int, link: Connection, lumas: NDArray[np.uint8]) -> Watched:
     return Watched(shown_ns, squares, unkept, reader.garbage_octets, _is_realtime())
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Carried:
     """What passed the channel.
 
@@ -271,14 +271,14 @@ class Carried:
     instant.
     """
 
-    came_ns: list[int]
-    octets: list[int]
-    payload_octets: list[int]
-    control_octets: int
-    returned: int
-    late_ns: list[int]
-    longest_wait_ns: int
     realtime: bool
+    came_ns: list[int] = field(default_factory=list)
+    octets: list[int] = field(default_factory=list)
+    payload_octets: list[int] = field(default_factory=list)
+    control_octets: int = 0
+    returned: int = 0
+    late_ns: list[int] = field(default_factory=list)
+    longest_wait_ns: int = 0
 
 
 class _Ports(Protocol):
@@ -330,8 +330,7 @@ def _carry(
     link: Connection,
 ) -> Carried:
     """exit_port: None if the receiver's port is learned, and RTP and RTCP share one."""
-    carried = Carried([], [], [], 0, 0, [], 0, _is_realtime())
-    control_octets = returned = 0
+    carried = Carried(_is_realtime())
     sender: Any = None
     receiver: Any = None
     selector = selectors.SelectSelector()
@@ -347,7 +346,7 @@ def _carry(
                 answer, receiver = out.recvfrom(65_535)
                 if sender is not None:
                     entrances[-1].sendto(answer, sender)
-                    returned += 1
+                    carried.returned += 1
         for came_ns, port, datagram, source in sorted(_arrived(entrances)):
             sender = source
             channel.handle_datagram(datagram, port, came_ns)
@@ -356,7 +355,7 @@ def _carry(
             else:
                 payload_octets = None if port else rtp_payload_octets(datagram)
             if payload_octets is None:
-                control_octets += len(datagram)
+                carried.control_octets += len(datagram)
                 continue
             carried.came_ns.append(came_ns)
             carried.octets.append(len(datagram))
@@ -372,16 +371,8 @@ def _carry(
                 if receiver is not None:
                     out.sendto(departure.datagram, receiver)
             carried.late_ns.append(time.monotonic_ns() - departure.due_ns)
-    return Carried(
-        carried.came_ns,
-        carried.octets,
-        carried.payload_octets,
-        control_octets,
-        returned,
-        carried.late_ns,
-        channel.longest_wait_ns,
-        carried.realtime,
-    )
+    carried.longest_wait_ns = channel.longest_wait_ns
+    return carried
 
 
 def _arrived(entrances: list[socket.socket]) -> Iterator[tuple[int, int, bytes, Any]]:

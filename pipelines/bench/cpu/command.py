@@ -6,21 +6,51 @@ falls on both. Each run is `kontur-av stream` in a new process.
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 
 from rich.table import Table
 
 import pipelines
 from kontur_av.errors import ConfigError
-from pipelines.bench.cpu.figures import CpuResult, CpuRun, headlines, middle, read_run
 from pipelines.bench.session import live_report
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
-from pipelines.report.result_file import write_result
+from pipelines.report.report_file import check_writable, open_console, write_result
+from pipelines.report.result import Headline, JsonReader, titled_table
 from pipelines.session.options import add_setup_argument
 from pipelines.session.setup.setup_file import load_setup
 
 _THIS_TREE = Path(str(pipelines.__file__)).parent.parent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CpuRun:
+    """One session. cpu_s_per_s: CPU seconds of all processes and the launcher, a session second.
+
+    video_p50_ms, video_p99_ms: the uplink's picture, capture to display; None if none came.
+    """
+
+    cpu_s_per_s: float
+    video_p50_ms: float | None
+    video_p99_ms: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class CpuResult:
+    """runs: of this tree; against: of the other tree, in the same order; empty without one."""
+
+    setup: str
+    seconds: float
+    runs: tuple[CpuRun, ...]
+    against: tuple[CpuRun, ...] = ()
+
+    @property
+    def ratios(self) -> list[float]:
+        """CPU time of this tree over that of the other tree, for each pair of runs."""
+        return [
+            ours.cpu_s_per_s / theirs.cpu_s_per_s
+            for ours, theirs in zip(self.runs, self.against, strict=False)
+        ]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,14 +106,12 @@ def _checked_tree(path: Path | None) -> Path | None:
 
 
 def _table(found: dict[str, list[CpuRun]], result: CpuResult) -> Table:
-    table = Table(
-        title=f"{result.setup}, {len(result.runs)} sessions of {result.seconds:g} s each: "
+    table = titled_table(
+        f"{result.setup}, {len(result.runs)} sessions of {result.seconds:g} s each: "
         "median (least to most)",
-        title_justify="left",
+        *("tree", "CPU s a second", "uplink picture p50, ms", "p99, ms"),
+        left=("tree",),
     )
-    table.add_column("tree")
-    for heading in ("CPU s a second", "uplink picture p50, ms", "p99, ms"):
-        table.add_column(heading, justify="right")
     for name, runs in found.items():
         table.add_row(
             name,
@@ -102,3 +130,55 @@ def _words(values: Sequence[float | None], digits: int) -> str:
     if median is None:
         return "–"
     return f"{median:.{digits}f} ({min(known):.{digits}f} to {max(known):.{digits}f})"
+
+
+VIDEO = "uplink_video"
+
+
+def read_run(report: JsonReader) -> CpuRun:
+    """The figures of one session's report. ValueError if it is no report of a session."""
+    latency = report.at("streams", VIDEO, "latency_ms")
+    came = latency.number("count") > 0
+    return CpuRun(
+        cpu_s_per_s=report.number("cpu", "total_s") / report.number("seconds"),
+        video_p50_ms=latency.number("p50") if came else None,
+        video_p99_ms=latency.number("p99") if came else None,
+    )
+
+
+def headlines(result: CpuResult) -> list[Headline]:
+    """Medians over the runs."""
+    name = "this tree" if result.against else ""
+    found = [*_of_tree(name, result.runs), *_of_tree("other tree", result.against)]
+    if result.ratios:
+        ratio = median(result.ratios)
+        found.append(
+            Headline(what="CPU time, this tree over the other", who="pairs", unit="", value=ratio)
+        )
+    return found
+
+
+def _of_tree(who: str, runs: Sequence[CpuRun]) -> list[Headline]:
+    if not runs:
+        return []
+    return [
+        Headline(
+            what="CPU of a session second, all processes",
+            who=who,
+            unit="s",
+            value=median(run.cpu_s_per_s for run in runs),
+        ),
+        *(
+            Headline(what=f"{VIDEO}, capture to display, {name}", who=who, unit="ms", value=value)
+            for name, value in (
+                ("p50", middle([run.video_p50_ms for run in runs])),
+                ("p99", middle([run.video_p99_ms for run in runs])),
+            )
+        ),
+    ]
+
+
+def middle(values: Sequence[float | None]) -> float | None:
+    """The median of those that are known; None if there is none."""
+    known = [value for value in values if value is not None]
+    return median(known) if known else None

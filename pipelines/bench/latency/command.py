@@ -1,31 +1,24 @@
 """`kontur-av bench latency`: the latency of every stream of a setup, end to end and by stage."""
 
 import argparse
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
-from pipelines.bench.latency.charts import lead_chart
-from pipelines.bench.latency.runs import (
-    VIRTUAL_CLOCK,
-    ClockMethod,
-    live_clock,
-    radio_delay_ms,
-    virtual_run,
-)
 from pipelines.bench.latency.targets import MEANT_FOR, LatencyVerdict, judge
 from pipelines.bench.session import live_session
-from pipelines.report.charts import check_plot, save
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
-from pipelines.report.result import Headline, Json, JsonReader
-from pipelines.report.result_file import write_result
-from pipelines.report.sync.limits import LIMITS
+from pipelines.report.charts import check_plot, lead_chart, save
+from pipelines.report.report_file import check_writable, open_console, write_result
+from pipelines.report.result import Headline, JsonReader, as_json, titled_table
+from pipelines.report.sync_figures import LIMITS
 from pipelines.report.terms import TERMS
 from pipelines.session.options import (
     add_deadband_argument,
@@ -38,11 +31,13 @@ from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.media import check_virtual_sources
+from pipelines.virtual.simulate import simulate
 
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
 #: A longer lead of the force over its picture is noticeable.
 _NOTICED_MS = LIMITS["video_haptic"].most_ns / NS_PER_MS
 _HISTOGRAM_PERCENT = 0.4
+_table = partial(titled_table, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
 
 _LEAD_NOTE = (
     "of an event at any instant of the camera's period; docs/latency.md says how each is obtained\n"
@@ -55,22 +50,18 @@ _SKEWS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LatencyResult:
-    """clocks: of each session. leads: the section `video_lead` of each report, by its label.
+@dataclass(frozen=True, slots=True)
+class ClockMethod:
+    """How instants were compared.
 
-    virtual, live, other_setups: whole reports of the sessions.
+    method: in words. error_us: the largest error of a difference of two instants.
     """
 
-    setup: str
-    radio: str
-    seed: int
-    clocks: Mapping[str, ClockMethod]
-    targets: Sequence[LatencyVerdict]
-    leads: Mapping[str, Json]
-    virtual: Json
-    live: Json
-    other_setups: Mapping[str, Json]
+    method: str
+    error_us: float
+
+
+VIRTUAL_CLOCK = ClockMethod("one virtual clock for all", 0.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -137,17 +128,18 @@ def run(args: argparse.Namespace) -> int:
         }
         limits = {f"noticeable from {_NOTICED_MS:g} ms": _NOTICED_MS}
         save(lead_chart(shown, limits), args.plot)
-    result = LatencyResult(
-        setup=setup.name,
-        radio=setup.radio_profile.name,
-        seed=args.seed,
-        clocks=clocks,
-        targets=verdicts,
-        leads={label: lead.json for label, lead in leads.items()},
-        virtual=runs["virtual"].json,
-        live=None if live is None else live.json,
-        other_setups={name: report.json for name, report in others.items()},
-    )
+    # Clocks of each session; the section `video_lead` of each report; whole reports.
+    result = {
+        "setup": setup.name,
+        "radio": setup.radio_profile.name,
+        "seed": args.seed,
+        "clocks": clocks,
+        "targets": verdicts,
+        "leads": {label: lead.json for label, lead in leads.items()},
+        "virtual": runs["virtual"].json,
+        "live": None if live is None else live.json,
+        "other_setups": {name: report.json for name, report in others.items()},
+    }
     judged = (setup.name, args.radio) == MEANT_FOR
     write_result(args.report, result, _headlines(verdicts, live, runs, judged=judged))
     return 1 if failures else 0
@@ -213,17 +205,10 @@ def _heading(args: argparse.Namespace, setup: Setup) -> str:
 
 
 def _latencies(runs: Mapping[str, JsonReader]) -> Table:
-    table = Table(
-        title="latency, ms: capture to display, mouth to ear, sample to sample",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
-    table.add_column("", no_wrap=True)
-    for name in runs:
-        table.add_column(f"{name}\nn", justify="right")
-        for percentile in _PERCENTILES:
-            table.add_column(percentile, justify="right")
+    headings = [heading for name in runs for heading in (f"{name}\nn", *_PERCENTILES)]
+    title = "latency, ms: capture to display, mouth to ear, sample to sample"
+    table = _table(title, "", *headings)
+    table.columns[0].no_wrap = True
     for label, found in _rows(runs):
         table.add_row(label, *(cell for cells in found for cell in cells))
     return table
@@ -300,16 +285,9 @@ def _sense_cells(of: JsonReader | None) -> list[str]:
 def _targets(
     setup: Setup, radio: str, verdicts: Sequence[LatencyVerdict], live: JsonReader | None
 ) -> Table:
-    table = Table(
-        title=f"targets of {MEANT_FOR[0]} on {MEANT_FOR[1]}, virtual time",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
-    for heading in ("", "bound", "found", ""):
-        table.add_column(heading)
-    if live is not None:
-        table.add_column("live, for information")
+    headings = ["", "bound", "found", "", *["live, for information"] * (live is not None)]
+    title = f"targets of {MEANT_FOR[0]} on {MEANT_FOR[1]}, virtual time"
+    table = _table(title, *headings, left=headings)
     beside = {} if live is None else {verdict.what: verdict.found for verdict in judge(live)}
     for verdict in verdicts:
         cells = [verdict.what, verdict.bound, verdict.found, "met" if verdict.met else "MISSED"]
@@ -320,19 +298,13 @@ def _targets(
 
 
 def _leads(leads: Mapping[str, JsonReader]) -> Table:
-    table = Table(
-        title="by how much force comes before the picture of the same event: means, ms",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
-    table.add_column("term")
     found = {label: lead for label, lead in leads.items() if lead.value is not None}
+    headings = ["term"]
     for label in found:
         setup, _, kind = label.rpartition(", ")
-        table.add_column(f"{setup}\n{kind}: video", justify="right")
-        table.add_column("\nforce", justify="right")
-        table.add_column("\nlead", justify="right")
+        headings += [f"{setup}\n{kind}: video", "\nforce", "\nlead"]
+    title = "by how much force comes before the picture of the same event: means, ms"
+    table = _table(title, *headings, left=("term",))
     for term in (*TERMS, "total"):
         if term == "total":
             table.add_section()
@@ -343,3 +315,34 @@ def _leads(leads: Mapping[str, JsonReader]) -> Table:
         ]
         table.add_row(term, *cells)
     return table
+
+
+_READINGS = 2000
+
+
+def virtual_run(setup: Setup, *, seconds: float, seed: int) -> JsonReader:
+    """The report of a session on virtual time."""
+    return JsonReader(as_json(simulate(setup, seconds=seconds, seed=seed)))
+
+
+def live_clock(report: JsonReader) -> ClockMethod:
+    """The clock of a live session, and the largest error of a difference of two readings.
+
+    The error is the time that a reading takes (p99) or the clock's resolution, whichever is
+    longer. For media, add the error of the capture time that RTCP carried.
+    """
+    readings = [time.monotonic_ns() for _ in range(_READINGS)]
+    steps = sorted(after - before for before, after in pairwise(readings))
+    resolution_ns = time.get_clock_info("monotonic").resolution * NS_PER_S
+    reading_us = max(resolution_ns, steps[len(steps) * 99 // 100]) / NS_PER_US
+    stamps = [of.number("capture_stamp_error_us") for _, of in report.items("streams")]
+    error_us = reading_us + max(stamps, default=0.0)
+    return ClockMethod("CLOCK_MONOTONIC, one for all processes of the host", round(error_us, 2))
+
+
+def radio_delay_ms(report: JsonReader) -> tuple[float, float]:
+    """The least and the largest delay of the radio, ground to space."""
+    if not report.has("gateways", "ground", "radio"):
+        return 0.0, 0.0
+    radio = report.at("gateways", "ground", "radio")
+    return radio.number("delay_min_ns") / NS_PER_MS, radio.number("delay_max_ns") / NS_PER_MS

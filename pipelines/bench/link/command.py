@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -10,8 +11,7 @@ from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.bench.link.cost import slot_cost
-from pipelines.bench.link.live import LoopPunctuality, live_punctuality
+from pipelines.bench.link.live import LoopPunctuality, live_punctuality, slot_cost
 from pipelines.bench.link.paired import WAYS, headlines
 from pipelines.bench.link.protected import paired_run
 from pipelines.bench.link.resume import resumptions
@@ -27,10 +27,8 @@ from pipelines.bench.link.virtual import (
     header_octets,
     voice_waits,
 )
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
-from pipelines.report.result import Headline, Json, Percentiles, as_json, spread
-from pipelines.report.result_file import write_result
+from pipelines.report.report_file import check_writable, open_console, write_result
+from pipelines.report.result import Headline, Json, Percentiles, as_json, spread, titled_table
 from pipelines.session.setup.setup_file import load_setup
 from telepresence.link.profile import DOWNLINK, UPLINK
 
@@ -38,6 +36,9 @@ from telepresence.link.profile import DOWNLINK, UPLINK
 #: `spacejustin`, and files.
 _PACKETS = ((VIDEO, 354), (VIDEO, 1000), (VOICE, 19), (FILE, 200), (FILE, 1000))
 _DELAY_NS = 3 * NS_PER_MS
+#: Headings of columns with words.
+_WORDS = {"", "traffic", "direction", "packets", "what", "first event", "task", "unit"}
+_table = partial(titled_table, left=_WORDS)
 _BLACKOUTS_S = (0.1, 1.0, 10.0)
 
 
@@ -416,13 +417,3 @@ def _punctuality_table(found: Sequence[LoopPunctuality], setup: str, *, media: b
     if peer is None:
         table.caption = "cyclictest is not installed or not permitted (Debian package rt-tests)"
     return table
-
-
-def _table(title: str, *headings: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading in _WORDS else "right")
-    return table
-
-
-_WORDS = {"", "traffic", "direction", "packets", "what", "first event", "task", "unit"}

@@ -5,7 +5,7 @@ It measures a session, on virtual time or live, or recordings of an LED, a click
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
@@ -18,12 +18,10 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_session
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
 from pipelines.report.charts import check_plot, distributions, save
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
-from pipelines.report.result import Headline, Json, JsonReader, as_json
-from pipelines.report.result_file import write_result
-from pipelines.report.sync.figures import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
-from pipelines.report.sync.matching import Matched
+from pipelines.report.report_file import check_writable, open_console, write_result
+from pipelines.report.result import Headline, Json, JsonReader, as_json, titled_table
+from pipelines.report.sync_figures import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
+from pipelines.report.sync_matching import Matched
 from pipelines.session.options import radio_change
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import check_sources
@@ -38,26 +36,6 @@ _WORDS = {
 #: The sense of a recording, by the option that names its file.
 _RECORDINGS = {"video": "light", "audio": "click", "haptics": "force"}
 _LONGEST_OFFSET_MS = 3_600_000.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FootageEvent:
-    """Instants in s on the clock of the recordings; None where nothing was found."""
-
-    light: float | None
-    click: float | None
-    force: float | None
-    number: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FootageResult:
-    """recordings: files by option. offset_ms: what was added. skew_ms: summaries by pair."""
-
-    recordings: Mapping[str, Path]
-    offset_ms: Mapping[str, float]
-    events: Sequence[FootageEvent]
-    skew_ms: Json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -202,20 +180,16 @@ def _run_footage(args: argparse.Namespace, recordings: Mapping[str, Path], conso
     console.print(_events(events))
     skews = as_json({pair: skew_summary(pair, skews_ns(pair, events)) for pair in PAIRS})
     console.print(_skews(JsonReader(skews)))
-    result = FootageResult(
-        recordings=recordings,
-        offset_ms={name: ns / NS_PER_MS for name, ns in offsets.items()},
-        events=[
-            FootageEvent(
-                light=_instant_s(event, "light"),
-                click=_instant_s(event, "click"),
-                force=_instant_s(event, "force"),
-                number=number,
-            )
+    # Events: instants in s on the clock of the recordings; null where nothing was found.
+    result = {
+        "recordings": recordings,
+        "offset_ms": {name: ns / NS_PER_MS for name, ns in offsets.items()},
+        "events": [
+            {**{sense: _instant_s(event, sense) for sense in SENSES}, "number": number}
             for number, event in enumerate(events, 1)
         ],
-        skew_ms=skews,
-    )
+        "skew_ms": skews,
+    }
     write_result(args.report, result, ())
     if args.plot is not None:
         pairs = {pair: [value / NS_PER_MS for value in skews_ns(pair, events)] for pair in PAIRS}
@@ -251,20 +225,16 @@ def _roi(text: str | None) -> Roi | None:
 
 
 def _senses(sync: JsonReader) -> Table:
-    table = Table(
-        title="from the contact to the operator, ms",
-        title_justify="left",
+    table = titled_table(
+        "from the contact to the operator, ms",
+        *("sense", "perceived", "missed", "p50", "p95", "p99", "max", "by stamps p50"),
+        *("stamp error", "allowed", "stamps"),
+        left=("sense", "stamps"),
         box=SIMPLE_HEAD,
         caption="stamp error: instant by the stamps less instant by the content, p50 of the "
         "clearest; for a light up to one picture period",
         caption_justify="left",
     )
-    table.add_column("sense")
-    for heading in ("perceived", "missed", "p50", "p95", "p99", "max", "by stamps p50"):
-        table.add_column(heading, justify="right")
-    table.add_column("stamp error", justify="right")
-    table.add_column("allowed", justify="right")
-    table.add_column("stamps")
     for sense, figures in sync.items("senses"):
         if figures.value is None:
             continue
@@ -289,11 +259,12 @@ def _limits(limits: JsonReader) -> str:
 
 
 def _skews(skews: JsonReader) -> Table:
-    table = Table(title="skew at the operator, ms", title_justify="left", box=SIMPLE_HEAD)
-    table.add_column("skew")
-    for heading in ("events", "p50", "p95", "p99", "max", "unnoticed", "limits"):
-        table.add_column(heading, justify="right")
-    table.add_column("of")
+    table = titled_table(
+        "skew at the operator, ms",
+        *("skew", "events", "p50", "p95", "p99", "max", "unnoticed", "limits", "of"),
+        left=("skew", "of"),
+        box=SIMPLE_HEAD,
+    )
     for name, figures in skews.items():
         if figures.value is None:
             continue
@@ -309,12 +280,9 @@ def _skews(skews: JsonReader) -> Table:
 
 
 def _events(events: Sequence[SensedEvent]) -> Table:
-    table = Table(title="events, instants in s", title_justify="left", box=SIMPLE_HEAD)
-    table.add_column("number", justify="right")
-    for sense in SENSES:
-        table.add_column(sense, justify="right")
-    for words in _WORDS.values():
-        table.add_column(f"{words}, ms", justify="right")
+    words = [f"{one}, ms" for one in _WORDS.values()]
+    headings = ("number", *SENSES, *words)
+    table = titled_table("events, instants in s", *headings, box=SIMPLE_HEAD)
     for number, event in enumerate(events, 1):
         skews = [skews_ns(pair, [event]) for pair in _WORDS]
         instants = [_instant_s(event, sense) for sense in SENSES]

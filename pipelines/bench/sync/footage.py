@@ -18,8 +18,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.detect import ClickDetector, LightDetector, Roi
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ
-from pipelines.report.sync.figures import SensedEvent
-from pipelines.report.sync.matching import Matched, match_around
+from pipelines.report.sync_figures import SensedEvent
+from pipelines.report.sync_matching import Matched, match_around
 from telepresence.haptics.step_detector import StepDetector
 
 #: Whole pictures are scaled down to this width at most, and searched in this many columns of cells:

@@ -25,13 +25,18 @@ from pipelines.bench.course.marks import NUMBERS, check_width
 from pipelines.bench.video.clips import SCENE, Clip, film, scene
 from pipelines.bench.video.contenders import KONTUR_AV, ContenderError
 from pipelines.bench.video.run import TrialTerms, measure
-from pipelines.bench.video.tables import figures_table, headlines, notes, verdicts_table
-from pipelines.bench.video.targets import ALONE, OURS, judge
+from pipelines.bench.video.targets import (
+    ALONE,
+    OURS,
+    figures_table,
+    headlines,
+    judge,
+    notes,
+    verdicts_table,
+)
 from pipelines.report.charts import check_plot, distributions, save
-from pipelines.report.console import open_console
-from pipelines.report.report_file import check_writable
+from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json
-from pipelines.report.result_file import write_result
 
 FPS = 30
 

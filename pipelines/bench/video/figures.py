@@ -1,16 +1,17 @@
-"""From what the screen saw and the channel carried to figures. A core."""
+"""From what the screen saw and the channel carried to figures, with PSNR and SSIM. A core."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import RateMeter
-from pipelines.bench.video.quality import QualityMeans
+from pipelines.report.result import spread
 
 _WINDOWS_NS = (NS_PER_S, 100 * NS_PER_MS)
 
@@ -52,11 +53,7 @@ def shown(
 
 def percentiles(values: Sequence[float]) -> dict[str, float]:
     """p50, p95, p99 and max, exact ones by nearest rank; NaN without values."""
-    ordered = sorted(values)
-    if not ordered:
-        return dict.fromkeys(("p50", "p95", "p99", "max"), math.nan)
-    rank = {f"p{p}": -(-len(ordered) * p // 100) - 1 for p in (50, 95, 99)}
-    return {**{name: ordered[at] for name, at in rank.items()}, "max": ordered[-1]}
+    return asdict(spread(values))
 
 
 def largest_bps(came_ns: Sequence[int], octets: Sequence[int]) -> tuple[float, float]:
@@ -88,6 +85,14 @@ def latest(numbers: Sequence[int | None], wanted: int) -> tuple[int, int | None]
         if number is not None and number <= wanted:
             found = (index, number)
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class QualityMeans:
+    """The mean over all pictures, and the mean of the worst 5 % of them."""
+
+    mean: float
+    worst: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,3 +138,49 @@ class ContenderFigures:
     def cpu_s(self) -> float:
         """Of sender and receiver together."""
         return self.sender_cpu_s + self.receiver_cpu_s
+
+
+#: The PSNR of a picture without any error.
+BEST_DB = 100.0
+
+_WINDOW, _SIGMA = (11, 11), 1.5
+_C1, _C2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+
+Luma = NDArray[np.uint8]
+
+
+def psnr_db(picture: Luma, original: Luma) -> float:
+    """Peak signal-to-noise ratio in dB of two planes of one shape, uint8."""
+    error = cv2.norm(picture, original, cv2.NORM_L2SQR) / picture.size
+    return min(10 * math.log10(255**2 / error), BEST_DB) if error else BEST_DB
+
+
+def ssim(picture: Luma, original: Luma) -> float:
+    """Mean structural similarity, 1 for the same picture.
+
+    Z. Wang et al., "Image quality assessment: from error visibility to structural similarity",
+    IEEE Trans. Image Processing 13 (4), 2004: Gaussian window of 11 x 11, sigma 1.5. Only windows
+    that lie wholly in the picture count.
+    """
+    a, b = picture.astype(np.float32), original.astype(np.float32)
+    mean_a, mean_b = _blurred(a), _blurred(b)
+    ab, aa, bb = mean_a * mean_b, mean_a * mean_a, mean_b * mean_b
+    variances = _blurred(a * a) - aa + _blurred(b * b) - bb
+    covariance = _blurred(a * b) - ab
+    found = (2 * ab + _C1) * (2 * covariance + _C2) / ((aa + bb + _C1) * (variances + _C2))
+    return float(found.mean())
+
+
+def _blurred(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    half = _WINDOW[0] // 2
+    blurred: NDArray[np.float32] = np.asarray(cv2.GaussianBlur(plane, _WINDOW, _SIGMA))
+    return blurred[half:-half, half:-half]
+
+
+def summarise(values: list[float]) -> QualityMeans:
+    """NaN for no values at all."""
+    if not values:
+        return QualityMeans(math.nan, math.nan)
+    ordered = sorted(values)
+    worst = ordered[: max(round(len(ordered) / 20), 1)]
+    return QualityMeans(float(np.mean(ordered)), float(np.mean(worst)))

@@ -21,13 +21,16 @@ from pipelines.bench.video.clips import Clip, led_in, shared_array
 from pipelines.bench.video.contenders import Contender, Course
 from pipelines.bench.video.figures import (
     ContenderFigures,
+    Luma,
     largest_bps,
     latest,
     mean_bps,
     percentiles,
+    psnr_db,
     shown,
+    ssim,
+    summarise,
 )
-from pipelines.bench.video.quality import Luma, psnr_db, ssim, summarise
 from pipelines.session.children import ended_alike
 
 _START_S = 30.0

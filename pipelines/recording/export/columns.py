@@ -15,23 +15,18 @@ from kontur_av.errors import ProtocolError
 from pipelines.hand.haptic_trace import ACTED, CONTACT, DEAD_MAN
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import (
+    FIGURES,
+    HAPTIC_SAMPLES,
+    LOSSES,
     SAMPLE,
-    RecordedFigures,
+    SCHEMAS,
+    TRANSFER_FRAMES,
     RecordedFrames,
-    RecorderLosses,
     parse_message,
     unpack,
     unpack_haptics,
 )
-from pipelines.recording.schemas import (
-    FIGURES,
-    HAPTIC_SAMPLES,
-    LOSSES,
-    SCHEMAS,
-    TIMESTAMP,
-    TRANSFER_FRAMES,
-    MessageSchema,
-)
+from pipelines.recording.schemas import TIMESTAMP, MessageSchema
 
 #: Numbers of any type, (rows,), or a text for each row.
 Column = NDArray[Any] | list[str]
@@ -187,29 +182,24 @@ def _frames(message: JoinedMessage) -> tuple[Sequence[int], Rows]:
     return frames.time_ns, {"octets": octets, "data_hex": [data.hex() for data in frames.data]}
 
 
-def _losses(message: JoinedMessage) -> tuple[list[int], Rows]:
-    losses = unpack(RecorderLosses, message.data)
-    return [losses.session_ns] * len(losses.losses), {
-        "channel": [loss.channel for loss in losses.losses],
-        "missed": np.array([loss.missed for loss in losses.losses], np.uint64),
-        "dropped": np.array([loss.dropped for loss in losses.losses], np.uint64),
-    }
-
-
-def _figures(message: JoinedMessage) -> tuple[list[int], Rows]:
-    told = unpack(RecordedFigures, message.data)
-    return [told.session_ns] * len(told.figures), {
-        "name": [one.name for one in told.figures],
-        "number": np.array([one.number for one in told.figures], np.float64),
-        "text": [one.text for one in told.figures],
-    }
+def _each_part(message: JoinedMessage) -> tuple[list[int], Rows]:
+    """A row for each nested message."""
+    schema = _BY_NAME[message.schema]
+    (inner,) = schema.nested
+    parsed = parse_message(schema, message.data)
+    parts = getattr(parsed, schema.fields[-1].name)
+    rows: _NewRows = {}
+    for row in inner.fields:
+        values = [getattr(part, row.name) for part in parts]
+        rows[row.name] = values if row.type == "string" else np.array(values, _TYPES[row.type])
+    return [parsed.session_ns] * len(parts), rows
 
 
 _SPECIAL: Mapping[str, Callable[[JoinedMessage], tuple[Any, Rows]]] = {
     HAPTIC_SAMPLES.full_name: _haptics,
     TRANSFER_FRAMES.full_name: _frames,
-    LOSSES.full_name: _losses,
-    FIGURES.full_name: _figures,
+    LOSSES.full_name: _each_part,
+    FIGURES.full_name: _each_part,
 }
 
 

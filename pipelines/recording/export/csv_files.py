@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipelines.recording.export.columns import Columnizer, Rows, joined, table_name
-from pipelines.recording.export.outputs import Outputs
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
-from pipelines.recording.schemas import LINK_SENT
+from pipelines.recording.messages import LINK_SENT
+from pipelines.recording.recording_file import Outputs
 
 if TYPE_CHECKING:
     from _csv import Writer

@@ -6,11 +6,10 @@ from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES
 from pipelines.recording.export.columns import table_name
 from pipelines.recording.export.film import FilmClock, FilmUnit, FilmUnits, can_begin, heard_ns
-from pipelines.recording.export.outputs import Outputs
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.matroska import MatroskaFile
-from pipelines.recording.messages import RecordedSound, unpack
-from pipelines.recording.schemas import AUDIO, VIDEO
+from pipelines.recording.messages import AUDIO, VIDEO, RecordedSound, unpack
+from pipelines.recording.recording_file import Outputs
 
 _FACTS = "/facts"
 _MS_HZ = 1000

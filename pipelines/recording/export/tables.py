@@ -20,8 +20,14 @@ from pipelines.recording.export.columns import (
     table_name,
 )
 from pipelines.recording.joined import JoinedMessage
-from pipelines.recording.messages import NO_SAMPLE
-from pipelines.recording.schemas import HAPTIC_SAMPLES, LOG, SPACE_PACKET, TRANSFER_FRAMES, VIDEO
+from pipelines.recording.messages import (
+    HAPTIC_SAMPLES,
+    LOG,
+    NO_SAMPLE,
+    SPACE_PACKET,
+    TRANSFER_FRAMES,
+    VIDEO,
+)
 
 #: An event belongs to the newest haptic cycle that is not older than this.
 NEAR_NS = 20 * NS_PER_MS

@@ -6,7 +6,7 @@ import pytest
 from places import ROOT
 
 from pipelines.bench.cpu import command
-from pipelines.bench.cpu.figures import CpuResult, CpuRun, headlines, read_run
+from pipelines.bench.cpu.command import CpuResult, CpuRun, headlines, read_run
 from pipelines.cli import main
 from pipelines.report.result import JsonReader
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from pipelines.bench.latency.charts import lead_chart
 from pipelines.bench.latency.targets import judge
 from pipelines.cli import main
+from pipelines.report.charts import lead_chart
 from pipelines.report.result import JsonReader
 from pipelines.report.terms import TERMS
 

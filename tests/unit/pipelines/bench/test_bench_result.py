@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import pytest
 
+from pipelines.report.report_file import write_result
 from pipelines.report.result import Headline, JsonReader, as_json, spread
-from pipelines.report.result_file import write_result
 
 
 @dataclass

@@ -14,8 +14,8 @@ from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
 from pipelines.cli import main
-from pipelines.report.sync.figures import skews_ns
-from pipelines.report.sync.matching import Matched
+from pipelines.report.sync_figures import skews_ns
+from pipelines.report.sync_matching import Matched
 
 FPS, SECONDS = 30, 8.0
 #: Instants of the touches (s), and the delays of light and sound after force.

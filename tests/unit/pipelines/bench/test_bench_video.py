@@ -21,13 +21,16 @@ from pipelines.bench.course.marks import (
 )
 from pipelines.bench.video.clips import Clip, crop_size, film, led_in, mirrored, scene
 from pipelines.bench.video.figures import (
+    BEST_DB,
     largest_bps,
     latest,
     mean_bps,
     percentiles,
+    psnr_db,
     shown,
+    ssim,
+    summarise,
 )
-from pipelines.bench.video.quality import BEST_DB, psnr_db, ssim, summarise
 from pipelines.cli import main
 
 MS, S = 1_000_000, 1_000_000_000

@@ -6,7 +6,7 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.haptic_trace import ROW, flags_of
 from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
-from pipelines.recording.replay_caps import MOST_MORE_NS, cap_needed_bps, longest_wait_ns
+from pipelines.recording.recorded_session import MOST_MORE_NS, cap_needed_bps, longest_wait_ns
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow
 

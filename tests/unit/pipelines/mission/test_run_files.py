@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from pipelines.mission import run_files
-from pipelines.mission.run_files import RunFiles
+from pipelines.mission import process_tasks
+from pipelines.mission.process_tasks import RunFiles
 from pipelines.session.recorder_requests import START, STOP, RecordAnswer
 
 
@@ -38,7 +38,7 @@ class Recorder:
 @pytest.fixture
 def recorder(monkeypatch):
     found = Recorder()
-    monkeypatch.setattr(run_files, "RecorderLink", lambda session: found.link(session))
+    monkeypatch.setattr(process_tasks, "RecorderLink", lambda session: found.link(session))
     return found
 
 

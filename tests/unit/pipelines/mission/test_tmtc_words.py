@@ -5,8 +5,14 @@ from pus_ends import oven
 
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
-from pipelines.mission.tmtc_messages import CommandUpdate, Reported, SendCommand
-from pipelines.mission.tmtc_words import command_from_words, report_words, update_words
+from pipelines.mission.tmtc_messages import (
+    CommandUpdate,
+    Reported,
+    SendCommand,
+    command_from_words,
+    report_words,
+    update_words,
+)
 
 OVEN = oven().application("oven")
 

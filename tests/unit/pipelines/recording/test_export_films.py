@@ -19,8 +19,8 @@ from pipelines.bench.course import marks
 from pipelines.cli import main
 from pipelines.recording.export.film import FilmClock, FilmUnits
 from pipelines.recording.joined import JoinedMessage
+from pipelines.recording.messages import VIDEO as PICTURES
 from pipelines.recording.messages import RecordedPicture, UnitFacts, pack
-from pipelines.recording.schemas import VIDEO as PICTURES
 
 SECONDS = 3.0
 

@@ -7,8 +7,7 @@ from synthetic_recording import BEGIN_NS, LINK_CYCLES, MS, S, write_recording
 from pipelines.recording.export.columns import Columnizer, joined
 from pipelines.recording.export.tables import TableCollector, haptic_tables, rows_of_haptics
 from pipelines.recording.joined import JoinedMessage, JoinedRecording, follows, read_part
-from pipelines.recording.messages import NO_SAMPLE
-from pipelines.recording.schemas import EVENT, LINK_SENT
+from pipelines.recording.messages import EVENT, LINK_SENT, NO_SAMPLE
 
 
 def read(recording):

@@ -13,8 +13,11 @@ from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import ROW
 from pipelines.recording import messages
 from pipelines.recording.messages import (
+    HAPTIC_SAMPLES,
+    LINK_SENT,
     NO_SAMPLE,
     SAMPLE,
+    SCHEMAS,
     Recorded,
     RecordedFrames,
     UnitFacts,
@@ -25,7 +28,7 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
-from pipelines.recording.schemas import HAPTIC_SAMPLES, LINK_SENT, SCHEMAS, descriptor_set
+from pipelines.recording.schemas import descriptor_set
 from telepresence.haptics.mediated.wall import Wall, WallMessage, pack_wall
 from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet
 

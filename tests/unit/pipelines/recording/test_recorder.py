@@ -18,6 +18,7 @@ from pipelines.link.frame_batch import pack_frames
 from pipelines.link.gateway_end import make_gateway
 from pipelines.media.local_key import last_key
 from pipelines.recording.facts import FACTS, RecordingFacts
+from pipelines.recording.mcap_stream import MAGIC
 from pipelines.recording.messages import (
     LinkReceived,
     LinkSent,
@@ -31,11 +32,10 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
+from pipelines.recording.own_pictures import KEY_PATIENCE_NS
 from pipelines.recording.recorder import RETRY_NS, Recorder
-from pipelines.recording.records import MAGIC
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.recording.sources import Content, sources_of
-from pipelines.recording.stream_start import KEY_PATIENCE_NS
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml

@@ -12,7 +12,7 @@ from recordings import FACTS_OF_A_TEST, LIBRARY, WALL_NS, Step, scanned, sequenc
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.recording.facts import RecordingFacts
-from pipelines.recording.records import HEAD, MAGIC
+from pipelines.recording.mcap_stream import HEAD, MAGIC
 from pipelines.recording.scan import Scan
 
 #: Nine messages in chunks of two.

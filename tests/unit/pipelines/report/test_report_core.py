@@ -14,7 +14,7 @@ from kontur_av.streams.video_receiver import VideoReceiverCounts
 from pipelines.link.figures import SocketFigures
 from pipelines.media.figures import CaptureFigures, DisplayFigures, SelectorFigures
 from pipelines.report.collector import Collector
-from pipelines.report.link_figures import ledger_percent, link_figures
+from pipelines.report.link_report import ledger_percent, link_figures
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report, failures
 from pipelines.report.silence import never_met, signal_ns, silences

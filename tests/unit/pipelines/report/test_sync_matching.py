@@ -8,10 +8,15 @@ from hypothesis import strategies as st
 from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.report.sync.figures import SyncFigures, disagreements, rank, skew_summary
-from pipelines.report.sync.limits import LIMITS
-from pipelines.report.sync.matching import Matched, match
-from pipelines.report.sync.section import sync_section
+from pipelines.report.sync_figures import (
+    LIMITS,
+    SyncFigures,
+    disagreements,
+    rank,
+    skew_summary,
+    sync_section,
+)
+from pipelines.report.sync_matching import Matched, match
 from pipelines.session.rows import ClickRow, ContactRow, LightRow, StepRow
 from pipelines.session.setup.built_in import BUILT_IN
 

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.report.sync.matching import Matched
-from pipelines.report.sync.verdict import LEAST_VERDICT, judge, median_interval
+from pipelines.report.sync_matching import LEAST_VERDICT, Matched, judge, median_interval
 
 MS = NS_PER_MS
 

@@ -5,7 +5,7 @@ from told import message
 
 from pipelines.recording.figures import RecordedChannel, RecorderFigures
 from pipelines.report.collector import Collector
-from pipelines.report.recording import recorder_warnings
+from pipelines.report.sections import recorder_warnings
 from pipelines.report.warnings import loop_warnings, picture_warnings, restart_warning
 from pipelines.session.restarts import NO_ROOM
 from pipelines.session.setup.built_in import BUILT_IN

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.recording.replay_rows import Script, replay_topology
+from pipelines.recording.rows import Script, replay_topology
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Topology
 from pipelines.table import topology_of

@@ -1,4 +1,9 @@
-"""From contacts and what was perceived of them to latencies, skews and a verdict on the stamps."""
+"""Sight, hearing and touch compared by what they show, not by what their stamps say.
+
+A contact in the world lights an LED, sounds a click and steps the force in one instant. Each is
+found again where it is seen, heard and felt (`watching`, `telepresence.haptics.step_detector`),
+joined to its contact (`sync_matching`), and judged. From that come latencies and skews.
+"""
 
 from collections import deque
 from collections.abc import Callable, Container, Sequence
@@ -7,13 +12,14 @@ from math import ceil
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
 from pipelines.media.watching import WATCHED
 from pipelines.report.model import ContentSkew, ListedContact, Ranks, SenseReport, SyncReport
-from pipelines.report.sync.limits import LIMITS
-from pipelines.report.sync.matching import Matched, match
-from pipelines.report.sync.verdict import judge
+from pipelines.report.sync_matching import Matched, judge, match
 from pipelines.session.probe import Series
 from pipelines.session.rows import ClickRow, ContactRow, LightRow, StepRow
+from pipelines.session.setup.table import GROUND_MIC, Setup
+from telepresence.world import CONTACT_SCENES
 
 #: The senses, and what carries them to the operator.
 SENSES = {**WATCHED, "force": "haptic_up"}
@@ -253,3 +259,55 @@ def _listed(event: SensedEvent, start_ns: int) -> ListedContact:
         click_ms=latencies_ms["click"],
         force_ms=latencies_ms["force"],
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """The first sense may come from `least_ns` to `most_ns` after the second one."""
+
+    least_ns: int
+    most_ns: int
+    source: str
+
+    def holds(self, skew_ns: int) -> bool:
+        """Whether a skew, positive if the first sense is late, goes unnoticed."""
+        return self.least_ns <= skew_ns <= self.most_ns
+
+
+#: By the names of the skews in the report.
+LIMITS = {
+    # Touch up to 50 ms after sight, but only 15 ms before it.
+    "video_haptic": Limit(
+        least_ns=-50 * NS_PER_MS,
+        most_ns=15 * NS_PER_MS,
+        source="Di Luca and Mahnan, World Haptics 2019",
+    ),
+    "audio_haptic": Limit(
+        least_ns=-24 * NS_PER_MS, most_ns=24 * NS_PER_MS, source="Adelstein et al., 2003"
+    ),
+    "audio_video": Limit(least_ns=-EARLIEST_NS, most_ns=LATEST_NS, source="ITU-R BT.1359"),
+}
+
+
+def sync_section(setup: Setup, figures: SyncFigures, *, media: bool) -> SyncReport | None:
+    """Contacts, and when they were seen, heard and felt; None if nothing was touched.
+
+    media: False if the session had no streams, whatever its setup says.
+    """
+    carried = {"haptic_up", *(stream.name for stream in setup.streams if media)}
+    senses = [
+        sense
+        for sense, stream in SENSES.items()
+        if stream in carried and _touch_reaches(setup, sense)
+    ]
+    soonest_ns = round(setup.radio_profile.delay_ms * NS_PER_MS)
+    return figures.report(senses, soonest_ns=soonest_ns)
+
+
+def _touch_reaches(setup: Setup, sense: str) -> bool:
+    """Whether the operator sees or hears the place where the simulated stylus touches.
+
+    A flash in a film, or a click at the user's own microphone, is no contact.
+    """
+    inputs = {"light": setup.camera_inputs, "click": (GROUND_MIC,)}.get(sense, ())
+    return all(setup.source(name) in CONTACT_SCENES for name in inputs)

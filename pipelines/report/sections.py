@@ -1,0 +1,263 @@
+"""What single processes report, for the report and for the live view. A core.
+
+Who drove the robot, what a trainer did, the runs of tasks, the leg to a partner, the recording and
+the clocks of two machines.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import msgspec
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.meters import Histogram
+from pipelines.media.figures import DisplayFigures
+from pipelines.mission.figures import TaskFigures
+from pipelines.partner.figures import RtcFigures
+from pipelines.recording.figures import RecorderFigures
+from pipelines.report.collector import Collector
+from pipelines.report.model import (
+    CpuReport,
+    RtcReport,
+    RtcShownReport,
+    SecondArmReport,
+    Spread,
+    Warning,
+)
+from pipelines.session.figures import DatedEvent, TrainerFigures
+from pipelines.session.task_journal import TaskRow
+from pipelines.session.topology import (
+    RTC,
+    RTC_CAMERA,
+    RTC_DISPLAY,
+    RTC_VOICE,
+    SECOND_ROBOT,
+    TASKS,
+    TRAINER,
+    Segment,
+)
+from telepresence.haptics.figures import PortFigures, SamplesReceived, SamplesSent
+from telepresence.haptics.ownership import OwnershipFigures
+from telepresence.link.figures import ClockFigures
+
+
+def arm_report(collector: Collector, epoch_ns: int) -> OwnershipFigures | None:
+    """Return who drove the robot; None where only the joystick in space may.
+
+    epoch_ns: the beginning of the session.
+    """
+    arm = collector.process("robot").find(OwnershipFigures)
+    if arm is None:
+        return None
+    events = tuple(replace(event, at_ns=event.at_ns - epoch_ns) for event in arm.events)
+    return replace(arm, events=events)
+
+
+def second_arm_report(collector: Collector) -> SecondArmReport | None:
+    """Return the figures of a partner's own arm; None without one."""
+    if collector.topology.setup.partner_arm != "second":
+        return None
+    arm = collector.process(SECOND_ROBOT)
+    return SecondArmReport(
+        sender=arm.total(SamplesSent),
+        receiver=arm.total(SamplesReceived),
+        port=arm.total(PortFigures),
+    )
+
+
+def exercises(collector: Collector, epoch_ns: int) -> list[DatedEvent] | None:
+    """Return what the trainer did; None if nothing."""
+    told = collector.process(TRAINER).total(TrainerFigures).exercises
+    return [replace(event, at_ns=event.at_ns - epoch_ns) for event in told] or None
+
+
+def task_runs(collector: Collector, epoch_ns: int) -> list[TaskRow] | None:
+    """Return the runs of tasks, oldest first; None for a session without tasks."""
+    told = collector.process(TASKS).find(TaskFigures)
+    if told is None:
+        return None
+    return [run_since(epoch_ns, run) for _, run in sorted(told.runs.items())]
+
+
+def run_since(epoch_ns: int, run: TaskRow) -> TaskRow:
+    """Return a run with its instants since `epoch_ns`."""
+    change = msgspec.structs.replace
+    steps = [change(one, at_ns=one.at_ns - epoch_ns) for one in run.steps]
+    return change(run, selected_ns=run.selected_ns - epoch_ns, steps=steps)
+
+
+def task_warnings(collector: Collector) -> list[Warning]:
+    """Runs that should have a file of their own, and have none."""
+    told = collector.process(TASKS).total(TaskFigures)
+    if not told.unrecorded:
+        return []
+    why = f": {told.unrecorded_why}" if told.unrecorded_why else ""
+    return [
+        Warning(
+            what="not_recorded",
+            where=TASKS,
+            measured=f"{told.unrecorded} runs have no recording of their own{why}",
+            mend="with --runs, let nobody else record the session",
+        )
+    ]
+
+
+def spread_ms(histogram: Histogram) -> Spread:
+    """Percentiles of values in ns, in ms; to the microsecond, because more would be noise."""
+    summary = histogram.summary_ms()
+    return Spread(
+        p50=round(summary["p50"], 3),
+        p95=round(summary["p95"], 3),
+        p99=round(summary["p99"], 3),
+        p99_9=round(histogram.percentile(99.9) / NS_PER_MS, 3),
+        max=round(summary["max"], 3),
+        mean=round(histogram.mean / NS_PER_MS, 3),
+        count=histogram.count,
+    )
+
+
+def rtc_report(collector: Collector, seconds: float) -> RtcReport | None:
+    """The leg of a session of `seconds`; None without one."""
+    if collector.topology.setup.rtc is None:
+        return None
+    figures = collector.process(RTC).find(RtcFigures)
+    if figures is None:
+        return None
+    return RtcReport(
+        figures=figures,
+        mean_bps={
+            name: round(8 * stream.octets / max(seconds, 1e-9))
+            for name, stream in sorted(figures.streams.items())
+        },
+        shown={
+            name: RtcShownReport(
+                display=collector.process(RTC_DISPLAY).total(DisplayFigures, name),
+                latency_ms=spread_ms(collector.partner[name]),
+            )
+            for name in (RTC_CAMERA, RTC_VOICE)
+        },
+    )
+
+
+def rtc_now(collector: Collector, now_ns: int) -> dict[str, int | float | str | None]:
+    """The partner as the pages of the ground show it; empty without a leg."""
+    leg = collector.topology.setup.rtc
+    if leg is None:
+        return {}
+    told = collector.process(RTC).total(RtcFigures)
+    trip_ns = told.round_trip_ns
+    found: dict[str, int | float | str | None] = {
+        "rtc.partners": told.partners,
+        "rtc.route": told.route,
+        "rtc.round_trip_ms": None if trip_ns is None else round(trip_ns / NS_PER_MS, 3),
+        "rtc.rate_bps": told.rate_bps or None,
+    }
+    display = collector.process(RTC_DISPLAY)
+    for name in (RTC_CAMERA, RTC_VOICE):
+        shown = display.total(DisplayFigures, name)
+        age_ns = None if shown.age_ns is None else shown.age_ns + max(0, now_ns - display.told_ns)
+        found[f"{name}.age_ms"] = None if age_ns is None else round(age_ns / NS_PER_MS, 1)
+        found[f"{name}.displayed"] = shown.frames_displayed
+    return found
+
+
+def rtc_line(collector: Collector) -> str | None:
+    """A line for the live view; None without a leg or a partner."""
+    told = collector.process(RTC).total(RtcFigures)
+    if not told.partners:
+        return None
+    trip_ns = told.round_trip_ns
+    trip = "" if trip_ns is None else f", round trip {trip_ns / NS_PER_MS:.0f} ms"
+    route = "" if told.route is None else f" by {told.route}"
+    rate = f"{told.rate_bps / 1000:g} kbit/s"
+    return f"partner: {told.partners} connections{route}{trip}, picture at {rate}"
+
+
+RECORDER = "recorder"
+_DISK = "give the recording a larger or a faster disk"
+_PROCESSOR = "leave the recorder more of the processors: fewer cameras, or a faster machine"
+
+
+def recorder_report(collector: Collector) -> RecorderFigures | None:
+    """The recording of a session; None if nothing was recorded."""
+    figures = _figures(collector)
+    return figures if figures.parts or figures.disk_faults else None
+
+
+def seat_recording(collector: Collector) -> dict[str, str | int | None]:
+    """What pages show of the recording, by name. file: null while nothing is recorded."""
+    if collector.process(RECORDER).find(RecorderFigures) is None:
+        return {}
+    figures = _figures(collector)
+    return {
+        "file": None if figures.file is None else figures.file.rpartition("/")[2],
+        "octets": figures.octets,
+        "lost": figures.lost,
+        "fault": figures.fault,
+    }
+
+
+def recorder_warnings(collector: Collector) -> list[Warning]:
+    """What is not in the recording, and whether the disk or the processors were too slow for it.
+
+    A disk makes the recorder drop what it has read. What was gone before it was read is missing
+    because the recorder did not run in time.
+    """
+    figures = _figures(collector)
+    if not (figures.lost or figures.disk_faults):
+        return []
+    why = f"; {figures.fault}" if figures.fault else ""
+    dropped = sum(one.dropped for one in figures.channels.values())
+    missed = figures.lost - dropped
+    measured = f"{figures.lost} messages are not in the recording"
+    if missed:
+        measured += f", of which {missed} were gone before they were read"
+    mends = [_DISK] * bool(dropped or figures.disk_faults) + [_PROCESSOR] * bool(missed)
+    mend = "; ".join(mends)
+    return [Warning(what="not_recorded", where=RECORDER, measured=measured + why, mend=mend)]
+
+
+def recording_line(collector: Collector) -> tuple[str, bool] | None:
+    """A line for the live view, and whether it is bad news; None while nothing is recorded."""
+    figures = _figures(collector)
+    if figures.file is None:
+        return None
+    line = f"recording to {figures.file}, {figures.octets / 1e6:.1f} MB"
+    line += f", {figures.lost} messages lost" if figures.lost else ""
+    line += f": {figures.fault}" if figures.fault else ""
+    return line, bool(figures.lost or figures.fault)
+
+
+def _figures(collector: Collector) -> RecorderFigures:
+    return collector.process(RECORDER).total(RecorderFigures)
+
+
+def clock_words(peer: str, clock: ClockFigures) -> str:
+    """One line: where the clock of `peer`, a segment, is, with the error."""
+    if clock.offset_ns is None or clock.error_ns is None:
+        return f"clock: {peer}'s is not known"
+    error_ms = clock.error_ns / NS_PER_MS
+    words = f"clock: {peer} is {clock.offset_ns / NS_PER_S:+.6f} s ± {error_ms:.2f} ms"
+    if clock.drift_ppb is not None and clock.drift_error_ppb is not None:
+        words += f", drift {clock.drift_ppb / 1000:.1f} ± {clock.drift_error_ppb / 1000:.1f} ppm"
+    if clock.restarts:
+        words += f"; stepped {clock.restarts} times"
+    return words
+
+
+def clock_lines(collector: Collector) -> Iterator[str]:
+    """The line of each gateway of this session whose peer is on another machine."""
+    for segment in Segment:
+        link = collector.process(collector.topology.gateway(segment).name).link
+        if link is not None and link.clock is not None:
+            yield clock_words(segment.peer.value, link.clock)
+
+
+def cpu_report(cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float) -> CpuReport:
+    """The CPU time of a session of `seconds`."""
+    total_s = sum(cpu_s.values()) + launcher_cpu_s
+    return CpuReport(
+        total_s=round(total_s, 2),
+        launcher_s=round(launcher_cpu_s, 2),
+        cores_used=round(total_s / max(seconds, 1e-9), 3),
+    )
