@@ -458,11 +458,12 @@ def load_libraries() -> None:
     tempfile.gettempdir()
     import av  # noqa: F401
     import cv2
-    import iceoryx2  # noqa: F401
 
     import kontur_av.codecs.opus  # noqa: F401
     from kontur_av.codecs import libopus
 
+    with suppress(ImportError):
+        import iceoryx2  # noqa: F401
     libopus.opuslib()
     cv2.setNumThreads(1)
     keep_memory()
