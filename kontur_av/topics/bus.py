@@ -52,6 +52,7 @@ from kontur_av.topics.session_files import (
 if TYPE_CHECKING:
     from kontur_av.topics.iceoryx_node import IceoryxNode
 
+MAX_READERS = 16
 #: A recorder that sleeps half a second loses nothing of a topic with 50 samples a second.
 MAX_DEPTH = 32
 _SOURCE_OCTETS = 16
@@ -403,7 +404,7 @@ def _open_node(session: str) -> "FileNode | IceoryxNode":
         return FileNode(session, _HEADER.size)
     from kontur_av.topics.iceoryx_node import IceoryxNode
 
-    return IceoryxNode(session, _HEADER.size, most_depth=MAX_DEPTH)
+    return IceoryxNode(session, _HEADER.size, most_readers=MAX_READERS, most_depth=MAX_DEPTH)
 
 
 @lru_cache(maxsize=64)

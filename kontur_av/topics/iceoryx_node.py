@@ -10,7 +10,6 @@ import iceoryx2 as iox2
 
 from kontur_av.topics.session_files import make_session_root, shared_memory_prefix, topics_root
 
-MAX_READERS = 16
 #: A killed writer counts until another process has cleaned up after it.
 _MAX_WRITERS = 4
 _MAX_NODES = 64
@@ -26,10 +25,13 @@ _SAMPLE_OVERHEAD = 256
 class IceoryxNode:
     """One process's access to the topics of one session.
 
-    header_octets: of what goes before each sample. most_depth: of a reader's queue.
+    header_octets: of what goes before each sample. most_readers: of a topic. most_depth: of a
+    reader's queue.
     """
 
-    def __init__(self, session: str, header_octets: int, *, most_depth: int) -> None:
+    def __init__(
+        self, session: str, header_octets: int, *, most_readers: int, most_depth: int
+    ) -> None:
         config = iox2.config.default()
         config.global_cfg.prefix = iox2.FileName.new(shared_memory_prefix(session))
         root = topics_root(session)
@@ -43,7 +45,7 @@ class IceoryxNode:
             .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
             .create(iox2.ServiceType.Ipc)
         )
-        self._config, self._most_depth = config, most_depth
+        self._config, self._most_readers, self._most_depth = config, most_readers, most_depth
         self._header_octets = header_octets
         fields = [("words", ctypes.c_uint64 * (header_octets // 8))]
         self._header: Any = type("_Header", (ctypes.Structure,), {"_fields_": fields})
@@ -93,7 +95,7 @@ class IceoryxNode:
             .publish_subscribe(iox2.Slice[ctypes.c_uint8])
             .user_header(self._header)
             .max_publishers(_MAX_WRITERS)
-            .max_subscribers(MAX_READERS)
+            .max_subscribers(self._most_readers)
             .max_nodes(_MAX_NODES)
             .subscriber_max_buffer_size(self._most_depth)
             .subscriber_max_borrowed_samples(_MAX_LEASES)

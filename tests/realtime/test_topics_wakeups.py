@@ -11,8 +11,7 @@ import pytest
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
 from kontur_av.topics import notifier as notifier_module
-from kontur_av.topics.bus import TopicBus
-from kontur_av.topics.iceoryx_node import MAX_READERS
+from kontur_av.topics.bus import MAX_READERS, TopicBus
 from kontur_av.topics.notifier import NotificationListener, Notifier, WaitSet
 from kontur_av.topics.session_files import notifier_path, remove_session, shared_memory
 
