@@ -45,10 +45,9 @@ from pipelines.session.setup.table import PORTS  # noqa: E402
 
 PAGE, RTC = 8350, 8360
 TOKEN = "word-of-the-partner"
-#: Those that come from outside the machine. `datagrams` reach loopback only.
 ATTACKS = (
     *("idle", "slow", "nonsense", "guesses", "crowd", "handshakes", "beyond_its_role", "flood"),
-    *("offers", "trickles", "partner"),
+    *("offers", "trickles", "partner", "datagrams"),
 )
 DOS = ("hand", "command", "record", "stop", "input", "owner", "task", "joystick", "chat", "trainer")
 #: An offer of a browser, as far as attackers need one.

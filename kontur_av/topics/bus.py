@@ -6,6 +6,9 @@ blocks the writer. A killed process affects no other; its resources are freed wh
 joins. The topic's notifier wakes all sleeping readers with one system call of the writer;
 iceoryx2's own events need one for each reader.
 
+Where iceoryx2 is not installed, topics are files (`kontur_av.topics.file_node`), at two copies a
+sample. `KONTUR_AV_TOPICS=files` chooses them elsewhere.
+
 Use::
 
     with TopicBus("my-session") as bus:
@@ -27,16 +30,16 @@ import struct
 import time
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
-from pathlib import Path
+from importlib.util import find_spec
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-import iceoryx2 as iox2
 import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Quality, VideoFrame, check_size
+from kontur_av.topics.file_node import FileNode
 from kontur_av.topics.notifier import NotificationListener, Notifier, WaitSet
 from kontur_av.topics.session_files import (
     SHARED_MEMORY,
@@ -44,48 +47,21 @@ from kontur_av.topics.session_files import (
     make_session_root,
     notifier_path,
     sessions,
-    shared_memory_prefix,
-    topics_root,
 )
 
+if TYPE_CHECKING:
+    from kontur_av.topics.iceoryx_node import IceoryxNode
+
 MAX_READERS = 16
-#: A killed writer counts until another process has cleaned up after it.
-_MAX_WRITERS = 4
-_MAX_NODES = 64
-#: A recorder that sleeps half a second loses nothing of a topic with 50 samples a second. Room in
-#: shared memory is taken only when it is written, but for what a writer reserves.
-_MAX_DEPTH = 32
-#: A writer's samples at first, of which usually no more are in use: of a large one, and octets.
-_RESERVED_SAMPLES, _RESERVED_OCTETS = 5, 1 << 20
-#: Two that a reader holds, and one that `latest` receives before it releases an older one.
-_MAX_LEASES = 3
+#: A recorder that sleeps half a second loses nothing of a topic with 50 samples a second.
+MAX_DEPTH = 32
 _SOURCE_OCTETS = 16
-#: At most, of iceoryx2's own header and alignment.
-_SAMPLE_OVERHEAD = 256
 
 SampleView = NDArray[np.uint8]
 
 
-class _Header(ctypes.Structure):
-    """The header of every sample, in native byte order because it never leaves the machine.
-
-    This class tells iceoryx2 size and alignment; `_HEADER` is the same layout for packing.
-    """
-
-    _fields_ = (
-        ("capture_ns", ctypes.c_int64),
-        ("published_ns", ctypes.c_int64),
-        ("sequence", ctypes.c_uint64),
-        ("rtp_timestamp", ctypes.c_int64),
-        ("quality", ctypes.c_uint64),
-        ("width", ctypes.c_uint32),
-        ("height", ctypes.c_uint32),
-        ("source", ctypes.c_char * _SOURCE_OCTETS),
-    )
-
-
+#: The header of every sample, in native byte order because it never leaves the machine.
 _HEADER = struct.Struct(f"=qqQqQII{_SOURCE_OCTETS}s")
-assert _HEADER.size == ctypes.sizeof(_Header)
 #: By their number: calling the enumeration takes several times as long.
 _QUALITIES = tuple(Quality)
 #: What iceoryx2's own `loan_slice_uninit` calls.
@@ -138,15 +114,17 @@ class Loan:
 class Writer:
     """Publishes to one topic. Never blocks; the readers' oldest samples are dropped instead."""
 
-    def __init__(self, publisher: Any, service: Any, notifier: Notifier | None) -> None:
+    def __init__(
+        self, publisher: Any, readers: Callable[[], int], notifier: Notifier | None
+    ) -> None:
         # The method itself examines annotations each time, which takes ten times as long.
         self._loan = getattr(publisher, _LOAN, publisher.loan_slice_uninit)
-        self._service = service
+        self._readers = readers
         self._notifier = notifier
 
     def has_readers(self) -> bool:
         """Whether the topic has a reader. A killed reader may count for some time."""
-        return bool(self._service.dynamic_config.number_of_subscribers)
+        return bool(self._readers())
 
     def loan(self, octets: int, width: int = 0, height: int = 0) -> Loan:
         """Return a buffer of `octets` octets in shared memory."""
@@ -308,21 +286,8 @@ class TopicBus:
     """
 
     def __init__(self, session: str) -> None:
-        config = iox2.config.default()
-        config.global_cfg.prefix = iox2.FileName.new(shared_memory_prefix(session))
-        root = topics_root(session)
-        make_session_root(session)
-        root.mkdir(mode=0o700, exist_ok=True)
-        config.global_cfg.root_path = iox2.Path.new(str(root))
-        iox2.set_log_level(iox2.LogLevel.Error)
-        self._node: Any = (
-            iox2.NodeBuilder.new()
-            .config(config)
-            .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
-            .create(iox2.ServiceType.Ipc)
-        )
+        self._node = _open_node(session)
         self._session = session
-        self._config = config
         self._joined = False
         self._ports: list[Any] = []
         self._notifiers: list[Notifier] = []
@@ -342,8 +307,7 @@ class TopicBus:
 
     def topics(self) -> list[str]:
         """Return the present topics of the session, sorted by name."""
-        found: list[Any] = iox2.Service.list(self._config, iox2.ServiceType.Ipc)
-        return sorted(service.name().to_string() for service in found)
+        return sorted(self._node.topics())
 
     def writer(self, topic: str, *, max_octets: int, wake: bool = True) -> Writer:
         """Return a writer for samples of up to `max_octets` octets.
@@ -353,35 +317,27 @@ class TopicBus:
         Raises ConfigError if shared memory has no room for it. What it usually needs is reserved
         here: a page that the kernel cannot give later would end the process by SIGBUS.
         """
-        service = self._data_service(topic)
-        before = _segments()
-        publisher = (
-            service.publisher_builder()
-            .initial_max_slice_len(max_octets)
-            .allocation_strategy(iox2.AllocationStrategy.PowerOfTwo)
-            .max_loaned_samples(2)
-            .backpressure_strategy(iox2.BackpressureStrategy.DiscardData)
-            .create()
-        )
         try:
-            for path in _segments() - before:
-                _reserve(path, max_octets)
+            publisher, readers = self._node.publisher(topic, max_octets, present=self._joined)
+        except KeyError:
+            raise self._no_topic(topic) from None
         except OSError as error:
-            publisher.delete()
             raise ConfigError(shared_memory_full(error)) from None
         notifier = Notifier(notifier_path(self._session, topic)) if wake else None
         self._ports.append(publisher)
         if notifier is not None:
             self._notifiers.append(notifier)
-        return Writer(publisher, service, notifier)
+        return Writer(publisher, readers, notifier)
 
     def reader(self, topic: str, *, depth: int = 1) -> Reader:
         """Return a reader that keeps at most `depth` unread samples; the oldest are dropped."""
-        if not 1 <= depth <= _MAX_DEPTH:
-            raise ValueError(f"depth {depth}: from 1 to {_MAX_DEPTH}")
-        service = self._data_service(topic)
+        if not 1 <= depth <= MAX_DEPTH:
+            raise ValueError(f"depth {depth}: from 1 to {MAX_DEPTH}")
+        try:
+            subscriber = self._node.subscriber(topic, depth, present=self._joined)
+        except KeyError:
+            raise self._no_topic(topic) from None
         listener = NotificationListener(notifier_path(self._session, topic))
-        subscriber = service.subscriber_builder().buffer_size(depth).create()
         reader = Reader(subscriber, listener, self._readers.discard)
         self._readers.add(reader)
         return reader
@@ -398,7 +354,7 @@ class TopicBus:
             self._notifiers.pop().close()
         while self._ports:
             self._ports.pop().delete()
-        self._node = None
+        self._node.close()
 
     def __enter__(self) -> Self:
         return self
@@ -411,28 +367,9 @@ class TopicBus:
     ) -> None:
         self.close()
 
-    def _data_service(self, topic: str) -> Any:
-        service = (
-            self._node.service_builder(iox2.ServiceName.new(topic))
-            .publish_subscribe(iox2.Slice[ctypes.c_uint8])
-            .user_header(_Header)
-            .max_publishers(_MAX_WRITERS)
-            .max_subscribers(MAX_READERS)
-            .max_nodes(_MAX_NODES)
-            .subscriber_max_buffer_size(_MAX_DEPTH)
-            .subscriber_max_borrowed_samples(_MAX_LEASES)
-            .history_size(1)
-            .enable_safe_overflow(True)
-        )
-        if not self._joined:
-            return service.open_or_create()
-        try:
-            return service.open()
-        except iox2.PublishSubscribeOpenError:
-            known = ", ".join(self.topics()) or "none"
-            raise ConfigError(
-                f"session {self._session} has no topic {topic}: it has {known}"
-            ) from None
+    def _no_topic(self, topic: str) -> ConfigError:
+        known = ", ".join(self.topics()) or "none"
+        return ConfigError(f"session {self._session} has no topic {topic}: it has {known}")
 
 
 class Waiter:
@@ -453,6 +390,23 @@ class Waiter:
         return self._wait_set.wait(timeout_ns)
 
 
+def topics_are_files(session: str) -> bool:
+    """Whether a session's topics are files, or would be; else they are iceoryx2's."""
+    chosen = os.environ.get("KONTUR_AV_TOPICS", "")
+    if chosen not in ("", "files"):
+        raise ConfigError(f"KONTUR_AV_TOPICS={chosen}: write files, or leave it out")
+    return bool(chosen) or find_spec("iceoryx2") is None or FileNode.present(session)
+
+
+def _open_node(session: str) -> "FileNode | IceoryxNode":
+    if topics_are_files(session):
+        make_session_root(session)
+        return FileNode(session, _HEADER.size)
+    from kontur_av.topics.iceoryx_node import IceoryxNode
+
+    return IceoryxNode(session, _HEADER.size, most_readers=MAX_READERS, most_depth=MAX_DEPTH)
+
+
 @lru_cache(maxsize=64)
 def _octets_type(octets: int) -> Any:
     """Return the ctypes array of this length. Making a type takes longer than making its view."""
@@ -466,27 +420,6 @@ def shared_memory_full(error: OSError) -> str:
         f"shared memory is full ({error.strerror}, {free / 1e6:.0f} MB free in {SHARED_MEMORY}): "
         "end the program that fills it, or give more (in a container: --shm-size=256m)"
     )
-
-
-def _segments() -> set[str]:
-    """The segments with samples that this process has mapped."""
-    with Path("/proc/self/maps").open(encoding="utf-8", errors="replace") as maps:
-        paths = {line.rpartition(" ")[2].rstrip("\n") for line in maps if "_0.data" in line}
-    return {path for path in paths if path.endswith("_0.data")}
-
-
-def _reserve(segment: str, max_octets: int) -> None:
-    """Take the pages of the first samples of a segment; OSError if there are too few.
-
-    iceoryx2 uses the lowest sample that is free.
-    """
-    samples = min(max(_RESERVED_OCTETS // max_octets, _RESERVED_SAMPLES), _MAX_DEPTH)
-    descriptor = os.open(segment, os.O_RDWR | os.O_CLOEXEC)
-    try:
-        wanted = samples * (max_octets + _HEADER.size + _SAMPLE_OVERHEAD)
-        os.posix_fallocate(descriptor, 0, min(wanted, os.fstat(descriptor).st_size))
-    finally:
-        os.close(descriptor)
 
 
 def _view(sample: Any, octets: int) -> SampleView:

@@ -88,13 +88,18 @@ def choose_session(name: str | None, running: Sequence[str], how: str = "") -> s
     return chosen[0]
 
 
-def notifier_path(session: str, topic: str) -> Path:
-    """Return the FIFO that wakes the readers of a topic; `remove_session` removes it.
+def topic_path(session: str, topic: str, suffix: str) -> Path:
+    """Return a file of a topic in shared memory; `remove_session` removes it.
 
-    It lies in shared memory, so that no file system journals its writes.
+    There no file system journals what is written.
     """
     digest = hashlib.sha256(topic.encode()).hexdigest()[:16]
-    return SHARED_MEMORY / f"{shared_memory_prefix(session)}{digest}.notifier"
+    return SHARED_MEMORY / f"{shared_memory_prefix(session)}{digest}{suffix}"
+
+
+def notifier_path(session: str, topic: str) -> Path:
+    """Return the FIFO that wakes the readers of a topic."""
+    return topic_path(session, topic, ".notifier")
 
 
 def user_root() -> Path:

@@ -5,9 +5,11 @@ import secrets
 import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
+from kontur_av.topics.session_files import sessions
 from pipelines.commands.common import output_that_may_fail, stopped_by_signals
 from pipelines.commands.drive_far import Far
 from pipelines.commands.rtc_options import (
@@ -17,8 +19,7 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.hand.haptics import CYCLE_NS
-from pipelines.session.datagrams import Outlet, listen, outlet, receive
-from pipelines.session.process import LOOPBACK
+from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path, receive
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide
@@ -48,8 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=Setup.base_port,
         metavar="P",
-        help=f"of the robot's session: samples go to P+{PARTNER_TAKEN}, and come to "
-        f"P+{PARTNER_GIVEN}, on this machine",
+        help="of the robot's session, which is this user's, on this machine",
     )
     parser.add_argument(
         "--rtc",
@@ -68,8 +68,8 @@ def drive(args: argparse.Namespace) -> int:
         raise ConfigError("--device page: a page's hand is in a session only; take sim or evdev")
     device = open_device(spec, hand=Hand())
     try:
-        with _reached(args) as (udp, to_robot):
-            side = _run(device, udp, to_robot, seconds)
+        with _reached(args) as (own, to_robot):
+            side = _run(device, own, to_robot, seconds)
     finally:
         device.close()
     figures = side.link
@@ -82,35 +82,38 @@ def drive(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _reached(args: argparse.Namespace) -> Iterator[tuple[socket.socket, Outlet]]:
+def _reached(args: argparse.Namespace) -> Iterator[tuple[socket.socket, Outlet | OwnOutlet]]:
     """The socket on which the robot's samples come, and where those for it go."""
     token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
     if args.rtc is not None:
         with Far(args.rtc, token, servers) as far:
-            yield far.udp, far.to_robot
+            yield far.own, far.to_robot
         return
     for option in ("token", "token_file", "ice_server"):
         if getattr(args, option) is not None:
             words = option.replace("_", "-")
             raise ConfigError(f"--{words} is for a robot across the Internet: give --rtc URL, too")
-    udp, to_robot = _open(args.base_port)
-    with closing(udp):
-        yield udp, to_robot
+    own, to_robot = _open(args.base_port)
+    with closing(own):
+        yield own, to_robot
 
 
-def _open(base_port: int) -> tuple[socket.socket, Outlet]:
+def _open(base_port: int) -> tuple[socket.socket, OwnOutlet]:
     taken, given = base_port + PARTNER_TAKEN, base_port + PARTNER_GIVEN
-    try:
-        return listen((LOOPBACK, given)), outlet(LOOPBACK, (LOOPBACK, taken))
-    except (OSError, OverflowError):
-        raise ConfigError(
-            f"--base-port {base_port}: port {given} cannot be had; end the other joystick there, "
-            "or take the base port of the robot's session"
-        ) from None
+    for session in sessions():
+        if Path(own_path(session, taken)).exists():
+            own = listen_alone(session, given)
+            if own is None:
+                raise ConfigError(f"another joystick drives session {session}: end it first")
+            return own, OwnOutlet(session, taken)
+    raise ConfigError(
+        f"--base-port {base_port}: no session of yours has a partner's arm there; start one whose "
+        'setup has partner_arm = "shared" or "second", or give its base port'
+    )
 
 
 def _run(
-    device: JoystickDevice, udp: socket.socket, to_robot: Outlet, seconds: float | None
+    device: JoystickDevice, own: socket.socket, to_robot: Outlet | OwnOutlet, seconds: float | None
 ) -> JoystickSide:
     handle = OperatedHandle(device)
     link = joystick_link(life=1 + secrets.randbelow(LIVES - 1))
@@ -127,7 +130,7 @@ def _run(
             now_ns = clock.now_ns()
             if schedule.handle_wakeup(now_ns) < 0:
                 continue
-            while (datagram := receive(udp, SAMPLE_OCTETS + 1)) is not None:
+            while (datagram := receive(own, SAMPLE_OCTETS + 1)) is not None:
                 side.handle_datagram(datagram, now_ns)
             handle.handle_feedback(link.latest(now_ns))
             side.handle_cycle(now_ns, schedule.advance_ns)

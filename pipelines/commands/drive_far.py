@@ -1,7 +1,7 @@
 """The way from a joystick to a robot across the Internet: a process of its own with the WebRTC.
 
 The joystick's loop of 1 kHz and an event loop would wait for each other in one interpreter. Both
-processes hand each other samples by UDP ports of this machine, which the kernel chooses.
+processes hand each other samples by a pair of Unix sockets, which nobody else reaches.
 """
 
 import asyncio
@@ -20,8 +20,7 @@ from pipelines.partner.decisions import Attempts
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.samples import SamplePeer
 from pipelines.partner.whip import WhipClient
-from pipelines.session.datagrams import Outlet, listen, newest_sample, outlet
-from pipelines.session.process import LOOPBACK
+from pipelines.session.datagrams import Outlet, newest_sample
 
 _LOOK_S, _END_S = 0.1, 3.0
 
@@ -29,18 +28,19 @@ _LOOK_S, _END_S = 0.1, 3.0
 class Far:
     """A robot that a partner reaches by WebRTC. A context manager.
 
-    udp: on which its samples come. to_robot: where samples for it go.
+    own: on which its samples come. to_robot: where samples for it go.
     url: `https://HOST:PORT`. token: of the address. servers: for the way through NAT.
     Raises ConfigError for a malformed address.
     """
 
     def __init__(self, url: str, token: str, servers: Callable[[], IceServers]) -> None:
         address = _endpoint(url)
-        self.udp, beyond = listen((LOOPBACK, 0)), listen((LOOPBACK, 0))
-        self.to_robot: Outlet = outlet(LOOPBACK, beyond.getsockname())
-        self._beyond = beyond
+        self.own, self._beyond = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.own.setblocking(False)
+        self._beyond.setblocking(False)
+        self.to_robot = Outlet(self.own)
         self._process = multiprocessing.get_context("fork").Process(
-            target=_relay, args=(address, token, servers, beyond, self.udp.getsockname())
+            target=_relay, args=(address, token, servers, self._beyond)
         )
 
     def __enter__(self) -> Self:
@@ -54,7 +54,7 @@ class Far:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        self.udp.close()
+        self.own.close()
 
 
 def _endpoint(url: str) -> str:
@@ -65,40 +65,33 @@ def _endpoint(url: str) -> str:
 
 
 def _relay(
-    url: str,
-    token: str,
-    servers: Callable[[], IceServers],
-    udp: socket.socket,
-    joystick: tuple[str, int],
+    url: str, token: str, servers: Callable[[], IceServers], joystick: socket.socket
 ) -> None:
     # Ctrl-C goes to both; the joystick's process ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with closing(udp):
+    with closing(joystick):
         try:
-            asyncio.run(_keep(url, token, servers, udp, outlet(LOOPBACK, joystick)))
+            asyncio.run(_keep(url, token, servers, joystick))
         except ConfigError as error:
             say(f"joystick: {error}")
 
 
 async def _keep(
-    url: str,
-    token: str,
-    servers: Callable[[], IceServers],
-    udp: socket.socket,
-    to_joystick: Outlet,
+    url: str, token: str, servers: Callable[[], IceServers], joystick: socket.socket
 ) -> None:
     """Connect, and connect again whenever the connection has ended."""
     clock, attempts, loop = MonotonicClock(), Attempts(), asyncio.get_running_loop()
     stop, present = asyncio.Event(), list[SamplePeer]()
+    to_joystick = Outlet(joystick)
     loop.add_signal_handler(signal.SIGTERM, stop.set)
 
     def forward() -> None:
-        newest = newest_sample(udp)
+        newest = newest_sample(joystick)
         if newest is not None:
             for peer in present:
                 peer.send(newest)
 
-    loop.add_reader(udp, forward)
+    loop.add_reader(joystick, forward)
     while not stop.is_set():
         if attempts.poll_connect(clock.now_ns()):
             fault = ""

@@ -49,19 +49,17 @@ def run_loop(
     after: Cycle | None = None,
     seldom: Sequence[Cycle] = (),
     route: Callable[[Send], Send] | None = None,
-    own: bool = True,
 ) -> None:
     """Run an end at 1 kHz.
 
     ports: the one of its samples, and the peer's. route: where samples go to more than one peer.
-    own: they are the session's own sockets, not UDP.
     before, after: called in each cycle. seldom: called every `_SELDOM` cycles.
     """
     clock, probe = context.clock, context.probe
-    udp = context.listen_own(ports[0]) if own else context.listen(ports[0])
+    udp = context.listen_own(ports[0])
     more = select.poll()
     more.register(udp, select.POLLIN)
-    send = context.own_sender(ports[1]) if own else context.sender(ports[1])
+    send = context.own_sender(ports[1])
     if route is not None:
         send = route(send)
     schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(CYCLE_NS, _PHASE))

@@ -39,7 +39,7 @@ def run_second_robot(context: Context) -> None:
         envelope = SafetyEnvelope(context.setup.safety)
         end = RobotEnd(context.probe, life=new_life(), envelope=envelope)
         stop = follow_stop(KeptOrders(context.session), end)
-        run_loop(context, end, partner_ports(context.setup), publish, seldom=[stop], own=False)
+        run_loop(context, end, partner_ports(context.setup), publish, seldom=[stop])
 
 
 def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cycle:
@@ -65,13 +65,13 @@ def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cy
 def open_partner(context: Context, end: RobotEnd) -> tuple[Cycle, Send]:
     """Return what takes a partner's samples, and what sends samples to it."""
     taken, given = partner_ports(context.setup)
-    udp, receive = context.listen(taken), context.receive
+    udp, receive = context.listen_own(taken), context.receive
 
     def take(now_ns: int) -> None:
         while (datagram := receive(udp, SAMPLE_OCTETS + 1)) is not None:
             end.handle_partner(datagram, now_ns)
 
-    return take, context.sender(given)
+    return take, context.own_sender(given)
 
 
 def route_to_owner(ownership: HapticOwnership, to_partner: Send) -> Callable[[Send], Send]:

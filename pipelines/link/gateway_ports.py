@@ -12,11 +12,13 @@ from pipelines.session.datagrams import (
     Outlet,
     OwnInlet,
     OwnOutlet,
+    listen_own,
+    listen_to,
     open_peer,
     outlet,
     receive,
 )
-from pipelines.session.process import LOOPBACK
+from pipelines.session.process import LOOPBACK, OWN_SENDERS
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, Topology
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import Gateway
@@ -25,8 +27,8 @@ from telepresence.link.gateway import Gateway
 class GatewayPorts:
     """The sockets of one end, with counts of strangers' datagrams.
 
-    session: whose own processes alone send and get haptics and telecommands; None: any program
-    of the host.
+    session: whose own processes alone use the channels, but for maintenance; None: any program of
+    the host.
     peer: the socket to the other end on another machine; None: it is on this one.
     radio: becomes readable when a frame may have come.
     frame: returns the next frame of the peer, or None.
@@ -45,17 +47,22 @@ class GatewayPorts:
         (haptic_out,) = (row for row in topology.haptics if row.direction is segment.transmits)
         (haptic_in,) = (row for row in topology.haptics if row is not haptic_out)
 
-        own = {TELECOMMAND, TELEMETRY, haptic_out.name, haptic_in.name}
+        moving = {TELECOMMAND, TELEMETRY, haptic_out.name, haptic_in.name}
+        own = {row.name for row in topology.streams if row.sender is not None}
 
         def entry(name: str, port: int) -> Inlet | OwnInlet:
-            if session is not None and name in own:
-                return OwnInlet(session, port)
-            return Inlet((addresses.apps_bind, port), addresses.apps)
+            if session is None or name not in own:
+                return Inlet((addresses.apps_bind, port), addresses.apps)
+            if name in moving:
+                return OwnInlet(listen_own(session, port))
+            return OwnInlet(listen_to((LOOPBACK, port), (OWN_SENDERS, port)))
 
         def exit_to(name: str, port: int) -> Outlet | OwnOutlet:
-            if session is not None and name in own:
+            if session is None or name not in own:
+                return outlet(addresses.apps_bind, (addresses.apps, port))
+            if name in moving:
                 return OwnOutlet(session, port)
-            return outlet(addresses.apps_bind, (addresses.apps, port))
+            return outlet(OWN_SENDERS, (LOOPBACK, port), port=port)
 
         self.radio: socket.socket
         self.frame: Callable[[], bytes | None]

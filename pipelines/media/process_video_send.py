@@ -48,7 +48,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
     sender = video_sender(context.setup, stream, identity, wall_offset_ns=clock.wall_offset_ns)
     linked = LinkedVideoSender(sender, gain_of(context.setup, stream))
     outgoing = to_gateway(context, stream, sender)
-    feedback = context.listen(context.topology.exit_port(row.feedback))
+    feedback = context.listen_media(context.topology.exit_port(row.feedback))
     context.on_flush(lambda: tell_sender(probe, sender, linked.gain))
     with (
         context.open_bus() as bus,

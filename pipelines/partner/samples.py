@@ -21,8 +21,8 @@ from aiortc.exceptions import InvalidAccessError, InvalidStateError
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.partner.description import MALFORMED, MOST_SDP_OCTETS
 from pipelines.partner.ice_servers import IceServers
-from pipelines.session.datagrams import listen, newest_sample, outlet
-from pipelines.session.process import LOOPBACK, Context
+from pipelines.session.datagrams import OwnOutlet, listen_alone, newest_sample
+from pipelines.session.process import Context
 from pipelines.session.topology import partner_ports
 from telepresence.haptics.sample import SAMPLE_OCTETS
 
@@ -160,30 +160,30 @@ class SamplePorts:
     def __init__(self, context: Context, loop: asyncio.AbstractEventLoop) -> None:
         taken, self._given = partner_ports(context.setup)
         self._loop = loop
-        self._to_robot = outlet(LOOPBACK, (LOOPBACK, taken))
+        self._session = context.session
+        self._to_robot = OwnOutlet(context.session, taken)
         self._from_robot: socket.socket | None = None
 
     def join(self, peer: SamplePeer) -> None:
         """The robot's samples go to this partner. ConfigError if a joystick here has them."""
         self.leave()
-        try:
-            udp = listen((LOOPBACK, self._given))
-        except OSError:
-            raise ConfigError("another joystick drives already") from None
-        self._from_robot = udp
+        own = listen_alone(self._session, self._given)
+        if own is None:
+            raise ConfigError("another joystick drives already")
+        self._from_robot = own
 
         def forward() -> None:
-            newest = newest_sample(udp)
+            newest = newest_sample(own)
             if newest is not None:
                 peer.send(newest)
 
-        self._loop.add_reader(udp, forward)
+        self._loop.add_reader(own, forward)
 
     def leave(self) -> None:
-        udp, self._from_robot = self._from_robot, None
-        if udp is not None:
-            self._loop.remove_reader(udp)
-            udp.close()
+        own, self._from_robot = self._from_robot, None
+        if own is not None:
+            self._loop.remove_reader(own)
+            own.close()
 
     def handle(self, sample: bytes) -> None:
         self._to_robot.send(sample)

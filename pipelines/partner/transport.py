@@ -73,7 +73,12 @@ class _Path:
         return "controlling" if controlling else "controlled"
 
     def use(self, connection: Connection) -> None:
-        """Send by this connection from now on, and receive from it, too."""
+        """Send by this connection from now on, and receive from it, too.
+
+        ConnectionError if the path was closed meanwhile.
+        """
+        if self._closed:
+            raise ConnectionError("the path is closed")
         self._connection, self.lost = connection, False
         if self._pump is not None:
             self._pump.cancel()
@@ -255,11 +260,11 @@ class RtcTransport:
             raise ConnectionError("no restart of ICE has begun")
         try:
             await self._find_way(connection, peer)
+            self._path.use(connection)
         except ConnectionError:
             await _end(connection)
             raise
         old, self._connection = self._connection, connection
-        self._path.use(connection)
         self.restarts += 1
         await _end(old)
 
@@ -276,8 +281,10 @@ class RtcTransport:
         return True
 
     async def close(self) -> None:
-        await self._dtls.stop()
-        self._path.close()
+        try:
+            await self._dtls.stop()
+        finally:
+            self._path.close()
         await self._drop_next()
         await _end(self._connection)
 

@@ -84,7 +84,7 @@ def run_video_replay(
     sender = video_sender(context.setup, stream, identity, wall_offset_ns=clock.wall_offset_ns)
     linked = LinkedVideoSender(sender, gain_of(context.setup, stream))
     outgoing = to_gateway(context, stream, sender)
-    feedback = context.listen(context.topology.exit_port(row.feedback))
+    feedback = context.listen_media(context.topology.exit_port(row.feedback))
     context.on_flush(lambda: tell_sender(context.probe, sender, linked.gain))
     script = start.script(context, units, _PICTURE_NS)
     with context.open_bus() as bus:

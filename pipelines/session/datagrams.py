@@ -1,13 +1,14 @@
 """The sockets of a gateway and of those that talk to it: addresses, and who is listened to.
 
 What can move a robot, haptics and telecommands, goes through Unix datagram sockets in the session's
-directory, which only its user can open (unix(7)). All else is UDP, which other programs send, too.
+directory, which only its user can open (unix(7)). Media are UDP. In a session, each port for them
+is connected to the one address from which the session's own process sends.
 """
 
 import os
 import socket
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -62,10 +63,20 @@ def listen(bind: Address) -> socket.socket:
     return udp
 
 
-def outlet(bind: str, to: Address) -> Outlet:
-    """Open an outlet to the address `to`, from any port of `bind`."""
+def listen_to(bind: Address, sender: Address) -> socket.socket:
+    """Open a UDP socket on `bind` to which only `sender` can send (udp(7)), and never blocks."""
+    udp = listen(bind)
+    udp.connect(sender)
+    # Before connect(2) the socket accepted datagrams of any sender: drop them.
+    while receive(udp, 1) is not None:
+        pass
+    return udp
+
+
+def outlet(bind: str, to: Address, *, port: int = 0) -> Outlet:
+    """Open an outlet to the address `to`, from `port` of `bind`. 0: from any."""
     udp = _socket()
-    udp.bind((bind, 0))
+    udp.bind((bind, port))
     # Connected, so that the kernel looks up the route only once.
     udp.connect(to)
     return Outlet(udp)
@@ -107,6 +118,16 @@ def listen_own(session: str, port: int) -> socket.socket:
     return own
 
 
+def listen_alone(session: str, port: int) -> socket.socket | None:
+    """Open the session's own socket for `port`, unless another process has it open: then None."""
+    with closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as probe:
+        try:
+            probe.connect(own_path(session, port))
+        except OSError:
+            return listen_own(session, port)
+    return None
+
+
 class OwnOutlet:
     """Sends datagrams to a session's own socket, whether somebody listens there or not.
 
@@ -132,8 +153,8 @@ class OwnInlet:
 
     strangers = 0
 
-    def __init__(self, session: str, port: int) -> None:
-        self.udp = listen_own(session, port)
+    def __init__(self, udp: socket.socket) -> None:
+        self.udp = udp
         self.receive: Callable[[int], bytes | None] = partial(receive, self.udp)
 
 

@@ -26,7 +26,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.session.page_listener import PageListener
 from pipelines.session.probe import Message
-from pipelines.session.process import LOOPBACK, Context, become
+from pipelines.session.process import LOOPBACK, OWN_SENDERS, Context, become
 from pipelines.session.restarts import NO_ROOM, RestartPolicy
 from pipelines.session.session_switch import (
     PATIENCE_NS,
@@ -430,6 +430,7 @@ def hold_ports(topology: Topology) -> socket.socket:
     for port in topology.ports_here:
         if port != topology.launcher_port:
             hold_port(port).close()
+            hold_port(port, OWN_SENDERS).close()
     return held
 
 
@@ -457,11 +458,12 @@ def load_libraries() -> None:
     tempfile.gettempdir()
     import av  # noqa: F401
     import cv2
-    import iceoryx2  # noqa: F401
 
     import kontur_av.codecs.opus  # noqa: F401
     from kontur_av.codecs import libopus
 
+    with suppress(ImportError):
+        import iceoryx2  # noqa: F401
     libopus.opuslib()
     cv2.setNumThreads(1)
     keep_memory()

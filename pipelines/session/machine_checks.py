@@ -154,11 +154,11 @@ def take_descriptors() -> None:
 
 
 def check_topics() -> Finding:
-    """Publish samples through iceoryx2, read them back, and be woken by each."""
+    """Publish samples, read them back, and be woken by each."""
     from importlib.metadata import version
 
     from kontur_av.media import CaptureStamp
-    from kontur_av.topics.bus import TopicBus
+    from kontur_av.topics.bus import TopicBus, topics_are_files
     from kontur_av.topics.session_files import remove_session
 
     session = f"doctor-{os.getpid()}"
@@ -179,7 +179,8 @@ def check_topics() -> Finding:
             woken = waiter.wait(NS_PER_S)
     finally:
         remove_session(session)
-    found = f"iceoryx2 {version('iceoryx2')}"
+    by_files = topics_are_files(session)
+    found = "files in shared memory" if by_files else f"iceoryx2 {version('iceoryx2')}"
     if not well:
         return Finding(
             "missing", f"{found}: what was published did not arrive", f"check {SHARED_MEMORY}"

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from kontur_av.topics.bus import TopicBus
 
 LOOPBACK = "127.0.0.1"
+#: From here, at the number of the port that they send to, a session's own processes send media.
+#: Receivers connect to that port: while it is bound, nobody else can send from it.
+OWN_SENDERS = "127.0.0.2"
 MAX_DATAGRAM_OCTETS = 65_535
 #: The longest sleep of a process before it checks whether to end.
 PATIENCE_NS = 100 * NS_PER_MS
@@ -78,20 +81,27 @@ class Context:
         return TopicBus(self.session)
 
     def listen(self, port: int) -> socket.socket:
-        """Open a UDP socket on loopback that never blocks."""
+        """Open a UDP socket on loopback that never blocks, for datagrams of any sender."""
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         udp.setblocking(False)
         udp.bind((LOOPBACK, port))
         return udp
 
+    def listen_media(self, port: int) -> socket.socket:
+        """Open a UDP socket for datagrams of the session's own gateway; see `OWN_SENDERS`."""
+        from pipelines.session.datagrams import listen_to
+
+        return listen_to((LOOPBACK, port), (OWN_SENDERS, port))
+
     def sender(self, port: int) -> Callable[[bytes], None]:
-        """Return a function that sends one datagram to `port` on loopback.
+        """Return a function that sends one datagram to `port` on loopback, from `OWN_SENDERS`.
 
         It ignores a port without a listener. Its socket is connected, so that the kernel looks up
         the route only once.
         """
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         udp.setblocking(False)
+        udp.bind((OWN_SENDERS, port))
         udp.connect((LOOPBACK, port))
         send_now = udp.send
 

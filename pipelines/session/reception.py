@@ -32,8 +32,8 @@ class Incoming:
         self._clock = context.clock
         self._receiver = receiver
         self._receive = context.receive
-        self._rtp = context.listen(topology.exit_port(stream.name))
-        self._rtcp = context.listen(topology.exit_port(topology.media(stream.name).rtcp))
+        self._rtp = context.listen_media(topology.exit_port(stream.name))
+        self._rtcp = context.listen_media(topology.exit_port(topology.media(stream.name).rtcp))
         self._memory = session_root(context.session) / f"{stream.name}.report"
         if self._memory.exists():
             receiver.handle_report(self._memory.read_bytes(), self._clock.now_ns())

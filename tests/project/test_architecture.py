@@ -48,6 +48,8 @@ PROCESS = re.compile(r"pipelines/(?!report/)\w+/process_\w+\.py")
 #: Other modules that may import one of DOORS, with the reason. All others are cores.
 SHELLS = {
     "kontur_av/topics/notifier.py": "FIFOs, and sleep",
+    "kontur_av/topics/file_node.py": "files in shared memory",
+    "kontur_av/topics/iceoryx_node.py": "shared memory",
     "kontur_av/clock.py": "the one place that asks for the time",
     "kontur_av/topics/session_files.py": "files and shared memory",
     "kontur_av/sources/camera.py": "a device",
@@ -242,7 +244,8 @@ LIBRARIES = {
         {"google", "mcap", "pathlib", "struct", "zstandard"},
         "a file",
     ),
-    "kontur_av/topics/bus.py": ({"ctypes", "iceoryx2"}, "shared memory"),
+    "kontur_av/topics/bus.py": ({"ctypes"}, "shared memory"),
+    "kontur_av/topics/iceoryx_node.py": ({"ctypes", "iceoryx2"}, "shared memory"),
     "telepresence/link/protection/": ({"cryptography"}, "keys and ciphers: octets only"),
     "telepresence/link/protection/agreement.py": ({"OpenSSL"}, "TLS in memory: octets only"),
     "telepresence/link/protection/handshake.py": ({"hmac"}, "nonces from a secret"),

@@ -1,7 +1,6 @@
 """The counts of inputs, receivers and displays: real sockets and topics, parts in a thread."""
 
 import secrets
-import socket
 import threading
 import time
 from dataclasses import replace
@@ -9,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rtp_packets import PromptSender
-from running_part import CLOCK, SETUP, eventually, running
+from running_part import CLOCK, SETUP, eventually, running, stream_gateway
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.h264 import DecoderCounts, H264Encoder
@@ -38,7 +37,7 @@ from pipelines.media.process_display import run_display
 from pipelines.media.process_video_receive import run_video_receive
 from pipelines.media.process_video_send import run_video_send
 from pipelines.media.process_voice_receive import run_voice_receive
-from pipelines.session.process import LOOPBACK, Context
+from pipelines.session.process import Context
 from pipelines.session.rows import ShownRow
 from pipelines.session.topology import SELECTED_TOPIC
 from pipelines.table import topology_of
@@ -155,15 +154,14 @@ def test_a_gap_in_a_voice_is_concealed_and_marked(session):
     """
     stream = SETUP.uplink_voice
     rtp, encoder = rtp_sender(VOICE_PAYLOAD_TYPE, AUDIO_CLOCK_HZ), OpusEncoder(bitrate_bps=8000)
-    topology = topology_of(SETUP)
     own, made_up, lost, spoilt = Quality.FRESH, Quality.CONCEALED, 3, 4
     heard = {}
     with (
         running(session, run_voice_receive, stream=stream) as listen,
         TopicBus(session) as bus,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp,
     ):
         reader = bus.reader(f"received/{stream.name}", depth=8)
+        send_packet, send_report = stream_gateway(session, stream)
         begin_ns = CLOCK.now_ns()
 
         def told_apart():
@@ -180,13 +178,13 @@ def test_a_gap_in_a_voice_is_concealed_and_marked(session):
                 (packet,) = rtp.audio_packets(encoder.encode(SOUND), stamp).packets
                 report = rtp.poll_report(capture_ns)
                 if report is not None:
-                    udp.sendto(report, (LOOPBACK, topology.exit_port(f"{stream.name}_rtcp")))
+                    send_report(report)
                 if number % 10 == spoilt:
                     packet = packet[:12] + b"\xff\xff"  # a packet that holds 0 of 63 frames
                 if number % 10 != lost:
                     # Never a burst: what was queued before the start would be left out.
                     time.sleep(max(0, capture_ns - CLOCK.now_ns()) / NS_PER_S)
-                    udp.sendto(packet, (LOOPBACK, topology.exit_port(stream.name)))
+                    send_packet(packet)
                 while (lease := reader.next()) is not None:
                     with lease:
                         at_ns = lease.stamp.capture_ns - begin_ns
@@ -211,22 +209,21 @@ def test_pictures_of_the_setups_size_are_shown_and_larger_ones_counted(session, 
     )
     picture = empty_picture(width, height)
     picture[:] = 128
-    topology = topology_of(SETUP)
     with (
         running(session, run_video_receive, stream=stream) as listen,
         TopicBus(session) as bus,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp,
     ):
         reader = bus.reader(f"received/{stream.name}")
+        send_packet, send_report = stream_gateway(session, stream)
         for number in range(3):
             now_ns = CLOCK.now_ns()
             frame = VideoFrame(picture, CaptureStamp(now_ns, number, "left"))
             packets = rtp.video_packets(encoder.encode(frame)).packets
             report = rtp.poll_report(now_ns)
             if report is not None:
-                udp.sendto(report, (LOOPBACK, topology.exit_port(f"{stream.name}_rtcp")))
+                send_report(report)
             for packet in packets:
-                udp.sendto(packet, (LOOPBACK, topology.exit_port(stream.name)))
+                send_packet(packet)
         key = DecoderCounts, ""
         eventually(lambda: listen().figures[key].frames_decoded == 3 or None)
         lease = reader.latest()

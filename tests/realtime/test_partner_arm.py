@@ -134,6 +134,6 @@ def test_a_second_arm_is_the_partners_own_across_the_internet(start_lab, tmp_pat
     samples = report["rtc"]["samples"]
     # What a killed process counted since its last report, half a second at most, is lost.
     assert samples["taken"] >= second["received"] - 700 and samples["given"] > 0
-    # A greeting of 12 zeros is a sample of an unknown session, not garbage.
-    assert second["garbage"] + second["strays"] >= 31
+    # Nobody reaches an arm by UDP.
+    assert second["garbage"] == 0
     assert report["haptic"]["up"]["received"] > 0

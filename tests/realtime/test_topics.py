@@ -19,8 +19,10 @@ from kontur_av.topics.session_files import remove_session, session_root, shared_
 PICTURE_OCTETS = 64 * 48 * 3 // 2
 
 
-@pytest.fixture
-def session():
+@pytest.fixture(params=["iceoryx2", "files"])
+def session(request, monkeypatch):
+    if request.param == "files":
+        monkeypatch.setenv("KONTUR_AV_TOPICS", "files")
     name = f"test-{os.getpid()}-{time.monotonic_ns() % 100000}"
     yield name
     remove_session(name)

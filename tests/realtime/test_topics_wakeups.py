@@ -22,8 +22,10 @@ PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["kontur_av.topics.bus"])
 
 
-@pytest.fixture
-def session():
+@pytest.fixture(params=["iceoryx2", "files"])
+def session(request, monkeypatch):
+    if request.param == "files":
+        monkeypatch.setenv("KONTUR_AV_TOPICS", "files")
     name = f"wake-{os.getpid()}-{time.monotonic_ns() % 100000}"
     yield name
     remove_session(name)
@@ -41,7 +43,10 @@ def start(session):
     running = []
 
     def start(work, *arguments):
-        process = PROCESSES.Process(target=work, args=(session, *arguments), daemon=True)
+        environment = dict(os.environ)
+        process = PROCESSES.Process(
+            target=_work_in, args=(environment, work, session, *arguments), daemon=True
+        )
         process.start()
         running.append(process)
         return process
@@ -50,6 +55,11 @@ def start(session):
     for process in running:
         process.kill()
         process.join()
+
+
+def _work_in(environment, work, *arguments):
+    os.environ.update(environment)
+    work(*arguments)
 
 
 def stamp(sequence):

@@ -4,7 +4,16 @@ import socket
 
 import pytest
 
-from pipelines.session.datagrams import Inlet, is_loopback, open_peer, outlet, reaches, receive
+from pipelines.session.datagrams import (
+    Inlet,
+    is_loopback,
+    listen_alone,
+    listen_to,
+    open_peer,
+    outlet,
+    reaches,
+    receive,
+)
 
 
 @pytest.fixture
@@ -45,6 +54,27 @@ def test_strangers_are_counted_and_displace_no_frame_of_the_peer(sockets):
     finally:
         ours.close()
         strangers.close()
+
+
+def test_a_port_for_one_sender_takes_nobody_elses_datagrams(sockets):
+    sender, stranger, probe = sockets("127.0.0.2"), sockets(), sockets()
+    here = probe.getsockname()
+    probe.close()
+    with listen_to(here, sender.getsockname()) as udp:
+        for _ in range(1000):
+            stranger.sendto(bytes(500), here)
+        sender.sendto(b"ours", here)
+        assert [receive(udp, 10), receive(udp, 10)] == [b"ours", None]
+
+
+def test_one_process_has_a_sessions_own_socket_until_it_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    first = listen_alone("lab", 27_008)
+    assert first is not None and listen_alone("lab", 27_008) is None
+    first.close()
+    second = listen_alone("lab", 27_008)
+    assert second is not None
+    second.close()
 
 
 def test_a_port_accepts_only_the_host_of_the_programs(sockets):

@@ -38,7 +38,7 @@ def context(tmp_path, monkeypatch):
         setup=BUILT_IN["taskboard"],
         topology=topology_of(BUILT_IN["taskboard"]),
         clock=ManualClock(),
-        listen=listen,
+        listen_media=listen,
         receive=receive,
         sockets=sockets,
     )

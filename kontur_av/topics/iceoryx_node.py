@@ -1,0 +1,130 @@
+"""The topics of a session by iceoryx2 (https://iceoryx.io), with limits and reserved pages."""
+
+import ctypes
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import iceoryx2 as iox2
+
+from kontur_av.topics.session_files import make_session_root, shared_memory_prefix, topics_root
+
+#: A killed writer counts until another process has cleaned up after it.
+_MAX_WRITERS = 4
+_MAX_NODES = 64
+#: A writer's samples at first, of which usually no more are in use: of a large one, and octets.
+#: Other room in shared memory is taken only when it is written.
+_RESERVED_SAMPLES, _RESERVED_OCTETS = 5, 1 << 20
+#: Two that a reader holds, and one that `latest` receives before it releases an older one.
+_MAX_LEASES = 3
+#: At most, of iceoryx2's own header and alignment.
+_SAMPLE_OVERHEAD = 256
+
+
+class IceoryxNode:
+    """One process's access to the topics of one session.
+
+    header_octets: of what goes before each sample. most_readers: of a topic. most_depth: of a
+    reader's queue.
+    """
+
+    def __init__(
+        self, session: str, header_octets: int, *, most_readers: int, most_depth: int
+    ) -> None:
+        config = iox2.config.default()
+        config.global_cfg.prefix = iox2.FileName.new(shared_memory_prefix(session))
+        root = topics_root(session)
+        make_session_root(session)
+        root.mkdir(mode=0o700, exist_ok=True)
+        config.global_cfg.root_path = iox2.Path.new(str(root))
+        iox2.set_log_level(iox2.LogLevel.Error)
+        self._node: Any = (
+            iox2.NodeBuilder.new()
+            .config(config)
+            .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
+            .create(iox2.ServiceType.Ipc)
+        )
+        self._config, self._most_readers, self._most_depth = config, most_readers, most_depth
+        self._header_octets = header_octets
+        fields = [("words", ctypes.c_uint64 * (header_octets // 8))]
+        self._header: Any = type("_Header", (ctypes.Structure,), {"_fields_": fields})
+
+    def topics(self) -> list[str]:
+        """Return the names of the present topics."""
+        found: list[Any] = iox2.Service.list(self._config, iox2.ServiceType.Ipc)
+        return [service.name().to_string() for service in found]
+
+    def publisher(
+        self, topic: str, max_octets: int, *, present: bool
+    ) -> tuple[Any, Callable[[], int]]:
+        """Return a publisher, and what counts its readers.
+
+        present: KeyError if there is no such topic. OSError: no room in shared memory.
+        """
+        service = self._service(topic, present=present)
+        before = _segments()
+        publisher = (
+            service.publisher_builder()
+            .initial_max_slice_len(max_octets)
+            .allocation_strategy(iox2.AllocationStrategy.PowerOfTwo)
+            .max_loaned_samples(2)
+            .backpressure_strategy(iox2.BackpressureStrategy.DiscardData)
+            .create()
+        )
+        try:
+            for path in _segments() - before:
+                self._reserve(path, max_octets)
+        except OSError:
+            publisher.delete()
+            raise
+        return publisher, lambda: int(service.dynamic_config.number_of_subscribers)
+
+    def subscriber(self, topic: str, depth: int, *, present: bool) -> Any:
+        """Return a subscriber with a queue of `depth` samples. present: see `publisher`."""
+        service = self._service(topic, present=present)
+        return service.subscriber_builder().buffer_size(depth).create()
+
+    def close(self) -> None:
+        """Give up the node, after its ports."""
+        self._node = None
+
+    def _service(self, topic: str, *, present: bool) -> Any:
+        service = (
+            self._node.service_builder(iox2.ServiceName.new(topic))
+            .publish_subscribe(iox2.Slice[ctypes.c_uint8])
+            .user_header(self._header)
+            .max_publishers(_MAX_WRITERS)
+            .max_subscribers(self._most_readers)
+            .max_nodes(_MAX_NODES)
+            .subscriber_max_buffer_size(self._most_depth)
+            .subscriber_max_borrowed_samples(_MAX_LEASES)
+            .history_size(1)
+            .enable_safe_overflow(True)
+        )
+        if not present:
+            return service.open_or_create()
+        try:
+            return service.open()
+        except iox2.PublishSubscribeOpenError:
+            raise KeyError(topic) from None
+
+    def _reserve(self, segment: str, max_octets: int) -> None:
+        """Take the pages of the first samples of a segment; OSError if there are too few.
+
+        iceoryx2 uses the lowest sample that is free.
+        """
+        samples = min(max(_RESERVED_OCTETS // max_octets, _RESERVED_SAMPLES), self._most_depth)
+        descriptor = os.open(segment, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            wanted = samples * (max_octets + self._header_octets + _SAMPLE_OVERHEAD)
+            os.posix_fallocate(descriptor, 0, min(wanted, os.fstat(descriptor).st_size))
+        finally:
+            os.close(descriptor)
+
+
+def _segments() -> set[str]:
+    """The segments with samples that this process has mapped."""
+    with Path("/proc/self/maps").open(encoding="utf-8", errors="replace") as maps:
+        paths = {line.rpartition(" ")[2].rstrip("\n") for line in maps if "_0.data" in line}
+    return {path for path in paths if path.endswith("_0.data")}

@@ -1,0 +1,40 @@
+"""What ends a way to a partner ends all that ran for it."""
+
+import asyncio
+
+import pytest
+
+from pipelines.partner.ice_servers import IceServers
+from pipelines.partner.transport import RtcTransport
+
+
+def test_a_way_that_is_found_after_the_end_is_not_taken():
+    def ignore(packet):
+        pass
+
+    async def run():
+        ends = [
+            RtcTransport(
+                controlling=controlling, servers=IceServers(), handle_rtp=ignore, handle_rtcp=ignore
+            )
+            for controlling in (True, False)
+        ]
+        one, other = ends
+        first, second = [await end.gather() for end in ends]
+        find_way = one._find_way
+
+        async def find_it_late(connection, peer):
+            await find_way(connection, peer)
+            await one.close()
+
+        one._find_way = find_it_late
+        peer = asyncio.create_task(other.connect(first, role="server"))
+        with pytest.raises(ConnectionError, match="closed"):
+            await one.connect(second, role="client")
+        peer.cancel()
+        await asyncio.gather(peer, return_exceptions=True)
+        await other.close()
+        names = [task.get_coro().__qualname__ for task in asyncio.all_tasks()]
+        assert not [name for name in names if "_receive" in name], names
+
+    asyncio.run(run())
