@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from running_part import CLOCK, SETUP, eventually, running
+from running_part import CLOCK, SETUP, eventually, running, stream_gateway
 from running_session import assert_sound
 from running_session import eventually as in_session
 
@@ -207,28 +207,28 @@ def channel(stream):
     """Carry a stream's packets from its sender to its receiver, in place of the radio link."""
     topology = topology_of(SETUP)
     over = threading.Event()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        threads = []
-        for name in (stream, f"{stream}_rtcp"):
-            entry = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            entry.bind((LOOPBACK, topology.entry_port(name)))
-            entry.settimeout(0.05)
-            exit_port = topology.exit_port(name)
+    threads = []
+    for name, send in zip(
+        (stream.name, f"{stream.name}_rtcp"), stream_gateway("", stream), strict=True
+    ):
+        entry = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        entry.bind((LOOPBACK, topology.entry_port(name)))
+        entry.settimeout(0.05)
 
-            def carry(entry=entry, exit_port=exit_port):
-                with entry:
-                    while not over.is_set():
-                        with suppress(TimeoutError):
-                            out.sendto(entry.recv(65_535), (LOOPBACK, exit_port))
+        def carry(entry=entry, send=send):
+            with entry:
+                while not over.is_set():
+                    with suppress(TimeoutError):
+                        send(entry.recv(65_535))
 
-            threads.append(threading.Thread(target=carry))
-            threads[-1].start()
-        try:
-            yield
-        finally:
-            over.set()
-            for thread in threads:
-                thread.join()
+        threads.append(threading.Thread(target=carry))
+        threads[-1].start()
+    try:
+        yield
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
 
 
 def test_coded_units_decode_to_the_pictures_that_are_shown(session):
@@ -236,7 +236,7 @@ def test_coded_units_decode_to_the_pictures_that_are_shown(session):
     received, decoded, coded, sent = {}, {}, [], []
     with (
         TopicBus(session) as bus,
-        channel(name),
+        channel(STREAM),
         running(session, run_video_receive, stream=STREAM) as _,
         running(session, run_video_send, stream=STREAM, topic=INPUT) as _,
     ):

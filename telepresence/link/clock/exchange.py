@@ -61,18 +61,25 @@ class _WholeClock:
         pieces, stamp_us = self._pieces, message.stamp_us
         if pieces and now_ns - self._newest_ns > _FORGET_NS:
             pieces.clear()
-        if pieces and stamp_us < self._newest_us and _signed(stamp_us - self._newest_us) > 0:
-            # The stamp has begun anew.
-            above = None if len(pieces) < PARTS else self._above() + 1
-            pieces.clear()
-            if above is not None:
-                for part in range(PARTS):
-                    pieces[part] = above >> part * PART_BITS & (1 << PART_BITS) - 1
+        self._newest_ns = now_ns
+        later_us = _signed(stamp_us - self._newest_us) if pieces else 0
+        # 1: the stamp has begun anew. -1: the message was sent before that, and came after.
+        turns = (later_us > 0 and stamp_us < self._newest_us) - (
+            later_us < 0 and stamp_us > self._newest_us
+        )
+        above = self._above() + turns
+        if turns:
+            whole = len(pieces) == PARTS
+            pieces = {part: _part(above, part) for part in range(PARTS)} if whole else {}
         self.stepped = pieces.get(message.part, message.piece) != message.piece
+        if turns < 0 and not self.stepped:
+            return above * _STAMPS + stamp_us if pieces else None
         if self.stepped:
-            pieces.clear()
+            pieces = {}
+        if self.stepped or later_us >= 0:
+            self._newest_us = stamp_us
         pieces[message.part] = message.piece
-        self._newest_us, self._newest_ns = stamp_us, now_ns
+        self._pieces = pieces
         return None if len(pieces) < PARTS else self._above() * _STAMPS + stamp_us
 
     def _above(self) -> int:
@@ -181,7 +188,7 @@ class ClockExchange:
                 mark,
                 age_us,
                 part,
-                (stamp_us // _STAMPS >> part * PART_BITS) & (1 << PART_BITS) - 1,
+                _part(stamp_us // _STAMPS, part),
             )
         )
 
@@ -202,6 +209,11 @@ class ClockExchange:
             messages_received=self._counts_in,
             restarts=self._estimator.restarts,
         )
+
+
+def _part(above: int, part: int) -> int:
+    """Return one of the parts in which what is above the stamps is told."""
+    return above >> part * PART_BITS & (1 << PART_BITS) - 1
 
 
 def _signed(difference_us: int) -> int:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from random import Random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -92,6 +92,8 @@ def ms(most: int) -> st.SearchStrategy[int]:
 
 
 @settings(deadline=None, max_examples=40)
+# Messages overtake each other while the stamp begins anew.
+@example(0, 0, 300 * NS_PER_MS, 0.0, 32_180_001_697, -1, 34, 371)
 @given(
     there_ns=ms(300),
     back_ns=ms(300),
