@@ -67,7 +67,7 @@ class ReceiverCounts:
     rtp_packets: int = 0
     #: Their payload.
     rtp_payload_octets: int = 0
-    #: Packets that were given up. One that comes late after all counts as late instead.
+    #: Packets given up. One that comes after all counts as late instead.
     rtp_lost: int = 0
     #: Packets that came after one of a higher sequence number.
     rtp_reordered: int = 0
@@ -75,8 +75,7 @@ class ReceiverCounts:
     rtp_duplicates: int = 0
     #: Packets that came after they were given up; dropped.
     rtp_late: int = 0
-    #: Datagrams that are not RTP, or of a foreign payload type or source. Of the RTCP port:
-    #: malformed, of a foreign source, or neither report nor goodbye.
+    #: Datagrams that are not RTP or RTCP, or of a foreign payload type or source.
     garbage: int = 0
     #: How often a source was accepted: 1 and the restarts.
     sources: int = 0

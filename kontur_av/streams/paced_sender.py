@@ -32,7 +32,7 @@ class SenderCounts:
     frames_captured: int = 0
     frames_encoded: int = 0
     frames_sent: int = 0
-    #: Pictures or blocks that were never encoded: the channel was busy, or they were too old.
+    #: Pictures or blocks never encoded: the channel was busy, or they were too old.
     frames_refused: int = 0
     rtp_packets_sent: int = 0
 

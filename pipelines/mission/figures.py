@@ -48,9 +48,9 @@ class TmtcFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskFigures:
-    """The process of tasks, and the newest runs. Those before are kept by who is told."""
+    """The process of tasks, and the newest runs."""
 
-    #: Runs that should have had a file of their own, and have none.
+    #: Runs whose file could not be written.
     unrecorded: int = 0
     #: Why the newest of them has none.
     unrecorded_why: str | None = None

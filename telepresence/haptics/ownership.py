@@ -52,7 +52,7 @@ class OwnershipFigures:
     wanted: Owner
     #: How often the port changed hands, the start included.
     turns: int
-    #: Datagrams that came while their sender did not drive, by sender.
+    #: Datagrams of who did not drive then, by sender.
     refused: Mapping[str, int]
     #: The newest 200.
     events: tuple[OwnerEvent, ...]
