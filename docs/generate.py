@@ -43,6 +43,12 @@ Each name has its signature and the beginning of its docstring here. Methods sta
 of their parameters. Those, units, shapes and errors are in the docstring:
 `python -c "import kontur_av; help(kontur_av.VideoSender)"`.
 """
+#: Keys whose unit says that their value is a number.
+NUMBERS = re.compile(
+    r"(`(?:p[\d.]+|max|mean|\w+_(?:ms|s|us|mm|km|deg|n|c|percent))`\??) \(number\)"
+)
+#: Of a class with more methods the page has their names only.
+MOST_METHODS = 30
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
 
 
@@ -55,9 +61,6 @@ def python_page() -> str:
         )
         names = sorted(exported(module), key=lambda name: (name.lower(), name))
         parts.append(f"## `{package}`\n\n{module.docstring.value}\n")
-        if names:
-            links = ", ".join(f"[{name}](#{anchor(name)})" for name in names)
-            parts.append(f"{links}\n")
         told: dict[str, str] = {}
         parts += [entry(module[name], told) for name in names]
     return "\n".join(parts)
@@ -103,20 +106,25 @@ def entry(member: griffe.Object | griffe.Alias, told: dict[str, str]) -> str:
     if own_init:
         lines.append("    " + signature(init).replace("\n", "\n    "))
     lines += ["```\n", paragraph(member), ""]
+    methods = [name for name, found in public.items() if _is_method(found)]
+    if len(methods) > MOST_METHODS:
+        lines.append(f"`help` explains {', '.join(f'`{name}`' for name in methods)}.")
+        return "\n".join(lines) + "\n"
     again: dict[str, list[str]] = {}
-    for name, found in public.items():
-        if found.is_function:
-            line = f"- `{name}{names(found)}`: {sentence(found)}"
-        elif "property" in found.labels:
-            line = f"- `{name}: {found.annotation}`: {sentence(found)}"
-        else:
-            continue
+    for name in methods:
+        found = public[name]
+        shown = names(found) if found.is_function else f": {found.annotation}"
+        line = f"- `{name}{shown}`: {sentence(found)}"
         if told.setdefault(line, member.name) == member.name:
             lines.append(line.removesuffix(": "))
         else:
             again.setdefault(told[line], []).append(f"`{name}`")
     lines += [f"- {', '.join(names)}: as of [{of}](#{anchor(of)})" for of, names in again.items()]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _is_method(found: griffe.Object | griffe.Alias) -> bool:
+    return found.is_function or "property" in found.labels
 
 
 def arguments(function: griffe.Object | griffe.Alias) -> str:
@@ -300,7 +308,7 @@ def told_once(blocks: dict[str, str]) -> dict[str, str]:
     for name, block in blocks.items():
         parts = []
         for part in block.strip().split("\n\n**"):
-            title, *items = part.split("\n- ")
+            title, *items = NUMBERS.sub(r"\1", part).split("\n- ")
             listed = title.strip("*\n ").partition("**")[0].rstrip(".")
             parts.append("\n- ".join([title, *_without_runs(items, listed, before)]))
         blocks[name] = "\n\n**".join(parts) + "\n"

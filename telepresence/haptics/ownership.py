@@ -44,7 +44,7 @@ class OwnerEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnershipFigures:
-    """Who drives the robot, where a partner may, too (docs/partner.md)."""
+    """Who drives the robot, where a partner may, too (docs/rtc.md)."""
 
     #: `iss` or `partner`; null: nobody.
     owner: Newest[Owner] | None
