@@ -35,12 +35,11 @@ HEAD = """# The Python interface
 
 <!-- Written by docs/generate.py from the docstrings: change those, not this page. -->
 
-These names are for users of the library. Import them from the package: `from kontur_av import ...`.
-Other modules are the project's own and may change. Instants are integer nanoseconds of one clock,
-`now_ns`. `samples/` has short scripts that use these names.
+Import these names from the package: `from kontur_av import ...`. Other modules are the project's
+own and may change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
+`samples/` has short scripts that use these names.
 
-Each name has its signature and the beginning of its docstring here. Methods stand without the types
-of their parameters. Those, units, shapes and errors are in the docstring:
+Types of methods' parameters, units, shapes and errors are in the docstrings:
 `python -c "import kontur_av; help(kontur_av.VideoSender)"`.
 """
 #: Keys whose unit says that their value is a number.
@@ -144,12 +143,13 @@ def names(function: griffe.Object | griffe.Alias) -> str:
 
 
 def signature(function: griffe.Object | griffe.Alias) -> str:
-    line = f"def {function.name}{arguments(function)}"
+    line = f"def {function.name}{arguments(function)}".removesuffix(" -> None")
     if len(line) <= 96:
         return line
-    names, _, result = arguments(function).rpartition(") -> ")
-    inner = ",\n    ".join(_split(names.removeprefix("(")))
-    return f"def {function.name}(\n    {inner},\n) -> {result}"
+    parameters, _, result = arguments(function).rpartition(") -> ")
+    inner = ",\n    ".join(_split(parameters.removeprefix("(")))
+    end = f" -> {result}" * (result != "None")
+    return f"def {function.name}(\n    {inner},\n){end}"
 
 
 def _split(parameters: str) -> list[str]:

@@ -424,7 +424,7 @@ class DecoderCounts:
     """A decoder of pictures."""
 
     frames_decoded: int = 0
-    #: Access units that could not be decoded, or whose picture no `I420` can hold.
+    #: Access units that could not be decoded, or whose picture does not fit `I420`.
     frames_corrupt: int = 0
     #: Access units before the first at which a decoder can start; not corrupt.
     frames_before_start: int = 0

@@ -28,7 +28,7 @@ class UnitSent(NamedTuple):
 class SenderCounts:
     """The sender of a stream, in pictures or blocks of sound."""
 
-    #: Pictures or blocks of sound that came to the sender.
+    #: Pictures or blocks of sound at the sender.
     frames_captured: int = 0
     frames_encoded: int = 0
     frames_sent: int = 0

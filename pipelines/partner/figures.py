@@ -50,5 +50,5 @@ class RtcFigures:
     route: str | None = None
     #: Of the newest answer to a report.
     round_trip_ns: Newest[int] | None = None
-    #: To the partner `rtc_video`, `rtc_speech`, the downlink's; of it `rtc_camera`, `rtc_voice`.
+    #: Sent `rtc_video`, `rtc_speech` and the downlink's; received `rtc_camera`, `rtc_voice`.
     streams: Mapping[str, RtcStreamFigures] = field(default_factory=dict)

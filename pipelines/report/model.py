@@ -104,9 +104,9 @@ class StreamReport(Report, frozen=True, kw_only=True):
     #: What samples left out added to the cap, on average.
     gained_bps: int | None = None
     gain: Flat[GainFigures] | None = None
-    #: Width and height of what is captured and displayed; of pictures only.
+    #: Width and height as captured and displayed; of pictures only.
     size: tuple[int, int] | None = None
-    #: Width and height that are coded; of pictures only.
+    #: Width and height as coded; of pictures only.
     coded_size: tuple[int, int] | None = None
     payload_bps_mean: int
     #: The largest rate over a sliding second.
@@ -123,7 +123,7 @@ class StreamReport(Report, frozen=True, kw_only=True):
     decoder: Received[Flat[DecoderCounts]] | None = None
     display: Received[Flat[DisplayFigures]]
     displayed_hz: Received[float]
-    #: From this age on, what is shown counts as stale.
+    #: Older than this is stale.
     stale_after_ms: Received[float]
     #: From capture to display; of one end alone without its stages.
     latency_ms: StreamLatency
@@ -158,7 +158,7 @@ class HapticReport(Report, frozen=True, kw_only=True):
     side: str | None = None
     #: The rate of the insert zone.
     cap_bps: int
-    #: The rate of the samples that were received.
+    #: The rate of received samples.
     payload_bps_mean: Received[int]
     sender: Flat[SamplesSent]
     #: The rate that samples left out saved.
@@ -400,7 +400,7 @@ class ProcessReport(Report, frozen=True, kw_only=True):
     restarts: int
     #: The last fault of an input's source.
     source_fault: str | None = None
-    #: `fifo` with real-time priority, `other` without the permission for it.
+    #: `fifo` with real-time priority, else `other`.
     scheduler: str | None = None
     #: Why it ended last, if it was not told to.
     last_error: str | None = None
@@ -590,7 +590,7 @@ class SessionReport(Report, frozen=True, kw_only=True):
     safety: SafetyFigures | None = None
     #: The arm that only a partner drives.
     second_arm: SecondArmReport | None = None
-    #: What the trainer did, oldest first; only if anything.
+    #: What the trainer did, oldest first; absent if nothing.
     exercises: list[DatedEvent] | None = None
     #: The recording; left out without one.
     recorder: RecorderFigures | None = None

@@ -11,7 +11,7 @@ class SamplesSent:
 
     #: Samples sent, without greetings.
     sent: int = 0
-    #: Samples that the deadband left out; only with a deadband.
+    #: Samples left out; only with a deadband.
     left_out: int | None = None
 
 
@@ -19,7 +19,7 @@ class SamplesSent:
 class SamplesReceived:
     """Samples that came to one end (`HapticLink`)."""
 
-    #: Samples whose number says that they were the newest.
+    #: Samples that were the newest.
     received: int = 0
     #: Gaps in the sequence numbers.
     lost: int = 0
@@ -33,9 +33,9 @@ class SamplesReceived:
     greetings: int = 0
     #: Datagrams that are neither sample nor greeting.
     garbage: int = 0
-    #: Sessions begun; there is a new one every 30 s.
+    #: Sessions begun, one every 30 s.
     sessions: int = 0
-    #: How often a session began with a new life of the peer.
+    #: Sessions begun with a new life of the peer.
     restarts: int = 0
 
 
@@ -43,9 +43,9 @@ class SamplesReceived:
 class PortFigures:
     """Energies of the port at one end, and its passivity controller (`JoystickSide.report`)."""
 
-    #: Energy that went from this end into the port.
+    #: Energy from this end into the port.
     energy_in_uj: int = 0
-    #: Energy that came out of the port at this end.
+    #: Energy out of the port at this end.
     energy_out_uj: int = 0
     #: Energy that the other end granted.
     granted_uj: int = 0

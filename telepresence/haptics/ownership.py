@@ -52,7 +52,7 @@ class OwnershipFigures:
     wanted: Owner
     #: How often the port changed hands, the start included.
     turns: int
-    #: Datagrams of who did not drive then, by sender.
+    #: Datagrams of a sender that did not drive, by sender.
     refused: Mapping[str, int]
     #: The newest 200.
     events: tuple[OwnerEvent, ...]

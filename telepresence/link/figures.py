@@ -21,7 +21,7 @@ class QueueFigures:
     depth_octets: Newest[int]
     #: How many packets may wait.
     depth_packets: Newest[int]
-    #: Packets that wait, without one partly sent.
+    #: Packets waiting, without one partly sent.
     packets: Newest[int]
     #: Sum of their lengths; each counts as 8 octets at least.
     octets: Newest[int]
@@ -33,11 +33,11 @@ class QueueFigures:
     max_octets: Most[int]
     #: The longest time from arrival until the last octet was sent, or the drop.
     max_age_ns: Most[int]
-    #: Packets that were put into the queue.
+    #: Packets put into the queue.
     accepted: int
-    #: Packets that waited because their level's rate is limited.
+    #: Packets delayed by their level's rate limit.
     delayed: int
-    #: Packets that were dropped, by reason.
+    #: Packets dropped, by reason.
     drops: Mapping[str, int]
 
 
@@ -54,11 +54,11 @@ class SenderFigures:
     #: The queue of each level.
     queue: Mapping[str, QueueFigures] = field(default_factory=dict)
     haptic_sent: int = 0
-    #: Samples that a newer one replaced before their slot came.
+    #: Samples replaced by a newer one before their slot.
     haptic_superseded: int = 0
     #: Packets by form of header, and octets of headers, by flow.
     headers: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    #: Packets that were not taken, by reason.
+    #: Packets not taken, by reason.
     refused: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -69,17 +69,17 @@ class ReceiverFigures:
     #: Good frames.
     frames_received: int = 0
     frames_lost: int = 0
-    #: Frames that were received and dropped, by reason.
+    #: Received frames dropped, by reason.
     frames_dropped: Mapping[str, int] = field(default_factory=dict)
-    #: How often the peer began to count frames anew.
+    #: How often the peer's frame count began anew.
     restarts: int = 0
     haptic_received: int = 0
-    #: Samples that came before the connection was approved.
+    #: Samples before the connection was approved.
     haptic_unapproved: int = 0
     supervision_received: int = 0
-    #: Packets that were delivered, by flow.
+    #: Packets delivered, by flow.
     packets: Mapping[str, int] = field(default_factory=dict)
-    #: Packets that were dropped, by reason.
+    #: Packets dropped, by reason.
     packets_dropped: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -131,7 +131,7 @@ class PathFigures:
     delay_min_ns: int
     #: The longest delay.
     delay_max_ns: int
-    #: Frames that were put into the path.
+    #: Frames put into the path.
     frames_sent: int
     #: Frames that the path lost.
     frames_lost: int

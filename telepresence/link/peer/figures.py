@@ -31,7 +31,7 @@ class PeerFigures:
 
     #: When the gateway began, on its own clock.
     begun_ns: Newest[int]
-    #: Whether the datagrams are encrypted and authenticated.
+    #: Whether datagrams are encrypted and authenticated.
     protected: bool
     #: The identity that the other end must prove; only with protection.
     identity: str | None = None
