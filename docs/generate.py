@@ -114,6 +114,8 @@ def entry(member: griffe.Object | griffe.Alias, told: dict[str, str]) -> str:
         found = public[name]
         shown = names(found) if found.is_function else f": {found.annotation}"
         line = f"- `{name}{shown}`: {sentence(found)}"
+        if shown.endswith("None"):
+            line = line.replace(", or None.", ".")
         if told.setdefault(line, member.name) == member.name:
             lines.append(line.removesuffix(": "))
         else:
@@ -227,14 +229,22 @@ def commands_text() -> str:
             parts.append(f"- {option}: {told}")
     for name, parser in commands:
         told = _sentence(parser.description)
-        if name not in rows:
-            parts.append(f"- `{name}`: {told}")
+        mine = rows.get(name, [])
+        alike = [row for row in mine if row in shared.values()]
+        own = [
+            option + f": {what}" * bool(what)
+            for option, what in mine
+            if (option, what) not in alike
+        ]
+        also = [f"`{_option(row)}`" for row in alike]
+        if len(name.split()) > 2 and len(mine) <= 3:
+            # Few options: one item.
+            parts += [""] * (not parts[-1].startswith("- "))
+            parts.append(f"- `{name}`: {told}" + f" {'; '.join([*own, *also])}" * bool(mine))
             continue
-        parts.append(f"\n{'#' * (1 + len(name.split()[:-1]))} `{name}`\n\n{told}")
-        own = [row for row in rows[name] if row not in shared.values()]
-        also = [f"`{_option(row)}`" for row in rows[name] if row in shared.values()]
-        parts += [""] * bool(rows[name] or name.endswith("bench"))
-        parts += [f"- {option}" + f": {what}" * bool(what) for option, what in own]
+        parts.append(f"\n{'#' * len(name.split())} `{name}`\n\n{told}")
+        parts += [""] * bool(mine)
+        parts += [f"- {one}" for one in own]
         parts += ["- " + "and " * bool(own) + ", ".join(also)] * bool(also)
     return "\n".join(parts) + "\n"
 
