@@ -35,13 +35,19 @@ HEAD = """# The Python interface
 
 <!-- Written by docs/generate.py from the docstrings: change those, not this page. -->
 
-These names are for users of the library. Import them from the package: `from kontur_av import ...`.
-Other modules are the project's own and may change. Instants are integer nanoseconds of one clock,
-`now_ns`. `samples/` has short scripts that use these names.
+Import these names from the package: `from kontur_av import ...`. Other modules are the project's
+own and may change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
+`samples/` has short scripts that use these names.
 
-Each name has its signature and the beginning of its docstring here. Parameters, units, shapes and
-errors are in the docstring: `python -c "import kontur_av; help(kontur_av.VideoSender)"`.
+Types of methods' parameters, units, shapes and errors are in the docstrings:
+`python -c "import kontur_av; help(kontur_av.VideoSender)"`.
 """
+#: Keys whose unit says that their value is a number.
+NUMBERS = re.compile(
+    r"(`(?:p[\d.]+|max|mean|\w+_(?:ms|s|us|mm|km|deg|n|c|percent))`\??) \(number\)"
+)
+#: Of a class with more methods the page has their names only.
+MOST_METHODS = 30
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
 
 
@@ -54,10 +60,8 @@ def python_page() -> str:
         )
         names = sorted(exported(module), key=lambda name: (name.lower(), name))
         parts.append(f"## `{package}`\n\n{module.docstring.value}\n")
-        if names:
-            links = ", ".join(f"[{name}](#{anchor(name)})" for name in names)
-            parts.append(f"{links}\n")
-        parts += [entry(module[name]) for name in names]
+        told: dict[str, str] = {}
+        parts += [entry(module[name], told) for name in names]
     return "\n".join(parts)
 
 
@@ -70,8 +74,11 @@ def anchor(name: str) -> str:
     return re.sub(r"[^\w -]", "", name.lower()).replace(" ", "-")
 
 
-def entry(member: griffe.Object | griffe.Alias) -> str:
-    """One exported name: its signature, its docstring, and its public methods."""
+def entry(member: griffe.Object | griffe.Alias, told: dict[str, str]) -> str:
+    """One exported name: its signature, its docstring, and its public methods.
+
+    told: by line, the class that has it already; lines of this class are added.
+    """
     if member.is_attribute:
         code = f"{member.name} = {member.value}"
         return f"### {member.name}\n\n```python\n{code}\n```\n\n{paragraph(member)}\n"
@@ -98,12 +105,27 @@ def entry(member: griffe.Object | griffe.Alias) -> str:
     if own_init:
         lines.append("    " + signature(init).replace("\n", "\n    "))
     lines += ["```\n", paragraph(member), ""]
-    for name, found in public.items():
-        if found.is_function:
-            lines.append(f"- `{name}{arguments(found)}`: {sentence(found)}")
-        elif "property" in found.labels:
-            lines.append(f"- `{name}: {found.annotation}`: {sentence(found)}")
+    methods = [name for name, found in public.items() if _is_method(found)]
+    if len(methods) > MOST_METHODS:
+        lines.append(f"`help` explains {', '.join(f'`{name}`' for name in methods)}.")
+        return "\n".join(lines) + "\n"
+    again: dict[str, list[str]] = {}
+    for name in methods:
+        found = public[name]
+        shown = names(found) if found.is_function else f": {found.annotation}"
+        line = f"- `{name}{shown}`: {sentence(found)}"
+        if shown.endswith("None"):
+            line = line.replace(", or None.", ".")
+        if told.setdefault(line, member.name) == member.name:
+            lines.append(line.removesuffix(": "))
+        else:
+            again.setdefault(told[line], []).append(f"`{name}`")
+    lines += [f"- {', '.join(names)}: as of [{of}](#{anchor(of)})" for of, names in again.items()]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _is_method(found: griffe.Object | griffe.Alias) -> bool:
+    return found.is_function or "property" in found.labels
 
 
 def arguments(function: griffe.Object | griffe.Alias) -> str:
@@ -112,13 +134,24 @@ def arguments(function: griffe.Object | griffe.Alias) -> str:
     return re.sub(r"^\((?:self|cls)(?:, )?", "(", shown[shown.index("(") :])
 
 
+def names(function: griffe.Object | griffe.Alias) -> str:
+    """`(x, *, y=0) -> str`: without the types of parameters, and without `-> None`."""
+    inner, _, result = arguments(function).rpartition(") -> ")
+    kept = []
+    for parameter in _split(inner.removeprefix("(")):
+        before, _, default = parameter.partition(" = ")
+        kept.append(before.partition(":")[0] + f"={default}" * bool(default))
+    return f"({', '.join(kept)})" + f" -> {result}" * (result != "None")
+
+
 def signature(function: griffe.Object | griffe.Alias) -> str:
-    line = f"def {function.name}{arguments(function)}"
+    line = f"def {function.name}{arguments(function)}".removesuffix(" -> None")
     if len(line) <= 96:
         return line
-    names, _, result = arguments(function).rpartition(") -> ")
-    inner = ",\n    ".join(_split(names.removeprefix("(")))
-    return f"def {function.name}(\n    {inner},\n) -> {result}"
+    parameters, _, result = arguments(function).rpartition(") -> ")
+    inner = ",\n    ".join(_split(parameters.removeprefix("(")))
+    end = f" -> {result}" * (result != "None")
+    return f"def {function.name}(\n    {inner},\n){end}"
 
 
 def _split(parameters: str) -> list[str]:
@@ -139,9 +172,9 @@ def paragraph(found: griffe.Object | griffe.Alias) -> str:
 
 
 def sentence(found: griffe.Object | griffe.Alias) -> str:
-    """The first sentence of the docstring."""
-    told = paragraph(found)
-    return re.split(r"(?<=\.) (?=[A-Z`(])", told)[0]
+    """The first sentence of the docstring, without its `Return`: the type is beside it."""
+    told = re.split(r"(?<=\.) (?=[A-Z`(])", paragraph(found))[0].removeprefix("Return ")
+    return told[:1].upper() + told[1:]
 
 
 def run_table() -> str:
@@ -185,10 +218,10 @@ def commands_text() -> str:
     commands = list(_commands(make_parser(), "kontur-av"))
     rows = {name: _rows(one) for name, one in commands if not name.startswith("kontur-av bench ")}
     counts = Counter(row for of in rows.values() for row in of)
-    # By option: its most frequent meaning, if at least three commands have it.
+    # By option: its most frequent meaning, if at least two commands have it.
     shared: dict[str, tuple[str, str]] = {}
     for row, count in counts.most_common():
-        if count >= 3:
+        if count >= 2 and row[1]:
             shared.setdefault(_option(row), row)
     parts = ["## Options of several commands\n"]
     for option, told in counts:
@@ -196,14 +229,22 @@ def commands_text() -> str:
             parts.append(f"- {option}: {told}")
     for name, parser in commands:
         told = _sentence(parser.description)
-        if name not in rows:
-            parts.append(f"- `{name}`: {told}")
+        mine = rows.get(name, [])
+        alike = [row for row in mine if row in shared.values()]
+        own = [
+            option + f": {what}" * bool(what)
+            for option, what in mine
+            if (option, what) not in alike
+        ]
+        also = [f"`{_option(row)}`" for row in alike]
+        if len(name.split()) > 2 and len(mine) <= 3:
+            # Few options: one item.
+            parts += [""] * (not parts[-1].startswith("- "))
+            parts.append(f"- `{name}`: {told}" + f" {'; '.join([*own, *also])}" * bool(mine))
             continue
-        parts.append(f"\n{'#' * (1 + len(name.split()[:-1]))} `{name}`\n\n{told}")
-        own = [row for row in rows[name] if row not in shared.values()]
-        also = [f"`{_option(row)}`" for row in rows[name] if row in shared.values()]
-        parts += [""] * bool(rows[name] or name.endswith("bench"))
-        parts += [f"- {option}" + f": {what}" * bool(what) for option, what in own]
+        parts.append(f"\n{'#' * len(name.split())} `{name}`\n\n{told}")
+        parts += [""] * bool(mine)
+        parts += [f"- {one}" for one in own]
         parts += ["- " + "and " * bool(own) + ", ".join(also)] * bool(also)
     return "\n".join(parts) + "\n"
 
@@ -257,11 +298,60 @@ def topology_blocks() -> dict[str, str]:
         "channels": channels.markdown(),
         "recorded channels": joined(channels_table(session)).markdown(),
         "recorded fields": recorded_fields(),
-        "report": keys_tables(SessionReport),
-        "link report": keys_tables(LinkReport, without=SessionReport),
-        "headlines": keys_tables(Headline),
-        "counts": counts_table(),
+        **told_once(
+            {
+                "report": keys_tables(SessionReport),
+                "counts": counts_table(),
+                "link report": keys_tables(LinkReport, without=SessionReport),
+                "headlines": keys_tables(Headline),
+            }
+        ),
     }
+
+
+def told_once(blocks: dict[str, str]) -> dict[str, str]:
+    """The lists of these blocks, with runs of three items or more in their first place only.
+
+    A later place names their first and last key, and the list that has them.
+    """
+    before: list[tuple[str, list[str]]] = []
+    for name, block in blocks.items():
+        parts = []
+        for part in block.strip().split("\n\n**"):
+            title, *items = NUMBERS.sub(r"\1", part).split("\n- ")
+            listed = title.strip("*\n ").partition("**")[0].rstrip(".")
+            parts.append("\n- ".join([title, *_without_runs(items, listed, before)]))
+        blocks[name] = "\n\n**".join(parts) + "\n"
+    return blocks
+
+
+def _without_runs(
+    items: list[str], title: str, before: list[tuple[str, list[str]]]
+) -> Iterator[str]:
+    """The items, runs of those that were in `before` named only. Adds new ones to `before`."""
+    fresh: list[str] = []
+    before.append((title, fresh))
+    while items:
+        plain = [item.replace("`STREAM.", "`", 1) for item in items]
+        length, where = max(
+            ((_alike(plain, had[at:]), of) for of, had in before for at in range(len(had))),
+            key=lambda found: found[0],
+            default=(0, ""),
+        )
+        if length >= 3:
+            first, last = (items[at].partition(":")[0].split()[0] for at in (0, length - 1))
+            yield f"{first} … {last}: as " + (f"in {where}" if where != title else "above")
+        else:
+            length = 1
+            fresh.append(plain[0])
+            yield items[0]
+        items = items[length:]
+
+
+def _alike(items: list[str], others: list[str]) -> int:
+    """How many items are the same from the first on."""
+    pairs = list(zip(items, others, strict=False))
+    return next((at for at, (one, other) in enumerate(pairs) if one != other), len(pairs))
 
 
 def joined(table: tables.Table) -> tables.Table:

@@ -1,11 +1,10 @@
 """Real-time media for thin links: from a camera or a microphone to RTP packets, and back.
 
-This package needs no robot and no radio. The names below are its public interface. Each is imported
-at its first use, because codecs and RTP take long to import.
+This package needs no robot and no radio. Each name is imported at its first use, because codecs and
+RTP take long to import.
 
-All instants are integer nanoseconds of one clock, most often a `MonotonicClock`. The four streams
-(`VideoSender`, `VideoReceiver`, `VoiceSender`, `VoiceReceiver`) are cores: they open no socket and
-ask no clock. samples/send_numpy.py and samples/receive_numpy.py show both ends in a loop.
+The four streams (`VideoSender`, `VideoReceiver`, `VoiceSender`, `VoiceReceiver`) are cores: they
+open no socket and ask no clock. samples/send_numpy.py and samples/receive_numpy.py show both ends.
 """
 
 from typing import TYPE_CHECKING

@@ -1,8 +1,4 @@
-"""What is joined to what: setups, processes, the launcher, the report and the command.
-
-What is listed here is the interface for users of the library. Names are loaded when they are first
-used.
-"""
+"""What is joined to what: setups, processes, the launcher, the report and the command."""
 
 from typing import TYPE_CHECKING
 

@@ -1,8 +1,7 @@
 """The radio link and the hand: what shares the channel with the media.
 
-What is listed here is the interface for users of the library. Names are loaded when they are first
-used. All are cores: they open no socket and ask no clock. samples/slots_virtual_time.py drives both
-ends of the link by hand.
+All are cores: they open no socket and ask no clock. samples/slots_virtual_time.py drives both ends
+of the link by hand.
 """
 
 from typing import TYPE_CHECKING

@@ -424,11 +424,11 @@ class DecoderCounts:
     """A decoder of pictures."""
 
     frames_decoded: int = 0
-    #: Access units that could not be decoded, or whose picture no `I420` can hold.
+    #: Access units that could not be decoded, or whose picture does not fit `I420`.
     frames_corrupt: int = 0
-    #: Access units before the first one at which a decoder can start; these are not corrupt.
+    #: Access units before the first at which a decoder can start; not corrupt.
     frames_before_start: int = 0
-    #: How often the decoder was opened anew, because it held pictures back.
+    #: How often the decoder was reopened because it held pictures back.
     decoder_restarts: int = 0
 
 

@@ -63,22 +63,21 @@ class RtpReceived:
 class ReceiverCounts:
     """RTP packets of a receiver since it was made, over all restarts of the sender."""
 
-    #: Packets of the accepted source, without duplicates and late ones.
+    #: Packets of the accepted source, neither duplicate nor late.
     rtp_packets: int = 0
     #: Their payload.
     rtp_payload_octets: int = 0
-    #: Packets that were given up. One that comes late after all counts as late instead.
+    #: Packets given up. One that comes after all counts as late instead.
     rtp_lost: int = 0
-    #: Packets that came after one of a higher sequence number.
+    #: Packets after one of a higher sequence number.
     rtp_reordered: int = 0
     #: Packets that came twice.
     rtp_duplicates: int = 0
-    #: Packets that came after they were given up; dropped.
+    #: Packets that came after they were given up.
     rtp_late: int = 0
-    #: Datagrams that are not RTP, or of a foreign payload type or source. Of the RTCP port:
-    #: malformed, of a foreign source, or neither report nor goodbye.
+    #: Datagrams that are not RTP or RTCP, or of a foreign payload type or source.
     garbage: int = 0
-    #: How often a source was accepted: 1 and the restarts.
+    #: Sources accepted: 1 and the restarts.
     sources: int = 0
     #: Sender reports of the accepted source.
     rtcp_reports: int = 0

@@ -28,11 +28,11 @@ class UnitSent(NamedTuple):
 class SenderCounts:
     """The sender of a stream, in pictures or blocks of sound."""
 
-    #: Pictures or blocks of sound that came to the sender.
+    #: Pictures or blocks of sound at the sender.
     frames_captured: int = 0
     frames_encoded: int = 0
     frames_sent: int = 0
-    #: Pictures or blocks that were never encoded: the channel was busy, or they were too old.
+    #: Pictures or blocks never encoded: the channel was busy, or they were too old.
     frames_refused: int = 0
     rtp_packets_sent: int = 0
 

@@ -27,7 +27,7 @@ class VideoReceiverCounts:
     frames_received: int = 0
     #: Access units with gaps.
     frames_damaged: int = 0
-    #: Pictures that came before a sender report gave their capture time.
+    #: Pictures before a sender report gave their capture time.
     frames_undated: int = 0
     #: Pictures larger than wanted.
     frames_oversized: int = 0

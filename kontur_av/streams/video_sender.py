@@ -45,7 +45,7 @@ class PictureCoded(NamedTuple):
 class FeedbackCounts:
     """What the receiver of a picture told its sender."""
 
-    #: Messages of losses and requests for key pictures.
+    #: Reports of losses and requests for key pictures.
     feedback_received: int = 0
     #: Datagrams that are not feedback.
     feedback_garbage: int = 0

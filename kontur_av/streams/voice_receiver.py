@@ -32,21 +32,21 @@ class VoiceReceiverCounts:
     rtp: Flat[ReceiverCounts] = field(default_factory=ReceiverCounts)
     #: Interarrival jitter (RFC 3550, appendix A.8).
     jitter_ns: Newest[int] = 0
-    #: How long the playout holds sound back at present.
+    #: How long the playout holds sound back now.
     playout_delay_ns: Newest[int] = 0
     #: Blocks whose own packet came.
     frames_received: int = 0
-    #: Blocks that were played, from their own packet or restored.
+    #: Blocks played, from their own packet or restored.
     frames_decoded: int = 0
-    #: Blocks that the decoder had to make up.
+    #: Blocks that the decoder made up.
     frames_concealed: int = 0
-    #: Blocks that were restored from forward error correction.
+    #: Blocks restored from forward error correction.
     frames_recovered: int = 0
     #: Packets that were not Opus.
     frames_corrupt: int = 0
-    #: Blocks that came before a sender report gave their capture time.
+    #: Blocks before a sender report gave their capture time.
     frames_undated: int = 0
-    #: Blocks that came too late to be played.
+    #: Blocks too late to be played.
     frames_late: int = 0
     #: Blocks that were dropped to play sooner.
     frames_left_out: int = 0

@@ -13,7 +13,7 @@ class SocketFigures:
 
     #: Datagrams that the network did not take.
     unsent: int = 0
-    #: Datagrams from addresses that have no business there, by port.
+    #: Datagrams from foreign addresses, by port.
     strangers: Mapping[str, int] = field(default_factory=dict)
 
 

@@ -14,15 +14,15 @@ class CaptureFigures:
     captured: int = 0
     #: Faults that the source has survived.
     source_faults: int = 0
-    #: Of the captured ones, those of a browser page; only in a session with pages.
+    #: Those captured from a browser page; only with pages.
     from_page: int | None = None
-    #: What pages gave in vain: too old, of another size, or before what was captured last.
+    #: Refused from pages: too old, of another size, or before the last captured.
     page_refused: int | None = None
     #: When it captured last.
     captured_ns: Most[int] | None = None
     #: The last fault of its source.
     source_fault: str | None = None
-    #: `page` while a browser page has the input, else `own`; only in a session with pages.
+    #: `page` while a browser page has the input, else `own`; only with pages.
     live_source: str | None = None
 
 
@@ -40,7 +40,7 @@ class StereoFigures:
 class GainFigures:
     """The cap of a picture that rises while haptic samples are left out."""
 
-    #: What the cap gained from samples that were left out.
+    #: What the cap gained from samples left out.
     gained_bits: int = 0
     #: How often that gain changed.
     gain_changes: int = 0
@@ -50,7 +50,7 @@ class GainFigures:
 class DisplayFigures:
     """What a display shows or plays of one stream."""
 
-    #: Pictures or blocks that were shown or played; concealed sound does not count.
+    #: Pictures shown or blocks played, without concealed sound.
     frames_displayed: int = 0
     #: How long what was shown was stale.
     stale_ns: int = 0

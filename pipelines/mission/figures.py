@@ -16,13 +16,13 @@ class TmtcFigures:
     pus_sent_octets: int = 0
     #: Packets that came by radio.
     pus_received: int = 0
-    #: Packets and requests that could not be read.
+    #: Unreadable packets and requests.
     pus_garbage: int = 0
     #: Packets that waited for the token bucket.
     pus_delayed: int = 0
-    #: Reports and news that were dropped because too many waited.
+    #: Reports and news dropped because too many waited.
     pus_dropped: int = 0
-    #: Telecommands sent, with their repetitions.
+    #: Telecommands sent, repetitions included.
     pus_telecommands: int = 0
     #: Telecommands sent again.
     pus_telecommands_repeated: int = 0
@@ -38,7 +38,7 @@ class TmtcFigures:
     pus_housekeeping: int = 0
     #: Reports of applications that came in.
     pus_reports: int = 0
-    #: Messages of K2ACI sent, with their repetitions.
+    #: Messages of K2ACI sent, repetitions included.
     k2aci_sent: int = 0
     #: Messages of K2ACI sent again.
     k2aci_repeated: int = 0
@@ -48,9 +48,9 @@ class TmtcFigures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskFigures:
-    """The process of tasks, and the newest runs. Those before are kept by who is told."""
+    """The process of tasks, and the newest runs."""
 
-    #: Runs that should have had a file of their own, and have none.
+    #: Runs whose file could not be written.
     unrecorded: int = 0
     #: Why the newest of them has none.
     unrecorded_why: str | None = None

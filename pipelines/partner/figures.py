@@ -32,13 +32,13 @@ class RtcFigures:
     connections: int = 0
     #: Restarts of ICE.
     ice_restarts: int = 0
-    #: Requests of HTTP refused, by reason: `token`, `strangers`, `offers` or `viewers`.
+    #: HTTP requests refused: `token`, `strangers`, `offers` or `viewers`.
     refused: Mapping[str, int] = field(default_factory=dict)
-    #: Offers that could not be used, and packets that were not RTP or RTCP.
+    #: Unusable offers, and packets that were not RTP or RTCP.
     garbage: int = 0
-    #: Connections and requests that ended in an error of this software; the error stream has them.
+    #: Connections and requests ended by an error of this software; see the error stream.
     faults: int = 0
-    #: Haptic samples: `taken` from the partner, `given` to it, or `left_out` for a slow network.
+    #: Haptic samples `taken` from the partner, `given` to it, or `left_out` for a slow network.
     samples: Mapping[str, int] = field(default_factory=dict)
     #: How often the rate of the picture was lowered.
     rate_lowered: int = 0
@@ -46,10 +46,9 @@ class RtcFigures:
     partners: Newest[int] = 0
     #: Of the picture that is coded for the partner.
     rate_bps: Newest[int] = 0
-    #: How the addresses of the newest connection were found, ours and theirs: host, srflx, prflx or
-    #: relay.
+    #: Kinds of the newest connection's addresses, ours and theirs: host, srflx, prflx, relay.
     route: str | None = None
     #: Of the newest answer to a report.
     round_trip_ns: Newest[int] | None = None
-    #: `rtc_video`, `rtc_speech` and the downlink's to the partner; `rtc_camera`, `rtc_voice` of it.
+    #: Sent `rtc_video`, `rtc_speech` and the downlink's; received `rtc_camera`, `rtc_voice`.
     streams: Mapping[str, RtcStreamFigures] = field(default_factory=dict)

@@ -24,7 +24,7 @@ class RecordedChannel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderFigures:
-    """What was recorded of the session; of a recorder that was killed, until its last report."""
+    """What was recorded; of a killed recorder, until its last report."""
 
     #: Files begun.
     parts: int = 0
@@ -32,7 +32,7 @@ class RecorderFigures:
     octets: int = 0
     #: How often a file could not be opened or written.
     disk_faults: int = 0
-    #: Key pictures that came too late: a black one is in their place.
+    #: Key pictures that came too late; a black one replaces each.
     late_keys: int = 0
     #: The newest file; null while nothing is recorded.
     file: Newest[str] | None = None

@@ -76,7 +76,7 @@ class Spread(Report, frozen=True, kw_only=True):
 
 
 class Stages(Report, frozen=True, kw_only=True):
-    """The four stages of a stream's latency, of the units whose every stage is known."""
+    """Stages of a stream's latency, of units whose every stage is known."""
 
     #: Capture, waiting for the encoder, and encoding.
     capture_to_encoded: Spread
@@ -97,16 +97,16 @@ class StreamLatency(Spread, frozen=True, kw_only=True):
 class StreamReport(Report, frozen=True, kw_only=True):
     """One media stream, from its input to its display."""
 
-    #: The only side that ran here, `sender` or `receiver`; what the other one counts is 0 or empty.
+    #: The only side that ran here, `sender` or `receiver`; the other's counts are 0 or empty.
     side: str | None = None
     #: The largest rate of RTP payload over any second.
     cap_bps: int
-    #: What haptic samples that were left out added to the cap, on average.
+    #: What samples left out added to the cap, on average.
     gained_bps: int | None = None
     gain: Flat[GainFigures] | None = None
-    #: Width and height of what is captured and displayed; of pictures only.
+    #: Width and height as captured and displayed; of pictures only.
     size: tuple[int, int] | None = None
-    #: Width and height that are coded; of pictures only.
+    #: Width and height as coded; of pictures only.
     coded_size: tuple[int, int] | None = None
     payload_bps_mean: int
     #: The largest rate over a sliding second.
@@ -123,15 +123,15 @@ class StreamReport(Report, frozen=True, kw_only=True):
     decoder: Received[Flat[DecoderCounts]] | None = None
     display: Received[Flat[DisplayFigures]]
     displayed_hz: Received[float]
-    #: From this age on, what is shown counts as stale.
+    #: Older than this is stale.
     stale_after_ms: Received[float]
     #: From capture to display; of one end alone without its stages.
     latency_ms: StreamLatency
-    #: Every latency may be wrong by this, because two machines took its stamps.
+    #: Error of every latency, as two machines took its stamps.
     latency_error_ms: float | None = None
-    #: From when to when nothing was displayed, each longer than 1 s, in seconds of the session.
+    #: Begin and end of each time over 1 s without anything displayed, in session time.
     pauses_s: list[tuple[float, float]]
-    #: The largest difference of the capture time that travelled by RTCP to the stamp itself.
+    #: Largest error of the capture time that travelled by RTCP.
     capture_stamp_error_us: float
 
     @property
@@ -154,11 +154,11 @@ class Punctuality(Report, frozen=True, kw_only=True):
 class HapticReport(Report, frozen=True, kw_only=True):
     """One direction of the haptic samples: `up` carries forces, `down` carries motion."""
 
-    #: The only side that ran here, `sender` or `receiver`; what the other one counts is 0 or empty.
+    #: The only side that ran here, `sender` or `receiver`; the other's counts are 0 or empty.
     side: str | None = None
     #: The rate of the insert zone.
     cap_bps: int
-    #: The rate of the samples that were received.
+    #: The rate of received samples.
     payload_bps_mean: Received[int]
     sender: Flat[SamplesSent]
     #: The rate that samples left out saved.
@@ -166,7 +166,7 @@ class HapticReport(Report, frozen=True, kw_only=True):
     receiver: Received[Flat[SamplesReceived]]
     #: From one end's loop to the other's.
     latency_ms: Spread
-    #: From when to when no sample came, each longer than 0.2 s, in seconds of the session.
+    #: Begin and end of each time over 0.2 s without a sample, in session time.
     pauses_s: list[tuple[float, float]]
     #: How late the sender's cycles of 1 ms began.
     lateness_us: Punctuality
@@ -207,9 +207,9 @@ class DirectionReport(Report, frozen=True, kw_only=True):
     arithmetic: list[LineReport]
     sender: Flat[SenderFigures]
     receiver: Received[Flat[ReceiverFigures]]
-    #: What slots without a sample gave to the levels below haptics, on average.
+    #: Mean rate that slots without a sample gave to lower levels.
     freed_bps: int
-    #: The shares of all octets sent, which add up to 100.
+    #: Shares of all octets sent; they add up to 100.
     octets_percent: dict[str, float]
     #: How late slots began.
     lateness_us: Punctuality
@@ -220,15 +220,15 @@ class DirectionReport(Report, frozen=True, kw_only=True):
 
 
 class GatewayReport(Report, frozen=True, kw_only=True):
-    """What only this end of the link knows: its link of the last life, its sockets of all lives."""
+    """One end of the link: its link of the last life, its sockets of all lives."""
 
     supervision: SupervisionFigures | None = None
-    #: What the radio path did to the frames that this end sent.
+    #: What the radio did to the frames of this end.
     radio: PathFigures | None = None
     sockets: Flat[SocketFigures]
-    #: The path to the other end; left out if both ends ran on this machine.
+    #: The path to the other end; of two machines only.
     peer: PeerFigures | None = None
-    #: The clock of the other end; left out if both ends ran on this machine.
+    #: The other end's clock; of two machines only.
     clock: ClockFigures | None = None
     #: The radio on the way in; only where `--trainer` put both directions at this end.
     way_in: Flat[WayInFigures] | None = None
@@ -270,7 +270,7 @@ class Terms(Report, frozen=True, kw_only=True):
 
 
 class VideoLead(Report, frozen=True, kw_only=True):
-    """By how much the force of an event comes before its picture, term by term."""
+    """How much earlier the force of an event comes than its picture."""
 
     #: Pictures of which every term is known.
     pictures: int
@@ -319,9 +319,9 @@ class SenseReport(Report, frozen=True, kw_only=True):
     confident_ms: tuple[float, float] | None
     #: Where it may lie.
     allowed_error_ms: tuple[float, float]
-    #: Whether the stamps agree with the content; null if there is too little to say.
+    #: Whether stamps and content agree; null if too few.
     agrees: bool | None
-    #: Lights, clicks or steps that were found, those of no contact included.
+    #: Lights, clicks or steps found, also those of no contact.
     found: int
 
 
@@ -356,14 +356,14 @@ class ListedContact(Report, frozen=True, kw_only=True):
 
 
 class SyncReport(Report, frozen=True, kw_only=True):
-    """Contacts with the task board, joined with what was seen, heard and felt of them."""
+    """Contacts with the task board, and what was seen, heard and felt of them."""
 
     #: Contacts with a target.
     events: int
     touches_beside_targets: int
     #: Contacts that followed another one at once.
     bounces: int
-    #: `light`, `click` and `force`; null for a sense that contacts do not reach.
+    #: `light`, `click`, `force`; null for a sense that none reaches.
     senses: dict[str, SenseReport | None]
     #: By pair of senses; null if no contact has both.
     skew_ms: dict[str, ContentSkew | None]
@@ -400,18 +400,18 @@ class ProcessReport(Report, frozen=True, kw_only=True):
     restarts: int
     #: The last fault of an input's source.
     source_fault: str | None = None
-    #: `fifo` with real-time priority, `other` without the permission for it.
+    #: `fifo` with real-time priority, else `other`.
     scheduler: str | None = None
     #: Why it ended last, if it was not told to.
     last_error: str | None = None
-    #: Since when an input has given nothing, if it is too long.
+    #: Since when an input has given nothing, if too long.
     silent_s: float | None = None
     #: What it counted; of a mapping what is not 0.
     counts: dict[str, int] | None = None
 
 
 class Warning(Report, frozen=True, kw_only=True):
-    """Something that made the session worse than it has to be."""
+    """What made the session worse than need be."""
 
     #: Which kind: see `pipelines.report.warnings`.
     what: str
@@ -443,13 +443,13 @@ class ReplayedStream(Report, frozen=True, kw_only=True):
     units_recorded: int
     #: Of these, arrived whole; 0 if they were coded anew.
     units_received: int | None = None
-    #: Of these, arrived whole in the recorded session; left out if that is not known.
+    #: Of these, arrived whole in the recorded session; left out if unknown.
     recorded_received: int | None = None
     #: Arrived alike, octet by octet, in both.
     same_received: int | None = None
     #: Decoded pictures that equal what was sent.
     pictures_same: int | None = None
-    #: PSNR of the luma of all decoded pictures against what was sent, at most 99; with losses.
+    #: PSNR of the luma of all decoded pictures against those sent, at most 99; with losses.
     psnr_db_mean: float | None = None
     #: The twentieth that is worst begins here.
     psnr_db_p5: float | None = None
@@ -468,8 +468,7 @@ class ReplayReport(Report, frozen=True, kw_only=True):
     recoded: bool
     #: By stream of pictures.
     streams: dict[str, ReplayedStream]
-    #: Haptic samples that were not sent, because a newer one belonged to the same cycle; of a
-    #: simulation only.
+    #: Haptic samples not sent for a newer one of the same cycle; of a simulation only.
     samples_superseded: int | None = None
     #: By channel: messages that the recording lacks.
     missing: dict[str, int]
@@ -499,8 +498,8 @@ class RtcShownReport(Report, frozen=True, kw_only=True):
 
     #: Pictures, or blocks of 20 ms of voice.
     display: Flat[DisplayFigures]
-    #: From capture to display, above the least delay of the network in the last 30 s: nobody knows
-    #: the partner's clock.
+    #: From capture to display, above the network's least delay of the last 30 s: the partner's
+    #: clock is unknown.
     latency_ms: Spread
 
 
@@ -528,7 +527,7 @@ class TraceSeries(Report, frozen=True, kw_only=True):
     process: str
     #: `Tx`, `Rx`, `Shown` and so on.
     kind: str
-    #: The stream that they are about; empty if the process alone says that.
+    #: Their stream; empty if the process says it.
     stream: str
     blocks: list[TraceBlock]
 
@@ -543,7 +542,7 @@ class EndTrace(Report, frozen=True, kw_only=True):
     #: From when to when the end ran.
     began_ns: int
     ended_ns: int
-    #: The numbers of the lives of this end's gateway, and of those that it met of the other's.
+    #: The lives of this end's gateway, and those it met of the other's.
     lives: list[int]
     peers: list[int]
     series: list[TraceSeries]
@@ -558,7 +557,7 @@ class SessionReport(Report, frozen=True, kw_only=True):
     end: str | None = None
     #: How long the session ran. Mean rates are over the time outside of `stopped_s`.
     seconds: float
-    #: From when to when ground control had stopped it; left out if never.
+    #: Begin and end of each stop by ground control; left out if never.
     stopped_s: list[tuple[float, float]] | None = None
     streams: dict[str, StreamReport]
     #: `up` and `down`.
@@ -575,31 +574,31 @@ class SessionReport(Report, frozen=True, kw_only=True):
     video_lead: VideoLead | None
     #: At the operator, by content; null if nothing was touched.
     sync: SyncReport | None
-    #: For how much of the time sound and picture were together; null without both.
+    #: How long sound and picture were together; null without both.
     lip_sync: LipSyncReport | None
     cpu: CpuReport
     processes: dict[str, ProcessReport]
-    #: What broke a promise of the project; with any, the exit code is 1. A cap was exceeded, or a
-    #: stream or the haptic samples stopped although there was a signal. Or a stamp was wrong,
-    #: energy was made, a joystick failed, or values of this report were lost.
+    #: What broke a promise of the project; any gives exit code 1. A cap was exceeded, a stream or
+    #: haptics stopped despite a signal, a stamp was wrong, energy was made, a joystick failed, or
+    #: values of this report were lost.
     failures: list[str]
-    #: What made the session worse than it has to be, with what mends it.
+    #: What made the session worse than need be, and its mend.
     warnings: list[Warning]
     #: Who drove the robot; only where a partner may, too.
     arm: OwnershipFigures | None = None
-    #: What let the robot follow the hand, and what held it; of the robot's end.
+    #: What let the robot follow the hand or held it; of the robot's end.
     safety: SafetyFigures | None = None
-    #: The arm that only a partner drives; left out without one.
+    #: The arm that only a partner drives.
     second_arm: SecondArmReport | None = None
-    #: What the trainer did, oldest first; left out if nothing.
+    #: What the trainer did, oldest first; absent if nothing.
     exercises: list[DatedEvent] | None = None
     #: The recording; left out without one.
     recorder: RecorderFigures | None = None
     #: The leg to a partner; left out without one.
     rtc: RtcReport | None = None
-    #: The runs of tasks, oldest first; left out of a session without a plan.
+    #: The runs of tasks, oldest first; only with a plan.
     tasks: list[TaskRow] | None = None
-    #: What a join with the other end's report needs; of one end alone.
+    #: What `report join` needs; of one end alone.
     trace: EndTrace | None = None
     #: Of `simulate` only.
     simulation: SimulationReport | None = None
@@ -635,9 +634,9 @@ class LinkReport(Report, frozen=True, kw_only=True):
     gateways: dict[str, GatewayReport]
     cpu: CpuReport
     processes: dict[str, ProcessReport]
-    #: What broke a promise of the project; with any, the exit code is 1.
+    #: What broke a promise of the project; any gives exit code 1.
     failures: list[str]
-    #: What made the link worse than it has to be, with what mends it.
+    #: What made the link worse than need be, and its mend.
     warnings: list[Warning]
 
 

@@ -23,7 +23,7 @@ RecordT = TypeVar("RecordT")
 class ProcessFigures:
     """What one process of the session reported, over all its lives."""
 
-    #: `fifo` with real-time priority, `other` without the permission for it.
+    #: `fifo` with real-time priority, else `other`.
     scheduler: str | None = None
     #: Why its newest life that failed ended.
     last_error: str | None = None

@@ -20,19 +20,19 @@ class PageFigures:
 
     #: Web sockets opened.
     connections: int = 0
-    #: Requests refused, by reason: `token`, `host`, `origin`, `pages` (too many) or `role`.
+    #: Requests refused: `token`, `host`, `origin`, `pages` (too many) or `role`.
     refused: Mapping[str, int] = field(default_factory=dict)
-    #: Connections closed because no token came, or to make room for others.
+    #: Connections closed without a token, or to make room.
     strangers_closed: int = 0
-    #: Requests that ended in an error of this software; the error stream has them.
+    #: Requests ended by an error of this software; see the error stream.
     faults: int = 0
     #: Malformed messages of pages; each closed its socket.
     garbage: int = 0
-    #: Units of pictures and sound that a page was too slow for.
+    #: Units that a page was too slow for.
     units_left_out: int = 0
-    #: Web sockets closed by the server: after garbage, or because a page stalled.
+    #: Web sockets closed by the server: garbage, or a stalled page.
     sockets_closed: int = 0
-    #: How many pages are open. Without any, no figures are sent to it.
+    #: Open pages. Without any, no figures are sent to it.
     watching: Newest[int] = 0
     #: Number of the page that holds the handle; 0: nobody does.
     holder: Newest[int] = 0

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 class ProbeFigures:
     """The way of the figures themselves."""
 
-    #: Values of rows that were dropped because the launcher did not keep up.
+    #: Values dropped because the launcher did not keep up.
     probe_values_dropped: int = 0
 
 

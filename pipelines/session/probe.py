@@ -114,7 +114,7 @@ class Probe:
         self.tell = self.message.tell
         self._series: dict[tuple[object, str], Series[Any]] = {}
         self._due_ns = 0
-        #: Values of rows that were dropped because the launcher did not keep up.
+        #: Values dropped because the launcher did not keep up.
         self.dropped_values = 0
 
     def series(self, kind: type[RowT], stream: str = "") -> Series[RowT]:

@@ -40,8 +40,7 @@ class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
     #: The board's force on the tip.
     force_max_n: float
     force_mean_n: float
-    #: Distance from what was to be reached or followed (m), or from the force to be held (N); null
-    #: where there was none.
+    #: Distance from target or path (m), or from the force to hold (N); null without any.
     error_mean: float | None
     error_max: float | None
     #: Of the link meanwhile, both ways.

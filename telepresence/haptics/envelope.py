@@ -97,11 +97,11 @@ class SafetyFigures:
 
     #: Why the robot holds still now; empty: it follows the hand.
     hold: Newest[Hold] = Hold.NONE
-    #: Since when (s): in the report of the session's time, else on this machine's clock.
+    #: Since when: session time in the report, else this machine's clock.
     since_s: Newest[float] = 0.0
     #: Whether it waits for a new press of the dead-man button.
     waiting: Newest[bool] = False
-    #: The robot's place less the hand's (mm), taken at the newest press.
+    #: The robot's place less the hand's at the newest press.
     offset_mm: Newest[tuple[float, float]] = (0.0, 0.0)
     #: New presses with which motion began.
     presses: int = 0

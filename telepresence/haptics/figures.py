@@ -11,7 +11,7 @@ class SamplesSent:
 
     #: Samples sent, without greetings.
     sent: int = 0
-    #: Samples that the deadband left out; only with a deadband.
+    #: Samples left out; only with a deadband.
     left_out: int | None = None
 
 
@@ -19,7 +19,7 @@ class SamplesSent:
 class SamplesReceived:
     """Samples that came to one end (`HapticLink`)."""
 
-    #: Samples whose number says that they were the newest.
+    #: Samples that were the newest.
     received: int = 0
     #: Gaps in the sequence numbers.
     lost: int = 0
@@ -27,15 +27,15 @@ class SamplesReceived:
     late: int = 0
     #: Samples that came twice.
     repeated: int = 0
-    #: Samples of another session: of an earlier life of an end, or replayed.
+    #: Samples of another session: an end's earlier life, or replayed.
     strays: int = 0
     #: Greetings received, with which sessions begin.
     greetings: int = 0
     #: Datagrams that are neither sample nor greeting.
     garbage: int = 0
-    #: Sessions begun; there is a new one every 30 s.
+    #: Sessions begun, one every 30 s.
     sessions: int = 0
-    #: How often a session began with a new life of the peer.
+    #: Sessions begun with a new life of the peer.
     restarts: int = 0
 
 
@@ -43,19 +43,19 @@ class SamplesReceived:
 class PortFigures:
     """Energies of the port at one end, and its passivity controller (`JoystickSide.report`)."""
 
-    #: Energy that went from this end into the port.
+    #: Energy from this end into the port.
     energy_in_uj: int = 0
-    #: Energy that came out of the port at this end.
+    #: Energy out of the port at this end.
     energy_out_uj: int = 0
     #: Energy that the other end granted.
     granted_uj: int = 0
     #: Energy that this end may still give out.
     credit_uj: Newest[int] = 0
-    #: The least that the passivity observer ever saw; below 0 the port gave more than it was given.
+    #: Least value of the passivity observer; below 0 the port gave more than it got.
     least_uj: Least[int] = 0
-    #: Cycles in which the passivity controller changed force or motion.
+    #: Cycles in which the controller changed force or motion.
     passivity_acted: int = 0
-    #: Totals of the peer's energy that could not be right.
+    #: Impossible totals of the peer's energy.
     totals_refused: int = 0
 
 
@@ -67,14 +67,14 @@ class OperationFigures:
     device: str
     #: Its state in words (docs/joystick.md).
     state: str
-    #: The reason for the state, or of the last one that supervision intervened for.
+    #: The reason for the state, or for the last intervention of supervision.
     reason: str
     #: Null if the device measures none.
     temperature_c: float | None
     #: The highest temperature so far.
     hottest_c: Most[float] | None
     temperature_warnings: int
-    #: The share of the force, from 0 to 1, that the temperature allows.
+    #: Share of the force that the temperature allows, 0 to 1.
     force_share: float
     #: The largest force at present.
     force_limit_n: float
@@ -84,7 +84,7 @@ class OperationFigures:
     refused: int
     #: How often the dead-man button was released.
     dead_man_released: int
-    #: Centre x and y, half the width and half the height of the workspace; null before calibration.
+    #: Of the workspace: centre x and y, half width, half height; null before calibration.
     calibration_mm: list[float] | None
 
 

@@ -44,7 +44,7 @@ class OwnerEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnershipFigures:
-    """Who drives the robot, where a partner may, too (docs/partner.md)."""
+    """Who drives the robot, where a partner may, too (docs/rtc.md)."""
 
     #: `iss` or `partner`; null: nobody.
     owner: Newest[Owner] | None
@@ -52,7 +52,7 @@ class OwnershipFigures:
     wanted: Owner
     #: How often the port changed hands, the start included.
     turns: int
-    #: Datagrams that came while their sender did not drive, by sender.
+    #: Datagrams of a sender that did not drive, by sender.
     refused: Mapping[str, int]
     #: The newest 200.
     events: tuple[OwnerEvent, ...]

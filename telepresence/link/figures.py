@@ -13,7 +13,7 @@ from kontur_av.figures import Flat, Most, Newest
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QueueFigures:
-    """The queue of one level: what waits now, the most that ever waited, and what was dropped."""
+    """The queue of one level: what waits, the most that waited, what was dropped."""
 
     #: Which packet goes when the queue is full: `reject_newest` or `drop_oldest`.
     policy: str
@@ -21,23 +21,23 @@ class QueueFigures:
     depth_octets: Newest[int]
     #: How many packets may wait.
     depth_packets: Newest[int]
-    #: Packets that wait, without the one of which a part was sent.
+    #: Packets waiting, without one partly sent.
     packets: Newest[int]
     #: Sum of their lengths; each counts as 8 octets at least.
     octets: Newest[int]
-    #: The age of the oldest packet, also of one of which a part was sent.
+    #: The oldest packet's age, also of one partly sent.
     oldest_age_ns: Newest[int]
     #: The most packets that ever waited.
     max_packets: Most[int]
     #: The most octets that ever waited.
     max_octets: Most[int]
-    #: The longest time from a packet's arrival until its last octet was sent, or it was dropped.
+    #: The longest time from arrival until the last octet was sent, or the drop.
     max_age_ns: Most[int]
-    #: Packets that were put into the queue.
+    #: Packets put into the queue.
     accepted: int
-    #: Packets that waited because their level's rate is limited.
+    #: Packets delayed by their level's rate limit.
     delayed: int
-    #: Packets that were dropped, by reason.
+    #: Packets dropped, by reason.
     drops: Mapping[str, int]
 
 
@@ -49,16 +49,16 @@ class SenderFigures:
     capacity_bps: Newest[int] = 0
     #: Frames sent.
     frames: int = 0
-    #: Octets of all frames sent, by what they carried (`LinkSender.octets`).
+    #: Octets of all frames sent, by what they carried.
     octets: Mapping[str, int] = field(default_factory=dict)
     #: The queue of each level.
     queue: Mapping[str, QueueFigures] = field(default_factory=dict)
     haptic_sent: int = 0
-    #: Samples that a newer one replaced before their slot came.
+    #: Samples replaced by a newer one before their slot.
     haptic_superseded: int = 0
-    #: Packets by the form of their header, and octets of headers, by flow (`RtpCompressor`).
+    #: Packets by form of header, and octets of headers, by flow.
     headers: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
-    #: Packets that were not taken, by reason.
+    #: Packets not taken, by reason.
     refused: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -69,17 +69,17 @@ class ReceiverFigures:
     #: Good frames.
     frames_received: int = 0
     frames_lost: int = 0
-    #: Frames that were received and dropped, by reason.
+    #: Received frames dropped, by reason.
     frames_dropped: Mapping[str, int] = field(default_factory=dict)
-    #: How often the peer began to count frames anew.
+    #: How often the peer's frame count began anew.
     restarts: int = 0
     haptic_received: int = 0
-    #: Samples that came before the connection was approved.
+    #: Samples before the connection was approved.
     haptic_unapproved: int = 0
     supervision_received: int = 0
-    #: Packets that were delivered, by flow.
+    #: Packets delivered, by flow.
     packets: Mapping[str, int] = field(default_factory=dict)
-    #: Packets that were dropped, by reason.
+    #: Packets dropped, by reason.
     packets_dropped: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -131,7 +131,7 @@ class PathFigures:
     delay_min_ns: int
     #: The longest delay.
     delay_max_ns: int
-    #: Frames that were put into the path.
+    #: Frames put into the path.
     frames_sent: int
     #: Frames that the path lost.
     frames_lost: int
@@ -183,7 +183,7 @@ class SupervisionFigures:
     why: str
     #: Whether good frames arrive.
     signal: bool
-    #: Whether the peer says that it receives this end's frames.
+    #: Whether the peer says that it receives.
     peer_hears: bool
     #: Whether the receiver delivers what it receives.
     delivering: bool
@@ -212,16 +212,16 @@ class ClockFigures:
 
     #: The instant for which the estimate holds, on this end's clock.
     at_ns: int
-    #: The peer's clock minus this end's, both as wall time at their start; null if not known.
+    #: The peer's clock minus this end's, as wall time at their start; null if unknown.
     offset_ns: int | None
     #: The true offset is at most this far from `offset_ns`.
     error_ns: int | None
-    #: By how much the peer's clock is faster, in parts of a thousand million.
+    #: How much faster the peer's clock is, in 10⁻⁹.
     drift_ppb: int | None
     drift_error_ppb: int | None
     messages_sent: int
     messages_received: int
-    #: How often the estimate began anew because a clock had been stepped.
+    #: How often a stepped clock made the estimate begin anew.
     restarts: int
 
 

@@ -15,7 +15,7 @@ _DEPTH = 50
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeerEvent:
-    """Something that happened on the path, in words; `at_ns` counts from `PeerFigures.begun_ns`."""
+    """What happened on the path; `at_ns` counts from `PeerFigures.begun_ns`."""
 
     at_ns: int
     what: str
@@ -31,13 +31,13 @@ class PeerFigures:
 
     #: When the gateway began, on its own clock.
     begun_ns: Newest[int]
-    #: Whether the datagrams are encrypted and authenticated.
+    #: Whether datagrams are encrypted and authenticated.
     protected: bool
-    #: The identity that the other end must prove; left out without protection.
+    #: The identity that the other end must prove; only with protection.
     identity: str | None = None
-    #: Where frames go, as HOST:PORT; null as long as the other end is unknown.
+    #: Where frames go, HOST:PORT; null while unknown.
     address: str | None
-    #: Since when frames can be sent without a pause, from `begun_ns` on; null: they cannot.
+    #: Since when frames can be sent, from `begun_ns` on; null: they cannot.
     session_ns: Newest[int] | None
     #: Handshakes with both ends proven.
     sessions: int
@@ -47,7 +47,7 @@ class PeerFigures:
     address_changes: int
     #: Datagrams with frames that were sent.
     sent: int
-    #: Frames that were not sent, because there was no session or no address.
+    #: Frames not sent for want of session or address.
     unsent: int
     #: Datagrams whose frame was taken.
     taken: int
