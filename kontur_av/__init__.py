@@ -3,8 +3,9 @@
 This package needs no robot and no radio. Each name is imported at its first use, because codecs and
 RTP take long to import.
 
-The four streams (`VideoSender`, `VideoReceiver`, `VoiceSender`, `VoiceReceiver`) are cores: they
-open no socket and ask no clock. samples/send_numpy.py and samples/receive_numpy.py show both ends.
+`PictureSender`, `SoundSender` and `StreamReceiver` are whole ends of a stream, as in
+samples/send_numpy.py. They drive cores (`VideoSender`, `VideoReceiver`, `VoiceSender`,
+`VoiceReceiver`), which open no socket and ask no clock.
 """
 
 from typing import TYPE_CHECKING
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from kontur_av.rtp.sender import RtpIdentity
     from kontur_av.sources import open_audio, open_video
     from kontur_av.streams.encoding_thread import EncodingThread
+    from kontur_av.streams.ends import PictureSender, Received, SoundSender, StreamReceiver
     from kontur_av.streams.lipsync import LipSync
     from kontur_av.streams.staleness import Staleness
     from kontur_av.streams.udp import UdpReceiver, UdpSender
@@ -58,12 +60,16 @@ __all__ = [
     "MonotonicClock",
     "OpusDecoder",
     "OpusEncoder",
+    "PictureSender",
     "ProtocolError",
     "Quality",
+    "Received",
     "Region",
     "RtpIdentity",
+    "SoundSender",
     "Staleness",
     "StreamDescription",
+    "StreamReceiver",
     "TopicBus",
     "UdpReceiver",
     "UdpSender",
@@ -102,6 +108,7 @@ _HOMES = {
     "rtp.sender": ("RtpIdentity",),
     "sources": ("open_audio", "open_video"),
     "streams.encoding_thread": ("EncodingThread",),
+    "streams.ends": ("PictureSender", "Received", "SoundSender", "StreamReceiver"),
     "streams.lipsync": ("LipSync",),
     "streams.staleness": ("Staleness",),
     "streams.udp": ("UdpReceiver", "UdpSender"),

@@ -5,13 +5,16 @@ from typing import TYPE_CHECKING
 from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from pipelines.mission.joined_session import JoinedSession, ShownPicture
     from pipelines.session.setup.setup_file import load_setup, setup_from_table
     from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
     from pipelines.session.topology import Topology
     from pipelines.table import topology_of
 
 __all__ = [
+    "JoinedSession",
     "Setup",
+    "ShownPicture",
     "Topology",
     "VideoStream",
     "VoiceStream",
@@ -22,6 +25,7 @@ __all__ = [
 
 #: Module -> the names above that it defines.
 _HOMES = {
+    "mission.joined_session": ("JoinedSession", "ShownPicture"),
     "session.setup.setup_file": ("load_setup", "setup_from_table"),
     "session.setup.table": ("Setup", "VideoStream", "VoiceStream"),
     "session.topology": ("Topology",),

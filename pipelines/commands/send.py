@@ -10,8 +10,9 @@ from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
 from kontur_av.codecs.h264_settings import SEARCHES
 from kontur_av.errors import ConfigError
 from kontur_av.meters import Histogram
-from kontur_av.rtp.sdp import StreamDescription, session_bandwidth_bps, write_sdp
+from kontur_av.rtp.sdp import write_sdp
 from kontur_av.sources.page import PAGE
+from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
 from kontur_av.streams.paced_sender import UnitSent
 from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import (
@@ -28,7 +29,7 @@ from pipelines.commands.media_reports import (
     SourceReport,
     latency_ms,
 )
-from pipelines.commands.send_media import CAPTURE_TIME_ID, PictureFeed, SoundFeed, open_feed
+from pipelines.commands.send_media import open_feed
 from pipelines.report.model import to_json
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
@@ -96,20 +97,7 @@ def run(args: argparse.Namespace) -> int:
     address = parse_address(args.to)
     clock = MonotonicClock()
     with open_feed(args, clock) as feed:
-        stream = StreamDescription(
-            kind=feed.kind,
-            host=str(address[0]),
-            port=address[1],
-            payload_type=feed.payload_type,
-            bandwidth_bps=session_bandwidth_bps(
-                round(args.cap_kbps * 1000), feed.packets_per_s, str(address[0])
-            ),
-            parameter_sets=feed.parameter_sets,
-            profile_level_id=feed.profile_level_id,
-            feedback=True,
-            reduced_size=True,
-            capture_time_id=CAPTURE_TIME_ID,
-        )
+        stream = describe(feed, *address)
         if args.sdp:
             write_text(args.sdp, write_sdp(stream), "--sdp")
         if args.report:

@@ -9,7 +9,8 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import choose_session
 from pipelines.commands.common import output_that_may_fail
-from pipelines.commands.telecommand import Sending
+from pipelines.commands.telecommand import follow
+from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.asking import running_sessions
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         )
         application = built_in_dictionary().application(TASKS)
         reader = bus.reader(TMTC_TOPICS[Segment.GROUND], depth=32)
-        return Sending(session, Segment.GROUND, application, request, reader).follow()
+        return follow(Sending(session, Segment.GROUND, request, reader), application)
 
 
 def _shown(bus: TopicBus, session: str) -> ExperimentShown:

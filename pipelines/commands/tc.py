@@ -6,7 +6,8 @@ from random import SystemRandom
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import choose_session
-from pipelines.commands.telecommand import Sending
+from pipelines.commands.telecommand import follow
+from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import (
     SHORT_VERBS,
     command_from_words,
@@ -78,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     session = choose_session(args.session, running, " with --session")
     with TopicBus.join(session) as bus:
         reader = bus.reader(TMTC_TOPICS[origin], depth=32)
-        return Sending(session, origin, application, request, reader).follow()
+        return follow(Sending(session, origin, request, reader), application)
 
 
 def _list(application: Application) -> None:

@@ -1,0 +1,473 @@
+"""Both ends of a stream in a few lines: numpy pictures and sound by RTP, under a hard cap.
+
+A thread drives the cores and the sockets, so that packets leave, and reports are answered, at their
+time whatever the caller does meanwhile.
+
+Use::
+
+    with PictureSender("192.0.2.7:5004", cap_bps=85_000, sdp="s.sdp") as end:
+        for picture in pictures:
+            end.send(picture)
+
+    with StreamReceiver("s.sdp") as pictures:
+        for one in pictures:
+            show(one.data, one.age_ms)
+"""
+
+import asyncio
+import secrets
+import threading
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Generic, NamedTuple, Self, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.errors import ConfigError
+from kontur_av.media import BLOCK_NS, BLOCK_SAMPLES, I420, AudioFrame, CaptureStamp, Quality
+from kontur_av.rtp.report_timer import report_interval_ns
+from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
+from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
+from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.streams.udp import UdpReceiver, UdpSender
+from kontur_av.streams.video_receiver import VideoReceiver
+from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.streams.voice_receiver import VoiceReceiver
+
+Picture = NDArray[np.uint8]
+Sound = NDArray[np.int16]
+_Item = TypeVar("_Item", Picture, Sound)
+
+_STEP_NS = 50 * NS_PER_MS
+#: What was handed over last is coded by then, and its packets have left at the latest by then.
+_CODED_NS, _LAST_NS = 300 * NS_PER_MS, NS_PER_S
+#: A stream that had begun has ended after so long a silence; after a goodbye, sooner.
+_SILENCE_NS, _AFTER_GOODBYE_NS = 5 * NS_PER_S, NS_PER_S
+#: Sound that waits for a slow reader: two seconds. Of pictures only the newest waits.
+_MOST_BLOCKS = 100
+
+
+class Received(NamedTuple):
+    """A picture or a block of sound, as it is handed over.
+
+    data: a picture, RGB, shape (height, width, 3), uint8; or sound, mono, 48 kHz, shape (n,),
+        int16.
+    age_ms: since its capture, by the wall clocks of both hosts.
+    """
+
+    data: Any
+    age_ms: float
+    quality: Quality
+
+
+class _HandedOver(Generic[_Item]):
+    """The source of a stream whose pictures or blocks a caller hands over."""
+
+    faults, last_fault = 0, ""
+
+    def __init__(self, most: int) -> None:
+        self._ready = threading.Condition()
+        self._waiting: deque[tuple[_Item, CaptureStamp]] = deque(maxlen=most)
+        self._count = 0
+
+    def put(self, item: _Item, capture_ns: int) -> None:
+        with self._ready:
+            self._waiting.append((item, CaptureStamp(capture_ns, self._count, "numpy")))
+            self._count += 1
+            self._ready.notify()
+
+    def take(self, timeout_ns: int) -> tuple[_Item, CaptureStamp] | None:
+        with self._ready:
+            self._ready.wait_for(lambda: self._waiting, timeout_ns / NS_PER_S)
+            return self._waiting.popleft() if self._waiting else None
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class _Pictures(_HandedOver[Picture]):
+    def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
+        found = self.take(timeout_ns)
+        if found is None:
+            return None
+        cv2.cvtColor(found[0], cv2.COLOR_RGB2YUV_I420, dst=into)
+        return found[1]
+
+
+class _Blocks(_HandedOver[Sound]):
+    def read(self, timeout_ns: int) -> AudioFrame | None:
+        found = self.take(timeout_ns)
+        return None if found is None else AudioFrame(*found)
+
+
+class _Sender(Generic[_Item]):
+    """What the senders of pictures and of sound share."""
+
+    def __init__(self, to: str, cap_bps: int, sdp: str | Path | None, period_ns: int) -> None:
+        self._to, self._cap_bps, self._sdp, self._period_ns = to, cap_bps, sdp, period_ns
+        host, _, port = to.rpartition(":")
+        if not host or not port.isdigit() or not 0 < int(port) < 65_535:
+            raise ConfigError(f"address {to!r}: write HOST:PORT with an IP address")
+        self._address = host.strip("[]"), int(port)
+        self._clock = MonotonicClock()
+        self._feed: PictureFeed | SoundFeed | None = None
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="sending", daemon=True)
+        self._error: BaseException | None = None
+        self._due_ns = 0
+
+    @property
+    def counts(self) -> SenderCounts:
+        """Pictures or blocks so far."""
+        return SenderCounts() if self._feed is None else self._feed.sender.counts
+
+    @property
+    def largest_bps(self) -> float:
+        """RTP payload in the largest second so far."""
+        return 0.0 if self._feed is None else self._feed.sender.released.max_bps()
+
+    def close(self) -> None:
+        """Send what waits, in a second at most, and say goodbye. It may be called twice."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+        if kind is None and self._error is not None:
+            raise self._error
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await asyncio.to_thread(self.__exit__, kind, error, trace)
+
+    def _begin(self, feed: PictureFeed | SoundFeed) -> None:
+        self._feed = feed
+        stream = describe(feed, *self._address)
+        if self._sdp is not None:
+            Path(self._sdp).write_text(write_sdp(stream), encoding="utf-8")
+        self._thread.start()
+
+    def _turn_ns(self) -> int:
+        """Return how long the next picture or block must wait for its turn."""
+        if self._error is not None:
+            raise self._error
+        if self._over.is_set():
+            raise ConfigError("this end is closed: open another one")
+        now_ns = self._clock.now_ns()
+        # A caller that was late does not hurry afterwards.
+        due_ns = max(self._due_ns, now_ns - self._period_ns)
+        self._due_ns = due_ns + self._period_ns
+        return max(0, due_ns - now_ns)
+
+    def _run(self) -> None:
+        try:
+            udp = UdpSender(*self._address)
+            try:
+                self._drive(udp)
+            finally:
+                udp.close()
+        except BaseException as error:
+            self._error = error
+        finally:
+            if self._feed is not None:
+                self._feed.close()
+
+    def _drive(self, udp: UdpSender) -> None:
+        feed, clock = self._feed, self._clock
+        assert feed is not None
+        sender = feed.sender
+        over_ns: int | None = None
+        while True:
+            now_ns, due_ns = clock.now_ns(), sender.poll_timeout()
+            if over_ns is None and self._over.is_set():
+                over_ns = now_ns
+            if over_ns is not None and now_ns - over_ns > (
+                _CODED_NS if due_ns is None else _LAST_NS
+            ):
+                break
+            wait_ns = _STEP_NS if due_ns is None else min(due_ns - now_ns, _STEP_NS)
+            feed.step(max(wait_ns, 0))
+            udp.exchange(sender, clock)
+            while sender.next_event() is not None:
+                pass
+        udp.say_goodbye(sender, clock)
+
+
+class PictureSender(_Sender[Picture]):
+    """Sends pictures as H.264 to one address, under a hard cap. A context manager, sync or async.
+
+    to: HOST:PORT, an IP address; RTCP goes to the next port.
+    cap_bps: of RTP payload, in any second. fps: pictures a second, at most.
+    sdp: a file for the receiver, written before the first packet.
+    Raises ConfigError for what cannot work.
+    """
+
+    def __init__(
+        self, to: str, *, cap_bps: int, fps: int = 30, sdp: str | Path | None = None
+    ) -> None:
+        super().__init__(to, cap_bps, sdp, NS_PER_S // fps)
+        self._fps = fps
+        self._source = _Pictures(1)
+        self._shape: tuple[int, ...] = ()
+
+    def send(self, picture: Picture) -> None:
+        """Hand over a picture, after waiting for its turn; it counts as captured at the call.
+
+        picture: RGB, shape (height, width, 3), uint8. A picture that was not encoded when the next
+        one comes is left out. Raises ConfigError for another shape, and what ended the sending.
+        """
+        capture_ns = self._clock.now_ns()
+        self._check(picture)
+        self._clock.sleep_until_ns(capture_ns + self._turn_ns())
+        self._source.put(picture.copy(), capture_ns)
+
+    async def asend(self, picture: Picture) -> None:
+        """As `send`, in an event loop."""
+        capture_ns = self._clock.now_ns()
+        self._check(picture)
+        await asyncio.sleep(self._turn_ns() / NS_PER_S)
+        self._source.put(picture.copy(), capture_ns)
+
+    def _check(self, picture: Picture) -> None:
+        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+            raise ConfigError(
+                f"a picture of shape {picture.shape}, {picture.dtype}: "
+                "give (height, width, 3), uint8, RGB"
+            )
+        if not self._shape:
+            height, width = picture.shape[:2]
+            feed = PictureFeed(
+                self._source,
+                self._clock,
+                size=(width, height),
+                fps=self._fps,
+                cap_bps=self._cap_bps,
+            )
+            self._shape = picture.shape
+            self._begin(feed)
+        elif picture.shape != self._shape:
+            raise ConfigError(f"a picture of shape {picture.shape} after one of {self._shape}")
+
+
+class SoundSender(_Sender[Sound]):
+    """Sends sound as Opus; arguments as of `PictureSender`."""
+
+    def __init__(self, to: str, *, cap_bps: int, sdp: str | Path | None = None) -> None:
+        super().__init__(to, cap_bps, sdp, BLOCK_NS)
+        self._source = _Blocks(_MOST_BLOCKS)
+        self._begin(SoundFeed(self._source, self._clock, cap_bps=cap_bps))
+
+    def send(self, block: Sound) -> None:
+        """Hand over 20 ms of sound that end now, after waiting for their turn.
+
+        block: mono, 48 kHz, shape (960,), int16.
+        """
+        self._check(block)
+        capture_ns = self._clock.now_ns() - BLOCK_NS
+        self._clock.sleep_until_ns(capture_ns + BLOCK_NS + self._turn_ns())
+        self._source.put(block.copy(), capture_ns)
+
+    async def asend(self, block: Sound) -> None:
+        """As `send`, in an event loop."""
+        self._check(block)
+        capture_ns = self._clock.now_ns() - BLOCK_NS
+        await asyncio.sleep(self._turn_ns() / NS_PER_S)
+        self._source.put(block.copy(), capture_ns)
+
+    def _check(self, block: Sound) -> None:
+        if block.dtype != np.int16 or block.shape != (BLOCK_SAMPLES,):
+            raise ConfigError(
+                f"a block of shape {block.shape}, {block.dtype}: give ({BLOCK_SAMPLES},), int16"
+            )
+
+
+class StreamReceiver:
+    """Receives the stream that an SDP describes: an iterator, sync or async, and a context manager.
+
+    It yields `Received`. A slow reader gets the newest picture; sound waits for two seconds.
+    Iteration ends with the stream: at its goodbye, or when it has been silent for 5 s.
+
+    sdp: a file. Raises ConfigError if it cannot be used, or its port not be opened.
+
+    skipped: pictures or blocks that the reader was too slow for. ended: why there is no more.
+    """
+
+    def __init__(self, sdp: str | Path) -> None:
+        try:
+            text = Path(sdp).read_text(encoding="utf-8", errors="replace")
+        except OSError as error:
+            raise ConfigError(f"{sdp} cannot be read: {error.strerror}") from None
+        stream = parse_sdp(text)
+        self._clock = MonotonicClock()
+        self._udp = UdpReceiver(stream.host, stream.port, stream.control_port)
+        self._ready = threading.Condition()
+        self._waiting: deque[tuple[Any, int, Quality]] = deque()
+        self._most = 1 if stream.kind == "video" else _MOST_BLOCKS
+        self.skipped, self.ended = 0, ""
+        self._error: BaseException | None = None
+        drive = self._pictures if stream.kind == "video" else self._sound
+        self._thread = threading.Thread(target=self._run, args=(drive, stream), daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop receiving. It may be called twice."""
+        self._end("closed")
+        self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await asyncio.to_thread(self.close)
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> Received:
+        """Wait for the next one. StopIteration: see `ended`."""
+        while True:
+            found = self._take(0.5)
+            if found is not None:
+                return found
+            if self.ended:
+                raise StopIteration
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Received:
+        while True:
+            # Short, because a cancelled call waits on in its thread.
+            found = await asyncio.to_thread(self._take, 0.1)
+            if found is not None:
+                return found
+            if self.ended:
+                raise StopAsyncIteration
+
+    def _take(self, timeout_s: float) -> Received | None:
+        with self._ready:
+            self._ready.wait_for(lambda: self._waiting or self.ended, timeout_s)
+            if self._error is not None:
+                raise self._error
+            if not self._waiting:
+                return None
+            data, capture_ns, quality = self._waiting.popleft()
+        if data.ndim == 2:
+            data = cv2.cvtColor(data, cv2.COLOR_YUV2RGB_I420)
+        return Received(data, (self._clock.now_ns() - capture_ns) / NS_PER_MS, quality)
+
+    def _put(self, data: Any, stamp: CaptureStamp) -> None:
+        with self._ready:
+            if len(self._waiting) >= self._most:
+                self._waiting.popleft()
+                self.skipped += 1
+            self._waiting.append((data, stamp.capture_ns, stamp.quality))
+            self._ready.notify()
+
+    def _end(self, why: str) -> None:
+        with self._ready:
+            self.ended = self.ended or why
+            self._ready.notify_all()
+
+    def _run(self, drive: Callable[[StreamDescription], None], stream: StreamDescription) -> None:
+        try:
+            drive(stream)
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._udp.close()
+            self._end("an error")
+
+    def _pictures(self, stream: StreamDescription) -> None:
+        receiver = VideoReceiver(
+            ssrc=secrets.randbits(32),
+            wall_offset_ns=self._clock.wall_offset_ns,
+            parameter_sets=stream.parameter_sets,
+            payload_type=stream.payload_type,
+            report_interval_ns=report_interval_ns(frequent=stream.feedback),
+            bandwidth_bps=stream.bandwidth_bps,
+            reduced_size=stream.reduced_size,
+            capture_time_id=stream.capture_time_id,
+        )
+        decoder = H264Decoder(reordered=True)
+
+        def drain() -> None:
+            while (unit := receiver.next_event()) is not None:
+                for picture in decoder.decode(unit.data, unit.timestamp):
+                    capture_ns = receiver.capture_ns(picture.timestamp)
+                    stamp = receiver.handle_picture(
+                        picture.timestamp,
+                        picture.width,
+                        picture.height,
+                        capture_ns,
+                        corrupt=picture.corrupt,
+                    )
+                    if stamp is not None:
+                        self._put(picture.to_i420(), stamp)
+
+        self._follow(receiver, drain)
+
+    def _sound(self, stream: StreamDescription) -> None:
+        receiver = VoiceReceiver(
+            ssrc=secrets.randbits(32),
+            wall_offset_ns=self._clock.wall_offset_ns,
+            payload_type=stream.payload_type,
+            report_interval_ns=report_interval_ns(frequent=stream.feedback),
+            bandwidth_bps=stream.bandwidth_bps,
+            capture_time_id=stream.capture_time_id,
+        )
+        player = VoicePlayer()
+
+        def drain() -> None:
+            receiver.take_arrivals()
+            while (block := receiver.next_event()) is not None:
+                sound, decoded = player.play(block)
+                capture_ns = receiver.capture_ns(block.timestamp)
+                stamp = receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
+                if stamp is not None:
+                    self._put(sound, stamp)
+
+        self._follow(receiver, drain)
+
+    def _follow(self, receiver: VideoReceiver | VoiceReceiver, drain: Callable[[], None]) -> None:
+        packets, heard_ns = 0, None
+        while not self.ended:
+            self._udp.exchange(receiver, self._clock, _STEP_NS)
+            drain()
+            now_ns, counts = self._clock.now_ns(), receiver.counts.rtp
+            if counts.rtp_packets != packets:
+                packets, heard_ns = counts.rtp_packets, now_ns
+            if heard_ns is None:
+                continue
+            if receiver.ended and now_ns - heard_ns > _AFTER_GOODBYE_NS:
+                self._end("the sender has said goodbye")
+            elif now_ns - heard_ns > _SILENCE_NS:
+                self._end("silent for 5 s")

@@ -1,0 +1,206 @@
+"""What feeds a stream: a source with its encoder and the sender of its packets."""
+
+import secrets
+from typing import Literal
+
+from kontur_av.clock import NS_PER_S, MonotonicClock
+from kontur_av.codecs.coding import REFRESH_S
+from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h264_settings import Search
+from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusEncoder
+from kontur_av.media import (
+    AUDIO_CLOCK_HZ,
+    AUDIO_PAYLOAD_TYPE,
+    VIDEO_PAYLOAD_TYPE,
+    CaptureStamp,
+    VideoFrame,
+    empty_picture,
+)
+from kontur_av.rtp.payload_h264 import (
+    DEFAULT_MAX_PAYLOAD_OCTETS,
+    NAL_PPS,
+    NAL_SPS,
+    nal_type,
+    split_annex_b,
+)
+from kontur_av.rtp.sdp import (
+    StreamDescription,
+    profile_level_id,
+    session_bandwidth_bps,
+)
+from kontur_av.rtp.sender import RtpIdentity
+from kontur_av.sources.source import AudioSource, VideoSource
+from kontur_av.streams.encoding_thread import EncodingThread
+from kontur_av.streams.video_sender import VideoSender
+from kontur_av.streams.voice_sender import VoiceSender
+from kontur_av.topics.notifier import WaitSet
+
+#: Of the header extension that tells captures.
+_CAPTURE_TIME_ID = 1
+
+
+def _parameter_sets(encoder: H264Encoder) -> tuple[bytes, ...]:
+    """SPS and PPS that `encoder` writes. Do not use it afterwards: it has begun its stream."""
+    grey = empty_picture(encoder.width, encoder.height)
+    grey.fill(128)
+    units = split_annex_b(encoder.encode(VideoFrame(grey, CaptureStamp(0, 0, "twin"))).data)
+    return tuple(unit for unit in units if nal_type(unit) in (NAL_SPS, NAL_PPS))
+
+
+class PictureFeed:
+    """Pictures from their source to the sender.
+
+    A picture is encoded in a thread of its own, while the packets of the picture before leave.
+    """
+
+    kind: Literal["video", "audio"] = "video"
+    payload_type = VIDEO_PAYLOAD_TYPE
+    #: The sender's events stamp the sound of a packet this much earlier than its block.
+    lookahead_ns = 0
+
+    def __init__(
+        self,
+        source: VideoSource,
+        clock: MonotonicClock,
+        *,
+        size: tuple[int, int],
+        fps: int,
+        cap_bps: int,
+        channel_bps: int | None = None,
+        coded_size: tuple[int, int] | None = None,
+        refresh_s: float | None = None,
+        search: Search = "thorough",
+    ) -> None:
+        width, height = size
+
+        def make(coded: tuple[int, int] | None) -> H264Encoder:
+            return H264Encoder(
+                width=width,
+                height=height,
+                fps=fps,
+                cap_bps=cap_bps,
+                coded_size=coded,
+                refresh_s=REFRESH_S if refresh_s is None else refresh_s,
+                search=search,
+            )
+
+        encoder = make(coded_size)
+        self.size, self.coded_size = size, encoder.coded_size
+        self.sender = VideoSender(
+            cap_bps=cap_bps,
+            channel_bps=channel_bps,
+            fps=fps,
+            identity=RtpIdentity.draw(secrets.randbits),
+            cname=_cname(),
+            wall_offset_ns=clock.wall_offset_ns,
+            capture_time_id=_CAPTURE_TIME_ID,
+            adapt_refresh=refresh_s is None,
+        )
+        # The SDP must exist before the first packet. A second encoder of the same settings has the
+        # same SPS and PPS, and the real one still begins with the first real picture. A third shows
+        # the level that pictures may grow to.
+        self.parameter_sets = _parameter_sets(make(coded_size))
+        self.profile_level_id = profile_level_id(_parameter_sets(make(encoder.largest_size)))
+        #: At most: a packet for each picture, and one more for each whole payload of the cap.
+        self.packets_per_s = fps + cap_bps / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
+        self._clock = clock
+        #: What the source writes to, and the newest whole picture.
+        self._coming, self._newest = empty_picture(width, height), empty_picture(width, height)
+        self._stamp = CaptureStamp(0, 0, "none")
+        self.source = source
+        self._encoding = EncodingThread(encoder, clock)
+        self._wait_set = WaitSet([], [self._encoding.fileno()])
+
+    def step(self, timeout_ns: int) -> None:
+        """Take a picture or an access unit; return within `timeout_ns`, or as soon as there is
+        anything to do."""
+        if self._encoding.busy:
+            # A picture that comes in the meantime can wait, because it would not be encoded sooner.
+            self._wait_set.wait(timeout_ns)
+            done = self._encoding.poll()
+            if done is not None:
+                self.sender.handle_access_unit(done.unit, done.encoded_ns)
+            return
+        stamp = self.source.read(self._coming, timeout_ns)
+        if stamp is not None:
+            self._coming, self._newest = self._newest, self._coming
+            self._stamp = stamp
+            self.sender.handle_picture(stamp, self._clock.now_ns())
+        coding = self.sender.poll_encode(self._clock.now_ns())
+        if coding is not None:
+            self._encoding.submit(VideoFrame(self._newest, self._stamp), coding)
+
+    def finish(self) -> None:
+        """Encode no more pictures."""
+        self.sender.finish()
+
+    def close(self) -> None:
+        """End the thread, and close the source."""
+        self._encoding.close()
+        self.source.close()
+
+
+class SoundFeed:
+    """Sound from its source to the sender."""
+
+    kind: Literal["video", "audio"] = "audio"
+    payload_type = AUDIO_PAYLOAD_TYPE
+    lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
+    parameter_sets: tuple[bytes, ...] = ()
+    profile_level_id = ""
+    packets_per_s = 50.0
+
+    def __init__(
+        self,
+        source: AudioSource,
+        clock: MonotonicClock,
+        *,
+        cap_bps: int,
+        channel_bps: int | None = None,
+    ) -> None:
+        self._clock = clock
+        self.sender = VoiceSender(
+            cap_bps=cap_bps,
+            channel_bps=channel_bps,
+            identity=RtpIdentity.draw(secrets.randbits),
+            cname=_cname(),
+            wall_offset_ns=clock.wall_offset_ns,
+            capture_time_id=_CAPTURE_TIME_ID,
+        )
+        self._encoder = OpusEncoder(bitrate_bps=self.sender.bitrate_bps)
+        self.source = source
+
+    def step(self, timeout_ns: int) -> None:
+        """Take a block of sound, if one comes within `timeout_ns`."""
+        block = self.source.read(timeout_ns)
+        if block is None or not self.sender.handle_block(block.stamp, self._clock.now_ns()):
+            return
+        opus = self._encoder.encode(block.samples)
+        self.sender.handle_packet(opus, block.stamp, self._clock.now_ns())
+
+    def finish(self) -> None:
+        """Encode no more sound."""
+
+    def close(self) -> None:
+        """Close the source."""
+        self.source.close()
+
+
+def describe(feed: PictureFeed | SoundFeed, host: str, port: int) -> StreamDescription:
+    """Return what receivers at `host` must know of the stream."""
+    return StreamDescription(
+        kind=feed.kind,
+        host=host,
+        port=port,
+        payload_type=feed.payload_type,
+        bandwidth_bps=session_bandwidth_bps(feed.sender.cap_bps, feed.packets_per_s, host),
+        parameter_sets=feed.parameter_sets,
+        profile_level_id=feed.profile_level_id,
+        feedback=True,
+        reduced_size=True,
+        capture_time_id=_CAPTURE_TIME_ID,
+    )
+
+
+def _cname() -> str:
+    return f"kontur-av-{secrets.token_hex(6)}"

@@ -1,0 +1,215 @@
+"""A running session from another program: what the operator sees, what hands feel, telecommands.
+
+Use::
+
+    with JoinedSession() as session:
+        for picture in session.pictures():
+            show(picture.data, picture.age_ms)
+        print(session.select("static").round_trip_ms)
+"""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from random import SystemRandom
+from types import TracebackType
+from typing import Generic, Literal, Self, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import NS_PER_MS, MonotonicClock
+from kontur_av.errors import ConfigError
+from kontur_av.media import Quality
+from kontur_av.topics.bus import Lease, TopicBus
+from kontur_av.topics.session_files import choose_session
+from pipelines.hand.haptic_trace import rows_of
+from pipelines.mission.choosing import CAMERA, SELECT
+from pipelines.mission.sending import Sending
+from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
+from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.asking import running_sessions
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, TMTC_TOPICS
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+
+_CLIENT = "JoinedSession"
+_LOOK_NS = 200 * NS_PER_MS
+_LOOK_S = 0.2
+_DEPTH = 32
+_TRACES = {"robot": ROBOT_TRACE_TOPIC, "joystick": JOYSTICK_TRACE_TOPIC}
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class ShownPicture:
+    """A picture on a display of the session.
+
+    data: RGB, shape (height, width, 3), uint8.
+    age_ms: since its capture, at the moment of handing over.
+    """
+
+    data: NDArray[np.uint8]
+    age_ms: float
+    quality: Quality
+
+
+class Feed(Generic[_T]):
+    """What comes of one topic: an iterator, sync or async. It ends with the session."""
+
+    def __init__(
+        self, bus: TopicBus, topic: str, *, newest: bool, make: Callable[[Lease], _T], name: str
+    ) -> None:
+        self._reader = bus.reader(topic, depth=1 if newest else _DEPTH)
+        self._waiter = bus.waiter([self._reader])
+        self._newest, self._make, self._name = newest, make, name
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> _T:
+        while True:
+            found = self._take()
+            if found is not None:
+                return found
+            if not self._waiter.wait(_LOOK_NS) and self._name not in _running():
+                raise StopIteration
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> _T:
+        loop, woken = asyncio.get_running_loop(), asyncio.Event()
+        loop.add_reader(self._waiter.fileno(), woken.set)
+        try:
+            while True:
+                self._waiter.wait(0)
+                woken.clear()
+                found = self._take()
+                if found is not None:
+                    return found
+                try:
+                    async with asyncio.timeout(_LOOK_S):
+                        await woken.wait()
+                except TimeoutError:
+                    if self._name not in _running():
+                        raise StopAsyncIteration from None
+        finally:
+            loop.remove_reader(self._waiter.fileno())
+
+    def _take(self) -> _T | None:
+        lease = self._reader.latest() if self._newest else self._reader.next()
+        if lease is None:
+            return None
+        with lease:
+            return self._make(lease)
+
+
+class JoinedSession:
+    """A session of this user on this machine. A context manager, sync or async.
+
+    name: of the session or of its setup; None: the only one. Raises ConfigError if none fits.
+    A slow reader never delays the session.
+    """
+
+    def __init__(self, name: str | None = None) -> None:
+        #: Its name.
+        self.name = choose_session(name, _running())
+        self._bus = TopicBus.join(self.name)
+        self._clock = MonotonicClock()
+
+    def pictures(self, stream: str = "uplink_video") -> Feed[ShownPicture]:
+        """What the display of a video stream shows: always the newest picture.
+
+        stream: uplink_video is what the operator sees. Raises ConfigError if there is none.
+        """
+        return Feed(
+            self._bus, f"displayed/{stream}", newest=True, make=self._picture, name=self.name
+        )
+
+    def samples(self, end: Literal["robot", "joystick"]) -> Feed[NDArray[np.void]]:
+        """The haptic samples of an end as blocks of 20 rows, 1000 rows a second.
+
+        A row, of dtype `pipelines.hand.haptic_trace.ROW`: time_ns (ns, the monotonic clock), x_m,
+        y_m (m, of the tip or the handle), fx_n, fy_n (N, of the board on the tip, or displayed by
+        the handle), energy_uj (µJ), flags (bit 0 contact, 1 dead-man button, 2 passivity), sent,
+        received (numbers of samples, -1: none).
+        """
+        return Feed(
+            self._bus,
+            _TRACES[end],
+            newest=False,
+            make=lambda lease: rows_of(lease.octets()),
+            name=self.name,
+        )
+
+    def select(self, camera: str) -> CommandUpdate:
+        """Select the camera of the uplink, and wait for the ground's answer; as `command`."""
+        return self.command(CAMERA, SELECT, camera)
+
+    def command(self, application: str, *words: str) -> CommandUpdate:
+        """Send a telecommand, and wait for its verification, as `kontur-av tc`.
+
+        words: such as "halt", or "set", "limit=3". `ok` says whether it was carried out, `reason`
+        why not. Raises ConfigError for what the application does not know, and ConnectionError if
+        the session does not answer.
+        """
+        known = built_in_dictionary().application(application)
+        number = SystemRandom().getrandbits(48)
+        request = command_from_words(known, words, client=_CLIENT, number=number)
+        origin = Segment(known.end).peer
+        # A bus of its own, because the caller may be a thread.
+        with TopicBus.join(self.name) as bus:
+            reader = bus.reader(TMTC_TOPICS[origin], depth=_DEPTH)
+            sending = Sending(self.name, origin, request, reader)
+            for _ in sending.news():
+                pass
+        if sending.done is None:
+            raise ConnectionError(f"session {self.name} has not answered")
+        if sending.done.mistake:
+            raise ConfigError(sending.done.reason)
+        return sending.done
+
+    async def aselect(self, camera: str) -> CommandUpdate:
+        """As `select`, in an event loop."""
+        return await asyncio.to_thread(self.select, camera)
+
+    async def acommand(self, application: str, *words: str) -> CommandUpdate:
+        """As `command`, in an event loop."""
+        return await asyncio.to_thread(self.command, application, *words)
+
+    def close(self) -> None:
+        """Leave the session."""
+        self._bus.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+    def _picture(self, lease: Lease) -> ShownPicture:
+        frame = lease.video()
+        return ShownPicture(
+            cv2.cvtColor(frame.data, cv2.COLOR_YUV2RGB_I420).astype(np.uint8, copy=False),
+            (self._clock.now_ns() - frame.stamp.capture_ns) / NS_PER_MS,
+            frame.stamp.quality,
+        )
+
+
+def _running() -> list[str]:
+    found = (one for segment in Segment for one in running_sessions(tmtc_socket_name(segment)))
+    return list(dict.fromkeys(found))

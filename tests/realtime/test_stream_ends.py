@@ -1,0 +1,103 @@
+"""Whole ends of a stream: bad input is refused, errors reach the caller, a reader may be slow."""
+
+import asyncio
+import socket
+import time
+
+import numpy as np
+import pytest
+from janus_room import free_port
+
+import kontur_av as av
+from kontur_av.streams import ends
+
+GREY = np.full((96, 128, 3), 90, np.uint8)
+
+
+@pytest.mark.parametrize("to", ["127.0.0.1", "127.0.0.1:x", ":5004", "127.0.0.1:65535"])
+def test_a_wrong_address_is_refused(to):
+    with pytest.raises(av.ConfigError, match="HOST:PORT"):
+        av.PictureSender(to, cap_bps=85_000)
+
+
+def test_what_is_no_picture_or_no_block_is_refused():
+    with av.PictureSender("127.0.0.1:9", cap_bps=85_000) as end:
+        for wrong in (GREY[:, :, 0], GREY.astype(np.float32)):
+            with pytest.raises(av.ConfigError, match="uint8, RGB"):
+                end.send(wrong)
+        with pytest.raises(av.ConfigError, match="multiple of 4"):
+            end.send(GREY[:95])
+        end.send(GREY)
+        with pytest.raises(av.ConfigError, match="after one of"):
+            end.send(GREY[:64])
+    with pytest.raises(av.ConfigError, match="closed"):
+        end.send(GREY)
+    with (
+        av.SoundSender("127.0.0.1:9", cap_bps=24_000) as end,
+        pytest.raises(av.ConfigError, match="int16"),
+    ):
+        end.send(np.zeros(480, np.int16))
+
+
+def test_a_cap_that_cannot_be_kept_is_refused():
+    with av.PictureSender("127.0.0.1:9", cap_bps=100) as end, pytest.raises(av.ConfigError):
+        end.send(GREY)
+
+
+def test_what_ends_the_thread_reaches_the_caller(monkeypatch):
+    def fail(*_):
+        raise RuntimeError("out of order")
+
+    monkeypatch.setattr(ends.UdpSender, "exchange", fail)
+    with pytest.raises(RuntimeError, match="out of order"):  # noqa: SIM117
+        with av.PictureSender("127.0.0.1:9", cap_bps=85_000) as end:
+            for _ in range(100):
+                end.send(GREY)
+
+
+def test_an_sdp_that_is_absent_or_whose_port_is_taken_is_refused(tmp_path):
+    with pytest.raises(av.ConfigError, match="cannot be read"):
+        av.StreamReceiver(tmp_path / "none.sdp")
+    port, sdp = free_port(), tmp_path / "s.sdp"
+    stream = av.StreamDescription(kind="video", host="127.0.0.1", port=port, payload_type=96)
+    sdp.write_text(av.write_sdp(stream))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", port))
+        with pytest.raises(av.ConfigError, match="cannot be opened"):
+            av.StreamReceiver(sdp)
+
+
+def test_a_slow_reader_gets_the_newest_picture_and_the_end(tmp_path):
+    port, sdp = free_port(), tmp_path / "s.sdp"
+    with av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, sdp=sdp) as end:
+        end.send(GREY)
+        with av.StreamReceiver(sdp) as pictures:
+            for level in range(60):
+                end.send(np.full_like(GREY, level))
+            end.close()
+            time.sleep(0.5)
+            seen = list(pictures)
+    assert len(seen) == 1 and pictures.skipped > 0
+    assert abs(int(seen[0].data.mean()) - 59) <= 8
+    assert seen[0].age_ms > 400
+    assert "goodbye" in pictures.ended
+
+
+def test_an_async_reader_is_ended_from_outside(tmp_path):
+    port, sdp = free_port(), tmp_path / "s.sdp"
+
+    async def read(pictures):
+        return [one async for one in pictures]
+
+    async def run():
+        async with av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, sdp=sdp) as end:
+            await end.asend(GREY)
+            async with av.StreamReceiver(sdp) as pictures:
+                reading = asyncio.create_task(read(pictures))
+                for _ in range(60):
+                    await end.asend(GREY)
+                await asyncio.to_thread(pictures.close)
+                seen = await reading
+        assert seen and pictures.ended == "closed"
+
+    asyncio.run(run())

@@ -1,0 +1,74 @@
+"""samples/join_session.py and `JoinedSession`: pictures, samples and telecommands of a session."""
+
+import asyncio
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from places import ROOT
+from running_session import RunningSession
+
+from kontur_av.errors import ConfigError
+from pipelines import JoinedSession
+
+SAMPLE = ROOT / "samples" / "join_session.py"
+
+
+def join(environment=None, *arguments):
+    command = [sys.executable, str(SAMPLE), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
+
+
+def test_a_program_joins_a_session_until_it_ends(tmp_path, monkeypatch):
+    with RunningSession("taskboard", directory=tmp_path) as session:
+        session.wait_for_flow(["uplink_video"])
+        done = join(session.environment)
+        assert done.returncode == 0, done.stderr
+        selected, pinged, *rest = done.stdout.splitlines()
+        for update in (selected, pinged):
+            assert "ok=True" in update and "verified=True" in update
+        for line in rest[:30]:
+            assert re.fullmatch(r"\(480, 640, 3\), \d+ ms old, \w+", line), line
+        assert len(rest) == 33
+        monkeypatch.setattr("tempfile.tempdir", str(session.temporary))
+        code, report = asyncio.run(use(session))
+        assert (code, report["failures"]) == (0, [])
+        session.assert_nothing_left()
+
+
+async def use(running):
+    async with JoinedSession("taskboard") as session:
+        with pytest.raises(ConfigError, match="unknown camera nowhere"):
+            await session.aselect("nowhere")
+        with pytest.raises(ConfigError, match="halt"):
+            await session.acommand("joystick", "hlat")
+        rows = []
+        async for block in session.samples("joystick"):
+            rows += block["time_ns"].tolist()
+            if len(rows) == 200:
+                break
+        # Nothing of 1 kHz is left out in between.
+        assert rows == sorted(set(rows)) and rows[-1] - rows[0] < 2 * 200 * 10**6
+        with pytest.raises(ConfigError, match="no topic displayed/moon"):
+            session.pictures("moon")
+        pictures = session.pictures()
+        ages = [(await anext(pictures)).age_ms]
+        ending = asyncio.create_task(asyncio.to_thread(running.interrupt))
+        ages += [one.age_ms async for one in pictures]
+        assert all(0 < age < 60_000 for age in ages)
+        return await ending
+
+
+def test_without_a_session_it_says_so_in_one_line(tmp_path):
+    done = join({**os.environ, "TMPDIR": str(tmp_path)})
+    assert done.returncode != 0
+    assert done.stderr.splitlines()[-1].startswith(
+        "kontur_av.errors.ConfigError: no session is run"
+    )
+
+
+def test_what_the_sample_does_takes_at_most_fifteen_lines():
+    text = SAMPLE.read_text(encoding="utf-8")
+    assert len([line for line in text.split('"""')[2].splitlines() if line.strip()]) <= 15
