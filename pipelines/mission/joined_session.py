@@ -56,7 +56,7 @@ class ShownPicture:
     quality: Quality
 
 
-class Feed(Generic[_T]):
+class TopicFeed(Generic[_T]):
     """What comes of one topic: an iterator, sync or async. It ends with the session."""
 
     def __init__(
@@ -120,16 +120,16 @@ class JoinedSession:
         self._bus = TopicBus.join(self.name)
         self._clock = MonotonicClock()
 
-    def pictures(self, stream: str = "uplink_video") -> Feed[ShownPicture]:
+    def pictures(self, stream: str = "uplink_video") -> TopicFeed[ShownPicture]:
         """What the display of a video stream shows: always the newest picture.
 
         stream: uplink_video is what the operator sees. Raises ConfigError if there is none.
         """
-        return Feed(
+        return TopicFeed(
             self._bus, f"displayed/{stream}", newest=True, make=self._picture, name=self.name
         )
 
-    def samples(self, end: Literal["robot", "joystick"]) -> Feed[NDArray[np.void]]:
+    def samples(self, end: Literal["robot", "joystick"]) -> TopicFeed[NDArray[np.void]]:
         """The haptic samples of an end as blocks of 20 rows, 1000 rows a second.
 
         A row, of dtype `pipelines.hand.haptic_trace.ROW`: time_ns (ns, the monotonic clock), x_m,
@@ -137,7 +137,7 @@ class JoinedSession:
         the handle), energy_uj (µJ), flags (bit 0 contact, 1 dead-man button, 2 passivity), sent,
         received (numbers of samples, -1: none).
         """
-        return Feed(
+        return TopicFeed(
             self._bus,
             _TRACES[end],
             newest=False,
