@@ -24,6 +24,8 @@ from kontur_av.sources.source import (
 # Kinds are imported on demand, so that a process that draws a scene does not load FFmpeg.
 
 _KINDS = ("mcap", "pipe", "v4l2", "alsa", "scene")
+#: A file of this name that is not there is the package's own, of two seconds.
+CLIP = "clip.mp4"
 #: A user's class, and the entry points of such classes.
 _PART, GROUP = "part", "kontur_av.sources"
 
@@ -163,7 +165,16 @@ def _split(spec: str) -> tuple[str, str]:
         )
     if names_part(spec, GROUP) and not Path(spec).exists():
         return _PART, spec
-    return "file", spec
+    return "file", spec if Path(spec).exists() else _sample(spec)
+
+
+def _sample(path: str) -> str:
+    """Return the package's own clip for the name that the documents' examples have."""
+    root = Path(__file__).resolve().parents[2]
+    for folder in (root / "telepresence" / "media", root / "samples" / "media"):
+        if path == CLIP and (folder / CLIP).is_file():
+            return str(folder / CLIP)
+    return path
 
 
 def _check_scene(name: str, scenes: Iterable[str]) -> None:

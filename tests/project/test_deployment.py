@@ -1,0 +1,33 @@
+"""The systemd unit is one that systemd takes, and the clip of the documents is there."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from kontur_av.sources.spec import check_spec
+
+UNIT = ROOT / "samples" / "kontur-av@.service"
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
+def test_systemd_takes_the_unit(tmp_path):
+    text = UNIT.read_text(encoding="utf-8")
+    assert "\nUser=kontur\n" in text and "[Install]" in text
+    # What it starts must exist.
+    program = Path(sys.executable).with_name("kontur-av")
+    copy = tmp_path / "kontur-av@lab.service"
+    copy.write_text(text.replace("/opt/kontur/bin/kontur-av", str(program)))
+    done = subprocess.run(["systemd-analyze", "verify", copy], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_documents_clip_is_in_the_package(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    check_spec("clip.mp4", "video")
+    (tmp_path / "clip.mp4").write_text("a file of one's own goes first")
+    with pytest.raises(Exception, match="no media file"):
+        check_spec("clip.mp4", "video")
