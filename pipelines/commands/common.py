@@ -6,12 +6,14 @@ import re
 import signal
 import socket
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
+from kontur_av.topics.session_files import choose_session, sessions
 from pipelines.report.report_file import discard_output
+from pipelines.session.sessions import started_here
 
 
 def check_options(args: argparse.Namespace) -> None:
@@ -93,3 +95,28 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in zip(signals, before, strict=True):
             signal.signal(number, handler)
+
+
+def acting_on(name: str | None, running: Sequence[str], *, moves: bool = False) -> str:
+    """Return the session of `running` that `name` means, and print it on standard error.
+
+    Without a name it is the only one, or the only one that was started in this terminal.
+    moves: the robot may move, stop or lose its power. Then another terminal's session must be
+    named while others run. Errors: see `choose_session`.
+    """
+    own = [session for session in running if started_here(session)]
+    if name is None and len(own) == 1:
+        return _said(own[0])
+    chosen = choose_session(name, running, " with --session")
+    others = [session for session in sessions() if session != chosen]
+    if moves and name is None and others:
+        raise ConfigError(
+            f"session {chosen} was started in another terminal, and {', '.join(others)} runs, too: "
+            f"name it with --session {chosen}"
+        )
+    return _said(chosen)
+
+
+def _said(session: str) -> str:
+    print(f"session {session}", file=sys.stderr)
+    return session

@@ -5,6 +5,7 @@ import sys
 import time
 
 from kontur_av.errors import ConfigError
+from pipelines.commands.common import acting_on
 from pipelines.hand.arm_owner import (
     OWNERS,
     OwnerAnswer,
@@ -12,7 +13,7 @@ from pipelines.hand.arm_owner import (
     pack_line,
     parse_owner_answer,
 )
-from pipelines.session.asking import ask_desk
+from pipelines.session.asking import ask_desk, running_sessions
 
 _DESK = "arm"
 #: How long a hand-over may take: the robot comes to rest first.
@@ -40,11 +41,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 once the wanted owner drives; 1 without an answer, or if the robot does not rest."""
-    answer = _ask(args.owner, args.session)
+    running = running_sessions(_DESK)
+    session = acting_on(args.session, running, moves=bool(args.owner)) if running else None
+    answer = _ask(args.owner, session)
     end_s = time.monotonic() + _PATIENCE_S
     while answer.ok and args.owner and answer.owner != args.owner and time.monotonic() < end_s:
         time.sleep(_LOOK_S)
-        answer = _ask("", args.session)
+        answer = _ask("", session)
     if answer.mistake:
         raise ConfigError(answer.error)
     if not answer.ok:

@@ -8,10 +8,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import stopped_by_signals
+from pipelines.commands.common import acting_on, stopped_by_signals
 from pipelines.commands.record_options import add_recording_arguments, wish_of
 from pipelines.recording.part_files import check_recordable
-from pipelines.session.recorder_control import RecorderLink, find_session
+from pipelines.session.recorder_control import RecorderLink, recorded_sessions
 from pipelines.session.recorder_requests import (
     START,
     STATE,
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     wish = wish_of(args, held=True)
     assert wish is not None
     check_recordable(Path(wish.file), overwrite=args.overwrite)
-    session = find_session(args.session)
+    session = acting_on(args.session, recorded_sessions())
     with stopped_by_signals() as ended:
         link = _begin(session, wish, overwrite=args.overwrite)
         print(f"session {session} is recorded to {wish.file}", flush=True)

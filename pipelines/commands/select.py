@@ -3,8 +3,12 @@
 import argparse
 import sys
 
+from pipelines.commands.common import acting_on
 from pipelines.mission.joined_session import JoinedSession
 from pipelines.mission.tmtc_messages import selection_error
+from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.asking import running_sessions
+from pipelines.session.setup.segments import Segment
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 once the ground has acknowledged the camera; 1 if it refused, or no answer came."""
     try:
-        with JoinedSession(args.session) as session:
+        running = running_sessions(tmtc_socket_name(Segment.SPACE))
+        with JoinedSession(acting_on(args.session, running)) as session:
             end = session.select(args.camera)
     except ConnectionError:
         print("kontur-av: the session has not answered", file=sys.stderr)

@@ -7,8 +7,7 @@ from rich.console import Console
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from kontur_av.topics.session_files import choose_session
-from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.common import acting_on, output_that_may_fail
 from pipelines.commands.telecommand import follow
 from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import SendCommand
@@ -50,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     running = running_sessions(tmtc_socket_name(Segment.GROUND))
     if not running:
         raise ConfigError("no session's ground end runs here: start kontur-av stream --tasks")
-    session = choose_session(args.session, running, " with --session")
+    session = acting_on(args.session, running, moves=args.action != "list")
     with TopicBus.join(session) as bus:
         shown = _shown(bus, session)
         if args.action == "list":

@@ -5,7 +5,7 @@ from random import SystemRandom
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from kontur_av.topics.session_files import choose_session
+from pipelines.commands.common import acting_on
 from pipelines.commands.telecommand import follow
 from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import (
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(
             f"no session with its end {origin.value} runs here: start one with kontur-av stream"
         )
-    session = choose_session(args.session, running, " with --session")
+    session = acting_on(args.session, running, moves=True)
     with TopicBus.join(session) as bus:
         reader = bus.reader(TMTC_TOPICS[origin], depth=32)
         return follow(Sending(session, origin, request, reader), application)

@@ -4,7 +4,9 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.mission.trainer_control import ask_trainer
+from pipelines.commands.common import acting_on
+from pipelines.mission.trainer_control import TRAINER_DESK, ask_trainer
+from pipelines.session.asking import running_sessions
 from pipelines.session.training import CAMERA, END, JOYSTICK, LOS, TrainerRequest
 
 #: By exercise: what it does, and how long it lasts by default.
@@ -46,7 +48,9 @@ def run(args: argparse.Namespace) -> int:
         seconds=getattr(args, "seconds", 0.0),
         camera=getattr(args, "camera", ""),
     )
-    answer = ask_trainer(request, args.session)
+    running = running_sessions(TRAINER_DESK)
+    session = acting_on(args.session, running, moves=True) if running else None
+    answer = ask_trainer(request, session)
     if answer.mistake:
         raise ConfigError(answer.text)
     if not answer.ok:

@@ -10,12 +10,12 @@ from pipelines.session.training import (
     parse_trainer_answer,
 )
 
-_DESK = "trainer"
+TRAINER_DESK = "trainer"
 
 
 def trainer_path(session: str) -> Path:
     """Return the path of the Unix socket of `session`'s trainer."""
-    return desk_path(session, _DESK)
+    return desk_path(session, TRAINER_DESK)
 
 
 def ask_trainer(request: TrainerRequest, session: str | None) -> TrainerAnswer:
@@ -27,7 +27,9 @@ def ask_trainer(request: TrainerRequest, session: str | None) -> TrainerAnswer:
         "no session here has a trainer: start it with --trainer, "
         "as `kontur-av stream --setup spacejustin --end space --trainer`"
     )
-    answer = parse_trainer_answer(ask_desk(_DESK, pack_line(request), session, missing=missing))
+    answer = parse_trainer_answer(
+        ask_desk(TRAINER_DESK, pack_line(request), session, missing=missing)
+    )
     if answer is None:
         return TrainerAnswer(ok=False, text="the session's trainer has ended before it answered")
     return answer

@@ -7,7 +7,7 @@ import os
 import socket
 from pathlib import Path
 
-from kontur_av.topics.session_files import choose_session, make_session_root, session_root
+from kontur_av.topics.session_files import make_session_root, session_root
 from pipelines.session.asking import running_sessions
 from pipelines.session.recorder_requests import (
     MAX_LINE_OCTETS,
@@ -51,15 +51,15 @@ def remove_wish(session: str) -> None:
     (session_root(session) / _WISH).unlink(missing_ok=True)
 
 
-def find_session(name: str | None) -> str:
-    """Return the running session that `name` means, as `choose_session`; else ConfigError."""
+def recorded_sessions() -> list[str]:
+    """Return the running sessions of this user that can be recorded."""
     running = []
     for session in running_sessions(_SOCKET):
         link = _connected(session)
         if link is not None:
             link.close()
             running.append(session)
-    return choose_session(name, running, " with --session")
+    return running
 
 
 class RecorderLink:

@@ -82,8 +82,17 @@ def _lock_new(session: str) -> int | None:
                 return None
             # Another process may have removed the file before it was locked.
             if _same(lock, path):
+                os.pwrite(lock, str(os.getsid(0)).encode(), 0)
                 return lock
             os.close(lock)
+
+
+def started_here(session: str) -> bool:
+    """Whether the session was started in the terminal of this process (setsid(2))."""
+    try:
+        return (session_root(session) / _LOCK).read_text() == str(os.getsid(0))
+    except OSError:
+        return False
 
 
 def _locked(lock: int) -> bool:

@@ -1,0 +1,56 @@
+"""Which session a command acts on, and when it asks."""
+
+import os
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.commands import common
+from pipelines.commands.common import acting_on
+from pipelines.session.sessions import hold_session, started_here
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    """runs(*others, here=(...)): these sessions run, of which some were started here."""
+
+    def set_up(*everywhere, here=()):
+        monkeypatch.setattr(common, "sessions", lambda: list(everywhere))
+        monkeypatch.setattr(common, "started_here", lambda session: session in here)
+
+    return set_up
+
+
+def test_the_session_is_named_on_standard_error(runs, capsys):
+    runs("lab-1")
+    assert acting_on(None, ["lab-1"], moves=True) == "lab-1"
+    assert capsys.readouterr().err == "session lab-1\n"
+
+
+def test_of_several_the_one_of_this_terminal_is_meant(runs):
+    runs("lab-1", "lab-2", here=["lab-2"])
+    assert acting_on(None, ["lab-1", "lab-2"], moves=True) == "lab-2"
+    assert acting_on("lab-1", ["lab-1", "lab-2"], moves=True) == "lab-1"
+    runs("lab-1", "lab-2", here=["lab-1", "lab-2"])
+    with pytest.raises(ConfigError, match="several sessions"):
+        acting_on(None, ["lab-1", "lab-2"])
+
+
+def test_what_moves_a_robot_asks_beside_another_session(runs):
+    runs("lab-1", "pool-2")
+    # Only one has what the command needs, which is no reason to take it for the meant one.
+    assert acting_on(None, ["lab-1"]) == "lab-1"
+    with pytest.raises(ConfigError, match="pool-2 runs, too: name it with --session lab-1"):
+        acting_on(None, ["lab-1"], moves=True)
+    assert acting_on("lab", ["lab-1"], moves=True) == "lab-1"
+    with pytest.raises(ConfigError, match="no session"):
+        acting_on(None, [], moves=True)
+
+
+def test_a_session_knows_its_terminal(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with hold_session("lab") as session:
+        assert started_here(session)
+        monkeypatch.setattr(os, "getsid", lambda _: 1)
+        assert not started_here(session)
+    assert not started_here(session)
