@@ -5,13 +5,14 @@ from typing import TYPE_CHECKING
 from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from pipelines.mission.joined_session import JoinedSession, ShownPicture
+    from pipelines.mission.joined_session import GivenInput, JoinedSession, ShownPicture
     from pipelines.session.setup.setup_file import load_setup, setup_from_table
     from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
     from pipelines.session.topology import Topology
     from pipelines.table import topology_of
 
 __all__ = [
+    "GivenInput",
     "JoinedSession",
     "Setup",
     "ShownPicture",
@@ -25,7 +26,7 @@ __all__ = [
 
 #: Module -> the names above that it defines.
 _HOMES = {
-    "mission.joined_session": ("JoinedSession", "ShownPicture"),
+    "mission.joined_session": ("GivenInput", "JoinedSession", "ShownPicture"),
     "session.setup.setup_file": ("load_setup", "setup_from_table"),
     "session.setup.table": ("Setup", "VideoStream", "VoiceStream"),
     "session.topology": ("Topology",),

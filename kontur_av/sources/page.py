@@ -1,14 +1,15 @@
-"""A source with nothing of its own: it waits for a browser page to take its input over."""
+"""A source with nothing of its own: a browser page, or a user's program, fills its input."""
 
 from kontur_av.clock import Clock
 from kontur_av.media import I420, AudioFrame, CaptureStamp
 
-#: Its SPEC.
-PAGE = "page"
+#: Its SPECs: the one waits for a page, the other for a program that has joined the session.
+PAGE, TOPIC = "page", "topic"
+FILLED_BY_OTHERS = (PAGE, TOPIC)
 
 
 class PageVideo:
-    """No pictures (a `VideoSource`). Pages give theirs to the process of the input."""
+    """No pictures (a `VideoSource`). Others give theirs to the process of the input."""
 
     def __init__(self, clock: Clock) -> None:
         self.faults = 0

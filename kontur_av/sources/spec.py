@@ -1,8 +1,8 @@
 """Opens the sources that SPECs name, as in `--source NAME=SPEC`.
 
 A SPEC is a path to a media file, or `mcap:FILE#CHANNEL`, `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`,
-`scene:NAME`, or `page` for an input of a session that only browser pages fill. `module:Class`, or
-the name of an entry point of `GROUP`, is a user's own: called as a scene's factory is.
+`scene:NAME`, or `page` or `topic` for an input of a session that only browser pages, or a joined
+program, fill. `module:Class`, or the name of an entry point of `GROUP`, is a user's own: called as a scene's factory is.
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,7 +13,7 @@ from kontur_av.clock import Clock
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
 from kontur_av.parts import find_part, make_part, names_part
-from kontur_av.sources.page import PAGE, PageAudio, PageVideo
+from kontur_av.sources.page import FILLED_BY_OTHERS, PageAudio, PageVideo
 from kontur_av.sources.source import (
     AudioSceneFactory,
     AudioSource,
@@ -61,7 +61,7 @@ def open_video(
         from kontur_av.sources.camera import CameraVideo
 
         return CameraVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
-    if kind == PAGE:
+    if kind in FILLED_BY_OTHERS:
         return PageVideo(clock)
     if kind == "mcap":
         from kontur_av.sources.recording import RecordedVideo
@@ -94,7 +94,7 @@ def open_audio(
         from kontur_av.sources.microphone import MicrophoneAudio
 
         return MicrophoneAudio(rest, name=name, clock=clock)
-    if kind == PAGE:
+    if kind in FILLED_BY_OTHERS:
         return PageAudio(clock)
     if kind == "mcap":
         from kontur_av.sources.recording import RecordedAudio
@@ -118,7 +118,7 @@ def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str]
     path that is not a FIFO, a device that cannot be opened, or an unknown scene.
     """
     family, rest = _split(spec)
-    if family == PAGE:
+    if family in FILLED_BY_OTHERS:
         return
     if family == "scene":
         _check_scene(rest, scenes)
@@ -156,12 +156,12 @@ def _split(spec: str) -> tuple[str, str]:
         if not rest:
             raise ConfigError(f"source {spec!r} names nothing: write {kind}: and what to open")
         return kind, rest
-    if spec == PAGE:
-        return PAGE, ""
+    if spec in FILLED_BY_OTHERS:
+        return spec, ""
     if not spec:
         raise ConfigError(
             "a source is empty: give a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, "
-            "alsa:DEVICE, scene:NAME, module:Class or page"
+            "alsa:DEVICE, scene:NAME, module:Class, page or topic"
         )
     if names_part(spec, GROUP) and not Path(spec).exists():
         return _PART, spec

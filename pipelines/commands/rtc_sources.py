@@ -17,7 +17,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import AccessUnit, CaptureStamp, VideoFrame, empty_picture, parse_size
 from kontur_av.meters import RateMeter
 from kontur_av.sources import open_audio, open_video
-from kontur_av.sources.page import PAGE
+from kontur_av.sources.page import FILLED_BY_OTHERS
 from pipelines.partner.decisions import LEAST_BPS, PicturePlan, RateFollower
 from pipelines.partner.description import Kind
 
@@ -58,8 +58,9 @@ def sends_of(args: argparse.Namespace) -> dict[Kind, int]:
         sends["video"] = _bps(args.video_kbps, "--video-kbps", LEAST_BPS, 50_000_000)
     if args.audio is not None:
         sends["audio"] = _bps(args.voice_kbps, "--voice-kbps", 6_000, 510_000)
-    if PAGE in (args.video, args.audio):
-        raise ConfigError("only a session has pages: give another source")
+    for spec in (args.video, args.audio):
+        if spec in FILLED_BY_OTHERS:
+            raise ConfigError(f"only a session has the source {spec}: give another one")
     return sends
 
 

@@ -11,7 +11,7 @@ from kontur_av.codecs.h264_settings import SEARCHES
 from kontur_av.errors import ConfigError
 from kontur_av.meters import Histogram
 from kontur_av.rtp.sdp import write_sdp
-from kontur_av.sources.page import PAGE
+from kontur_av.sources.page import FILLED_BY_OTHERS
 from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
 from kontur_av.streams.paced_sender import UnitSent
 from kontur_av.streams.udp import UdpSender
@@ -89,10 +89,11 @@ def run(args: argparse.Namespace) -> int:
     Raises ConfigError, with nothing sent, for what cannot work.
     """
     check_options(args)
-    if PAGE in (args.video, args.audio):
+    spec = args.video or args.audio
+    if spec in FILLED_BY_OTHERS:
         raise ConfigError(
-            "only a session has pages: give another source, "
-            f"or `kontur-av stream --source NAME={PAGE}`"
+            f"only a session has the source {spec}: give another one, "
+            f"or `kontur-av stream --source NAME={spec}`"
         )
     address = parse_address(args.to)
     clock = MonotonicClock()

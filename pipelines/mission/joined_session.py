@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from kontur_av.errors import ConfigError
-from kontur_av.media import Quality
-from kontur_av.topics.bus import Lease, TopicBus
+from kontur_av.media import CaptureStamp, Quality
+from kontur_av.topics.bus import Lease, TopicBus, Writer
 from kontur_av.topics.session_files import choose_session
 from pipelines.hand.haptic_trace import rows_of
 from pipelines.mission.choosing import CAMERA, SELECT
@@ -107,6 +107,36 @@ class TopicFeed(Generic[_T]):
             return self._make(lease)
 
 
+class GivenInput:
+    """Fills one input of a session, in the place of its own source while something comes."""
+
+    def __init__(self, bus: TopicBus, name: str) -> None:
+        self._bus, self._name = bus, name
+        self._topic = f"page/{name}"
+        # An input that the session does not have is refused at once.
+        bus.reader(self._topic).close()
+        self._writer: Writer | None = None
+        self._count = 0
+
+    def send(self, data: NDArray[np.uint8] | NDArray[np.int16], capture_ns: int) -> None:
+        """Give a picture or 20 ms of sound, which was captured at `capture_ns`.
+
+        data: RGB, of the input's size, shape (height, width, 3), uint8; or mono, 48 kHz, shape
+        (960,), int16. capture_ns: of the monotonic clock, at most 0.5 s (sound: 0.2 s) ago.
+        """
+        stamp = CaptureStamp(capture_ns, self._count, self._name)
+        self._count += 1
+        if self._writer is None:
+            octets = data.nbytes if data.ndim == 1 else data.nbytes // 2
+            self._writer = self._bus.writer(self._topic, max_octets=octets)
+        if data.ndim == 1:
+            self._writer.publish_octets(data.astype(np.int16, copy=False).tobytes(), stamp)
+            return
+        loan = self._writer.loan_picture(data.shape[1], data.shape[0])
+        cv2.cvtColor(data, cv2.COLOR_RGB2YUV_I420, dst=loan.picture)
+        loan.publish(stamp)
+
+
 class JoinedSession:
     """A session of this user on this machine. A context manager, sync or async.
 
@@ -144,6 +174,13 @@ class JoinedSession:
             make=lambda lease: rows_of(lease.octets()),
             name=self.name,
         )
+
+    def input(self, name: str) -> GivenInput:
+        """An input to fill, such as head with `--source head=topic`; ConfigError if it is unknown.
+
+        Any other source of it gives way while something comes.
+        """
+        return GivenInput(self._bus, name)
 
     def select(self, camera: str) -> CommandUpdate:
         """Select the camera of the uplink, and wait for the ground's answer; as `command`."""

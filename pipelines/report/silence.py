@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.meters import RateMeter
-from kontur_av.sources.page import PAGE
+from kontur_av.sources.page import FILLED_BY_OTHERS
 from kontur_av.streams.staleness import State
 from pipelines.media.figures import CaptureFigures, DisplayFigures
 from pipelines.report.collector import Collector
@@ -56,7 +56,7 @@ def silences(setup: Setup, collector: Collector, now_ns: int | None = None) -> l
         silent_ns = figures.silent_ns(now_ns)
         video = setup.kind_of(name) == "video"
         if silent_ns >= _missed_ns(setup.stream_of(name).fps if video else VOICE_PACKETS_PER_S):
-            waits = setup.source(name) == PAGE
+            waits = setup.source(name) in FILLED_BY_OTHERS
             fault = "no page gives it" if waits else figures.source_fault or ""
             sense = "picture" if video else "sound"
             found.append(Silence(process, sense, silent_ns, fault, waits))
@@ -67,7 +67,7 @@ def waits_for_page(stream: VideoStream | VoiceStream, setup: Setup, collector: C
     """Whether a stream's inputs have no source but browser pages, and none has given anything."""
     inputs = _chosen_inputs(stream, setup, collector)
     return all(
-        setup.source(name) == PAGE
+        setup.source(name) in FILLED_BY_OTHERS
         and collector.process(collector.topology.input(name).process).captured_ns is None
         for name in inputs
     )

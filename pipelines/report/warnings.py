@@ -7,7 +7,7 @@ something.
 from collections.abc import Iterable, Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.sources.page import PAGE
+from kontur_av.sources.page import FILLED_BY_OTHERS
 from kontur_av.streams.paced_sender import SenderCounts
 from pipelines.media.figures import CaptureFigures
 from pipelines.report.collector import Collector
@@ -180,7 +180,7 @@ def picture_warnings(
 def _captured(stream: str, setup: Setup, collector: Collector) -> int:
     """What the busiest input of a stream captured, without those that only pages fill."""
     inputs = (
-        name for name in collector.topology.media(stream).inputs if setup.source(name) != PAGE
+        name for name in collector.topology.media(stream).inputs if setup.source(name) not in FILLED_BY_OTHERS
     )
     processes = (collector.topology.input(name).process for name in inputs)
     return max(

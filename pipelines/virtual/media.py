@@ -9,7 +9,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import I420, CaptureStamp, VideoFrame
 from kontur_av.sources import BLOCK_NS
 from kontur_av.sources.pace import Pace
-from kontur_av.sources.page import PAGE
+from kontur_av.sources.page import FILLED_BY_OTHERS
 from kontur_av.sources.stereo import StereoPairer
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.media.capturing import Capturing
@@ -55,7 +55,7 @@ def check_virtual_sources(setup: Setup) -> None:
     """ConfigError for an input that cannot be opened, or exists in real time only: a pipe, say."""
     for name in setup.inputs:
         kind, colon, _ = setup.source(name).partition(":")
-        if (colon and kind in ("pipe", "v4l2", "alsa")) or setup.source(name) == PAGE:
+        if (colon and kind in ("pipe", "v4l2", "alsa")) or setup.source(name) in FILLED_BY_OTHERS:
             raise ConfigError(
                 f"input {name}: {setup.source(name)} lives in real time; "
                 "a simulation takes scene:NAME, a media file or mcap:FILE#CHANNEL"

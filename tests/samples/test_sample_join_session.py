@@ -6,11 +6,14 @@ import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from places import ROOT
 from running_session import RunningSession
 
+from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
+from kontur_av.media import BLOCK_NS
 from pipelines import JoinedSession
 
 SAMPLE = ROOT / "samples" / "join_session.py"
@@ -59,6 +62,39 @@ async def use(running):
         ages += [one.age_ms async for one in pictures]
         assert all(0 < age < 60_000 for age in ages)
         return await ending
+
+
+def test_a_program_fills_an_input(tmp_path, monkeypatch):
+    options = ("--source", "head=topic", "--source", "ground_mic=topic", "--no-page")
+    with RunningSession("spacejustin", *options, directory=tmp_path) as running:
+        running.pids()
+        monkeypatch.setattr("tempfile.tempdir", str(running.temporary))
+        clock = MonotonicClock()
+        picture = np.zeros((480, 640, 3), np.uint8)
+        picture[:, :, 0] = 200
+        tone = (8000 * np.sin(np.arange(960) / 10)).astype(np.int16)
+        with JoinedSession() as session:
+            with pytest.raises(ConfigError, match="no topic page/moon"):
+                session.input("moon")
+            head, voice = session.input("head"), session.input("ground_mic")
+            pictures = session.pictures()
+            for number in range(2000):
+                voice.send(tone, clock.now_ns() - BLOCK_NS)
+                if number % 2:
+                    head.send(picture, clock.now_ns())
+                clock.sleep_until_ns(clock.now_ns() + BLOCK_NS)
+                found = pictures._take() if number > 100 else None
+                if found is not None and found.data[..., 0].mean() > 150:
+                    break
+            red, green = found.data[..., 0].mean(), found.data[..., 1].mean()
+        assert red > 150 and green < 60
+        code, report = running.interrupt()
+    assert (code, report["failures"]) == (0, [])
+    for name in ("head", "ground_mic"):
+        (process,) = (
+            one for key, one in report["processes"].items() if key in (name, f"camera_{name}")
+        )
+        assert process["counts"]["from_page"] > 20, process
 
 
 def test_without_a_session_it_says_so_in_one_line(tmp_path):
