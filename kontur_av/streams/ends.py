@@ -166,7 +166,11 @@ class _Sender(Generic[_Item]):
         self._feed = feed
         stream = describe(feed, *self._address)
         if self._sdp is not None:
-            Path(self._sdp).write_text(write_sdp(stream), encoding="utf-8")
+            try:
+                Path(self._sdp).write_text(write_sdp(stream), encoding="utf-8")
+            except OSError as error:
+                feed.close()
+                raise ConfigError(f"{self._sdp} cannot be written: {error.strerror}") from None
         self._thread.start()
 
     def _turn_ns(self) -> int:
@@ -227,6 +231,8 @@ class PictureSender(_Sender[Picture]):
     def __init__(
         self, to: str, *, cap_bps: int, fps: int = 30, sdp: str | Path | None = None
     ) -> None:
+        if not 1 <= fps <= 120:
+            raise ConfigError(f"fps {fps}: take 1 to 120")
         super().__init__(to, cap_bps, sdp, NS_PER_S // fps)
         self._fps = fps
         self._source = _Pictures(1)

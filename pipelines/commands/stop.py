@@ -5,6 +5,7 @@ import os
 import pwd
 
 from kontur_av.topics.session_files import choose_session, sessions
+from pipelines.commands.common import acting_on
 from pipelines.session.orders import KeptOrders
 
 
@@ -18,25 +19,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.description = (
         "Stop the robot of a running session, and hold it until the stop is released. "
-        "At the joystick's end every haptic sample carries it to the robot."
+        "At the joystick's end every haptic sample carries it to the robot. "
+        "Without --session it stops the robots of all sessions of this user, and asks nothing."
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """0 if the stop holds, or is released; without a session a ConfigError."""
-    session = choose_session(args.session, sessions())
-    orders = KeptOrders(session)
+    running = sessions()
     if args.release:
-        if not orders.stopped:
-            print(f"{session}: no emergency stop holds")
-            return 0
-        by = orders.stopped_by
-        orders.release()
+        return _release(acting_on(args.session, running, moves=True))
+    # A stop must not wait for a name.
+    named = args.session is not None or not running
+    for session in [choose_session(args.session, running)] if named else running:
+        orders = KeptOrders(session)
+        orders.stop(f"a terminal of {pwd.getpwuid(os.getuid()).pw_name}")
         print(
-            f"{session}: released the emergency stop by {by or 'somebody'}; switch the robot on "
-            "(`kontur-av tc robot power_on`), then press the dead-man button anew"
+            f"{session}: emergency stop by {orders.stopped_by}; `kontur-av stop --release` ends it"
         )
+    return 0
+
+
+def _release(session: str) -> int:
+    orders = KeptOrders(session)
+    if not orders.stopped:
+        print(f"{session}: no emergency stop holds")
         return 0
-    orders.stop(f"a terminal of {pwd.getpwuid(os.getuid()).pw_name}")
-    print(f"{session}: emergency stop by {orders.stopped_by}; `kontur-av stop --release` ends it")
+    by = orders.stopped_by
+    orders.release()
+    print(
+        f"{session}: released the emergency stop by {by or 'somebody'}; switch the robot on "
+        "(`kontur-av tc robot power_on`), then press the dead-man button anew"
+    )
     return 0

@@ -57,7 +57,13 @@ class ShownPicture:
 
 
 class TopicFeed(Generic[_T]):
-    """What comes of one topic: an iterator, sync or async. It ends with the session."""
+    """What comes of one topic: an iterator, sync or async. It ends with the session.
+
+    A slow reader gets the newest picture, and the newest 32 blocks of samples.
+    ended: why there is no more.
+    """
+
+    ended = ""
 
     def __init__(
         self, bus: TopicBus, topic: str, *, newest: bool, make: Callable[[Lease], _T], name: str
@@ -75,6 +81,7 @@ class TopicFeed(Generic[_T]):
             if found is not None:
                 return found
             if not self._waiter.wait(_LOOK_NS) and self._name not in _running():
+                self.ended = f"session {self._name} has ended"
                 raise StopIteration
 
     def __aiter__(self) -> Self:
@@ -95,6 +102,7 @@ class TopicFeed(Generic[_T]):
                         await woken.wait()
                 except TimeoutError:
                     if self._name not in _running():
+                        self.ended = f"session {self._name} has ended"
                         raise StopAsyncIteration from None
         finally:
             loop.remove_reader(self._waiter.fileno())

@@ -180,7 +180,9 @@ def picture_warnings(
 def _captured(stream: str, setup: Setup, collector: Collector) -> int:
     """What the busiest input of a stream captured, without those that only pages fill."""
     inputs = (
-        name for name in collector.topology.media(stream).inputs if setup.source(name) not in FILLED_BY_OTHERS
+        name
+        for name in collector.topology.media(stream).inputs
+        if setup.source(name) not in FILLED_BY_OTHERS
     )
     processes = (collector.topology.input(name).process for name in inputs)
     return max(

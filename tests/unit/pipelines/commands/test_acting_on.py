@@ -5,8 +5,10 @@ import os
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.commands import common
+from pipelines.cli import main
+from pipelines.commands import common, stop
 from pipelines.commands.common import acting_on
+from pipelines.session.orders import KeptOrders
 from pipelines.session.sessions import hold_session, started_here
 
 
@@ -54,3 +56,19 @@ def test_a_session_knows_its_terminal(tmp_path, monkeypatch):
         monkeypatch.setattr(os, "getsid", lambda _: 1)
         assert not started_here(session)
     assert not started_here(session)
+
+
+def test_an_emergency_stop_without_a_name_stops_all_and_its_release_asks(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with hold_session("lab") as lab, hold_session("pool") as pool:
+        for module in (stop, common):
+            monkeypatch.setattr(module, "sessions", lambda: [lab, pool])
+        monkeypatch.setattr(common, "started_here", lambda session: False)
+        assert main(["stop"]) == 0
+        assert [KeptOrders(one).stopped for one in (lab, pool)] == [True, True]
+        assert main(["stop", "--release"]) == 2
+        assert main(["stop", "--release", "--session", "pool"]) == 0
+        assert [KeptOrders(one).stopped for one in (lab, pool)] == [True, False]
+    assert "several sessions" in capsys.readouterr().err
