@@ -2,7 +2,8 @@
 
 A SPEC is a path to a media file, or `mcap:FILE#CHANNEL`, `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`,
 `scene:NAME`, or `page` or `topic` for an input of a session that only browser pages, or a joined
-program, fill. `module:Class`, or the name of an entry point of `GROUP`, is a user's own: called as a scene's factory is.
+program, fill. `module:Class`, or the name of an entry point of `GROUP`, is a user's own: called as
+a scene's factory is.
 """
 
 from collections.abc import Iterable, Mapping

@@ -71,7 +71,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=SPEC",
         help="what an input captures: a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, "
-        "alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a program; may be given several times",
+        "alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a program; may be "
+        "given several times",
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
