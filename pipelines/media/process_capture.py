@@ -7,7 +7,7 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources import SceneVideo, open_audio, open_video
-from kontur_av.sources.page import PageAudio, PageVideo
+from kontur_av.sources.page import TOPIC, PageAudio, PageVideo
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.capturing import Capturing
@@ -17,7 +17,7 @@ from pipelines.session.exercises import new_exercises
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.robot_state import newest_state
 from pipelines.session.setup.table import VideoStream
-from pipelines.session.topology import MISSION_LEDS_TOPIC, TRAINER_TOPIC
+from pipelines.session.topology import MISSION_LEDS_TOPIC, TRAINER_TOPIC, InputRow
 from pipelines.session.training import Exercises
 from telepresence.world import audio_scenes, video_scenes
 
@@ -84,7 +84,7 @@ class _Camera:
         self._small = preview_size(*self._size)
         self._preview = bus.writer(row.preview_topic, max_octets=_octets(*self._small))
         self._previewing = Previewing()
-        self._page = bus.reader(row.page_topic) if row.page_topic in reads else None
+        self._page = bus.reader(row.page_topic) if _may_be_filled(context, row) else None
         self._takeover = Takeover.of_pictures(name)
         self._capturing = Capturing(context.probe)
         context.on_flush(self._tell)
@@ -195,7 +195,7 @@ class _Microphone:
             scenes=audio_scenes(newest_state(bus)),
         )
         self._page = None
-        if row.page_topic in context.topology.reads(row.process):
+        if _may_be_filled(context, row):
             self._page = bus.reader(row.page_topic, depth=_BLOCKS)
         self._takeover = Takeover.of_sound(name)
         self._capturing = Capturing(context.probe)
@@ -244,6 +244,12 @@ class _Microphone:
         source = self._source
         takeover = None if self._page is None else self._takeover
         self._capturing.tell(source.faults, source.last_fault, takeover)
+
+
+def _may_be_filled(context: Context, row: InputRow) -> bool:
+    """Whether a page or a joined program may give what the input takes."""
+    by_page = row.page_topic in context.topology.reads(row.process)
+    return by_page or context.setup.source(row.name) == TOPIC
 
 
 def _waits_for_page(source: object, takeover: Takeover, now_ns: int) -> bool:

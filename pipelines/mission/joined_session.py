@@ -186,7 +186,7 @@ class JoinedSession:
     def input(self, name: str) -> GivenInput:
         """An input to fill, such as head with `--source head=topic`; ConfigError if it is unknown.
 
-        Any other source of it gives way while something comes.
+        In a session with pages any other source gives way, too, while something comes.
         """
         return GivenInput(self._bus, name)
 

@@ -188,7 +188,7 @@ USERS_OF_SHELLS = {
 
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
-    "kontur_av/sources/page.py": {"PAGE"},
+    "kontur_av/sources/page.py": {"FILLED_BY_OTHERS", "PAGE", "TOPIC"},
     "telepresence/haptics/device/spec.py": {"PAGE", "SIMULATED"},
     "kontur_av/clock.py": {
         "NS_PER_MS",

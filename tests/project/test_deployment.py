@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import av
 import pytest
 from places import ROOT
 
@@ -23,6 +24,15 @@ def test_systemd_takes_the_unit(tmp_path):
     copy.write_text(text.replace("/opt/kontur/bin/kontur-av", str(program)))
     done = subprocess.run(["systemd-analyze", "verify", copy], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_script_makes_the_clip(tmp_path):
+    script = ROOT / "samples" / "make_clip.py"
+    subprocess.run([sys.executable, script, tmp_path], check=True, timeout=60)
+    made, kept = (folder / "clip.mp4" for folder in (tmp_path, ROOT / "samples" / "media"))
+    for path in (made, kept):
+        with av.open(str(path)) as container:
+            assert len(list(container.decode(video=0))) == 60
 
 
 def test_the_documents_clip_is_in_the_package(tmp_path, monkeypatch):

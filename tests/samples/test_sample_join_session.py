@@ -68,7 +68,7 @@ async def use(running):
 def test_a_program_fills_an_input(tmp_path, monkeypatch):
     options = ("--source", "head=topic", "--source", "ground_mic=topic", "--no-page")
     with RunningSession("spacejustin", *options, directory=tmp_path) as running:
-        running.pids()
+        running.wait_for_flow(["uplink_video"])
         monkeypatch.setattr("tempfile.tempdir", str(running.temporary))
         clock = MonotonicClock()
         picture = np.zeros((480, 640, 3), np.uint8)
@@ -78,17 +78,20 @@ def test_a_program_fills_an_input(tmp_path, monkeypatch):
             with pytest.raises(ConfigError, match="no topic page/moon"):
                 session.input("moon")
             head, voice = session.input("head"), session.input("ground_mic")
-            pictures = session.pictures()
+            assert session.select("head").ok
+            pictures, shown = session.pictures(), []
             for number in range(2000):
                 voice.send(tone, clock.now_ns() - BLOCK_NS)
                 if number % 2:
                     head.send(picture, clock.now_ns())
                 clock.sleep_until_ns(clock.now_ns() + BLOCK_NS)
-                found = pictures._take() if number > 100 else None
-                if found is not None and found.data[..., 0].mean() > 150:
-                    break
-            red, green = found.data[..., 0].mean(), found.data[..., 1].mean()
-        assert red > 150 and green < 60
+                if number % 50 == 49:
+                    mean = next(pictures).data.mean(axis=(0, 1))
+                    shown.append(mean)
+                    if mean[0] > 150 and mean[1] < 60:
+                        break
+            else:
+                pytest.fail(f"it was never shown: {shown}")
         code, report = running.interrupt()
     assert (code, report["failures"]) == (0, [])
     for name in ("head", "ground_mic"):

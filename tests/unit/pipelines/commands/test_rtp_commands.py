@@ -28,7 +28,7 @@ def run(command, *options) -> int:
     ("options", "mend"),
     [
         (["--audio", "missing.wav"], "missing.wav"),
-        (["--audio", "page"], "only a session has pages"),
+        (["--audio", "page"], "only a session has the source page"),
         (["--to", "127.0.0.1"], "HOST:PORT"),
         (["--to", "127.0.0.1:99999"], "65534"),
         (["--to", "no.such.host.invalid:5004"], "no.such.host"),
