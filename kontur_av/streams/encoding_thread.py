@@ -4,10 +4,10 @@ import os
 import sys
 import threading
 from queue import SimpleQueue
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from kontur_av.clock import Clock
+from kontur_av.closing import Closing
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.region import Region
@@ -34,7 +34,7 @@ class Encoded(NamedTuple):
     encoded_ns: int
 
 
-class EncodingThread:
+class EncodingThread(Closing):
     """Encodes one picture at a time in a thread. A context manager, which ends the thread.
 
     `submit` a picture, wait for `fileno` to be readable, and `poll` for its access unit.
@@ -91,17 +91,6 @@ class EncodingThread:
         self._thread.join(_LAST_S)
         if not self._thread.is_alive():
             os.close(self._bell)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _rung(self) -> bool:
         try:

@@ -1,7 +1,7 @@
 """Both ends of a stream in a few lines: numpy pictures and sound by RTP, under a hard cap.
 
-A thread drives the cores and the sockets, so that packets leave, and reports are answered, at their
-time whatever the caller does meanwhile.
+A thread drives the cores and the sockets. So packets leave and reports are answered in time,
+whatever the caller does.
 
 Use::
 
@@ -15,12 +15,10 @@ Use::
 """
 
 import asyncio
-import secrets
 import threading
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import cv2
@@ -28,16 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
 from kontur_av.media import BLOCK_NS, BLOCK_SAMPLES, I420, AudioFrame, CaptureStamp, Quality
-from kontur_av.rtp.report_timer import report_interval_ns
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
+from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
 from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.udp import UdpReceiver, UdpSender
 from kontur_av.streams.video_receiver import VideoReceiver
-from kontur_av.streams.voice_player import VoicePlayer
 from kontur_av.streams.voice_receiver import VoiceReceiver
 
 Picture = NDArray[np.uint8]
@@ -45,9 +42,9 @@ Sound = NDArray[np.int16]
 _Item = TypeVar("_Item", Picture, Sound)
 
 _STEP_NS = 50 * NS_PER_MS
-#: What was handed over last is coded by then, and its packets have left at the latest by then.
+#: After `close`: the time to code the last picture, and the most to send its packets.
 _CODED_NS, _LAST_NS = 300 * NS_PER_MS, NS_PER_S
-#: A stream that had begun has ended after so long a silence; after a goodbye, sooner.
+#: A silence that ends a stream which had begun; and one after a goodbye.
 _SILENCE_NS, _AFTER_GOODBYE_NS = 5 * NS_PER_S, NS_PER_S
 #: Sound that waits for a slow reader: two seconds. Of pictures only the newest waits.
 _MOST_BLOCKS = 100
@@ -106,11 +103,21 @@ class _Blocks(_HandedOver[Sound]):
         return None if found is None else AudioFrame(*found)
 
 
-class _Sender(Generic[_Item]):
+class _AsyncClosing(Closing):
+    """Closed at the end of an `async with`, too, while the event loop goes on."""
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        await asyncio.to_thread(self.__exit__, *error)
+
+
+class _Sender(_AsyncClosing, Generic[_Item]):
     """What the senders of pictures and of sound share."""
 
     def __init__(self, to: str, cap_bps: int, sdp: str | Path | None, period_ns: int) -> None:
-        self._to, self._cap_bps, self._sdp, self._period_ns = to, cap_bps, sdp, period_ns
+        self._cap_bps, self._sdp, self._period_ns = cap_bps, sdp, period_ns
         host, _, port = to.rpartition(":")
         if not host or not port.isdigit() or not 0 < int(port) < 65_535:
             raise ConfigError(f"address {to!r}: write HOST:PORT with an IP address")
@@ -138,29 +145,10 @@ class _Sender(Generic[_Item]):
         if self._thread.is_alive():
             self._thread.join()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
-        if kind is None and self._error is not None:
+        if self._error is not None and not any(error):
             raise self._error
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        await asyncio.to_thread(self.__exit__, kind, error, trace)
 
     def _begin(self, feed: PictureFeed | SoundFeed) -> None:
         self._feed = feed
@@ -239,10 +227,10 @@ class PictureSender(_Sender[Picture]):
         self._shape: tuple[int, ...] = ()
 
     def send(self, picture: Picture) -> None:
-        """Hand over a picture, after waiting for its turn; it counts as captured at the call.
+        """Wait for the picture's turn, and hand it over. Its capture time is that of the call.
 
-        picture: RGB, shape (height, width, 3), uint8. A picture that was not encoded when the next
-        one comes is left out. Raises ConfigError for another shape, and what ended the sending.
+        picture: RGB, shape (height, width, 3), uint8. A picture that still waits when the next one
+        comes is left out. Raises ConfigError for another shape, and what ended the sending.
         """
         capture_ns = self._clock.now_ns()
         self._check(picture)
@@ -286,7 +274,7 @@ class SoundSender(_Sender[Sound]):
         self._begin(SoundFeed(self._source, self._clock, cap_bps=cap_bps))
 
     def send(self, block: Sound) -> None:
-        """Hand over 20 ms of sound that end now, after waiting for their turn.
+        """Wait for the block's turn, and hand over 20 ms of sound that end at the call.
 
         block: mono, 48 kHz, shape (960,), int16.
         """
@@ -309,7 +297,7 @@ class SoundSender(_Sender[Sound]):
             )
 
 
-class StreamReceiver:
+class StreamReceiver(_AsyncClosing):
     """Receives the stream that an SDP describes: an iterator, sync or async, and a context manager.
 
     It yields `Received`. A slow reader gets the newest picture; sound waits for two seconds.
@@ -341,18 +329,6 @@ class StreamReceiver:
         """Stop receiving. It may be called twice."""
         self._end("closed")
         self._thread.join()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        await asyncio.to_thread(self.close)
 
     def __iter__(self) -> Self:
         return self
@@ -413,55 +389,26 @@ class StreamReceiver:
             self._end("an error")
 
     def _pictures(self, stream: StreamDescription) -> None:
-        receiver = VideoReceiver(
-            ssrc=secrets.randbits(32),
-            wall_offset_ns=self._clock.wall_offset_ns,
-            parameter_sets=stream.parameter_sets,
-            payload_type=stream.payload_type,
-            report_interval_ns=report_interval_ns(frequent=stream.feedback),
-            bandwidth_bps=stream.bandwidth_bps,
-            reduced_size=stream.reduced_size,
-            capture_time_id=stream.capture_time_id,
-        )
-        decoder = H264Decoder(reordered=True)
+        decoding = PictureDecoding(stream, self._clock)
 
         def drain() -> None:
-            while (unit := receiver.next_event()) is not None:
-                for picture in decoder.decode(unit.data, unit.timestamp):
-                    capture_ns = receiver.capture_ns(picture.timestamp)
-                    stamp = receiver.handle_picture(
-                        picture.timestamp,
-                        picture.width,
-                        picture.height,
-                        capture_ns,
-                        corrupt=picture.corrupt,
-                    )
+            for _, pictures in decoding.units():
+                for picture, stamp in pictures:
                     if stamp is not None:
                         self._put(picture.to_i420(), stamp)
 
-        self._follow(receiver, drain)
+        self._follow(decoding.receiver, drain)
 
     def _sound(self, stream: StreamDescription) -> None:
-        receiver = VoiceReceiver(
-            ssrc=secrets.randbits(32),
-            wall_offset_ns=self._clock.wall_offset_ns,
-            payload_type=stream.payload_type,
-            report_interval_ns=report_interval_ns(frequent=stream.feedback),
-            bandwidth_bps=stream.bandwidth_bps,
-            capture_time_id=stream.capture_time_id,
-        )
-        player = VoicePlayer()
+        decoding = SoundDecoding(stream, self._clock)
 
         def drain() -> None:
-            receiver.take_arrivals()
-            while (block := receiver.next_event()) is not None:
-                sound, decoded = player.play(block)
-                capture_ns = receiver.capture_ns(block.timestamp)
-                stamp = receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
+            decoding.receiver.take_arrivals()
+            for _, sound, _, stamp in decoding.blocks():
                 if stamp is not None:
                     self._put(sound, stamp)
 
-        self._follow(receiver, drain)
+        self._follow(decoding.receiver, drain)
 
     def _follow(self, receiver: VideoReceiver | VoiceReceiver, drain: Callable[[], None]) -> None:
         packets, heard_ns = 0, None

@@ -37,6 +37,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Quality, VideoFrame, check_size
 from kontur_av.topics.file_node import FileNode
@@ -275,7 +276,7 @@ class Reader:
         return Lease(newest)
 
 
-class TopicBus:
+class TopicBus(Closing):
     """One process's access to the topics of one session.
 
     session: lower-case letters, digits and hyphens. It names the shared memory, so that two
@@ -355,17 +356,6 @@ class TopicBus:
         while self._ports:
             self._ports.pop().delete()
         self._node.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _no_topic(self, topic: str) -> ConfigError:
         known = ", ".join(self.topics()) or "none"

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
+from kontur_av.closing import Closing
 from kontur_av.codecs.coding import SLOW_REFRESH_S
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder, heard_stamp
@@ -71,7 +72,7 @@ def _bps(kbps: float, option: str, least: int, most: int) -> int:
     return bps
 
 
-class CodedSources:
+class CodedSources(Closing):
     """Codes the sources while somebody takes what comes. A context manager.
 
     send_unit, send_opus: called on the event loop. ConfigError for sources that cannot be opened.
@@ -137,12 +138,6 @@ class CodedSources:
         self._ended.set()
         for thread in self._threads:
             thread.join(_LAST_S)
-
-    def __enter__(self) -> "CodedSources":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def handle_wish(self, wish_bps: int | None) -> None:
         """Follow what the partners can take (REMB). Call it a few times a second."""

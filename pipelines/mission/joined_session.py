@@ -12,7 +12,6 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from random import SystemRandom
-from types import TracebackType
 from typing import Generic, Literal, Self, TypeVar
 
 import cv2
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
+from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.topics.bus import Lease, TopicBus, Writer
@@ -31,7 +31,13 @@ from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
 from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.asking import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.topology import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, TMTC_TOPICS
+from pipelines.session.topology import (
+    JOYSTICK_TRACE_TOPIC,
+    ROBOT_TRACE_TOPIC,
+    TMTC_TOPICS,
+    displayed_topic,
+    page_topic,
+)
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 _CLIENT = "JoinedSession"
@@ -120,7 +126,7 @@ class GivenInput:
 
     def __init__(self, bus: TopicBus, name: str) -> None:
         self._bus, self._name = bus, name
-        self._topic = f"page/{name}"
+        self._topic = page_topic(name)
         # An input that the session does not have is refused at once.
         bus.reader(self._topic).close()
         self._writer: Writer | None = None
@@ -145,7 +151,7 @@ class GivenInput:
         loan.publish(stamp)
 
 
-class JoinedSession:
+class JoinedSession(Closing):
     """A session of this user on this machine. A context manager, sync or async.
 
     name: of the session or of its setup; None: the only one. Raises ConfigError if none fits.
@@ -163,9 +169,8 @@ class JoinedSession:
 
         stream: uplink_video is what the operator sees. Raises ConfigError if there is none.
         """
-        return TopicFeed(
-            self._bus, f"displayed/{stream}", newest=True, make=self._picture, name=self.name
-        )
+        topic = displayed_topic(stream)
+        return TopicFeed(self._bus, topic, newest=True, make=self._picture, name=self.name)
 
     def samples(self, end: Literal["robot", "joystick"]) -> TopicFeed[NDArray[np.void]]:
         """The haptic samples of an end as blocks of 20 rows, 1000 rows a second.
@@ -228,17 +233,6 @@ class JoinedSession:
     def close(self) -> None:
         """Leave the session."""
         self._bus.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     async def __aenter__(self) -> Self:
         return self

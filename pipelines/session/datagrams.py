@@ -64,7 +64,7 @@ def listen(bind: Address) -> socket.socket:
 
 
 def listen_to(bind: Address, sender: Address) -> socket.socket:
-    """Open a UDP socket on `bind` to which only `sender` can send (udp(7)), and never blocks."""
+    """Open a UDP socket on `bind` that never blocks. Only `sender` can send to it (udp(7))."""
     udp = listen(bind)
     udp.connect(sender)
     # Before connect(2) the socket accepted datagrams of any sender: drop them.

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from kontur_av.topics.bus import TopicBus
 
 LOOPBACK = "127.0.0.1"
-#: From here, at the number of the port that they send to, a session's own processes send media.
-#: Receivers connect to that port: while it is bound, nobody else can send from it.
+#: The address from which a session's own processes send media, with the port number of the
+#: receiver. The receiver is connected to it. While a sender has it, nobody else can send from it.
 OWN_SENDERS = "127.0.0.2"
 MAX_DATAGRAM_OCTETS = 65_535
 #: The longest sleep of a process before it checks whether to end.

@@ -97,6 +97,7 @@ from pipelines.session.topology.topics import (
     gateway_topic,
     link_state_topic,
     packets_topic,
+    page_topic,
     received_topic,
 )
 
@@ -180,6 +181,7 @@ __all__ = [
     "leds_port",
     "link_state_topic",
     "packets_topic",
+    "page_topic",
     "partner_camera",
     "partner_ports",
     "partner_voice",

@@ -6,7 +6,7 @@ from enum import Enum, IntEnum
 
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topology.topics import Topic, displayed_topic, received_topic
+from pipelines.session.topology.topics import Topic, displayed_topic, page_topic, received_topic
 from telepresence.link.flows import Flow
 from telepresence.link.profile import LinkProfile
 
@@ -195,9 +195,8 @@ class InputRow:
 
     @property
     def page_topic(self) -> Topic:
-        """Pictures or sound of a browser page, taken in place of the input's own source."""
-        kind = "picture" if self.kind is Kind.VIDEO else "20 ms of sound"
-        return Topic(f"page/{self.name}", f"{kind} of a browser page")
+        """What a browser page or a joined program gives in the place of its own source."""
+        return page_topic(self.name, "picture" if self.kind is Kind.VIDEO else "20 ms of sound")
 
 
 @dataclass(frozen=True, kw_only=True)

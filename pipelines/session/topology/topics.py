@@ -97,6 +97,11 @@ def received_topic(stream: str) -> Topic:
     return Topic(f"received/{stream}", "decoded picture or sound")
 
 
+def page_topic(name: str, kind: str = "picture or sound") -> Topic:
+    """What a browser page or a joined program gives in the place of an input's own source."""
+    return Topic(f"page/{name}", f"{kind} of a browser page")
+
+
 def displayed_topic(stream: str) -> Topic:
     """The displayed pictures of a stream."""
     return Topic(f"displayed/{stream}", "picture, marked where it is stale")

@@ -1,0 +1,78 @@
+"""What comes out of a stream: the receiver that its description asks for, with a decoder."""
+
+import secrets
+from collections.abc import Iterator
+
+from kontur_av.clock import MonotonicClock
+from kontur_av.codecs.h264 import DecodedPicture, H264Decoder
+from kontur_av.media import CaptureStamp, Pcm
+from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.playout import PlayoutBlock
+from kontur_av.rtp.report_timer import report_interval_ns
+from kontur_av.rtp.sdp import StreamDescription
+from kontur_av.streams.video_receiver import VideoReceiver
+from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.streams.voice_receiver import VoiceReceiver
+
+
+class PictureDecoding:
+    """Receives and decodes pictures. Drive `receiver`, and take what comes from `units`."""
+
+    def __init__(self, stream: StreamDescription, clock: MonotonicClock) -> None:
+        self.receiver = VideoReceiver(
+            ssrc=secrets.randbits(32),
+            wall_offset_ns=clock.wall_offset_ns,
+            parameter_sets=stream.parameter_sets,
+            payload_type=stream.payload_type,
+            report_interval_ns=report_interval_ns(frequent=stream.feedback),
+            bandwidth_bps=stream.bandwidth_bps,
+            reduced_size=stream.reduced_size,
+            capture_time_id=stream.capture_time_id,
+        )
+        self.decoder = H264Decoder(reordered=True)
+
+    def units(
+        self,
+    ) -> Iterator[tuple[ReceivedUnit, Iterator[tuple[DecodedPicture, CaptureStamp | None]]]]:
+        """Yield each access unit with its pictures. A stamp is None until a report dates it.
+
+        Exhaust the pictures of a unit before the next one is taken.
+        """
+        while (unit := self.receiver.next_event()) is not None:
+            yield unit, self._pictures(unit)
+
+    def _pictures(self, unit: ReceivedUnit) -> Iterator[tuple[DecodedPicture, CaptureStamp | None]]:
+        for picture in self.decoder.decode(unit.data, unit.timestamp):
+            yield (
+                picture,
+                self.receiver.handle_picture(
+                    picture.timestamp,
+                    picture.width,
+                    picture.height,
+                    self.receiver.capture_ns(picture.timestamp),
+                    corrupt=picture.corrupt,
+                ),
+            )
+
+
+class SoundDecoding:
+    """Receives and plays sound. Drive `receiver`, and take what comes from `blocks`."""
+
+    def __init__(self, stream: StreamDescription, clock: MonotonicClock) -> None:
+        self.receiver = VoiceReceiver(
+            ssrc=secrets.randbits(32),
+            wall_offset_ns=clock.wall_offset_ns,
+            payload_type=stream.payload_type,
+            report_interval_ns=report_interval_ns(frequent=stream.feedback),
+            bandwidth_bps=stream.bandwidth_bps,
+            capture_time_id=stream.capture_time_id,
+        )
+        self._player = VoicePlayer()
+
+    def blocks(self) -> Iterator[tuple[PlayoutBlock, Pcm, bool, CaptureStamp | None]]:
+        """Yield each block, its sound, whether that is real, and its stamp if a report dates it."""
+        while (block := self.receiver.next_event()) is not None:
+            sound, decoded = self._player.play(block)
+            capture_ns = self.receiver.capture_ns(block.timestamp)
+            stamp = self.receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
+            yield block, sound, decoded, stamp
