@@ -107,7 +107,8 @@ def entry(member: griffe.Object | griffe.Alias, told: dict[str, str]) -> str:
     lines += ["```\n", paragraph(member), ""]
     methods = [name for name, found in public.items() if _is_method(found)]
     if len(methods) > MOST_METHODS:
-        lines.append(f"`help` explains {', '.join(f'`{name}`' for name in methods)}.")
+        lines.append("It also has these methods:\n")
+        lines.append(", ".join(f"`{name}`" for name in methods))
         return "\n".join(lines) + "\n"
     again: dict[str, list[str]] = {}
     for name in methods:

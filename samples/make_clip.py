@@ -1,6 +1,6 @@
 """Make `clip.mp4`, the clip of the documents' examples: two seconds of the robot's built-in scene.
 
-python samples/make_clip.py [DIRECTORY]                by default, the `media` folder beside it
+python samples/make_clip.py [DIRECTORY]                by default, this one
 """
 
 import sys
@@ -14,7 +14,7 @@ from telepresence.world import video_scenes
 
 FPS, SECONDS, WIDTH, HEIGHT = 30, 2, 640, 480
 
-folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "media"
+folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
 clock = ManualClock()
 scene = video_scenes()["head"]("head", WIDTH, HEIGHT, FPS, clock)
 picture = empty_picture(WIDTH, HEIGHT)

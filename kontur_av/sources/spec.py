@@ -25,7 +25,7 @@ from kontur_av.sources.source import (
 # Kinds are imported on demand, so that a process that draws a scene does not load FFmpeg.
 
 _KINDS = ("mcap", "pipe", "v4l2", "alsa", "scene")
-#: A file of this name that is not there is the package's own, of two seconds.
+#: The package's own clip of two seconds, where there is no such file.
 CLIP = "clip.mp4"
 #: A user's class, and the entry points of such classes.
 _PART, GROUP = "part", "kontur_av.sources"
@@ -171,8 +171,8 @@ def _split(spec: str) -> tuple[str, str]:
 
 def _sample(path: str) -> str:
     """Return the package's own clip for the name that the documents' examples have."""
-    root = Path(__file__).resolve().parents[2]
-    for folder in (root / "telepresence" / "media", root / "samples" / "media"):
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package, package.parent / "samples"):
         if path == CLIP and (folder / CLIP).is_file():
             return str(folder / CLIP)
     return path

@@ -29,7 +29,7 @@ def test_systemd_takes_the_unit(tmp_path):
 def test_the_script_makes_the_clip(tmp_path):
     script = ROOT / "samples" / "make_clip.py"
     subprocess.run([sys.executable, script, tmp_path], check=True, timeout=60)
-    made, kept = (folder / "clip.mp4" for folder in (tmp_path, ROOT / "samples" / "media"))
+    made, kept = (folder / "clip.mp4" for folder in (tmp_path, ROOT / "samples"))
     for path in (made, kept):
         with av.open(str(path)) as container:
             assert len(list(container.decode(video=0))) == 60
