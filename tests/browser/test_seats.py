@@ -229,13 +229,17 @@ def robot(session, monkeypatch):
 MAP = ".workspace-map"
 
 
-def press(page, robot):
+def press_with_pointer(page):
+    act = ActionChains(page.browser.driver, duration=20)
+    act.release().click_and_hold(page.find(MAP)).perform()
+
+
+def press(page, robot, press_anew=press_with_pointer):
     """Press on the map of the workspace until the joystick is held."""
 
     def pressed():
-        act = ActionChains(page.browser.driver, duration=20)
         # A page that could not answer for 100 ms has let go and wants to be pressed anew.
-        act.release().click_and_hold(page.find(MAP)).perform()
+        press_anew(page)
         for _ in range(20):
             if robot.held():
                 return True
@@ -295,10 +299,14 @@ def touch(page, kind, x=0):
     page.driver().execute_cdp_cmd("Input.dispatchTouchEvent", event)
 
 
+def press_with_finger(page):
+    touch(page, "touchEnd")
+    touch(page, "touchStart")
+
+
 def test_a_finger_moves_the_robot_and_lets_go_when_it_is_lifted(space, robot):
     def moved():
-        touch(space, "touchEnd")
-        touch(space, "touchStart")
+        press_with_finger(space)
         if not robot.held():
             return False
         from_m = robot.x_m()
@@ -307,9 +315,7 @@ def test_a_finger_moves_the_robot_and_lets_go_when_it_is_lifted(space, robot):
         time.sleep(0.3)
         return robot.held() and robot.x_m() < from_m - 0.01
 
-    space.wait("document.querySelector('joystick-panel').textContent.includes('application')")
-    touch(space, "touchStart")
-    eventually(robot.held, "a held joystick")
+    press(space, robot, press_with_finger)
     eventually(moved, "a movement of the robot")
     touch(space, "touchEnd")
     eventually(lambda: not robot.held(), "the release")
