@@ -122,12 +122,20 @@ def filmed(page):
 
 def select(page, camera):
     """Select a camera by click; wait until its selection is acknowledged."""
-    page.find(f"button[data-camera={camera}]").click()
-    page.wait(
-        f"document.querySelector('button[data-camera={camera}]').ariaCurrent === 'true'"
-        f" && document.querySelector('camera-buttons').textContent.includes('{camera}: ack')",
-        f"the acknowledgement of {camera}",
-    )
+    button = f"document.querySelector('button[data-camera={camera}]')"
+
+    def acknowledged():
+        if page.run(
+            f"return {button}.ariaCurrent === 'true'"
+            f" && document.querySelector('camera-buttons').textContent.includes('{camera}: ack')"
+        ):
+            return True
+        # A click on a page that stalled is lost. One that was taken is pending until its answer.
+        if page.run(f"return !{button}.disabled && {button}.dataset.pending !== 'true'"):
+            page.find(f"button[data-camera={camera}]").click()
+        return False
+
+    eventually(acknowledged, f"the acknowledgement of {camera}")
 
 
 def test_both_seats_show_the_session(space, ground):
