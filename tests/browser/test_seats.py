@@ -323,6 +323,8 @@ def test_a_finger_moves_the_robot_and_lets_go_when_it_is_lifted(space, robot):
         time.sleep(0.3)
         return robot.held() and robot.x_m() < from_m - 0.01
 
+    # Only a finger that is down can be lifted.
+    touch(space, "touchStart")
     press(space, robot, press_with_finger)
     eventually(moved, "a movement of the robot")
     touch(space, "touchEnd")
