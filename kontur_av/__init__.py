@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     )
     from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
     from kontur_av.rtp.sender import RtpIdentity
-    from kontur_av.sources import open_audio, open_video
+    from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
     from kontur_av.streams.encoding_thread import EncodingThread
     from kontur_av.streams.ends import PictureSender, Received, SoundSender, StreamReceiver
     from kontur_av.streams.lipsync import LipSync
@@ -48,6 +48,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AccessUnit",
     "AudioFrame",
+    "AudioSource",
     "CaptureStamp",
     "Coding",
     "ConfigError",
@@ -76,6 +77,7 @@ __all__ = [
     "VideoFrame",
     "VideoReceiver",
     "VideoSender",
+    "VideoSource",
     "VoicePlayer",
     "VoiceReceiver",
     "VoiceSender",
@@ -106,7 +108,7 @@ _HOMES = {
     ),
     "rtp.sdp": ("StreamDescription", "parse_sdp", "write_sdp"),
     "rtp.sender": ("RtpIdentity",),
-    "sources": ("open_audio", "open_video"),
+    "sources": ("AudioSource", "VideoSource", "open_audio", "open_video"),
     "streams.encoding_thread": ("EncodingThread",),
     "streams.ends": ("PictureSender", "Received", "SoundSender", "StreamReceiver"),
     "streams.lipsync": ("LipSync",),

@@ -6,7 +6,7 @@ in this file's directory. A driver of a real robot has the same methods; `docs/r
 each is called.
 """
 
-from telepresence.haptics.robot_device import RobotFacts, RobotReading
+from telepresence import RobotFacts, RobotReading
 
 MASS_KG, FRICTION_N_S_M, WALL_X_M, WALL_N_M = 1.0, 2.0, 0.06, 600.0
 

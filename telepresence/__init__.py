@@ -1,7 +1,8 @@
 """The radio link and the hand: what shares the channel with the media.
 
 All are cores: they open no socket and ask no clock. samples/slots_virtual_time.py drives both ends
-of the link by hand.
+of the link by hand. `RobotDevice` and `JoystickDevice` are what a robot and a joystick of your own
+are (docs/robots.md).
 """
 
 from typing import TYPE_CHECKING
@@ -9,7 +10,10 @@ from typing import TYPE_CHECKING
 from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from telepresence.haptics.bilateral import JoystickSide, RobotSide
+    from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
+    from telepresence.haptics.device.device import JoystickDevice, JoystickFacts, JoystickReading
+    from telepresence.haptics.robot import RobotFacts
+    from telepresence.haptics.robot_device import RobotDevice, RobotReading
     from telepresence.haptics.sample import Command, Feedback
     from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_flow
     from telepresence.link.gateway import Gateway
@@ -25,6 +29,10 @@ __all__ = [
     "Feedback",
     "Flow",
     "Gateway",
+    "Handle",
+    "JoystickDevice",
+    "JoystickFacts",
+    "JoystickReading",
     "JoystickSide",
     "Level",
     "LinkProfile",
@@ -34,6 +42,9 @@ __all__ = [
     "PusUser",
     "RadioPath",
     "RadioProfile",
+    "RobotDevice",
+    "RobotFacts",
+    "RobotReading",
     "RobotSide",
     "load_radio",
     "packet_flow",
@@ -43,7 +54,10 @@ __all__ = [
 
 #: Module -> the names above that it defines.
 _HOMES = {
-    "haptics.bilateral": ("JoystickSide", "RobotSide"),
+    "haptics.bilateral": ("Handle", "JoystickSide", "RobotSide"),
+    "haptics.device.device": ("JoystickDevice", "JoystickFacts", "JoystickReading"),
+    "haptics.robot": ("RobotFacts",),
+    "haptics.robot_device": ("RobotDevice", "RobotReading"),
     "haptics.sample": ("Command", "Feedback"),
     "link.flows": ("Flow", "Level", "packet_flow", "video_flow", "voice_flow"),
     "link.gateway": ("Gateway",),

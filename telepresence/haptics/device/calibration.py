@@ -7,7 +7,7 @@ its middle; it is left alone for a moment, and its rest position is the middle.
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS
-from telepresence.haptics.device.device import DeviceFacts
+from telepresence.haptics.device.device import JoystickFacts
 from telepresence.haptics.device.script import (
     IDLE,
     Cycle,
@@ -42,12 +42,12 @@ class Calibration(NamedTuple):
     problem: str = ""
 
 
-def calibrate(facts: DeviceFacts) -> Script[Calibration]:
+def calibrate(facts: JoystickFacts) -> Script[Calibration]:
     """Return the script that calibrates a device with these facts."""
     return _with_motors(facts) if facts.has_force else _without_motors(facts)
 
 
-def _with_motors(facts: DeviceFacts) -> Script[Calibration]:
+def _with_motors(facts: JoystickFacts) -> Script[Calibration]:
     cycle: Cycle = yield IDLE
     middles: list[float] = []
     halves: list[float] = []
@@ -80,7 +80,7 @@ def _with_motors(facts: DeviceFacts) -> Script[Calibration]:
     return Calibration(middles[0], middles[1], halves[0], halves[1])
 
 
-def _without_motors(facts: DeviceFacts) -> Script[Calibration]:
+def _without_motors(facts: JoystickFacts) -> Script[Calibration]:
     cycle: Cycle = yield IDLE
     until_ns = cycle.now_ns + _REST_NS
     xs, ys = [cycle.reading.x_m], [cycle.reading.y_m]

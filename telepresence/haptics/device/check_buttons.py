@@ -6,7 +6,7 @@ pressed; all LEDs together ask for a press.
 
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
-from telepresence.haptics.device.device import DeviceFacts
+from telepresence.haptics.device.device import JoystickFacts
 from telepresence.haptics.device.script import IDLE, Cycle, Output, Script
 
 NAME = "buttons"
@@ -15,7 +15,7 @@ NAME = "buttons"
 PATIENCE_NS = 4 * NS_PER_S
 
 
-def buttons_check(facts: DeviceFacts) -> CheckScript:
+def buttons_check(facts: JoystickFacts) -> CheckScript:
     """Return the script; its duration depends on the person, at most 8 s a button."""
     cycle: Cycle = yield IDLE
     figures: list[Figure] = []

@@ -6,7 +6,7 @@ separate Coulomb friction, the same at any speed, from viscous friction.
 
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
-from telepresence.haptics.device.device import DeviceFacts
+from telepresence.haptics.device.device import JoystickFacts
 from telepresence.haptics.device.script import IDLE, SERVO, Cycle, Output, Script, travel
 
 NAME = "friction"
@@ -23,7 +23,7 @@ _LEAST, _MOST = 0.4, 1.6
 _COULOMB_MARGIN_N, _VISCOUS_MARGIN_N_S_M = 0.05, 0.5
 
 
-def friction_check(facts: DeviceFacts) -> CheckScript:
+def friction_check(facts: JoystickFacts) -> CheckScript:
     """Return the script; it takes about 13 s."""
     cycle: Cycle = yield IDLE
     if not facts.has_force:

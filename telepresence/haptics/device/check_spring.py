@@ -12,7 +12,7 @@ from math import pi
 
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
-from telepresence.haptics.device.device import DeviceFacts
+from telepresence.haptics.device.device import JoystickFacts
 from telepresence.haptics.device.script import IDLE, SERVO, Cycle, Output, Script, travel
 
 NAME = "spring"
@@ -27,7 +27,7 @@ _TOLERANCE = 0.1
 _REST_MARGIN_M = 0.001
 
 
-def spring_check(facts: DeviceFacts) -> CheckScript:
+def spring_check(facts: JoystickFacts) -> CheckScript:
     """Return the script; it takes about 4 s."""
     cycle: Cycle = yield IDLE
     if not facts.has_force:
@@ -44,7 +44,7 @@ def spring_check(facts: DeviceFacts) -> CheckScript:
 
 
 def stiffness_figures(
-    cycle: Cycle, facts: DeviceFacts, axis: int
+    cycle: Cycle, facts: JoystickFacts, axis: int
 ) -> Script[tuple[Cycle, list[Figure] | None]]:
     """Return the figures of one axis, or None if it does not move; it takes about 2 s."""
     name = "xy"[axis]
@@ -88,7 +88,7 @@ def _swing(cycle: Cycle, axis: int) -> Script[tuple[Cycle, list[float]]]:
     return cycle, turns_s
 
 
-def _stiffness(turns_s: list[float], facts: DeviceFacts) -> float | None:
+def _stiffness(turns_s: list[float], facts: JoystickFacts) -> float | None:
     used = turns_s[:_TURNS]
     if len(used) < 2:
         return None

@@ -2,7 +2,7 @@
 
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
-from telepresence.haptics.device.device import DeviceFacts
+from telepresence.haptics.device.device import JoystickFacts
 from telepresence.haptics.device.script import IDLE, Cycle, Output, push_to_stop, travel
 
 NAME = "workspace"
@@ -16,12 +16,12 @@ _PATIENCE_NS = 15 * NS_PER_S
 _SIDES = (("left", (-1, 0)), ("right", (1, 0)), ("lower", (0, -1)), ("upper", (0, 1)))
 
 
-def workspace_check(facts: DeviceFacts) -> CheckScript:
+def workspace_check(facts: JoystickFacts) -> CheckScript:
     """Return the script: about 6 s with motors; without, until all ends are reached or 15 s."""
     return _pushed(facts) if facts.has_force else _moved(facts)
 
 
-def _pushed(facts: DeviceFacts) -> CheckScript:
+def _pushed(facts: JoystickFacts) -> CheckScript:
     cycle: Cycle = yield IDLE
     figures: list[Figure] = []
     force_n = min(_PUSH_N, facts.force_limit_n)
@@ -38,7 +38,7 @@ def _pushed(facts: DeviceFacts) -> CheckScript:
     return CheckResult(NAME, tuple(figures), trouble)
 
 
-def _moved(facts: DeviceFacts) -> CheckScript:
+def _moved(facts: JoystickFacts) -> CheckScript:
     cycle: Cycle = yield IDLE
     reached_m = [0.0] * len(_SIDES)
     halves = [facts.half_width_m if side[0] else facts.half_height_m for _, side in _SIDES]

@@ -15,14 +15,14 @@ from telepresence.haptics.device import (
     check_workspace,
 )
 from telepresence.haptics.device.check import CheckResult, CheckScript
-from telepresence.haptics.device.device import DeviceFacts, JoystickDevice
+from telepresence.haptics.device.device import JoystickDevice, JoystickFacts
 from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.script import Output, ScriptRun
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
 
 #: Every check by its name, in the order in which they run.
-CHECKS: Mapping[str, Callable[[DeviceFacts], CheckScript]] = MappingProxyType(
+CHECKS: Mapping[str, Callable[[JoystickFacts], CheckScript]] = MappingProxyType(
     {
         check_workspace.NAME: check_workspace.workspace_check,
         check_friction.NAME: check_friction.friction_check,

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 from telepresence.haptics.device.states import JoystickState
 
 
-class Reading(NamedTuple):
+class JoystickReading(NamedTuple):
     """One reading of the joystick's sensors.
 
     x_m, y_m: position of the handle. Zero is its position at power-on until the calibration has
@@ -28,16 +28,16 @@ class Reading(NamedTuple):
     present: bool = True
 
     def place(self, axis: int) -> float:
-        """Return x_m for axis 0, y_m for axis 1."""
+        """Return the position (m) along x for axis 0, along y for axis 1."""
         return self.y_m if axis else self.x_m
 
     def speed(self, axis: int) -> float:
-        """Return vx_m_s for axis 0, vy_m_s for axis 1."""
+        """Return the velocity (m/s) along x for axis 0, along y for axis 1."""
         return self.vy_m_s if axis else self.vx_m_s
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DeviceFacts:
+class JoystickFacts:
     """Nominal properties of a joystick; the functional checks compare the device with them.
 
     half_width_m, half_height_m: from the middle of the workspace to its end stops, or to the
@@ -73,9 +73,9 @@ class JoystickDevice(Protocol):
     """
 
     @property
-    def facts(self) -> DeviceFacts: ...
+    def facts(self) -> JoystickFacts: ...
 
-    def read(self) -> Reading:
+    def read(self) -> JoystickReading:
         """Return what the sensors measure now."""
 
     def set_zero(self, x_m: float, y_m: float) -> None:

@@ -13,7 +13,7 @@ from kontur_av.clock import NS_PER_S
 from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
 from telepresence.haptics.device.check_spring import stiffness_figures
 from telepresence.haptics.device.check_workspace import workspace_check
-from telepresence.haptics.device.device import DeviceFacts
+from telepresence.haptics.device.device import JoystickFacts
 from telepresence.haptics.device.script import IDLE, Cycle, Output, Script, travel
 
 NAME = "functional test"
@@ -57,7 +57,7 @@ class TestReport(NamedTuple):
     number: int = 0
 
 
-def functional_test(facts: DeviceFacts) -> Script[TestReport]:
+def functional_test(facts: JoystickFacts) -> Script[TestReport]:
     """Return the script: about 12 s with motors, and what the person takes. `number` is 0."""
     cycle: Cycle = yield IDLE
     leds = (1 << facts.leds) - 1
@@ -89,7 +89,7 @@ def functional_test(facts: DeviceFacts) -> Script[TestReport]:
     return TestReport(Outcome.PASSED)
 
 
-def _with_motors(facts: DeviceFacts) -> CheckScript:
+def _with_motors(facts: JoystickFacts) -> CheckScript:
     cycle: Cycle = yield IDLE
     figures: list[Figure] = []
     for axis in (0, 1):

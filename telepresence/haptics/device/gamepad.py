@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from telepresence.haptics.device.device import DeviceFacts, Reading
+from telepresence.haptics.device.device import JoystickFacts, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import (
     ABS_X,
@@ -119,11 +119,11 @@ class GamepadDevice:
         self._ask_state()
 
     @property
-    def facts(self) -> DeviceFacts:
+    def facts(self) -> JoystickFacts:
         """Workspace and buttons; no motors."""
         return self._stick.facts
 
-    def read(self) -> Reading:
+    def read(self) -> JoystickReading:
         """Process all pending events, then return the reading."""
         feed(self._stick, self._device)
         if self._stick.needs_state and self._stick.present:

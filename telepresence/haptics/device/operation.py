@@ -9,7 +9,7 @@ from math import isfinite
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.calibration import Calibration, calibrate
-from telepresence.haptics.device.device import JoystickDevice, Reading
+from telepresence.haptics.device.device import JoystickDevice, JoystickReading
 from telepresence.haptics.device.functional_test import Outcome, TestReport, functional_test
 from telepresence.haptics.device.script import IDLE, ScriptRun
 from telepresence.haptics.device.states import (
@@ -82,7 +82,7 @@ class JoystickOperation:
         self.machine = StateMachine(now_ns)
         self.supervisor = JoystickSupervisor(limits)
         self.calibration: Calibration | None = None
-        self.reading = Reading(0.0, 0.0, 0.0, 0.0, dead_man=False)
+        self.reading = JoystickReading(0.0, 0.0, 0.0, 0.0, dead_man=False)
         self.force_limit_n = 0.0
         self.prompt = ""
         self.released = 0
@@ -212,7 +212,7 @@ class JoystickOperation:
             self.paused = False
         return refusal
 
-    def handle_reading(self, now_ns: int) -> Reading:
+    def handle_reading(self, now_ns: int) -> JoystickReading:
         """Read the device, supervise the reading, and continue what is in progress."""
         self.reading = reading = self.device.read()
         if now_ns < self._check_ns:
@@ -293,7 +293,7 @@ class JoystickOperation:
             ],
         )
 
-    def _update_force_limit(self, reading: Reading, now_ns: int) -> None:
+    def _update_force_limit(self, reading: JoystickReading, now_ns: int) -> None:
         """Set the force limit in the application: none without the dead-man button, then a ramp."""
         self._force_restored = False
         if not reading.dead_man and not self._hands_off:
@@ -336,7 +336,7 @@ class JoystickOperation:
             self.prompt = ""
             self.supervisor.expects_peer = False
 
-    def _continue_startup(self, raw: Reading, now_ns: int) -> None:
+    def _continue_startup(self, raw: JoystickReading, now_ns: int) -> None:
         """Outside the application: continue self-test or calibration, or make a request."""
         machine = self.machine
         state = machine.state
@@ -380,7 +380,7 @@ class JoystickOperation:
         self.prompt = ""
         return ""
 
-    def _continue_test(self, run: ScriptRun[TestReport], raw: Reading, now_ns: int) -> None:
+    def _continue_test(self, run: ScriptRun[TestReport], raw: JoystickReading, now_ns: int) -> None:
         self._output = run.handle_reading(raw, now_ns)
         self.prompt = self._output.prompt
         if run.result is not None:

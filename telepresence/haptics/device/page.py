@@ -11,7 +11,7 @@ from math import hypot
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import Reading
+from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.device.simulated import FACTS as SIMULATED_FACTS
 from telepresence.haptics.device.simulated import START_M, Mechanics
 from telepresence.haptics.device.states import JoystickState
@@ -134,7 +134,7 @@ class PageDevice(Mechanics):
         self._to_x = max(-wide, min(wide, hand.x * wide + self._shift_x))
         self._to_y = max(-high, min(high, hand.y * high + self._shift_y))
 
-    def read(self) -> Reading:
+    def read(self) -> JoystickReading:
         """Return what the encoders, the page's buttons and the thermometer measure."""
         joystick = self.joystick
         reading = (
@@ -147,7 +147,7 @@ class PageDevice(Mechanics):
             joystick.temperature_c,
             True,
         )
-        return tuple.__new__(Reading, reading)
+        return tuple.__new__(JoystickReading, reading)
 
     @property
     def _asked(self) -> bool:

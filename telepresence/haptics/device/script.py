@@ -11,7 +11,7 @@ from math import hypot, inf
 from typing import Generic, NamedTuple, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import Reading
+from telepresence.haptics.device.device import JoystickReading
 
 Result = TypeVar("Result")
 
@@ -28,7 +28,7 @@ class Output(NamedTuple):
 class Cycle(NamedTuple):
     """What the script receives: the sensors' reading at `now_ns`."""
 
-    reading: Reading
+    reading: JoystickReading
     now_ns: int
 
 
@@ -54,7 +54,7 @@ class ScriptRun(Generic[Result]):
         """Whether the script has ended or was aborted."""
         return self._done
 
-    def handle_reading(self, reading: Reading, now_ns: int) -> Output:
+    def handle_reading(self, reading: JoystickReading, now_ns: int) -> Output:
         """Run one cycle; return what the device should do until the next one."""
         if self._done:
             return IDLE
@@ -85,7 +85,7 @@ class Servo:
     stiffness_n_m: float = 300.0
     damping_n_s_m: float = 20.0
 
-    def force(self, reading: Reading, x_m: float, y_m: float) -> tuple[float, float]:
+    def force(self, reading: JoystickReading, x_m: float, y_m: float) -> tuple[float, float]:
         """Return the force (N, N) that pulls the handle to rest at (x_m, y_m)."""
         k, d = self.stiffness_n_m, self.damping_n_s_m
         return (
@@ -168,7 +168,7 @@ def push_to_stop(
     force_n: float,
     speed_m_s: float = 0.25,
     patience_ns: int = 2 * NS_PER_S,
-) -> Script[tuple[Cycle, Reading]]:
+) -> Script[tuple[Cycle, JoystickReading]]:
     """Push along one axis until the handle stands still; return the reading there.
 
     direction: (±1, 0) or (0, ±1). A damper limits the speed at the stop to about `speed_m_s`. The

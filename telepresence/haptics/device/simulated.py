@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import DeviceFacts, Reading
+from telepresence.haptics.device.device import JoystickFacts, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.joystick import Joystick, JoystickModel
 
 _MODEL = JoystickModel()
 
-FACTS = DeviceFacts(
+FACTS = JoystickFacts(
     name="simulated joystick",
     half_width_m=_MODEL.half_width_m,
     half_height_m=_MODEL.half_height_m,
@@ -193,7 +193,7 @@ class SimulatedDevice(Mechanics):
         if self.hand is not None and self._held_ns >= 0:
             self.hand.handle_robot(heard, waiting, self.joystick.x_m, self.joystick.y_m)
 
-    def read(self) -> Reading:
+    def read(self) -> JoystickReading:
         """Return what the encoders, the buttons and the thermometer measure."""
         joystick, fingers = self.joystick, self.fingers
         hand, buttons = self.hand, fingers.buttons
@@ -212,8 +212,8 @@ class SimulatedDevice(Mechanics):
             joystick.temperature_c,
             self._now_ns < self._lost_ns,
         )
-        # Skips `Reading.__new__`, which is one more Python call a thousand times a second.
-        return tuple.__new__(Reading, reading)
+        # Skips `JoystickReading.__new__`, which is one more Python call a thousand times a second.
+        return tuple.__new__(JoystickReading, reading)
 
     def write_force(self, x_n: float, y_n: float) -> None:
         """Set the motors' force (N, N), as strong as they are; `Joystick` limits it."""

@@ -12,7 +12,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import DeviceFacts, Reading
+from telepresence.haptics.device.device import JoystickFacts, JoystickReading
 
 EV_SYN, EV_KEY, EV_ABS, EV_FF = 0x00, 0x01, 0x03, 0x15
 SYN_DROPPED = 3
@@ -73,7 +73,7 @@ class Stick:
         self._dead_man_code = dead_man_of(keys)
         kept = [code for code in buttons if code in keys and code != self._dead_man_code]
         self._bits = {code: 1 << index for index, code in enumerate(kept)}
-        self.facts = DeviceFacts(
+        self.facts = JoystickFacts(
             name=name,
             half_width_m=HALF_WIDTH_M,
             half_height_m=HALF_HEIGHT_M,
@@ -122,9 +122,9 @@ class Stick:
         """The controller was unplugged."""
         self.present = False
 
-    def reading(self) -> Reading:
+    def reading(self) -> JoystickReading:
         """Return the filtered position and the buttons."""
-        return Reading(
+        return JoystickReading(
             self._x - self._zero_x,
             self._y - self._zero_y,
             self._vx,

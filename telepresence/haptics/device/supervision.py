@@ -16,7 +16,7 @@ from enum import Enum
 from math import inf, isfinite
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import Reading
+from telepresence.haptics.device.device import JoystickReading
 
 #: Interval between readings of the thermometer, because motors heat up in minutes.
 _CHECK_NS = 20 * NS_PER_MS
@@ -125,7 +125,7 @@ class JoystickSupervisor:
         """Do not judge positions until the next calibration."""
         self.set_workspace(inf, inf)
 
-    def handle_reading(self, reading: Reading, now_ns: int) -> Health:
+    def handle_reading(self, reading: JoystickReading, now_ns: int) -> Health:
         """Judge `reading`."""
         x_m, y_m, vx_m_s, vy_m_s, _, _, temperature_c, present = reading
         # One comparison each for the usual case; a NaN fails it as well.
@@ -182,7 +182,7 @@ class JoystickSupervisor:
             )
         return f"no sample from the robot for {self.limits.silence_ns / NS_PER_S:g} s"
 
-    def _judge_sensors(self, reading: Reading) -> Health:
+    def _judge_sensors(self, reading: JoystickReading) -> Health:
         if not reading.present:
             return self._set_health(Health.FATAL, "the device is gone: plug it in and restart")
         for axis, half_m in enumerate(self._half_m):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
-from telepresence.haptics.device.device import Reading
+from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
@@ -319,7 +319,7 @@ def into_application():
 CALIBRATED = into_application()
 numbers = st.floats(-1, 1) | st.sampled_from([nan, inf, -inf, 1e300])
 readings = st.builds(
-    Reading,
+    JoystickReading,
     numbers,
     numbers,
     numbers,
@@ -432,6 +432,6 @@ def test_a_trainers_exercise_is_a_fault_until_its_end_and_then_it_recovers_by_it
     # A device that is gone is worse than any exercise.
     supervisor = session.operation.supervisor
     supervisor.handle_exercise(NS_PER_S)
-    rest = Reading(0.0, 0.0, 0.0, 0.0, dead_man=True)
+    rest = JoystickReading(0.0, 0.0, 0.0, 0.0, dead_man=True)
     assert supervisor.handle_reading(rest, 0).name == "FAULT"
     assert supervisor.handle_reading(rest._replace(present=False), 0).name == "FATAL"
