@@ -5,7 +5,7 @@ import argparse
 from rich.console import Console
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.joystick import results_table
+from pipelines.commands.check_results import print_results
 from pipelines.hand.robot_check import RobotCheck
 from telepresence.haptics.robot_device import RobotDevice, load_robot
 
@@ -23,9 +23,4 @@ def run(args: argparse.Namespace) -> int:
     device: RobotDevice = load_robot(args.robot)
     console = Console()
     console.print(f"{device.facts.name}; it moves a few centimetres", highlight=False)
-    results = list(RobotCheck(device, MonotonicClock()).run())
-    console.print(results_table(results))
-    for result in results:
-        if result.trouble:
-            console.print(f"{result.name}: {result.trouble}", highlight=False, soft_wrap=True)
-    return 1 if any(result.failed for result in results) else 0
+    return print_results(console, list(RobotCheck(device, MonotonicClock()).run()))

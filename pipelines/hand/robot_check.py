@@ -1,190 +1,149 @@
 """Whether a user's robot does what a session will ask of it: `kontur-av robot check`."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from math import hypot, isfinite
 
-import numpy as np
-
-from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
-from telepresence.haptics.device.check import CheckResult, Figure
+from kontur_av.clock import NS_PER_MS, Clock
+from pipelines.hand.device_check import (
+    GENTLE,
+    SPELL_NS,
+    Check,
+    DeviceCheck,
+    Order,
+    along,
+    speed,
+)
+from telepresence.haptics.device.check import Figure
+from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.robot_device import RobotDevice, RobotReading
 
-#: Of a cycle of 1 ms, the rest is the session's.
-_MOST_CYCLE_MS = 0.5
-#: A robot that is still moves slower than this (m/s), and by less than this (m).
-_STILL_M_S, _STILL_M = 0.005, 0.002
 #: After an order to stop it comes to rest within this.
 _STOP_NS = 200 * NS_PER_MS
-#: A push or a way that a check asks for, as a part of what the robot can do.
-_GENTLE = 0.1
-_SPELL_NS = 300 * NS_PER_MS
+#: The call of `deactivate` may take this long; the loop waits for it.
+_MOST_CALL_MS = 1.0
 
 
-class RobotCheck:
-    """Runs the checks of one robot; each is a method, and `run` yields their results.
-
-    The robot moves by a few centimetres. clock: paces the cycles, and times the calls.
-    """
+class RobotCheck(DeviceCheck[RobotReading]):
+    """The checks of one robot. It moves by a few centimetres."""
 
     def __init__(self, device: RobotDevice, clock: Clock) -> None:
-        self._device, self._clock = device, clock
-        self._calls_ns: list[int] = []
-        self._readings: list[RobotReading] = []
-        #: Of the forces that were written: work on the robot (J), least and now.
-        self._work_j = 0.0
-
-    def run(self) -> Iterator[CheckResult]:
-        """Switch on, check, switch off; yield a result for each check."""
-        device = self._device
-        device.configure()
-        device.power_on()
-        try:
-            yield self._check("power on", self.power_on)
-            yield self._check("moves", self.moves)
-            yield self._check("stops", self.stops)
-            yield self._check("missed cycles", self.missed_cycles)
-            yield self._check("readings", self.readings)
-            yield self._check("cycle time", self.cycle_time)
-        finally:
-            device.deactivate()
-            device.power_off()
+        super().__init__(device.facts, RobotFacts, clock)
+        self._device = device
+        self._takes_force = device.facts.takes == "force"
+        self._powered = False
+        self._deactivations_ns: list[int] = []
 
     def power_on(self) -> tuple[Figure, ...]:
         """It stands still though it has power."""
-        return self._still(self._cycles(_SPELL_NS, None))
-
-    def moves(self) -> tuple[Figure, ...]:
-        """It moves where it is pushed, or led, and gives no more than it got."""
-        facts = self._device.facts
-        with self._active():
-            began = self._device.read()
-            self._work_j = 0.0
-            if facts.takes == "force":
-                force_n = _GENTLE * facts.force_limit_n
-                pushed = self._cycles(_SPELL_NS // 3, lambda _: (force_n, 0.0))
-                braked = self._cycles(2 * _SPELL_NS, self._brake)
-            else:
-                way_m = _GENTLE * facts.half_width_m
-                pushed = self._cycles(2 * _SPELL_NS, lambda share: (way_m * share, 0.0))
-                braked = []
-        way_m = max(one.x_m for one in pushed) - began.x_m
-        side_m = max(abs(one.y_m - began.y_m) for one in pushed)
-        figures = (
-            Figure("way along x", way_m * 1e3, "mm", least=0.5),
-            Figure("way aside", side_m * 1e3, "mm", most=max(1.0, way_m * 500)),
-        )
-        if not braked:
-            return figures
-        # What it took from the surroundings counts; what it kept as motion does not.
-        return (*figures, Figure("energy put in", self._work_j, "J", least=-1e-3))
+        return self._still(self._cycles(SPELL_NS, None))
 
     def stops(self) -> tuple[Figure, ...]:
         """Switched off in motion, it comes to rest and stays, whatever is written."""
-        with self._active():
-            self._cycles(_SPELL_NS // 3, self._gentle)
+        with self._activated():
+            self._cycles(SPELL_NS // 3, self._gentle(0))
         self._cycles(_STOP_NS, None)
-        return self._still(self._cycles(_SPELL_NS, self._gentle, active=False))
+        return self._still(self._cycles(SPELL_NS, self._gentle(0)))
+
+    def emergency_stop(self) -> tuple[Figure, ...]:
+        """Switched off in motion, it slows down from the next cycle on."""
+        with self._activated():
+            pushed = self._cycles(SPELL_NS // 3, self._gentle(1))
+        slows = self._slows(pushed, self._cycles(_STOP_NS, None))
+        # The shortest: a longer one may be the machine's.
+        call_ms = min(self._deactivations_ns) / NS_PER_MS
+        return slows, Figure("deactivate", call_ms, "ms", most=_MOST_CALL_MS)
 
     def missed_cycles(self) -> tuple[Figure, ...]:
         """A session that is late by 50 ms does not make it run away."""
-        facts = self._device.facts
-        with self._active():
-            self._cycles(_SPELL_NS // 3, self._gentle)
+        with self._activated():
+            self._cycles(SPELL_NS // 3, self._gentle(0))
             late = self._cycles(50 * NS_PER_MS, None)
-        fastest = max(hypot(one.vx_m_s, one.vy_m_s) for one in late)
-        return (Figure("speed", fastest, "m/s", most=facts.speed_m_s),)
+        fastest = max(map(speed, late))
+        return (Figure("speed", fastest, "m/s", most=self._device.facts.speed_m_s),)
 
     def readings(self) -> tuple[Figure, ...]:
         """All measurements are numbers, follow one from the other, and name no error."""
-        readings = self._readings
-        wrong = sum(not all(map(isfinite, one[:6])) for one in readings)
-        errors = sum(bool(one.error) for one in readings)
-        finite = [one for one in readings if all(map(isfinite, one[:6]))]
-        steps = np.abs(np.diff([one.x_m for one in finite])) if len(finite) > 1 else np.zeros(1)
-        fastest = float(steps.max()) * 1000
+        errors = sum(bool(one.error) for one in self._readings)
+        most = 2 * self._device.facts.speed_m_s
         return (
-            Figure("not numbers", wrong, most=0),
+            *self._number_figures([one[:6] for one in self._readings]),
             Figure("with an error", errors, most=0),
-            Figure("steps of the place", fastest, "m/s", most=2 * self._device.facts.speed_m_s),
+            Figure("steps", self._step_m * 1000, "m/s", most=most),
         )
 
-    def cycle_time(self) -> tuple[Figure, ...]:
-        """Its calls leave room for the session's own work."""
-        longest = float(np.percentile(self._calls_ns, 99.9)) / NS_PER_MS
-        return (Figure("its calls in a cycle, p99.9", longest, "ms", most=_MOST_CYCLE_MS),)
-
-    def _check(self, name: str, check: Callable[[], tuple[Figure, ...]]) -> CheckResult:
+    def power_off(self) -> tuple[Figure, ...]:
+        """Without power it comes to rest. It need not answer any more."""
+        self._device.activate()
+        self._cycles(SPELL_NS // 3, self._gentle(1))
+        self._switch_off()
         try:
-            return CheckResult(name, check())
-        except Exception as error:
-            # The driver is the user's: whatever it raises is a finding.
-            return CheckResult(name, trouble=f"{type(error).__name__}: {error}")
+            self._cycles(_STOP_NS, None)
+            after = self._cycles(SPELL_NS, None)
+        except Exception:
+            return ()
+        return self._still(after)
+
+    def _switch_on(self) -> None:
+        self._device.configure()
+        self._device.power_on()
+        self._powered = True
+
+    def _switch_off(self) -> None:
+        if self._powered:
+            self._powered = False
+            self._device.power_off()
+
+    def _checks(self) -> Sequence[Check]:
+        no_port = "" if self._takes_force else "it takes places: no force passes its port"
+        return (
+            ("power on", self.power_on, ""),
+            ("moves", self.moves, ""),
+            ("passivity", self.passivity, no_port),
+            ("stops", self.stops, ""),
+            ("emergency stop", self.emergency_stop, ""),
+            ("missed cycles", self.missed_cycles, ""),
+            ("readings", self.readings, ""),
+            ("cycle time", self.cycle_time, ""),
+            ("power off", self.power_off, ""),
+        )
 
     @contextmanager
-    def _active(self) -> Iterator[None]:
+    def _activated(self) -> Iterator[None]:
         self._device.activate()
         try:
             yield
         finally:
+            began_ns = self._clock.now_ns()
             self._device.deactivate()
+            self._deactivations_ns.append(self._clock.now_ns() - began_ns)
 
-    def _gentle(self, share: float) -> tuple[float, float]:
+    def _gentle(self, axis: int) -> Order:
         facts = self._device.facts
-        if facts.takes == "force":
-            return _GENTLE * facts.force_limit_n, 0.0
-        return _GENTLE * facts.half_width_m * share, 0.0
+        if self._takes_force:
+            return lambda _: along(axis, GENTLE * facts.force_limit_n)
+        half_m = facts.half_height_m if axis else facts.half_width_m
+        return lambda share: along(axis, GENTLE * half_m * share)
 
-    def _brake(self, _share: float) -> tuple[float, float]:
-        """A force against the motion."""
-        last, most = self._readings[-1], _GENTLE * self._device.facts.force_limit_n
-        force_x, force_y = -20.0 * last.vx_m_s, -20.0 * last.vy_m_s
-        return max(-most, min(most, force_x)), max(-most, min(most, force_y))
+    def _push(self, axis: int) -> list[RobotReading]:
+        with self._activated():
+            if not self._takes_force:
+                return self._cycles(2 * SPELL_NS, self._gentle(axis))
+            pushed = self._cycles(SPELL_NS // 3, self._gentle(axis))
+            self._brake(2 * SPELL_NS, self._device.facts.force_limit_n)
+        return pushed
 
-    def _still(self, readings: list[RobotReading]) -> tuple[Figure, ...]:
-        first = readings[0]
-        way = max(hypot(one.x_m - first.x_m, one.y_m - first.y_m) for one in readings)
-        speed = max(hypot(one.vx_m_s, one.vy_m_s) for one in readings)
-        return (
-            Figure("way", way * 1e3, "mm", most=_STILL_M * 1e3),
-            Figure("speed", speed, "m/s", most=_STILL_M_S),
-        )
+    def _read(self) -> RobotReading:
+        return self._device.read()
 
-    def _cycles(
-        self,
-        lasts_ns: int,
-        order: Callable[[float], tuple[float, float]] | None,
-        *,
-        active: bool = True,
-    ) -> list[RobotReading]:
-        """Run cycles of 1 ms; return their readings.
+    def _cycle(self, wanted: tuple[float, float] | None, began: RobotReading) -> RobotReading:
+        device = self._device
+        if wanted is not None and self._takes_force:
+            device.write_force(*wanted)
+        elif wanted is not None:
+            device.write_position(began.x_m + wanted[0], began.y_m + wanted[1], 0.0, 0.0)
+        device.advance(NS_PER_MS)
+        return device.read()
 
-        order: what to write, given the share of the time that has passed: a force, or a place from
-        where the robot was. None: nothing is written.
-        """
-        device, clock = self._device, self._clock
-        takes_force = device.facts.takes == "force"
-        began = device.read()
-        last, readings = began, []
-        due_ns = clock.now_ns()
-        count = lasts_ns // NS_PER_MS
-        for cycle in range(count):
-            due_ns += NS_PER_MS
-            clock.sleep_until_ns(due_ns)
-            wanted = None if order is None else order((cycle + 1) / count)
-            begin_ns = clock.now_ns()
-            if wanted is not None and takes_force:
-                device.write_force(*wanted)
-            elif wanted is not None:
-                x_m, y_m = began.x_m + wanted[0], began.y_m + wanted[1]
-                device.write_position(x_m, y_m, 0.0, 0.0)
-            device.advance(NS_PER_MS)
-            last = device.read()
-            self._calls_ns.append(clock.now_ns() - begin_ns)
-            readings.append(last)
-            if wanted is not None and takes_force and active:
-                pushed = wanted[0] + last.push_x_n, wanted[1] + last.push_y_n
-                power_w = pushed[0] * last.vx_m_s + pushed[1] * last.vy_m_s
-                self._work_j += power_w * NS_PER_MS / NS_PER_S
-        self._readings += readings
-        return readings
+    def _power_w(self, wanted: tuple[float, float], reading: RobotReading) -> float:
+        pushed = wanted[0] + reading.push_x_n, wanted[1] + reading.push_y_n
+        return super()._power_w(pushed, reading)

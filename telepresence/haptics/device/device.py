@@ -3,7 +3,11 @@
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.device.states import JoystickState
+
+#: A joystick that is told no new force keeps the last one for at most this long.
+KEEPS_FORCE_NS = 50 * NS_PER_MS
 
 
 class JoystickReading(NamedTuple):
@@ -15,7 +19,7 @@ class JoystickReading(NamedTuple):
     buttons: one bit for each pressed button, 0x1 for the first.
     dead_man: the dead-man button is pressed.
     temperature_c: of the hotter motor; None without a sensor.
-    present: False once the device is unplugged, and from then on.
+    present: False once the device is unplugged or closed, and from then on.
     """
 
     x_m: float
@@ -82,7 +86,7 @@ class JoystickDevice(Protocol):
         """Make the present position (x_m, y_m) the middle, which reads 0 from now on."""
 
     def write_force(self, x_n: float, y_n: float) -> None:
-        """Let the motors exert this force (N, N) until the next call."""
+        """Let the motors exert this force (N, N) until the next call, but at most for 50 ms."""
 
     def write_leds(self, mask: int) -> None:
         """Light the LEDs in `mask` (0x1 is the first) and no others."""

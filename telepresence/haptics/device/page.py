@@ -145,7 +145,7 @@ class PageDevice(Mechanics):
             self._buttons,
             self._pressed,
             joystick.temperature_c,
-            True,
+            self._now_ns < self._lost_ns,
         )
         return tuple.__new__(JoystickReading, reading)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import JoystickFacts, JoystickReading
+from telepresence.haptics.device.device import KEEPS_FORCE_NS, JoystickFacts, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.joystick import Joystick, JoystickModel
@@ -117,7 +117,8 @@ class Mechanics:
         self.leds = 0
         self._zero_x, self._zero_y = start_m
         self._force_x_n = self._force_y_n = 0.0
-        self._now_ns = 0
+        self._now_ns = self._written_ns = 0
+        self._lost_ns = _NEVER_NS
 
     def set_zero(self, x_m: float, y_m: float) -> None:
         """Make the present position (x_m, y_m) the middle."""
@@ -127,6 +128,7 @@ class Mechanics:
     def write_force(self, x_n: float, y_n: float) -> None:
         """Set the motors' force (N, N); `Joystick` limits it."""
         self._force_x_n, self._force_y_n = x_n, y_n
+        self._written_ns = self._now_ns
 
     def write_leds(self, mask: int) -> None:
         """Light the LEDs in `mask`."""
@@ -135,6 +137,8 @@ class Mechanics:
     def advance(self, dt_ns: int) -> None:
         """Simulate `dt_ns`, at most 50 ms."""
         self._now_ns += dt_ns
+        if self._now_ns - self._written_ns > KEEPS_FORCE_NS:
+            self._force_x_n = self._force_y_n = 0.0
         if 0 < dt_ns <= NS_PER_MS:
             self._step(dt_ns)
             return
@@ -144,9 +148,10 @@ class Mechanics:
             remaining_ns -= NS_PER_MS
 
     def close(self) -> None:
-        """Switch off force and LEDs."""
+        """Switch off force and LEDs; the device is gone."""
         self.write_force(0.0, 0.0)
         self.write_leds(0)
+        self._lost_ns = self._now_ns
 
     def _step(self, dt_ns: int) -> None:
         """Simulate `dt_ns`, at most 1 ms."""
@@ -218,7 +223,7 @@ class SimulatedDevice(Mechanics):
     def write_force(self, x_n: float, y_n: float) -> None:
         """Set the motors' force (N, N), as strong as they are; `Joystick` limits it."""
         gain = self._gain
-        self._force_x_n, self._force_y_n = gain * x_n, gain * y_n
+        super().write_force(gain * x_n, gain * y_n)
 
     def write_leds(self, mask: int) -> None:
         """Light the LEDs in `mask`; the simulated fingers see them."""

@@ -1,0 +1,230 @@
+"""What the checks of a user's robot and of a user's joystick share: cycles, and what they measure.
+
+The cores of a session are sure of their inputs; a user's driver is not known. So it is driven by
+hand here, with small forces, and whatever it raises is a finding.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import MISSING, fields
+from itertools import groupby
+from math import hypot, isfinite
+from numbers import Integral, Real
+from typing import Any, Generic, Literal, Protocol, TypeVar, get_args, get_origin
+
+import numpy as np
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
+from telepresence.haptics.device.check import CheckResult, Figure
+
+#: Of a cycle of 1 ms, the rest is the session's.
+_MOST_CYCLE_MS = 0.5
+#: What is still moves slower than this (m/s), and by less than this (m).
+STILL_M_S, STILL_M = 0.005, 0.002
+#: A push or a way that a check asks for, as a part of what the device can do.
+GENTLE = 0.1
+SPELL_NS = 300 * NS_PER_MS
+#: A sensor that is slower than this makes the hand feel old forces.
+_MOST_SAME_MS = 20
+#: Energy that rounding and the sensors' noise may make.
+_LEAST_J = -1e-3
+
+
+class Motion(Protocol):
+    """What readings of robots and of joysticks have."""
+
+    @property
+    def x_m(self) -> float: ...
+    @property
+    def y_m(self) -> float: ...
+    @property
+    def vx_m_s(self) -> float: ...
+    @property
+    def vy_m_s(self) -> float: ...
+
+
+R = TypeVar("R", bound=Motion)
+#: What to write, given the share of the time that has passed.
+Order = Callable[[float], tuple[float, float]]
+#: A check by its name, and why this device cannot be asked; "" if it can.
+Check = tuple[str, Callable[[], tuple[Figure, ...]], str]
+
+
+class DeviceCheck(Generic[R]):
+    """Runs the checks of one device; each is a method, and `run` yields their results.
+
+    facts, known: what the device says of itself, and the class that says it.
+    clock: paces the cycles, and times the calls.
+    """
+
+    def __init__(self, facts: Any, known: type, clock: Clock) -> None:
+        self._facts, self._known, self._clock = facts, known, clock
+        self._calls_ns: list[int] = []
+        self._readings: list[R] = []
+        #: While it was pushed by `moves`; it may not measure the same all the time.
+        self._pushed: list[R] = []
+        self._step_m = 0.0
+        #: Energy that the device got by its port and by its surroundings, now and at its least.
+        self._got_j = self._least_j = 0.0
+        self._metered = False
+
+    def run(self) -> Iterator[CheckResult]:
+        """Switch on, check, switch off; yield a result for each check."""
+        yield CheckResult("facts", trouble=wrong_facts(self._facts, self._known))
+        self._switch_on()
+        try:
+            for name, check, lacks in self._checks():
+                yield CheckResult(name, skipped=lacks) if lacks else self._check(name, check)
+        finally:
+            self._switch_off()
+
+    def moves(self) -> tuple[Figure, ...]:
+        """It moves along either axis where it is pushed, or led, and not aside."""
+        figures: list[Figure] = []
+        for axis in (0, 1):
+            began = self._read()
+            self._metered = True
+            pushed = self._push(axis)
+            self._metered = False
+            self._pushed += pushed
+            ways = [(one.x_m - began.x_m, one.y_m - began.y_m) for one in pushed]
+            way_m = max(way[axis] for way in ways)
+            aside_m = max(abs(way[1 - axis]) for way in ways)
+            name = "xy"[axis]
+            figures += (
+                Figure(f"way along {name}", way_m * 1e3, "mm", least=0.5),
+                Figure(f"aside of {name}", aside_m * 1e3, "mm", most=max(1.0, way_m * 500)),
+            )
+        return tuple(figures)
+
+    def passivity(self) -> tuple[Figure, ...]:
+        """While `moves` pushed and braked it, it never had given more energy than it got."""
+        # What it keeps as motion counts as got, so it is braked before the sum is judged.
+        return (
+            Figure("energy got", self._got_j, "J"),
+            Figure("least of it", self._least_j, "J", least=_LEAST_J),
+        )
+
+    def cycle_time(self) -> tuple[Figure, ...]:
+        """Its calls leave room for the session's own work."""
+        longest = float(np.percentile(self._calls_ns, 99.9)) / NS_PER_MS
+        return (Figure("its calls, p99.9", longest, "ms", most=_MOST_CYCLE_MS),)
+
+    def _switch_on(self) -> None:
+        raise NotImplementedError
+
+    def _switch_off(self) -> None:
+        raise NotImplementedError
+
+    def _checks(self) -> Sequence[Check]:
+        raise NotImplementedError
+
+    def _read(self) -> R:
+        raise NotImplementedError
+
+    def _cycle(self, wanted: tuple[float, float] | None, began: R) -> R:
+        """One cycle: write what is wanted, if that is something; 1 ms passes; read."""
+        raise NotImplementedError
+
+    def _push(self, axis: int) -> list[R]:
+        """Push along an axis, or lead; return the readings meanwhile. Then brake."""
+        raise NotImplementedError
+
+    def _power_w(self, wanted: tuple[float, float], reading: R) -> float:
+        """What the device gets, when it exerts this force (N, N)."""
+        return wanted[0] * reading.vx_m_s + wanted[1] * reading.vy_m_s
+
+    def _number_figures(self, readings: Sequence[Sequence[Any]]) -> tuple[Figure, ...]:
+        """Figures of the numbers in all readings: not finite, the same again."""
+        wrong = sum(not all(map(isfinite, numbers)) for numbers in readings)
+        # Before its first motion and after its last it may measure the same.
+        runs = [len(list(run)) for _, run in groupby(self._pushed)][1:-1]
+        return (
+            Figure("not numbers", wrong, most=0),
+            Figure("same in motion", max(runs, default=0), "ms", most=_MOST_SAME_MS),
+        )
+
+    def _check(self, name: str, check: Callable[[], tuple[Figure, ...]]) -> CheckResult:
+        try:
+            return CheckResult(name, check())
+        except Exception as error:
+            # The driver is the user's: whatever it raises is a finding.
+            return CheckResult(name, trouble=f"{type(error).__name__}: {error}")
+
+    def _still(self, readings: list[R]) -> tuple[Figure, ...]:
+        first = readings[0]
+        way = max(hypot(one.x_m - first.x_m, one.y_m - first.y_m) for one in readings)
+        return (
+            Figure("way", way * 1e3, "mm", most=STILL_M * 1e3),
+            Figure("speed", max(map(speed, readings)), "m/s", most=STILL_M_S),
+        )
+
+    def _slows(self, pushed: list[R], stopped: list[R]) -> Figure:
+        """A device that stops within a cycle gains no more speed than in a cycle before."""
+        last = speed(pushed[-1])
+        in_a_cycle = (last - speed(pushed[0])) / len(pushed)
+        gained = max(map(speed, stopped)) - last
+        return Figure("speed gained", gained, "m/s", most=max(0.0, in_a_cycle) + STILL_M_S)
+
+    def _brake(self, lasts_ns: int, force_limit_n: float) -> list[R]:
+        """Exert forces against the motion."""
+        most = GENTLE * force_limit_n
+
+        def brake(_share: float) -> tuple[float, float]:
+            last = self._readings[-1]
+            force_x, force_y = -20.0 * last.vx_m_s, -20.0 * last.vy_m_s
+            return max(-most, min(most, force_x)), max(-most, min(most, force_y))
+
+        return self._cycles(lasts_ns, brake)
+
+    def _cycles(self, lasts_ns: int, order: Order | None) -> list[R]:
+        """Run cycles of 1 ms; return their readings. Without an order nothing is written."""
+        clock = self._clock
+        before = began = self._read()
+        readings: list[R] = []
+        due_ns = clock.now_ns()
+        count = lasts_ns // NS_PER_MS
+        for cycle in range(count):
+            due_ns += NS_PER_MS
+            clock.sleep_until_ns(due_ns)
+            wanted = None if order is None else order((cycle + 1) / count)
+            begin_ns = clock.now_ns()
+            last = self._cycle(wanted, began)
+            self._calls_ns.append(clock.now_ns() - begin_ns)
+            readings.append(last)
+            self._readings.append(last)
+            self._step_m = max(self._step_m, abs(last.x_m - before.x_m), abs(last.y_m - before.y_m))
+            before = last
+            if wanted is not None and self._metered:
+                self._got_j += self._power_w(wanted, last) * NS_PER_MS / NS_PER_S
+                self._least_j = min(self._least_j, self._got_j)
+        return readings
+
+
+def speed(reading: Motion) -> float:
+    """Return the size of the velocity (m/s)."""
+    return hypot(reading.vx_m_s, reading.vy_m_s)
+
+
+def along(axis: int, size: float) -> tuple[float, float]:
+    """Return a vector of this size along an axis."""
+    return (0.0, size) if axis else (size, 0.0)
+
+
+def wrong_facts(facts: Any, known: type) -> str:
+    """Return what is wrong with a device's facts, in one line; "" if they can be."""
+    if not isinstance(facts, known):
+        return f"they are a {type(facts).__name__}, not {known.__name__}"
+    for field in fields(known):
+        value, kind = getattr(facts, field.name), field.type
+        if kind in (float, int):
+            number = isinstance(value, Real if kind is float else Integral) and isfinite(value)
+            # What may be missing, such as motors and buttons, has a default of 0.
+            positive = field.default is MISSING or field.default > 0
+            if not number or value < 0 or (positive and value == 0):
+                least = "above 0" if positive else "of at least 0"
+                return f"{field.name} is {value!r}: give a number {least}"
+        elif kind is str and not (isinstance(value, str) and value):
+            return f"{field.name} is {value!r}: give a text"
+        elif get_origin(kind) is Literal and value not in get_args(kind):
+            return f"{field.name} is {value!r}: one of {', '.join(get_args(kind))}"
+    return ""

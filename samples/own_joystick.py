@@ -1,0 +1,77 @@
+"""A joystick of your own: a lever with motors, and a hand that leads it to and fro.
+
+    kontur-av joystick check own_joystick:Lever
+    kontur-av simulate --setup taskboard --seconds 20 --no-media --joystick own_joystick:Lever
+
+in this file's directory. A driver of a real joystick has the same methods; `docs/robots.md` says
+what each is for.
+"""
+
+from math import pi, sin
+
+from telepresence import JoystickFacts, JoystickReading
+
+MASS_KG, FRICTION_N_S_M, HALF_M, LIMIT_N = 0.4, 2.0, 0.1, 8.0
+HAND_N_M, HAND_N_S_M, WAY_M, PERIOD_S = 60.0, 6.0, 0.08, 4.0
+
+
+class Lever:
+    """A `JoystickDevice` with two axes and no buttons but the dead-man button."""
+
+    facts = JoystickFacts(
+        name="a lever",
+        half_width_m=HALF_M,
+        half_height_m=HALF_M,
+        force_limit_n=LIMIT_N,
+        mass_kg=MASS_KG,
+        viscous_n_s_m=FRICTION_N_S_M,
+    )
+
+    def __init__(self) -> None:
+        self.place, self.speed = [0.0, 0.0], [0.0, 0.0]
+        self.force, self.age_s = [0.0, 0.0], 0.0
+        self.zero = [0.0, 0.0]
+        #: How long the hand has held it (s); None: it does not.
+        self.held_s: float | None = None
+        self.present = True
+
+    def read(self) -> JoystickReading:
+        x, y = (place - zero for place, zero in zip(self.place, self.zero, strict=True))
+        # Pressed after a while, so that the session has seen it released.
+        dead_man = self.held_s is not None and self.held_s > 0.5
+        return JoystickReading(x, y, *self.speed, dead_man=dead_man, present=self.present)
+
+    def set_zero(self, x_m: float, y_m: float) -> None:
+        self.zero = [self.zero[0] + x_m, self.zero[1] + y_m]
+
+    def write_force(self, x_n: float, y_n: float) -> None:
+        self.force, self.age_s = [max(-LIMIT_N, min(LIMIT_N, one)) for one in (x_n, y_n)], 0.0
+
+    def write_leds(self, mask: int) -> None: ...
+
+    def show_state(self, state: int) -> None:
+        self.held_s = 0.0 if state == 3 else None  # 3: application
+
+    def advance(self, dt_ns: int) -> None:
+        dt = dt_ns / 1e9
+        self.age_s += dt
+        if self.age_s > 0.05:
+            self.force = [0.0, 0.0]
+        hand = [0.0, 0.0]
+        if self.held_s is not None:
+            self.held_s += dt
+            aims = (self.zero[0] + WAY_M * sin(2 * pi * self.held_s / PERIOD_S), self.zero[1])
+            hand = [
+                HAND_N_M * (aims[axis] - self.place[axis]) - HAND_N_S_M * self.speed[axis]
+                for axis in (0, 1)
+            ]
+        for axis in (0, 1):
+            push = self.force[axis] + hand[axis] - FRICTION_N_S_M * self.speed[axis]
+            self.speed[axis] += push / MASS_KG * dt
+            self.place[axis] += self.speed[axis] * dt
+            if abs(self.place[axis]) > HALF_M:
+                self.place[axis] = max(-HALF_M, min(HALF_M, self.place[axis]))
+                self.speed[axis] = 0.0
+
+    def close(self) -> None:
+        self.force, self.present = [0.0, 0.0], False
