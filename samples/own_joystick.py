@@ -37,7 +37,7 @@ class Lever:
 
     def read(self) -> JoystickReading:
         x, y = (place - zero for place, zero in zip(self.place, self.zero, strict=True))
-        # Pressed after a while, so that the session has seen it released.
+        # Pressed late, so that the session sees it released; and before the hand begins to move.
         dead_man = self.held_s is not None and self.held_s > 0.5
         return JoystickReading(x, y, *self.speed, dead_man=dead_man, present=self.present)
 
@@ -60,7 +60,8 @@ class Lever:
         hand = [0.0, 0.0]
         if self.held_s is not None:
             self.held_s += dt
-            aims = (self.zero[0] + WAY_M * sin(2 * pi * self.held_s / PERIOD_S), self.zero[1])
+            way = WAY_M * sin(2 * pi * max(0.0, self.held_s - 1.0) / PERIOD_S)
+            aims = (self.zero[0] + way, self.zero[1])
             hand = [
                 HAND_N_M * (aims[axis] - self.place[axis]) - HAND_N_S_M * self.speed[axis]
                 for axis in (0, 1)

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from dataclasses import fields
 from pathlib import Path
 
@@ -33,10 +34,13 @@ from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import replay, simulate
-from telepresence.haptics.device.device import JoystickDevice
-from telepresence.haptics.device.spec import is_simulated, open_device
+from telepresence.haptics.device.spec import GAME_CONTROLLER, PAGE, open_device
 from telepresence.haptics.hand import Hand
+from telepresence.haptics.robot_device import open_robot
 from telepresence.tasks.plan_file import load_plan
+
+#: Kinds of robots and joysticks whose time is not ours.
+_REAL_TIME = (PAGE, GAME_CONTROLLER, "udp")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,9 +82,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "does (docs/tasks.md)",
     )
     parser.add_argument(
+        "--robot",
+        metavar="SPEC",
+        help="sim, or a simulated robot of your own: module:Class (default: sim)",
+    )
+    parser.add_argument(
         "--joystick",
         metavar="SPEC",
-        help="sim, or sim:FAULT, operates the simulated joystick as a live session does: "
+        help="sim, sim:FAULT or a simulated one of your own operates as in a live session: "
         "calibration, states, faults; without, it is in the application all the time",
     )
     parser.add_argument(
@@ -135,8 +144,17 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
     plan = None if args.plan is None else load_plan(args.plan)
     if plan is not None:
         plan[0].check(plan[1], setup.cameras, setup.name)
-    joystick = None if args.joystick is None else _joystick(args.joystick, tasks=plan is not None)
-    with stopped_by_signals() as stopped:
+    if plan is not None and args.joystick is not None:
+        raise ConfigError("--plan has a joystick of its own: leave --joystick out")
+    with ExitStack() as opened, stopped_by_signals() as stopped:
+        joystick = None
+        if args.joystick is not None:
+            _check_virtual("joystick", args.joystick)
+            joystick = opened.enter_context(closing(open_device(args.joystick, hand=Hand())))
+        robot = None
+        if args.robot is not None:
+            _check_virtual("robot", args.robot)
+            robot = opened.enter_context(closing(open_robot(args.robot)))
         return simulate(
             setup,
             seconds=args.seconds,
@@ -146,20 +164,20 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
             costs=costs,
             stopped=stopped,
             plan=plan,
+            robot=robot,
             joystick=joystick,
         )
 
 
-def _joystick(spec: str, *, tasks: bool) -> JoystickDevice:
-    if tasks:
-        raise ConfigError("--plan has a joystick of its own: leave --joystick out")
-    if not is_simulated(spec):
-        raise ConfigError(f"--joystick {spec}: lives in real time; a simulation takes sim")
-    return open_device(spec, hand=Hand())
+def _check_virtual(option: str, spec: str) -> None:
+    if spec.partition(":")[0] in _REAL_TIME:
+        raise ConfigError(
+            f"--{option} {spec}: lives in real time; a simulation takes sim or module:Class"
+        )
 
 
 def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
-    for option in ("source", "select", "deadband", "hand", "plan", "joystick"):
+    for option in ("source", "select", "deadband", "hand", "plan", "robot", "joystick"):
         if getattr(args, option):
             raise ConfigError(f"--{option} changes what is sent: a replay sends what was recorded")
     session = load_recording(args.replay)

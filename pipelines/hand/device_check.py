@@ -52,26 +52,27 @@ Check = tuple[str, Callable[[], tuple[Figure, ...]], str]
 class DeviceCheck(Generic[R]):
     """Runs the checks of one device; each is a method, and `run` yields their results.
 
-    facts, known: what the device says of itself, and the class that says it.
+    known: the class of the device's facts, which are asked for when it is switched on.
     clock: paces the cycles, and times the calls.
     """
 
-    def __init__(self, facts: Any, known: type, clock: Clock) -> None:
-        self._facts, self._known, self._clock = facts, known, clock
+    def __init__(self, known: type, clock: Clock) -> None:
+        self._known, self._clock = known, clock
         self._calls_ns: list[int] = []
         self._readings: list[R] = []
         #: While it was pushed by `moves`; it may not measure the same all the time.
         self._pushed: list[R] = []
-        self._step_m = 0.0
+        #: The largest step of the place from one reading to the next.
+        self._step_m_s = 0.0
         #: Energy that the device got by its port and by its surroundings, now and at its least.
         self._got_j = self._least_j = 0.0
         self._metered = False
 
     def run(self) -> Iterator[CheckResult]:
         """Switch on, check, switch off; yield a result for each check."""
-        yield CheckResult("facts", trouble=wrong_facts(self._facts, self._known))
-        self._switch_on()
+        facts = self._switch_on()
         try:
+            yield CheckResult("facts", trouble=wrong_facts(facts, self._known))
             for name, check, lacks in self._checks():
                 yield CheckResult(name, skipped=lacks) if lacks else self._check(name, check)
         finally:
@@ -109,7 +110,8 @@ class DeviceCheck(Generic[R]):
         longest = float(np.percentile(self._calls_ns, 99.9)) / NS_PER_MS
         return (Figure("its calls, p99.9", longest, "ms", most=_MOST_CYCLE_MS),)
 
-    def _switch_on(self) -> None:
+    def _switch_on(self) -> Any:
+        """Switch the device on; return its facts."""
         raise NotImplementedError
 
     def _switch_off(self) -> None:
@@ -181,7 +183,7 @@ class DeviceCheck(Generic[R]):
         clock = self._clock
         before = began = self._read()
         readings: list[R] = []
-        due_ns = clock.now_ns()
+        read_ns = due_ns = clock.now_ns()
         count = lasts_ns // NS_PER_MS
         for cycle in range(count):
             due_ns += NS_PER_MS
@@ -189,10 +191,15 @@ class DeviceCheck(Generic[R]):
             wanted = None if order is None else order((cycle + 1) / count)
             begin_ns = clock.now_ns()
             last = self._cycle(wanted, began)
-            self._calls_ns.append(clock.now_ns() - begin_ns)
+            end_ns = clock.now_ns()
+            self._calls_ns.append(end_ns - begin_ns)
             readings.append(last)
             self._readings.append(last)
-            self._step_m = max(self._step_m, abs(last.x_m - before.x_m), abs(last.y_m - before.y_m))
+            step_m = max(abs(last.x_m - before.x_m), abs(last.y_m - before.y_m))
+            # A real device goes on while this program is late.
+            lasted_s = max(end_ns - read_ns, NS_PER_MS) / NS_PER_S
+            self._step_m_s = max(self._step_m_s, step_m / lasted_s)
+            read_ns = end_ns
             before = last
             if wanted is not None and self._metered:
                 self._got_j += self._power_w(wanted, last) * NS_PER_MS / NS_PER_S

@@ -33,7 +33,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
     """The checks of one joystick, with hands off. It moves by a few centimetres."""
 
     def __init__(self, device: JoystickDevice, clock: Clock) -> None:
-        super().__init__(device.facts, JoystickFacts, clock)
+        super().__init__(JoystickFacts, clock)
         self._device = device
         self._limit_n = device.facts.force_limit_n
         self._open = False
@@ -89,7 +89,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
         return (
             *self._number_figures([(*one[:4], one.temperature_c or 0.0) for one in self._readings]),
             Figure("not present", gone, most=0),
-            Figure("steps", self._step_m * 1000, "m/s", most=most),
+            Figure("steps", self._step_m_s, "m/s", most=most),
         )
 
     def dead_man(self) -> tuple[Figure, ...]:
@@ -112,10 +112,11 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
         present = Figure("present", there, most=0)
         return (present, self._slows(pushed, after)) if pushed else (present,)
 
-    def _switch_on(self) -> None:
+    def _switch_on(self) -> JoystickFacts:
         self._open = True
         self._device.show_state(JoystickState.STANDBY)
         self._device.write_leds(0)
+        return self._device.facts
 
     def _switch_off(self) -> None:
         if self._open:

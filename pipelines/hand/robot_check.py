@@ -27,10 +27,9 @@ class RobotCheck(DeviceCheck[RobotReading]):
     """The checks of one robot. It moves by a few centimetres."""
 
     def __init__(self, device: RobotDevice, clock: Clock) -> None:
-        super().__init__(device.facts, RobotFacts, clock)
+        super().__init__(RobotFacts, clock)
         self._device = device
-        self._takes_force = device.facts.takes == "force"
-        self._powered = False
+        self._takes_force = self._powered = False
         self._deactivations_ns: list[int] = []
 
     def power_on(self) -> tuple[Figure, ...]:
@@ -68,7 +67,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
         return (
             *self._number_figures([one[:6] for one in self._readings]),
             Figure("with an error", errors, most=0),
-            Figure("steps", self._step_m * 1000, "m/s", most=most),
+            Figure("steps", self._step_m_s, "m/s", most=most),
         )
 
     def power_off(self) -> tuple[Figure, ...]:
@@ -83,10 +82,13 @@ class RobotCheck(DeviceCheck[RobotReading]):
             return ()
         return self._still(after)
 
-    def _switch_on(self) -> None:
-        self._device.configure()
-        self._device.power_on()
+    def _switch_on(self) -> RobotFacts:
+        device = self._device
+        device.configure()
+        self._takes_force = device.facts.takes == "force"
+        device.power_on()
         self._powered = True
+        return device.facts
 
     def _switch_off(self) -> None:
         if self._powered:

@@ -482,6 +482,8 @@ class SimulationReport(Report, frozen=True, kw_only=True):
     radio: str
     #: Whether it had media streams.
     media: bool
+    #: The robot's name; sim for the simulated one.
+    robot: str
     costs: CostsReport
 
 

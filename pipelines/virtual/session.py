@@ -19,6 +19,7 @@ from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.hand.operator_view import CameraWatch
 from pipelines.hand.replaying import ReplayedEnd
 from pipelines.hand.robot_desk import RobotDesk
+from pipelines.hand.safety_ends import within
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
 from pipelines.mission.choosing import CAMERA, SELECT, CameraChoice
@@ -41,6 +42,8 @@ from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.envelope import Hold, SafetyEnvelope
 from telepresence.haptics.mediated.wall import is_wall
+from telepresence.haptics.robot import Robot
+from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.session import LIVES
 from telepresence.link.gateway import Gateway
 from telepresence.link.received import HapticReceived, PacketReceived
@@ -73,8 +76,8 @@ class Simulation:
     seed: everything random derives from it. media: without, only haptics and telecommands travel.
     selections: the script of telecommands; see `answers`. start_ns: when it begins. epoch_ns: time
     0 of the radio. plan: what an experimenter selects, and the tasks for a simulated cosmonaut.
-    joystick: in operation, with its states, faults and functions; None: one that is always in the
-    application.
+    robot: None: the simulated one. joystick: in operation, with its states, faults and functions;
+    None: one that is always in the application. A user's must move by `advance` alone.
 
     tmtc: telecommands and telemetry of both segments after PUS; ask it, and subscribe to its news.
     """
@@ -94,6 +97,7 @@ class Simulation:
         start_ns: int = 0,
         epoch_ns: int = 0,
         plan: tuple[SessionPlan, Catalogue] | None = None,
+        robot: Robot | None = None,
         joystick: JoystickDevice | None = None,
     ) -> None:
         slot_ns = setup.uplink.slot_ns
@@ -111,6 +115,7 @@ class Simulation:
             seed_of_hand = self._random("cosmonaut").getrandbits(32)
             self._cosmonaut = Cosmonaut(Skill(level=plan[0].skill), seed=seed_of_hand)
         self._device, self._mediated = joystick, setup.hand == "mediated"
+        self._given_robot = robot
         self._costs = costs or CodingCosts()
         self._agenda = agenda = Agenda()
         self._telling = telling = Telling(self.collector)
@@ -272,6 +277,7 @@ class Simulation:
             seed=self._seed,
             radio=self.setup.radio_profile.name,
             media=self._media is not None,
+            robot=self._robot_name(),
             costs=CostsReport(**asdict(self._costs)),
         )
         mission = self.mission
@@ -289,18 +295,25 @@ class Simulation:
         elif self._cosmonaut is not None:
             handle = HeldJoystick(hand=self._cosmonaut)
         probe, life = self._probe(up.sender), self._life(up.sender)
+        given = self._given_robot
+        limits = within(self.setup.safety, None if given is None else given.facts)
         robot = RobotEnd(
             probe,
             life=life,
             deadband=deadband,
             mediated=mediated,
-            envelope=SafetyEnvelope(self.setup.safety),
+            envelope=SafetyEnvelope(limits),
+            robot=given,
         )
         probe, life = self._probe(up.receiver), self._life(up.receiver)
         joystick = JoystickEnd(
             probe, life=life, deadband=deadband, mediated=mediated, handle=handle
         )
         return robot, joystick
+
+    def _robot_name(self) -> str:
+        robot = self._given_robot
+        return SIMULATED_ROBOT if robot is None or robot.facts is None else robot.facts.name
 
     def _sight(self) -> Callable[[float, float], None] | None:
         """What shows the robot to a simulated hand."""

@@ -32,6 +32,7 @@ from pipelines.virtual.streams import VideoProcess, VideoReceiveProcess, VoicePr
 from pipelines.virtual.studio import SAME_DB, Originals, VideoDecoding, VideoStudio
 from pipelines.virtual.workers import Coder, Scene, Workers
 from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.robot import Robot
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
 
@@ -264,12 +265,13 @@ def simulate(
     costs: CodingCosts | None = None,
     stopped: Callable[[], bool] = lambda: False,
     plan: tuple[SessionPlan, Catalogue] | None = None,
+    robot: Robot | None = None,
     joystick: JoystickDevice | None = None,
 ) -> SessionReport:
     """Simulate `seconds` of virtual time. The same arguments give the same report.
 
     plan: of `telepresence.tasks.plan_file.load_plan`; None: the hand taps targets all the time.
-    joystick: as of `Simulation`.
+    robot, joystick: as of `Simulation`.
 
     stopped: called again and again; True ends the simulation early.
     """
@@ -282,6 +284,7 @@ def simulate(
             selections=selections,
             costs=costs,
             plan=plan,
+            robot=robot,
             joystick=joystick,
         )
         _run(simulation, round(seconds * NS_PER_S), stopped)

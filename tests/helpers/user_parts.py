@@ -6,8 +6,8 @@ from places import ROOT
 
 
 def load(name):
-    """Return a sample as a module."""
-    spec = importlib.util.spec_from_file_location(name, ROOT / "samples" / f"{name}.py")
+    """Return the sample in a file of this name as a module."""
+    spec = importlib.util.spec_from_file_location(name.removesuffix(".py"), ROOT / "samples" / name)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -10,7 +10,7 @@ from pipelines.cli import main
 from pipelines.hand.joystick_check import JoystickCheck
 from telepresence.haptics.device.simulated import SimulatedDevice
 
-Lever = load("own_joystick").Lever
+Lever = load("own_joystick.py").Lever
 CLOCK = ManualClock()
 
 

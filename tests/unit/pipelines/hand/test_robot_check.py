@@ -8,7 +8,7 @@ from user_parts import load
 from kontur_av.clock import ManualClock
 from pipelines.hand.robot_check import RobotCheck
 
-own_robot = load("own_robot")
+own_robot = load("own_robot.py")
 CLOCK = ManualClock()
 
 
