@@ -33,6 +33,7 @@ from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import replay, simulate
+from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.spec import is_simulated, open_device
 from telepresence.haptics.hand import Hand
@@ -135,7 +136,9 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
     plan = None if args.plan is None else load_plan(args.plan)
     if plan is not None:
         plan[0].check(plan[1], setup.cameras, setup.name)
-    joystick = None if args.joystick is None else _joystick(args.joystick, tasks=plan is not None)
+    joystick = None
+    if args.joystick is not None:
+        joystick = _joystick(args.joystick, setup.more_axes, tasks=plan is not None)
     with stopped_by_signals() as stopped:
         return simulate(
             setup,
@@ -150,12 +153,12 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
         )
 
 
-def _joystick(spec: str, *, tasks: bool) -> JoystickDevice:
+def _joystick(spec: str, axes: Sequence[AxisName], *, tasks: bool) -> JoystickDevice:
     if tasks:
         raise ConfigError("--plan has a joystick of its own: leave --joystick out")
     if not is_simulated(spec):
         raise ConfigError(f"--joystick {spec}: lives in real time; a simulation takes sim")
-    return open_device(spec, hand=Hand())
+    return open_device(spec, hand=Hand(), axes=axes)
 
 
 def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
