@@ -474,7 +474,9 @@ def unpack_haptics(octets: bytes) -> NDArray[np.void]:
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:
         raise ProtocolError(f"{HAPTIC_SAMPLES.full_name}: fields of {sorted(lengths)} values")
-    samples = np.empty(lengths.pop(), _sample_type(name for name in columns if name in _AXIS_FIELDS))
+    samples = np.empty(
+        lengths.pop(), _sample_type(name for name in columns if name in _AXIS_FIELDS)
+    )
     for name, column in columns.items():
         samples[name] = column
     return samples

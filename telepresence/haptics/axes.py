@@ -197,7 +197,7 @@ class MoreAxis:
     """The state of one more axis, of a robot or of a handle; places and forces at its lever.
 
     place_m, speed_m_s: where it is. push_n: of a robot, the force of its surroundings.
-    force_n: what its motor is to exert; the caller sets it before each step. cut_n: within its limit.
+    force_n: what its motor is to exert; set before each step. cut_n: within its limit.
     half_m, force_limit_n, most_m_s: its limits.
     """
 

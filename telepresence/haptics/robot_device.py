@@ -253,6 +253,6 @@ def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
 
 
 def check_robot(spec: str, axes: Sequence[AxisName] = ()) -> None:
-    """Raise ConfigError if `spec` names no robot, or one with other axes; nothing is switched on."""
+    """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
     if spec != SIMULATED_ROBOT:
         check_axes(f"robot {spec}", load_robot(spec).facts.more, axes)

@@ -196,9 +196,7 @@ class PageDevice(Mechanics):
     def _take_axes(self, shares: Sequence[float]) -> None:
         """Hold the axes where they are; these shares mean those places."""
         self._wanted = [axis.place_m / axis.half_m for axis in self._axes]
-        self._shifts = [
-            place - share for place, share in zip(self._wanted, shares, strict=False)
-        ]
+        self._shifts = [place - share for place, share in zip(self._wanted, shares, strict=False)]
 
     def _step(self, dt_ns: int) -> None:
         joystick, model = self.joystick, self.model
