@@ -404,11 +404,11 @@ HAPTIC_SAMPLES = MessageSchema(
             "16 to 23 lit LED + 1",
         ),
         *(
-            ("float[]", field, f"{name}: {what}")
+            ("float[]", field, what)
             for name in AXIS_NAMES
             for field, what in zip(
                 haptic_trace.axis_columns(name),
-                ("position, m or rad", "force, N or N m, as `fx_n`", "credit of its port, µJ"),
+                ("as `x_m`", "as `fx_n`", "as `energy_uj`"),
                 strict=True,
             )
         ),
