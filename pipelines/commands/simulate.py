@@ -147,14 +147,14 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
     if plan is not None and args.joystick is not None:
         raise ConfigError("--plan has a joystick of its own: leave --joystick out")
     with ExitStack() as opened, stopped_by_signals() as stopped:
-        joystick = None
+        joystick, axes = None, setup.more_axes
         if args.joystick is not None:
             _check_virtual("joystick", args.joystick)
-            joystick = opened.enter_context(closing(open_device(args.joystick, hand=Hand())))
+            joystick = opened.enter_context(closing(open_device(args.joystick, hand=Hand(), axes=axes)))
         robot = None
         if args.robot is not None:
             _check_virtual("robot", args.robot)
-            robot = opened.enter_context(closing(open_robot(args.robot)))
+            robot = opened.enter_context(closing(open_robot(args.robot, axes)))
         return simulate(
             setup,
             seconds=args.seconds,

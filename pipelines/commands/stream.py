@@ -122,9 +122,9 @@ def run(args: argparse.Namespace) -> int:
     check_sources(setup, inputs)
     _check_page_sources(setup, inputs, pages=not args.no_page)
     if Segment.SPACE in plan.segments:
-        check_joystick(args.joystick)
+        check_joystick(args.joystick, setup.more_axes)
     if Segment.GROUND in plan.segments:
-        check_robot(args.robot)
+        check_robot(args.robot, setup.more_axes)
     tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
     check_writable(args.report)

@@ -13,11 +13,14 @@ from typing import NamedTuple
 
 import msgspec
 
+from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import REQUESTS, JoystickEvent
 
 _INPUT = struct.Struct("<?ddIIq")
-INPUT_OCTETS = _INPUT.size
+_SHARE_OCTETS = 8
+#: With all axes.
+INPUT_OCTETS = _INPUT.size + _SHARE_OCTETS * len(AXIS_NAMES)
 _NUMBER = struct.Struct("<q")
 _EVENTS = {event.value.encode("ascii"): event for event in REQUESTS}
 REQUEST_OCTETS = _NUMBER.size + max(len(name) for name in _EVENTS)
@@ -27,15 +30,17 @@ STATUS_OCTETS = 8192
 
 
 def pack_input(hand: PageInput) -> bytes:
-    """Return `INPUT_OCTETS` octets."""
-    return _INPUT.pack(*hand)
+    """Return at most `INPUT_OCTETS` octets."""
+    return _INPUT.pack(*hand[:-1]) + struct.pack(f"<{len(hand.more)}d", *hand.more)
 
 
 def unpack_input(data: bytes) -> PageInput | None:
     """Return what `pack_input` packed, or None for octets of another size."""
-    if len(data) != INPUT_OCTETS:
+    axes, rest = divmod(len(data) - _INPUT.size, _SHARE_OCTETS)
+    if rest or axes < 0:
         return None
-    return PageInput._make(_INPUT.unpack(data))
+    more = struct.unpack_from(f"<{axes}d", data, _INPUT.size)
+    return PageInput._make((*_INPUT.unpack_from(data), more))
 
 
 class HandRequest(NamedTuple):
@@ -72,6 +77,19 @@ class JoystickOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     paused: bool
 
 
+class AxisStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """An axis of the joystick behind x and y: m and N, of rotations rad and N m.
+
+    force: that its motor exerts.
+    """
+
+    name: str
+    place: float
+    half_range: float
+    force: float
+    force_limit: float
+
+
 class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """The joystick as its operator must know it.
 
@@ -86,6 +104,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     x_m, y_m: place of the handle from the centre. pressed: how often a button went down.
     robot_waits, robot_stopped: the robot's newest sample says that it waits for a new press, and
     that an emergency stop holds it.
+    axes: those behind x and y.
     test, test_part, test_reason, test_number: the newest functional test, as
     `telepresence.haptics.device.functional_test.TestReport` has it.
     """
@@ -107,6 +126,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     pressed: int = 0
     robot_waits: bool = False
     robot_stopped: bool = False
+    axes: tuple[AxisStatus, ...] = ()
     test: str = "none"
     test_part: str = "none"
     test_reason: str = ""

@@ -11,7 +11,7 @@ from pipelines.session.figures import LoopFigures
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.rows import LatenessRow
 from pipelines.session.topology import Topology
-from telepresence.haptics.sample import SAMPLE_OCTETS
+from telepresence.haptics.axes import sample_octets
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.haptics.session import LIVES
 from telepresence.world import WorldState
@@ -65,6 +65,7 @@ def run_loop(
     schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(CYCLE_NS, _PHASE))
     # Looked up once: what follows runs a thousand times a second.
     take, receive = udp.recv, context.receive
+    most_octets = sample_octets(len(context.setup.more_axes)) + 1
     clock_ns, sleep_until_ns = clock.now_ns, clock.sleep_until_ns
     handle_wakeup, handle_datagram, handle_cycle = (
         schedule.handle_wakeup,
@@ -93,14 +94,14 @@ def run_loop(
             continue
         add_lateness(lateness_ns)
         try:
-            datagram: bytes | None = take(SAMPLE_OCTETS + 1)
+            datagram: bytes | None = take(most_octets)
         except OSError:
             # There is no datagram, or this is an ICMP error of an earlier one.
-            datagram = receive(udp, SAMPLE_OCTETS + 1)
+            datagram = receive(udp, most_octets)
         # Most cycles have exactly one sample. poll(2) costs a third of reading an empty socket.
         while datagram is not None:
             handle_datagram(datagram, now_ns)
-            datagram = receive(udp, SAMPLE_OCTETS + 1) if ask(0) else None
+            datagram = receive(udp, most_octets) if ask(0) else None
         if before is not None:
             before(now_ns)
         handle_cycle(now_ns, schedule.advance_ns)

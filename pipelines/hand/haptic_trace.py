@@ -5,13 +5,15 @@ is packed at once, because packing row by row would cost several times as much.
 """
 
 import struct
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipelines.session.watched_topic import WatchedTopic
+from telepresence.haptics.axes import AXIS_NAMES, AxisName, lever_of
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 
 #: One cycle. time_ns: its instant. x_m, y_m: place of the handle, or of the tip. fx_n, fy_n: the
@@ -32,17 +34,32 @@ ROW: Final = np.dtype(
     ]
 )
 NO_SAMPLE: Final = -1
+
+
+def axis_columns(name: str) -> tuple[str, str, str]:
+    """Return the fields of an axis behind x and y in a row: place, force, credit of its port."""
+    if lever_of(name) == 1.0:
+        return f"{name}_m", f"{name}_n", f"{name}_uj"
+    return f"{name}_rad", f"{name}_n_m", f"{name}_uj"
+
+
+def row_type(axes: Sequence[str]) -> "np.dtype[np.void]":
+    """Return `ROW` with the fields of these axes, float32, at its end."""
+    more = [(field, "<f4") for name in axes for field in axis_columns(name)]
+    return np.dtype(ROW.descr + more)
+
+
 #: Rows of a block.
 BLOCK_ROWS: Final = 20
-BLOCK_OCTETS: Final = BLOCK_ROWS * ROW.itemsize
+#: With all axes, of which a last octet has a bit each.
+BLOCK_OCTETS: Final = BLOCK_ROWS * row_type(AXIS_NAMES).itemsize + 1
 
 CONTACT, DEAD_MAN, ACTED = 1, 2, 4
 _STATE_BIT, _LIT_BIT = 8, 16
-_PACK = struct.Struct("<" + "q5fI2i" * BLOCK_ROWS).pack
 
 #: The fields of `ROW` up to `flags`; then, of this end of the link: samples sent before this cycle,
-#: samples received, number of the newest of these.
-Row = tuple[int, float, float, float, float, float, int, int, int, int]
+#: samples received, number of the newest of these; then the fields of the axes.
+Row = Sequence[Any]
 
 
 def flags_of(*, contact: bool, dead_man: bool, acted: bool, state: int, lit: int | None) -> int:
@@ -74,8 +91,11 @@ def lit_of(flags: int) -> int | None:
 
 
 def rows_of(block: bytes) -> NDArray[np.void]:
-    """Return a block as rows: (rows,), dtype `ROW`, read-only."""
-    return np.frombuffer(block, ROW)
+    """Return a block as rows: (rows,), dtype `ROW` or `row_type` of its axes, read-only."""
+    if len(block) % ROW.itemsize == 0:
+        return np.frombuffer(block, ROW)
+    axes = [name for bit, name in enumerate(AXIS_NAMES) if block[-1] >> bit & 1]
+    return np.frombuffer(block[:-1], row_type(axes))
 
 
 class HapticTrace(WatchedTopic):
@@ -86,10 +106,14 @@ class HapticTrace(WatchedTopic):
     later, because only then is known whether its last cycle sent a sample.
 
     Nothing is dropped but the rows of a block that was begun when the last reader left.
+
+    axes: those behind x and y.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, axes: Sequence[AxisName] = ()) -> None:
         super().__init__()
+        self._pack = struct.Struct("<" + ("q5fI2i" + 3 * len(axes) * "f") * BLOCK_ROWS).pack
+        self._end = bytes([sum(1 << AXIS_NAMES.index(name) for name in axes)]) if axes else b""
         self.rows: list[Row] | None = None
         #: Samples received until the row before; None: there was none.
         self._received: int | None = None
@@ -114,11 +138,12 @@ class HapticTrace(WatchedTopic):
         values: list[float] = []
         before = self._received
         for row, following in pairwise(rows[: BLOCK_ROWS + 1]):
-            sent, received, newest = row[7:]
+            sent, received, newest = row[7:10]
             values += row[:7]
             values.append(NO_SAMPLE if following[7] == sent else sent % SEQUENCE_MODULUS)
             values.append(NO_SAMPLE if before in (None, received) else newest)
+            values += row[10:]
             before = received
         self._received = before
         del rows[:BLOCK_ROWS]
-        return _PACK(*values)
+        return self._pack(*values) + self._end

@@ -1,5 +1,6 @@
 """The two haptic endpoints, one cycle at a time: robot on the ground, joystick in space."""
 
+from collections.abc import Sequence
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -35,7 +36,7 @@ class _End(Generic[Side]):
 
     def __init__(self, side: Side, probe: Probe) -> None:
         self.side = side
-        self.trace = HapticTrace()
+        self.trace = HapticTrace([] if side.axes is None else side.axes.names)
         self._probe = probe
         self._link = side.link
         # Looked up once: they are called a thousand times a second.
@@ -56,12 +57,20 @@ class _End(Generic[Side]):
         link = self._link
         return link.sent, link.received, link.newest_sequence
 
+    def _axes_row(self) -> Sequence[float]:
+        """Place, force and credit of each axis behind x and y."""
+        axes = self.side.axes
+        return () if axes is None else axes.row()
+
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
         self._probe.tell(link.sent_figures())
         self._probe.tell(link.received_figures())
         self._probe.tell(self.side.report())
+        if self.side.axes is not None:
+            for name, port in self.side.axes.report().items():
+                self._probe.tell(port, name)
         self._sent.extend_plain(link.take_sent_stamps())
         self._received.extend_plain(link.take_received_stamps())
         while link.next_event() is not None:
@@ -96,7 +105,8 @@ class RobotEnd(_End[RobotSide]):
         self.envelope = envelope = envelope or SafetyEnvelope()
         limits = envelope.limits
         max_age_ns = round(limits.command_max_age_s * NS_PER_S)
-        link = robot_link(life=life, max_age_ns=max_age_ns, deadband=deadband)
+        more = 0 if robot is None else len(robot.more)
+        link = robot_link(life=life, max_age_ns=max_age_ns, deadband=deadband, more=more)
         model = RobotControllerModel(
             speed_m_s=limits.speed_m_s,
             force_limit_n=limits.force_n,
@@ -184,7 +194,7 @@ class RobotEnd(_End[RobotSide]):
         )
         push_x, push_y, credit_uj = robot.push_x_n, robot.push_y_n, side.controller.credit_uj
         cycle = (now_ns, robot.x_m, robot.y_m, push_x, push_y, credit_uj, flags)
-        self.trace.add((*cycle, *self._numbers()))
+        self.trace.add((*cycle, *self._numbers(), *self._axes_row()))
 
 
 class JoystickEnd(_End[JoystickSide]):
@@ -205,7 +215,8 @@ class JoystickEnd(_End[JoystickSide]):
         mediated: bool = False,
         handle: Handle | OperatedHandle | None = None,
     ) -> None:
-        link = joystick_link(life=life, deadband=deadband)
+        more = 0 if handle is None else len(handle.more)
+        link = joystick_link(life=life, deadband=deadband, more=more)
         super().__init__(JoystickSide(link=link, handle=handle, mediated=mediated), probe)
         self.handle_wall = self.side.handle_wall
         held = self.side.handle
@@ -261,4 +272,4 @@ class JoystickEnd(_End[JoystickSide]):
         )
         force_x, force_y, credit_uj = side.force_x_n, side.force_y_n, side.controller.credit_uj
         cycle = (now_ns, handle.x_m, handle.y_m, force_x, force_y, credit_uj, flags)
-        self.trace.add((*cycle, *self._numbers()))
+        self.trace.add((*cycle, *self._numbers(), *self._axes_row()))

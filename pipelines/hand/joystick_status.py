@@ -3,6 +3,7 @@
 from kontur_av.clock import NS_PER_MS
 from pipelines.hand.hand_topics import (
     MOST_CHARACTERS,
+    AxisStatus,
     JoystickStatus,
     pack_status,
     unpack_request,
@@ -78,6 +79,16 @@ class JoystickStatusTeller(WatchedTopic):
             pressed=handle.pressed,
             robot_waits=handle.robot_waits,
             robot_stopped=handle.robot_stopped,
+            axes=tuple(
+                AxisStatus(
+                    name=axis.facts.name,
+                    place=axis.place_m / axis.lever_m,
+                    half_range=axis.facts.half_range,
+                    force=axis.cut_n * axis.lever_m,
+                    force_limit=axis.facts.force_limit,
+                )
+                for axis in handle.more
+            ),
             test=test.outcome.value,
             test_part=test.part.value,
             test_reason=test.reason[:MOST_CHARACTERS],

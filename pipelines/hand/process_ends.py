@@ -68,7 +68,7 @@ def run_robot(context: Context) -> None:
 
     In a session with tasks it is off until the kernel or a person switches it on.
     """
-    robot = open_robot(context.topology.options.robot)
+    robot = open_robot(context.topology.options.robot, context.setup.more_axes)
     with closing(robot), context.open_bus() as bus:
         writer = bus.writer(ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
         numbers = count()
@@ -137,7 +137,8 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
     taps the targets.
     """
     hand = Hand() if skill is None else Cosmonaut(Skill(level=skill), seed=context.seed)
-    device = open_device(context.topology.options.joystick, hand=hand)
+    axes = context.setup.more_axes
+    device = open_device(context.topology.options.joystick, hand=hand, axes=axes)
     try:
         kept = KeptOrders(context.session)
         orders = kept.recall(JOYSTICK, JoystickOrders(paused=False), UNKNOWN_JOYSTICK)

@@ -2,18 +2,22 @@
 
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipelines.hand.haptic_trace import CONTACT, DEAD_MAN, lit_of, state_of
+from pipelines.hand.haptic_trace import CONTACT, DEAD_MAN, axis_columns, lit_of, state_of
 from pipelines.hand.haptics import CYCLE_NS
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
-from telepresence.haptics.loop import joystick_link, robot_link
+from telepresence.haptics.axes import AXIS_NAMES, lever_of
+from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.sample import STATE_HALTED, Command, Feedback
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
+
+Row = Sequence[Any]
 
 #: Rows that are turned into numbers of Python at once.
 _AT_ONCE = 1000
@@ -89,8 +93,12 @@ class ReplayedEnd:
         self, rows: NDArray[np.void], time: ReplayTime, probe: Probe, *, robot: bool, life: int
     ) -> None:
         self._robot = robot
-        self._link = robot_link(life=life) if robot else joystick_link(life=life)
-        self._coming = _rows(rows, time)
+        axes = [name for name in AXIS_NAMES if axis_columns(name)[0] in (rows.dtype.names or ())]
+        make = robot_link if robot else joystick_link
+        self._link: HapticLink[Any, Any] = make(life=life, more=len(axes))
+        # Of each axis what the samples of this end carry, at its lever.
+        self._levers = [lever_of(name) for name in axes]
+        self._coming = _rows(rows, time, [axis_columns(name)[int(robot)] for name in axes])
         self._next = next(self._coming, None)
         self._probe = probe
         self._sent, self._received = probe.series(SampleSentRow), probe.series(SampleReceivedRow)
@@ -113,21 +121,26 @@ class ReplayedEnd:
         if row is not None:
             self._send(row, now_ns)
 
-    def _send(self, row: tuple[int, float, float, float, float, int], now_ns: int) -> None:
-        _, x_m, y_m, fx_n, fy_n, flags = row
+    def _send(self, row: Row, now_ns: int) -> None:
+        _, x_m, y_m, fx_n, fy_n, flags, *axes = row
+        levers = self._levers
+        more = tuple(
+            (value / lever if self._robot else value * lever, 0, False)
+            for value, lever in zip(axes, levers, strict=True)
+        )
         touching = bool(flags & CONTACT)
         if self._robot:
             lit = lit_of(flags)
             if touching and not self._touching:
                 self._contacts.add(ContactRow(now_ns, -1 if lit is None else lit))
             self._touching = touching
-            self._link.handle_local(Feedback(fx_n, fy_n, 0, touching, lit=lit), now_ns)  # type: ignore[arg-type]
+            self._link.handle_local(Feedback(fx_n, fy_n, 0, touching, lit=lit, more=more), now_ns)
         else:
             state = state_of(flags)
             command = Command(
-                x_m, y_m, 0, bool(flags & DEAD_MAN), state, halted=state >= STATE_HALTED
+                x_m, y_m, 0, bool(flags & DEAD_MAN), state, halted=state >= STATE_HALTED, more=more
             )
-            self._link.handle_local(command, now_ns)  # type: ignore[arg-type]
+            self._link.handle_local(command, now_ns)
 
     def next_event(self) -> WorldState | None:
         """A replayed robot shows no state: always None."""
@@ -146,11 +159,9 @@ class ReplayedEnd:
             pass
 
 
-def _rows(
-    rows: NDArray[np.void], time: ReplayTime
-) -> Iterator[tuple[int, float, float, float, float, int]]:
-    """Instant in the replay, place, force and flags of each row."""
-    names = ["time_ns", "x_m", "y_m", "fx_n", "fy_n", "flags"]
+def _rows(rows: NDArray[np.void], time: ReplayTime, more: Sequence[str]) -> Iterator[Row]:
+    """Instant in the replay, place, force and flags of each row, and these fields."""
+    names = ["time_ns", "x_m", "y_m", "fx_n", "fy_n", "flags", *more]
     for first in range(0, len(rows), _AT_ONCE):
         for at_ns, *others in rows[names][first : first + _AT_ONCE].tolist():
             yield (time.at(at_ns), *others)

@@ -5,7 +5,7 @@ the name of the schema's field; `wall_ns` is the schema's `timestamp`. Haptic sa
 `pack_haptics`, `unpack_haptics`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
 from math import nan
 from typing import Annotated, Any, ClassVar, Final, TypeVar
@@ -39,6 +39,7 @@ from pipelines.recording.schemas import (
     numbered,
     record,
 )
+from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.mediated.wall import parse_wall
 from telepresence.link.figures import (
     PathFigures,
@@ -386,7 +387,8 @@ def _text(value: object) -> object:
 HAPTIC_SAMPLES = MessageSchema(
     package=OWN,
     name="HapticSamples",
-    what="cycles of one end of the hand, 1 kHz; all fields have the same number of values",
+    what="cycles of one end of the hand, 1 kHz; all fields have the same number of values, or, of "
+    "an axis that the session does not have, none",
     fields=numbered(
         ("sfixed64[]", "time_ns", "instant of the cycle, session clock"),
         ("sfixed32[]", "sequence", "number of the sample on the link, 0 to 65535; -1: none"),
@@ -401,11 +403,22 @@ HAPTIC_SAMPLES = MessageSchema(
             "bit 0 contact, 1 dead-man, 2 passivity acted; 8 to 11 joystick's state; "
             "16 to 23 lit LED + 1",
         ),
+        *(
+            ("float[]", field, what)
+            for name in AXIS_NAMES
+            for field, what in zip(
+                haptic_trace.axis_columns(name),
+                ("as `x_m`", "as `fx_n`", "as `energy_uj`"),
+                strict=True,
+            )
+        ),
     ),
 )
 _DTYPES = {"sfixed64": "<i8", "sfixed32": "<i4", "float": "<f4", "fixed32": "<u4"}
-#: A haptic sample of a recording; fields as in the schema.
-SAMPLE: Final = np.dtype([(row.name, _DTYPES[row.type]) for row in HAPTIC_SAMPLES.fields])
+_FIELDS = {row.name: _DTYPES[row.type] for row in HAPTIC_SAMPLES.fields}
+_AXIS_FIELDS = {field for name in AXIS_NAMES for field in haptic_trace.axis_columns(name)}
+#: A haptic sample of a recording; fields as in the schema. More axes have theirs behind it.
+SAMPLE: Final = np.dtype([each for each in _FIELDS.items() if each[0] not in _AXIS_FIELDS])
 VIDEO, AUDIO, LOG = RecordedPicture.schema, RecordedSound.schema, LogLine.schema
 UNIT_FACTS, SPACE_PACKET = UnitFacts.schema, RecordedPacket.schema
 TRANSFER_FRAMES, LINK_SENT = RecordedFrames.schema, LinkSent.schema
@@ -420,6 +433,10 @@ SCHEMAS = (
 NO_SAMPLE: Final = haptic_trace.NO_SAMPLE
 
 
+def _sample_type(axis_fields: Iterable[str]) -> "np.dtype[np.void]":
+    return np.dtype(SAMPLE.descr + [(name, _FIELDS[name]) for name in axis_fields])
+
+
 def haptic_samples(
     rows: NDArray[np.void], sequences: NDArray[np.int32] | None = None
 ) -> NDArray[np.void]:
@@ -427,8 +444,9 @@ def haptic_samples(
 
     sequences: (rows,), the number of each cycle's sample on the link; None: not known.
     """
-    samples = np.empty(len(rows), SAMPLE)
-    for name in SAMPLE.names or ():
+    axes = [name for name in rows.dtype.names or () if name in _AXIS_FIELDS]
+    samples = np.empty(len(rows), _sample_type(axes))
+    for name in samples.dtype.names or ():
         if name != "sequence":
             samples[name] = rows[name]
     samples["sequence"] = NO_SAMPLE if sequences is None else sequences
@@ -436,21 +454,29 @@ def haptic_samples(
 
 
 def pack_haptics(samples: NDArray[np.void]) -> bytes:
-    """Return the octets of samples: (n,), dtype `SAMPLE`."""
+    """Return the octets of samples: (n,), dtype `SAMPLE`, or with more axes."""
     message = message_class(HAPTIC_SAMPLES)()
-    for row in HAPTIC_SAMPLES.fields:
-        getattr(message, row.name).extend(samples[row.name].tolist())
+    for name in samples.dtype.names or ():
+        getattr(message, name).extend(samples[name].tolist())
     return bytes(message.SerializeToString())
 
 
 def unpack_haptics(octets: bytes) -> NDArray[np.void]:
-    """Return the samples of these octets: (n,), dtype `SAMPLE`; else ProtocolError."""
+    """Return the samples of these octets: (n,), dtype `SAMPLE`, or with more axes.
+
+    ProtocolError for octets of anything else.
+    """
     message = parse_message(HAPTIC_SAMPLES, octets)
     columns = {row.name: getattr(message, row.name) for row in HAPTIC_SAMPLES.fields}
+    columns = {
+        name: column for name, column in columns.items() if column or name not in _AXIS_FIELDS
+    }
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:
         raise ProtocolError(f"{HAPTIC_SAMPLES.full_name}: fields of {sorted(lengths)} values")
-    samples = np.empty(lengths.pop(), SAMPLE)
+    samples = np.empty(
+        lengths.pop(), _sample_type(name for name in columns if name in _AXIS_FIELDS)
+    )
     for name, column in columns.items():
         samples[name] = column
     return samples

@@ -181,7 +181,8 @@ def _pictures(found: list[JoinedMessage], told: list[JoinedMessage]) -> list[Sen
 
 def _sent_rows(blocks: list[NDArray[np.void]]) -> NDArray[np.void]:
     """The cycles with a sample; all of them where no number is known."""
-    rows = np.concatenate([np.empty(0, SAMPLE), *blocks])
+    kind = blocks[0].dtype if blocks else SAMPLE
+    rows = np.concatenate([np.empty(0, kind), *(each for each in blocks if each.dtype == kind)])
     rows = rows[np.argsort(rows["time_ns"], kind="stable")]
     numbered = rows["sequence"] != NO_SAMPLE
     return rows[numbered] if numbered.any() else rows

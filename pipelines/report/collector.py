@@ -50,7 +50,10 @@ class Collector:
         }
         #: What is shown and heard of a partner: from capture to display.
         self.partner = {RTC_CAMERA: Histogram(), RTC_VOICE: Histogram()}
-        self.haptics = {row.key: HapticFigures() for row in topology.haptics}
+        self.haptics = {
+            row.key: HapticFigures(topology.setup.profile(row.direction).insert_octets)
+            for row in topology.haptics
+        }
         #: By process: the samples that it sends, and those that it receives.
         self._sampled = {row.sender: self.haptics[row.key] for row in topology.haptics}
         self._felt = {row.receiver: self.haptics[row.key] for row in topology.haptics}

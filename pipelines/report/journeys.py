@@ -26,7 +26,6 @@ from pipelines.session.rows import (
     TxRow,
 )
 from telepresence.haptics.latency import LatencyMatcher
-from telepresence.haptics.sample import SAMPLE_OCTETS
 
 #: How long an access unit waits for the report of its other end.
 _JOIN_NS = 10 * NS_PER_S
@@ -248,9 +247,10 @@ class StreamFigures:
 
 
 class HapticFigures:
-    """One direction of the haptic samples."""
+    """One direction of the haptic samples, of so many octets each."""
 
-    def __init__(self) -> None:
+    def __init__(self, sample_octets: int) -> None:
+        self._octets = sample_octets
         self.rate = RateMeter(windows_ns=(NS_PER_S,))
         self.latency = Histogram()
         self.recent = Recent()
@@ -277,7 +277,7 @@ class HapticFigures:
             last_ns = self.rate.last_ns
             # A restarted end's first report may overtake its predecessor's last.
             at_ns = instant_ns if last_ns is None else max(instant_ns, last_ns)
-            self.rate.add(at_ns, samples * SAMPLE_OCTETS)
+            self.rate.add(at_ns, samples * self._octets)
         self._match(now_ns)
 
     def sent_ns_at(self, instant_ns: int) -> int | None:

@@ -174,6 +174,8 @@ class HapticReport(Report, frozen=True, kw_only=True):
     loop: Flat[LoopFigures]
     #: The haptic port at the sender, and its passivity controller.
     port: PortFigures
+    #: The same of each axis behind x and y.
+    axes: dict[str, PortFigures] | None = None
 
 
 class NeedReport(Report, frozen=True, kw_only=True):

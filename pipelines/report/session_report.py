@@ -234,6 +234,7 @@ def haptic_report(
         lateness_us=punctuality_us(sender.lateness),
         loop=sender.total(LoopFigures),
         port=sender.total(PortFigures),
+        axes={name: sender.total(PortFigures, name) for name in setup.more_axes} or None,
     )
 
 
@@ -303,12 +304,15 @@ def failures(
         both = topology.alone is None
         if both and long_enough and receiver.total(SamplesReceived).received == 0:
             found.append(f"haptic_{row.key}: no sample was received")
-        port = collector.process(row.sender).total(PortFigures)
-        # One count of energy in a sample is rounding.
-        if port.least_uj < -1:
-            found.append(
-                f"{row.sender}: its port gave out {-port.least_uj} µJ that the peer had not granted"
-            )
+        sender = collector.process(row.sender)
+        for name in ("", *setup.more_axes):
+            port = sender.total(PortFigures, name)
+            # One count of energy in a sample is rounding.
+            if port.least_uj < -1:
+                found.append(
+                    f"{row.sender}: its port {name}".rstrip()
+                    + f" gave out {-port.least_uj} µJ that the peer had not granted"
+                )
     joystick = joystick_report(collector)
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")

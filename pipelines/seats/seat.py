@@ -281,6 +281,16 @@ class Seat:
             dead_man=status.dead_man,
             force_limit_n=status.force_limit_n,
             device=status.device,
+            axes=tuple(
+                texts.AxisText(
+                    name=axis.name,
+                    place=round(axis.place, 4),
+                    half_range=axis.half_range,
+                    force=round(axis.force, 2),
+                    force_limit=axis.force_limit,
+                )
+                for axis in status.axes
+            ),
         )
         self._hear_robot(status.robot_stopped, status.robot_waits, "")
         self._desk.handle_status(status)

@@ -112,14 +112,25 @@ class HelloText(SeatText, frozen=True, kw_only=True, tag_field="kind", tag="hell
     now_us: int
 
 
+class AxisText(msgspec.Struct, frozen=True, kw_only=True):
+    """An axis of the joystick behind x and y: m and N, of rotations rad and N m."""
+
+    name: str
+    place: float
+    half_range: float
+    force: float
+    force_limit: float
+
+
 class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
-    """The joystick's state in words."""
+    """The joystick's state in words. axes: those behind x and y."""
 
     state: str
     reason: str
     dead_man: bool
     force_limit_n: float
     device: str
+    axes: tuple[AxisText, ...] = ()
 
 
 class SafetyText(msgspec.Struct, frozen=True, kw_only=True):

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import BLOCK_SAMPLES, I420
+from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.page import PageInput
 
 UNIT, SOUND, HAPTIC, PREVIEW, PONG = 1, 2, 3, 4, 5
@@ -135,15 +136,17 @@ def parse_seat_message(data: bytes, now_ns: int) -> Ping | PageInput:
         return _ping(data)
     if kind != HAND:
         raise ProtocolError(f"a message of unknown type {kind}")
-    if len(data) != _HAND.size:
+    axes, rest = divmod(len(data) - _HAND.size, 4)
+    if rest or not 0 <= axes <= len(AXIS_NAMES):
         raise ProtocolError(f"a hand of {len(data)} octets")
-    _, flags, buttons, sequence, x, y, page_ms = _HAND.unpack(data)
+    _, flags, buttons, sequence, x, y, page_ms = _HAND.unpack_from(data)
+    more = struct.unpack_from(f"<{axes}f", data, _HAND.size)
     # A NaN fails the comparisons, too.
-    if not (-1.0 <= x <= 1.0 and -1.0 <= y <= 1.0 and isfinite(page_ms)):
+    if not (all(-1.0 <= share <= 1.0 for share in (x, y, *more)) and isfinite(page_ms)):
         raise ProtocolError("a hand out of its range")
     if flags & ~_DEAD_MAN:
         raise ProtocolError(f"a hand with unknown flags {flags}")
-    return PageInput(bool(flags & _DEAD_MAN), x, y, buttons, sequence, now_ns)
+    return PageInput(bool(flags & _DEAD_MAN), x, y, buttons, sequence, now_ns, more)
 
 
 def parse_media_message(

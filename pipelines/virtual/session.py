@@ -41,6 +41,7 @@ from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.envelope import Hold, SafetyEnvelope
+from telepresence.haptics.hand import Hand
 from telepresence.haptics.mediated.wall import is_wall
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
@@ -292,6 +293,9 @@ class Simulation:
         handle: Handle | None = None
         if self._device is not None:
             handle = OperatedHandle(self._device)
+        elif self.setup.more_axes:
+            # The hand that taps targets moves the other axes, too.
+            handle = OperatedHandle(SimulatedDevice(hand=Hand(), axes=self.setup.more_axes))
         elif self._cosmonaut is not None:
             handle = HeldJoystick(hand=self._cosmonaut)
         probe, life = self._probe(up.sender), self._life(up.sender)
@@ -303,7 +307,7 @@ class Simulation:
             deadband=deadband,
             mediated=mediated,
             envelope=SafetyEnvelope(limits),
-            robot=given,
+            robot=given or Robot(axes=self.setup.more_axes),
         )
         probe, life = self._probe(up.receiver), self._life(up.receiver)
         joystick = JoystickEnd(

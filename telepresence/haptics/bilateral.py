@@ -10,6 +10,8 @@ from math import hypot
 from typing import Any, Protocol
 
 from kontur_av.clock import NS_PER_MS
+from telepresence.haptics.axes import MoreAxis
+from telepresence.haptics.axes_control import JoystickAxes, RobotAxes, port_figures
 from telepresence.haptics.board import Board
 from telepresence.haptics.envelope import Hold, SafetyEnvelope
 from telepresence.haptics.figures import PortFigures
@@ -36,6 +38,7 @@ class Handle(Protocol):
     x_m, y_m: position (m).
     force_limit_n: the force that its motors can exert now (N).
     dead_man, buttons, state, stop, blind: the values that the command samples carry.
+    more: the axes behind x and y; `step` applies their forces, too.
     """
 
     x_m: float
@@ -46,6 +49,7 @@ class Handle(Protocol):
     state: int
     stop: bool
     blind: bool
+    more: Sequence[MoreAxis]
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
         """Apply this force (N, N) for `dt_ns` (at most 1 ms) and update the position."""
@@ -106,16 +110,7 @@ class _Side:
 
     def report(self) -> PortFigures:
         """Return the energies of the port (µJ), and the counts of the passivity controller."""
-        controller = self.controller
-        return PortFigures(
-            energy_in_uj=controller.energy_in_uj,
-            energy_out_uj=controller.energy_out_uj,
-            granted_uj=controller.granted_uj,
-            credit_uj=round(controller.credit_uj),
-            least_uj=round(controller.least_observed_uj),
-            passivity_acted=controller.acted,
-            totals_refused=controller.port.refused,
-        )
+        return port_figures(self.controller)
 
 
 class JoystickSide(_Side):
@@ -146,6 +141,7 @@ class JoystickSide(_Side):
         self.controller: JoystickController = make(model, passive=passive)
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
         self._last_ns = NS_PER_MS
+        self.axes = JoystickAxes(self.handle.more, model) if self.handle.more else None
         super().__init__()
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
@@ -164,6 +160,7 @@ class JoystickSide(_Side):
             state >= STATE_HALTED,
             handle.stop,
             handle.blind,
+            () if self.axes is None else self.axes.values(),
         )
         self.link.handle_local(_tuple(Command, command), now_ns)
 
@@ -179,6 +176,8 @@ class JoystickSide(_Side):
         controller.limit_n = handle.force_limit_n
         # The handle covered its last distance in the previous step's time, not in this step's.
         fx, fy = controller.step(feedback, handle.x_m, handle.y_m, self._last_ns)
+        if self.axes is not None:
+            self.axes.step(feedback, handle.force_limit_n, self._last_ns)
         self._last_ns = dt_ns
         self.force_x_n, self.force_y_n = fx, fy
         handle.step(fx, fy, dt_ns)
@@ -221,6 +220,7 @@ class RobotSide(_Side):
         self.controller: RobotController = RobotController(
             model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
         )
+        self.axes = RobotAxes(robot.more, self.controller.model) if robot.more else None
         self.link: HapticLink[Feedback, Command] = link or robot_link()
         self.lit: int | None = None
         super().__init__()
@@ -236,7 +236,9 @@ class RobotSide(_Side):
             self._restarts = self.link.session.restarts
             envelope.require_press(Hold.JOYSTICK_STARTED)
         acted = self._advance(now_ns, advance_ns)
-        contact = robot.contact
+        contact = robot.contact or (
+            self.axes is not None and any(axis.contact for axis in robot.more)
+        )
         if self.ownership is not None:
             speed_m_s = hypot(robot.vx_m_s, robot.vy_m_s)
             if self.ownership.handle_robot(speed_m_s, now_ns):
@@ -258,6 +260,7 @@ class RobotSide(_Side):
             not robot.coupled,
             envelope is not None and envelope.waiting,
             envelope is not None and envelope.stopped,
+            () if self.axes is None else self.axes.values(),
         )
         self.link.handle_local(_tuple(Feedback, feedback), now_ns)
 
@@ -273,6 +276,8 @@ class RobotSide(_Side):
             robot.drive(dt_ns)
             controller.release(robot.x_m, robot.y_m)
             self.force_x_n = self.force_y_n = 0.0
+            if self.axes is not None:
+                self.axes.release()
             if self.envelope is not None:
                 self.envelope.handle_off(command, self._now_ns)
             return
@@ -285,4 +290,9 @@ class RobotSide(_Side):
         x, y, vx, vy = robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s
         fx, fy = controller.step(command, x, y, vx, vy, dt_ns, touching=robot.contact)
         self.force_x_n, self.force_y_n = fx, fy
+        if self.axes is not None:
+            presses, share = 0, 1.0
+            if envelope is not None:
+                presses, share = envelope.presses, envelope.speed_m_s / envelope.limits.speed_m_s
+            self.axes.step(command, dt_ns, presses=presses, speed=share)
         robot.step(fx, fy, dt_ns)

@@ -274,7 +274,7 @@ class SafetyEnvelope:
         if command is None:
             return False
         self._heard_ns = now_ns
-        _, _, _, pressed, state, _, _, halted, stop, blind = command
+        _, _, _, pressed, state, _, _, halted, stop, blind, _ = command
         if stop and not self._asserted:
             self.handle_stop(now_ns)
         # It is released here and there; until then its hand leads nothing.

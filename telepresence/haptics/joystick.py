@@ -6,10 +6,12 @@ Kontur-2's joystick has two degrees of freedom, a dead-man button and a temperat
 from the ISS", i-SAIRAS 2016). The numbers here are this project's own.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 
 from kontur_av.clock import NS_PER_S
+from telepresence.haptics.axes import MoreAxis
 from telepresence.haptics.sample import STATE_APPLICATION
 
 
@@ -56,6 +58,7 @@ class Joystick:
     force_limit_n: the force that the motors can exert at that temperature.
     work_j: work that the motors have done at the handle so far.
     dead_man, buttons, state: the values that samples carry; the caller sets them.
+    more: axes behind x and y; the caller moves them.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class Joystick:
         self.dead_man = True
         self.buttons = 0
         self.stop = self.blind = False
+        self.more: Sequence[MoreAxis] = ()
         self.state = STATE_APPLICATION
         # Unpacked in one step, because `push` is called a thousand times a second.
         self._constants = (

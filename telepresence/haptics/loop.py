@@ -7,10 +7,12 @@ from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
+from telepresence.haptics.axes import AxisTotals
 from telepresence.haptics.deadband import Deadband, command_deadband, feedback_deadband
 from telepresence.haptics.figures import SamplesReceived, SamplesSent
 from telepresence.haptics.sample import (
     FLAG_HOLDING,
+    SAMPLE_OCTETS,
     SEQUENCE_MODULUS,
     Command,
     Feedback,
@@ -95,6 +97,7 @@ class HapticLink(Generic[Out, In]):
     session: this end of the session.
     deadband: leaves out samples whose difference the peer would not feel. A sample left out has no
     sequence number, so it does not count as lost. Neither has a greeting.
+    more: the number of axes behind x and y.
 
     Counters:
     sent: samples sent, without greetings.
@@ -118,6 +121,7 @@ class HapticLink(Generic[Out, In]):
         *,
         max_age_ns: int = MAX_AGE_NS,
         deadband: Deadband | None = None,
+        more: int = 0,
     ) -> None:
         self.max_age_ns = max_age_ns
         self.deadband = deadband
@@ -135,6 +139,7 @@ class HapticLink(Generic[Out, In]):
         self._pack: Callable[[int, Out, bool, int, int], bytes] = pack
         self._unpack: Callable[[bytes], tuple[int, int, int, In]] = unpack
         self._robot = isinstance(session, RobotSession)
+        self._axes = AxisTotals(more, robot=self._robot) if more else None
         # Energies in µJ. Sent: of all sessions, and what of it was sent in earlier ones. Received:
         # the most of all sessions, and what of it came in earlier ones.
         self._granted_uj = self._granted_before_uj = 0
@@ -161,7 +166,14 @@ class HapticLink(Generic[Out, In]):
 
     def handle_datagram(self, data: bytes, now_ns: int) -> None:
         """A datagram arrived. Garbage is counted; this never raises."""
+        axes, more = self._axes, None
         try:
+            if axes is not None:
+                if len(data) == SAMPLE_OCTETS + axes.octets:
+                    more = axes.read(data[SAMPLE_OCTETS:])
+                    data = data[:SAMPLE_OCTETS]
+                else:
+                    data = b""
             if is_greeting(data):
                 self.session.handle_greeting(read_greeting(data, feedback=not self._robot))
                 self.greetings += 1
@@ -188,7 +200,11 @@ class HapticLink(Generic[Out, In]):
             heard_uj = self._heard_before_uj + value.energy_uj
             if heard_uj > self._heard_uj:
                 self._heard_uj = heard_uj
-            self._newest = _tuple(type(value), (value[0], value[1], heard_uj, *value[3:]))
+            if axes is None or more is None:
+                self._newest = _tuple(type(value), (value[0], value[1], heard_uj, *value[3:]))
+            else:
+                rest = (heard_uj, *value[3:-1], axes.take(more))
+                self._newest = _tuple(type(value), (value[0], value[1], *rest))
             self._newest_ns = now_ns
             stamps = self._received_stamps
             stamps.append(sequence)
@@ -204,7 +220,7 @@ class HapticLink(Generic[Out, In]):
         return self._newest
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """Return the 12 octets to send now, a sample or a greeting, or None.
+        """Return the octets to send now, a sample or a greeting, or None.
 
         None: there is nothing new since the last call, or nothing that the peer would feel.
         """
@@ -217,14 +233,19 @@ class HapticLink(Generic[Out, In]):
         session = self.session
         here_uj = self._granted_uj - self._granted_before_uj
         there_uj = self._heard_uj - self._heard_before_uj
-        greeting = session.poll_greeting(max(here_uj, there_uj), now_ns)
+        axes = self._axes
+        most_uj = max(here_uj, there_uj) if axes is None else max(here_uj, there_uj, axes.most_uj)
+        greeting = session.poll_greeting(most_uj, now_ns)
         if greeting is not None:
             self._local = None
-            return pack_greeting(greeting, feedback=self._robot, holding=not self._hearing)
+            data = pack_greeting(greeting, feedback=self._robot, holding=not self._hearing)
+            return data if axes is None else data + bytes(axes.octets)
         if session.sending != self._sending:
             # Each joule is granted in one session only.
             self._sending = session.sending
             self._granted_before_uj = self._granted_uj
+            if axes is not None:
+                axes.handle_sending()
         deadband = self.deadband
         if deadband is not None:
             local = deadband.handle_sample(local, not self._hearing, now_ns)
@@ -236,6 +257,8 @@ class HapticLink(Generic[Out, In]):
         data = self._pack(
             sequence, local, not self._hearing, self._sending, self._granted_before_uj
         )
+        if axes is not None:
+            data += axes.pack(local[-1])
         self._local = None
         self.sent += 1
         self._sent_ns.append(now_ns)
@@ -330,6 +353,8 @@ class HapticLink(Generic[Out, In]):
             return False
         self.sessions += 1
         self._heard_before_uj = self._heard_uj
+        if self._axes is not None:
+            self._axes.handle_receiving()
         ahead = (sequence - self._newest_sequence) % SEQUENCE_MODULUS
         restarted = self.restarts != restarts
         if restarted:
@@ -363,20 +388,25 @@ class HapticLink(Generic[Out, In]):
 
 
 def joystick_link(
-    *, life: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False
+    *, life: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False, more: int = 0
 ) -> HapticLink[Command, Feedback]:
-    """Return the joystick's end: it sends commands and receives feedback."""
+    """Return the joystick's end: it sends commands and receives feedback.
+
+    more: the number of axes behind x and y.
+    """
     band = command_deadband() if deadband else None
+    session = JoystickSession(life)
     return HapticLink(
-        pack_command, read_feedback, JoystickSession(life), max_age_ns=max_age_ns, deadband=band
+        pack_command, read_feedback, session, max_age_ns=max_age_ns, deadband=band, more=more
     )
 
 
 def robot_link(
-    *, life: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False
+    *, life: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False, more: int = 0
 ) -> HapticLink[Feedback, Command]:
     """Return the robot's end: it sends feedback and receives commands."""
     band = feedback_deadband() if deadband else None
+    session = RobotSession(life)
     return HapticLink(
-        pack_feedback, read_command, RobotSession(life), max_age_ns=max_age_ns, deadband=band
+        pack_feedback, read_command, session, max_age_ns=max_age_ns, deadband=band, more=more
     )

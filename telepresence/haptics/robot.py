@@ -4,10 +4,12 @@ Each of two joints moves the tip along one axis of the board through a lever. Gr
 coupling between the joints are compensated, so the tip is a point mass with the joints' friction.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.axes import AxisFacts, AxisName, MoreAxis, SimulatedAxis, built_in_axes
 from telepresence.haptics.board import WALL_X_M as WALL_X_M
 from telepresence.haptics.board import Board, led_at
 from telepresence.haptics.sample import MODE_IMPEDANCE, MODE_OFF, MODE_POSITION, MODE_TORQUE
@@ -50,6 +52,7 @@ class RobotFacts:
     session moves a virtual mass by the forces, and the robot follows its place.
     force_limit_n: per axis. speed_m_s: of the tip.
     half_width_m, half_height_m: of the workspace, from its middle.
+    more: the axes behind x and y; the driver then has the methods of `MoreAxes`.
     """
 
     name: str
@@ -58,6 +61,7 @@ class RobotFacts:
     speed_m_s: float = 0.5
     half_width_m: float = 0.15
     half_height_m: float = 0.10
+    more: tuple[AxisFacts, ...] = ()
 
 
 class Robot:
@@ -73,6 +77,7 @@ class Robot:
     work_j: work that the joints have done at the tip.
     facts: of a user's robot (`telepresence.haptics.robot_device`); None for the simulated one.
     error: why a user's robot cannot go on, in one line.
+    more: its axes behind x and y. They brake while the robot is not coupled.
 
     In torque mode it applies `set_torque`; in position mode it moves to `set_position` and stays.
     In impedance mode a spring and a damper pull the tip to the centre given to `set_impedance`.
@@ -89,7 +94,9 @@ class Robot:
         board: Board | None = None,
         x_m: float = 0.0,
         y_m: float = 0.0,
+        axes: Sequence[AxisName] = (),
     ) -> None:
+        self.more: Sequence[MoreAxis] = built_in_axes(axes, meets=True)
         self.model = model or RobotModel()
         self.board = board or Board()
         self.x_m, self.y_m = x_m, y_m
@@ -193,3 +200,12 @@ class Robot:
         self.push_x_n, self.push_y_n = push_x, push_y
         self.force_n, self.contact = board.wall_n, board.touching
         self.work_j += (fx_n * vx + fy_n * vy) * dt_s
+        if self.more:
+            self._step_more(dt_ns)
+
+    def _step_more(self, dt_ns: int) -> None:
+        """Advance the axes behind x and y."""
+        brake = 0.0 if self.coupled else self.model.brake_n_s_m
+        for axis in self.more:
+            assert isinstance(axis, SimulatedAxis)
+            axis.step(axis.cut_n - brake * axis.speed_m_s, dt_ns)

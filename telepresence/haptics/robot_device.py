@@ -5,10 +5,12 @@ where the tip is and what pushes it, and takes a force or a place. Modes, passiv
 safety envelope stay on this side.
 """
 
+from collections.abc import Sequence
 from math import hypot, isfinite
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, cast
 
 from kontur_av.parts import make_part
+from telepresence.haptics.axes import AxisName, MoreAxes, MoreAxis, SimulatedAxis, check_axes
 from telepresence.haptics.robot import Robot, RobotFacts
 from telepresence.haptics.sample import MODE_OFF
 
@@ -44,7 +46,8 @@ class RobotDevice(Protocol):
 
     Lifecycle: `configure`, `power_on`; then `activate` and `deactivate` as often as the session
     switches it on and off; `power_off` at the end, whatever happens. In each cycle of 1 ms:
-    `write_force` or `write_position` while it is active, then `advance`, then `read`.
+    `write_force` or `write_position` while it is active, then `advance`, then `read`. One whose
+    facts name more axes is a `MoreAxes`, too.
     """
 
     @property
@@ -107,6 +110,14 @@ class DrivenRobot(Robot):
         device.power_on()
         first = device.read()
         super().__init__(x_m=first.x_m, y_m=first.y_m)
+        #: As the driver has them; None without more axes.
+        self._axes: MoreAxes | None = cast(MoreAxes, device) if facts.more else None
+        if self._takes_places:
+            self.more = [SimulatedAxis(each, meets=False) for each in facts.more]
+        else:
+            self.more = [MoreAxis(each) for each in facts.more]
+        if self._axes is not None:
+            self._take_more(self._axes, stand=True)
         self._press = self._surroundings.press
         self._limit = min(facts.force_limit_n, self.model.force_limit_n)
         self._take(first)
@@ -140,21 +151,37 @@ class DrivenRobot(Robot):
         # Its own brakes hold it.
         self._device.advance(dt_ns)
         self._take(self._device.read())
+        if self._axes is not None:
+            self._take_more(self._axes, stand=True)
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
         device, limit = self._device, self._limit
         if self._takes_places:
             super().step(fx_n, fy_n, dt_ns)
             device.write_position(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s)
+            if self._axes is not None:
+                self._axes.write_more_positions(
+                    [axis.place_m / axis.lever_m for axis in self.more],
+                    [axis.speed_m_s / axis.lever_m for axis in self.more],
+                )
             device.advance(dt_ns)
             reading = device.read()
             if self._feel(reading) and not self._is_near(reading):
                 self.error = "it does not follow the places that it is given"
+            if self._axes is not None:
+                self._take_more(self._axes, stand=False)
             return
         fx_n, fy_n = max(-limit, min(limit, fx_n)), max(-limit, min(limit, fy_n))
         device.write_force(fx_n, fy_n)
+        if self._axes is not None:
+            brake = 0.0 if self.coupled else self.model.brake_n_s_m
+            for axis in self.more:
+                axis.force_n -= brake * axis.speed_m_s
+            self._axes.write_more_forces([axis.cut_n * axis.lever_m for axis in self.more])
         device.advance(dt_ns)
         self._take(device.read())
+        if self._axes is not None:
+            self._take_more(self._axes, stand=True)
         self.work_j += (fx_n * self.vx_m_s + fy_n * self.vy_m_s) * dt_ns / 1e9
 
     def close(self) -> None:
@@ -176,6 +203,18 @@ class DrivenRobot(Robot):
         """Stand where the robot stands."""
         if self._feel(reading):
             self.x_m, self.y_m, self.vx_m_s, self.vy_m_s = reading[:4]
+
+    def _take_more(self, axes: MoreAxes, *, stand: bool) -> None:
+        """Take the measurements behind x and y; stand: also the places, else the forces only."""
+        for axis, reading in zip(self.more, axes.read_more(), strict=True):
+            place_m, speed_m_s = axis.place_m, axis.speed_m_s
+            trouble = axis.take(reading)
+            if not stand:
+                off_m = abs(axis.place_m - place_m)
+                axis.place_m, axis.speed_m_s = place_m, speed_m_s
+                if not trouble and off_m > _LAG_M:
+                    trouble = f"{axis.facts.name} does not follow the places that it is given"
+            self.error = self.error or trouble
 
     def _is_near(self, reading: RobotReading) -> bool:
         return hypot(reading.x_m - self.x_m, reading.y_m - self.y_m) < _LAG_M
@@ -201,12 +240,19 @@ def load_robot(spec: str) -> RobotDevice:
     return device
 
 
-def open_robot(spec: str) -> Robot:
-    """Return the robot that `spec` names, `sim` or as of `load_robot`, with power."""
-    return Robot() if spec == SIMULATED_ROBOT else DrivenRobot(load_robot(spec))
+def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
+    """Return the robot that `spec` names, `sim` or as of `load_robot`, with power.
+
+    axes: those behind x and y; ConfigError for a robot that has others.
+    """
+    if spec == SIMULATED_ROBOT:
+        return Robot(axes=axes)
+    device = load_robot(spec)
+    check_axes(f"robot {spec}", device.facts.more, axes)
+    return DrivenRobot(device)
 
 
-def check_robot(spec: str) -> None:
-    """Raise ConfigError if `spec` names no robot; nothing is switched on."""
+def check_robot(spec: str, axes: Sequence[AxisName] = ()) -> None:
+    """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
     if spec != SIMULATED_ROBOT:
-        load_robot(spec)
+        check_axes(f"robot {spec}", load_robot(spec).facts.more, axes)

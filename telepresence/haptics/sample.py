@@ -1,4 +1,4 @@
-"""The haptic sample: 12 octets, one every millisecond each way.
+"""The haptic sample: 12 octets, one every millisecond each way; more with more axes (`axes`).
 
 All numbers are big-endian (network order), signed ones in two's complement.
 
@@ -116,6 +116,7 @@ class Command(NamedTuple):
     halted: halted or in fault.
     stop: emergency stop.
     blind: the picture that the operator sees is too old.
+    more: of each axis behind x and y (`axes`): position, energy, and whether its controller acted.
     """
 
     x_m: float
@@ -128,6 +129,7 @@ class Command(NamedTuple):
     halted: bool = False
     stop: bool = False
     blind: bool = False
+    more: tuple[tuple[float, int, bool], ...] = ()
 
 
 class Feedback(NamedTuple):
@@ -141,6 +143,7 @@ class Feedback(NamedTuple):
     acted, halted: as in `Command`.
     waiting: the robot follows no hand before a new press of the dead-man button.
     stopped: an emergency stop holds the robot.
+    more: of each axis behind x and y: force, energy, and whether its controller acted.
     """
 
     fx_n: float
@@ -153,6 +156,7 @@ class Feedback(NamedTuple):
     halted: bool = False
     waiting: bool = False
     stopped: bool = False
+    more: tuple[tuple[float, int, bool], ...] = ()
 
 
 class CommandSample(NamedTuple):
@@ -195,7 +199,7 @@ def pack_command(
     base_uj: the part of its energy that was granted before this session.
     Raises ValueError for a state above 7 or a value that is not a number: bugs of the caller.
     """
-    x_m, y_m, energy_uj, dead_man, state, buttons, acted, halted, stop, blind = command
+    x_m, y_m, energy_uj, dead_man, state, buttons, acted, halted, stop, blind, _ = command
     flags = FLAG_HOLDING if holding else 0
     if dead_man:
         flags |= FLAG_DEAD_MAN
@@ -233,7 +237,7 @@ def pack_feedback(
     base_uj: the part of its energy that was granted before this session.
     Raises ValueError for a mode above 3 or a value that is not a number: bugs of the caller.
     """
-    fx_n, fy_n, energy_uj, contact, mode, lit, acted, halted, waiting, stopped = feedback
+    fx_n, fy_n, energy_uj, contact, mode, lit, acted, halted, waiting, stopped, _ = feedback
     flags = FLAG_FEEDBACK | FLAG_HOLDING if holding else FLAG_FEEDBACK
     if contact:
         flags |= FLAG_CONTACT
@@ -302,6 +306,7 @@ def read_command(data: bytes) -> tuple[int, int, int, Command]:
         flags & FLAG_HALTED != 0,
         flags & FLAG_STOP != 0,
         octet & _BLIND != 0,
+        (),
     )
     return session, sequence, flags, _tuple(Command, value)
 
@@ -332,6 +337,7 @@ def read_feedback(data: bytes) -> tuple[int, int, int, Feedback]:
         flags & FLAG_HALTED != 0,
         flags & FLAG_WAITING != 0,
         octet & _STOPPED != 0,
+        (),
     )
     return session, sequence, flags, _tuple(Feedback, value)
 

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from kontur_av.errors import ProtocolError
+from telepresence.haptics.axes import pack_axes, read_axes
 from telepresence.haptics.sample import (
     FLAG_ACTED,
     FLAG_CONTACT,
@@ -15,6 +16,7 @@ from telepresence.haptics.sample import (
     FLAG_SATURATED,
     MODE_IMPEDANCE,
     MODE_POSITION,
+    POSITION_M,
     STATE_APPLICATION,
     STATE_HALTED,
     Command,
@@ -47,7 +49,7 @@ def test_command_golden() -> None:
     assert pack_command(0x1234, value, session=7) == COMMAND
     session, sequence, flags, command = unpack_command(COMMAND)
     assert (session, sequence, flags) == (7, 0x1234, FLAG_DEAD_MAN)
-    assert command == pytest.approx((0.06, -0.05, 6_016_277, True, 3, 5, *[False] * 4))
+    assert command[:-1] == pytest.approx((0.06, -0.05, 6_016_277, True, 3, 5, *[False] * 4))
 
 
 def test_feedback_golden() -> None:
@@ -55,7 +57,7 @@ def test_feedback_golden() -> None:
     assert pack_feedback(65535, value, session=255) == FEEDBACK
     session, sequence, flags, feedback = unpack_feedback(FEEDBACK)
     assert (session, sequence, flags) == (255, 65535, FLAG_FEEDBACK | FLAG_CONTACT)
-    assert feedback == pytest.approx((-7.0, 0.5, (1 << 24) - 1, True, 3, 2, *[False] * 4))
+    assert feedback[:-1] == pytest.approx((-7.0, 0.5, (1 << 24) - 1, True, 3, 2, *[False] * 4))
 
 
 def test_greetings_golden() -> None:
@@ -157,3 +159,15 @@ def test_a_state_or_a_mode_that_does_not_exist_is_a_bug_of_the_sender() -> None:
         pack_command(0, Command(0.0, 0.0, 0, state=8))
     with pytest.raises(ValueError):
         pack_feedback(0, Feedback(0.0, 0.0, 0, False, mode=4))
+
+
+def test_more_axes_follow_the_twelve_octets() -> None:
+    # z: 0.05 m = 2500 counts = 0x09C4; 200000 µJ of this session = 0x030D40.
+    # yaw: -0.5 rad at a lever of 0.1 m = -2500 = 0xF63C; its controller acted: 0x800000.
+    values = [(0.05, 1_200_000, False), (-0.05, 0, True)]
+    data = bytes.fromhex("09c4 030d40 f63c 800000")
+    assert pack_axes(values, (1_000_000, 0), POSITION_M) == data
+    assert read_axes(data, POSITION_M) == [
+        (pytest.approx(0.05), 200_000, False),
+        (pytest.approx(-0.05), 0, True),
+    ]

@@ -18,7 +18,6 @@ from pipelines.recording.messages import (
     FIGURES,
     HAPTIC_SAMPLES,
     LOSSES,
-    SAMPLE,
     SCHEMAS,
     TRANSFER_FRAMES,
     RecordedFrames,
@@ -161,7 +160,7 @@ def _add(rows: _NewRows, name: str, kind: str, value: Any, *, picture: bool = Fa
 
 def _haptics(message: JoinedMessage) -> tuple[NDArray[np.int64], Rows]:
     samples = unpack_haptics(message.data)
-    rows = {name: samples[name] for name in SAMPLE.names or () if name != "time_ns"}
+    rows = {name: samples[name] for name in samples.dtype.names or () if name != "time_ns"}
     return samples["time_ns"], rows | flag_columns(samples["flags"])
 
 

@@ -15,7 +15,7 @@ const HEARTBEAT_MS = 30;
 /** More than the page's error about the session's clock. */
 const CLOCK_ERROR_US = 20_000;
 
-/** @typedef {"pointer" | "keys" | "controller"} Source */
+/** @typedef {"pointer" | "keys" | "controller" | "axis"} Source */
 
 /** Its events: `change` when what presses changes, `target` when the target moves or vanishes. */
 export class HandControl extends EventTarget {
@@ -31,6 +31,8 @@ export class HandControl extends EventTarget {
   /** Where the hand wants it. */
   #target = { x: 0, y: 0 };
   #buttons = 0;
+  /** Where it wants the axes behind x and y. @type {number[]} */
+  #more = [];
   /** @type {ReturnType<typeof setInterval> | undefined} */
   #heartbeat;
   /** Why the last press was refused or ended, or "". */
@@ -93,6 +95,8 @@ export class HandControl extends EventTarget {
     if (this.refusal === "") {
       this.#source = source;
       this.#target = { ...(this.#handle ?? { x: 0, y: 0 }) };
+      const axes = this.#connection.state?.joystick?.axes ?? [];
+      this.#more = axes.map(({ place, half_range }) => cut(place / half_range));
       if (this.#connection.state?.hand.you === true) this.#steer();
       else void this.#take(source);
     }
@@ -104,6 +108,19 @@ export class HandControl extends EventTarget {
   move(source, x, y) {
     if (this.#source !== source) return;
     this.#target = { x: cut(x), y: cut(y) };
+    this.#send();
+    this.dispatchEvent(new Event("target"));
+  }
+
+  /** Where the hand wants an axis behind x and y, or null while nothing presses. @param {number} axis */
+  axisTarget(axis) {
+    return this.#source === null ? null : (this.#more[axis] ?? null);
+  }
+
+  /** Moves an axis behind x and y, whatever presses. @param {number} axis @param {number} share -1 to 1 */
+  moveAxis(axis, share) {
+    if (this.#source === null || axis >= this.#more.length) return;
+    this.#more[axis] = cut(share);
     this.#send();
     this.dispatchEvent(new Event("target"));
   }
@@ -151,7 +168,7 @@ export class HandControl extends EventTarget {
   #send() {
     if (!this.#steers) return;
     /** @type {Hand} */
-    const hand = { deadMan: true, ...this.#target, buttons: this.#buttons };
+    const hand = { deadMan: true, ...this.#target, buttons: this.#buttons, more: this.#more };
     this.#connection.sendHand(hand);
   }
 

@@ -6,6 +6,7 @@
  * @import { StateText } from "./texts.js"
  */
 import { announce } from "./announcer.js";
+import { AxisSliders } from "./axis_sliders.js";
 import { steerByController } from "./controller_hand.js";
 import { make, setAttribute, setText } from "./dom.js";
 import { ForceBar } from "./force_bar.js";
@@ -56,7 +57,9 @@ class HandPanel extends HTMLElement {
     this.#control = control;
     const newest = new NewestRow(connection, "joystick");
     this.#newest = newest;
-    this.#build();
+    const sliders = new AxisSliders(control, keyboard);
+    this.#build(sliders);
+    connection.on("state", ({ joystick }) => sliders.show(joystick?.axes ?? []));
     const picture = document.querySelector(this.getAttribute("picture") ?? "picture-view");
     steerByPointer(this.#map.canvas, control, () => this.#map.halfPixels());
     if (picture instanceof HTMLElement) {
@@ -92,7 +95,8 @@ class HandPanel extends HTMLElement {
     return this.#seat?.connection.hello?.workspace ?? WORKSPACE;
   }
 
-  #build() {
+  /** @param {AxisSliders} sliders */
+  #build(sliders) {
     const map = this.#map.canvas;
     map.className = "workspace-map";
     map.tabIndex = 0;
@@ -102,6 +106,7 @@ class HandPanel extends HTMLElement {
       make("header", {}, make("h2", {}, "Handle and force"), this.#words),
       map,
       this.#bar,
+      sliders,
       make("div", { class: "buttons" }, ...Object.values(this.#buttons)),
       this.#hint,
     );

@@ -89,9 +89,15 @@
  */
 
 /**
- * The joystick's state in words.
+ * An axis of the joystick behind x and y: m and N, of rotations rad and N m.
+ * @typedef {{name: string, place: number, half_range: number, force: number, force_limit: number}}
+ *   AxisText
+ */
+
+/**
+ * The joystick's state in words. axes: those behind x and y.
  * @typedef {{state: string, reason: string, dead_man: boolean, force_limit_n: number, device:
- *   string}} JoystickText
+ *   string, axes: AxisText[]}} JoystickText
  */
 
 /**

@@ -179,12 +179,15 @@ export function writePing(pageMs) {
  * @property {number} x
  * @property {number} y
  * @property {number} buttons One bit a button.
+ * @property {number[]} [more] Wanted places of the axes behind x and y, -1 to 1.
  */
 
 /** @param {Hand} hand @param {number} sequence @param {number} pageMs */
 export function writeHand(hand, sequence, pageMs) {
-  const message = new ArrayBuffer(HAND_OCTETS);
+  const more = hand.more ?? [];
+  const message = new ArrayBuffer(HAND_OCTETS + 4 * more.length);
   const view = new DataView(message);
+  more.forEach((share, axis) => view.setFloat32(HAND_OCTETS + 4 * axis, share, true));
   view.setUint8(0, Kind.HAND);
   view.setUint8(1, hand.deadMan ? 1 : 0);
   view.setUint16(2, hand.buttons, true);

@@ -73,6 +73,8 @@ class _File:
     radio_delay_ms: float = 0.0
     deadband: str = "off"
     hand: str = "direct"
+    axes: int = 2
+    gripper: bool = False
     rtc: _Rtc | None = None
     partner_arm: str = "none"
     tasks: bool = False

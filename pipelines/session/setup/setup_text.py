@@ -23,6 +23,8 @@ def _plain(setup: Setup) -> Iterator[str]:
     yield f"radio_delay_ms = {float(setup.radio_delay_ms)!r}"
     yield f"deadband = {_text(setup.deadband)}"
     yield f"hand = {_text(setup.hand)}"
+    yield f"axes = {setup.axes}"
+    yield f"gripper = {str(setup.gripper).lower()}"
     yield f"partner_arm = {_text(setup.partner_arm)}"
     yield f"tasks = {'true' if setup.tasks else 'false'}"
     yield f"region = {_text(setup.region)}"

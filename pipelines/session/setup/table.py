@@ -16,8 +16,10 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
 from kontur_av.streams.budget import Pacer
 from pipelines.session.setup.segments import Direction
+from telepresence.haptics.axes import AxisName, more_axes, sample_octets
 from telepresence.haptics.envelope import SafetyLimits
 from telepresence.haptics.mediated.wall import WALL_OCTETS
+from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.link.arithmetic import (
     RESERVE_DOWN_BPS,
     ChannelNeed,
@@ -197,6 +199,9 @@ class Setup:
         uplink video gets the room: as a higher rate, or a lower delay (docs/haptics-sample.md).
     hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
         joystick (docs/haptics-controllers.md).
+    axes, gripper: what the hand moves: x and y, with 3 also z, with 6 also three rotations; and a
+        gripper. Each axis makes the haptic samples longer, so the link's frames must be
+        (docs/haptics-sample.md).
     rtc: the leg to a partner across the Internet; None: there is none.
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).
@@ -219,6 +224,8 @@ class Setup:
     radio_delay_ms: float = 0.0
     deadband: Deadband = "off"
     hand: HandMode = "direct"
+    axes: int = 2
+    gripper: bool = False
     rtc: RtcLeg | None = None
     partner_arm: PartnerArm = "none"
     tasks: bool = False
@@ -244,6 +251,7 @@ class Setup:
         if self.hand not in HAND_MODES:
             raise ConfigError(f"hand {self.hand!r}: take one of {', '.join(HAND_MODES)}")
         self._check_partner_arm()
+        self._make_room()
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
         radio = self._named_radio
@@ -279,6 +287,35 @@ class Setup:
         """The profile of the radio, with the setup's own delay."""
         profile = self._named_radio
         return delayed(profile, self.radio_delay_ms) if self.radio_delay_ms else profile
+
+    @cached_property
+    def more_axes(self) -> tuple[AxisName, ...]:
+        """The axes behind x and y."""
+        return more_axes(self.axes, self.gripper)
+
+    def _make_room(self) -> None:
+        """Give both directions an insert zone for a sample of all axes."""
+        if not self.more_axes:
+            return
+        if self.deadband != "off":
+            raise ConfigError('deadband: it judges x and y only, so take "off" with more axes')
+        if self.partner_arm == "shared":
+            raise ConfigError(
+                "partner_arm shared: a partner's joystick has x and y only, so take "
+                'partner_arm = "none" or "second" with more axes'
+            )
+        octets = sample_octets(len(self.more_axes))
+        for name in ("uplink", "downlink"):
+            profile: LinkProfile = getattr(self, name)
+            try:
+                # A longer zone has no room for its pointer in the channel identifier.
+                wider = replace(profile, insert_octets=octets, pointer_in_vcid=False)
+            except ConfigError as error:
+                raise ConfigError(
+                    f"x, y, {', '.join(self.more_axes)}: a sample takes {octets} octets of each "
+                    f"frame, {octets * 8} kbit/s in place of {SAMPLE_OCTETS * 8}: {error}"
+                ) from None
+            object.__setattr__(self, name, wider)
 
     def _check_partner_arm(self) -> None:
         if self.partner_arm not in PARTNER_ARMS:

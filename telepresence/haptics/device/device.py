@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from telepresence.haptics.axes import AxisFacts
 from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.device.states import JoystickState
 
@@ -50,6 +51,7 @@ class JoystickFacts:
     mass_kg, coulomb_n, viscous_n_s_m: of the handle and what moves with it; unused without motors.
     buttons, leds: their number, without the dead-man button.
     rumble: whether the device can rumble.
+    more: the axes behind x and y; the device then has the methods of `MoreAxes`.
     """
 
     name: str
@@ -62,6 +64,7 @@ class JoystickFacts:
     buttons: int = 0
     leds: int = 0
     rumble: bool = False
+    more: tuple[AxisFacts, ...] = ()
 
     @property
     def has_force(self) -> bool:

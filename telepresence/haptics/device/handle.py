@@ -1,9 +1,12 @@
 """Adapts a joystick in operation to the `Handle` that the bilateral controller uses."""
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import asdict
+from typing import cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.axes import MoreAxes, MoreAxis
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.simulated import SimulatedDevice
@@ -27,6 +30,7 @@ class OperatedHandle:
     stop: emergency stop. blind: the operator's picture is too old. The caller sets both.
     pressed: how often a button went down.
     robot_waits, robot_stopped: what the robot's newest sample says.
+    more: the axes behind x and y; their middle is where the device reads 0.
 
     Its time is the sum of what `step` was told, so it runs on virtual time too.
     """
@@ -43,6 +47,8 @@ class OperatedHandle:
         self.buttons = self.pressed = 0
         self.robot_waits = self.robot_stopped = False
         self.state = int(JoystickState.INIT)
+        self.more: Sequence[MoreAxis] = [MoreAxis(each) for each in device.facts.more]
+        self._axes: MoreAxes | None = cast(MoreAxes, device) if self.more else None
         self._known = JoystickState.INIT
         self._placed = False
         self._leds = 0
@@ -95,9 +101,17 @@ class OperatedHandle:
         """Apply this force (N, N) for `dt_ns`, then read the handle."""
         operation = self.operation
         operation.handle_force(fx_n, fy_n, self._leds)
+        axes = self._axes
+        if axes is not None:
+            free = operation.machine.state is JoystickState.APPLICATION
+            axes.write_more_forces([axis.cut_n * axis.lever_m * free for axis in self.more])
         self.device.advance(dt_ns)
         self._now_ns = now_ns = self._now_ns + dt_ns
         reading = operation.handle_reading(now_ns)
+        if axes is not None:
+            for axis, more in zip(self.more, axes.read_more(), strict=True):
+                if trouble := axis.take(more):
+                    operation.handle_trouble(trouble, now_ns)
         state = operation.machine.state
         if state is not self._known:
             self._known, self.state, self._placed = state, int(state), state in _PLACED

@@ -314,8 +314,12 @@ class JoystickOperation:
         share = min(1.0, held_ns / _RETURN_NS)
         self.force_limit_n = self._full_force_n * self.supervisor.share * share
 
-    def _handle_health(self, health: Health, now_ns: int) -> None:
-        machine, reason = self.machine, self.supervisor.reason
+    def handle_trouble(self, reason: str, now_ns: int) -> None:
+        """An axis behind x and y measures what cannot be."""
+        self._handle_health(Health.FAULT, now_ns, reason)
+
+    def _handle_health(self, health: Health, now_ns: int, reason: str = "") -> None:
+        machine, reason = self.machine, reason or self.supervisor.reason
         state = machine.state
         if health is Health.FATAL:
             if state is not JoystickState.FATAL:

@@ -6,11 +6,13 @@ a damper as in `telepresence.haptics.hand`, pull the handle there while the dead
 and the inputs are fresh. Otherwise the handle is braked and stays where it is.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.device.simulated import FACTS as SIMULATED_FACTS
 from telepresence.haptics.device.simulated import START_M, Mechanics
@@ -35,6 +37,7 @@ class PageInput(NamedTuple):
     buttons: one bit for each pressed button, 0x1 for the first.
     sequence: counts the inputs of a page, modulo 2^32.
     received_ns: when the page's process received it, on the session's clock.
+    more: wanted places of the axes behind x and y, from -1 to 1 of their half ranges.
     """
 
     dead_man: bool
@@ -43,6 +46,7 @@ class PageInput(NamedTuple):
     buttons: int = 0
     sequence: int = 0
     received_ns: int = 0
+    more: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -81,9 +85,17 @@ class PageDevice(Mechanics):
     facts = FACTS
 
     def __init__(
-        self, model: PageHandModel | None = None, *, start_m: tuple[float, float] = START_M
+        self,
+        model: PageHandModel | None = None,
+        *,
+        start_m: tuple[float, float] = START_M,
+        axes: Sequence[AxisName] = (),
     ) -> None:
-        super().__init__(start_m=start_m)
+        super().__init__(start_m=start_m, axes=axes)
+        #: Where the page wants the axes behind x and y, in shares of their half ranges.
+        self._wanted = [0.0] * len(axes)
+        #: From what the page says to that.
+        self._shifts = [0.0] * len(axes)
         self.model = model = model or PageHandModel()
         self.held = False
         self.ignored = 0
@@ -115,6 +127,7 @@ class PageDevice(Mechanics):
             fresh_ns > 0
             and -1.0 <= hand.x <= 1.0
             and -1.0 <= hand.y <= 1.0
+            and all(-1.0 <= share <= 1.0 for share in hand.more)
             and self._is_newer(hand)
         ):
             self.ignored += 1
@@ -131,6 +144,9 @@ class PageDevice(Mechanics):
         wide, high = facts.half_width_m, facts.half_height_m
         if not self.held:
             self._take(hand.x * wide, hand.y * high)
+            self._take_axes(hand.more)
+        for index, (share, shift) in enumerate(zip(hand.more, self._shifts, strict=False)):
+            self._wanted[index] = max(-1.0, min(1.0, share + shift))
         self._to_x = max(-wide, min(wide, hand.x * wide + self._shift_x))
         self._to_y = max(-high, min(high, hand.y * high + self._shift_y))
 
@@ -177,6 +193,11 @@ class PageDevice(Mechanics):
         self._vx = self._vy = 0.0
         self._shift_x, self._shift_y = self._x - x_m, self._y - y_m
 
+    def _take_axes(self, shares: Sequence[float]) -> None:
+        """Hold the axes where they are; these shares mean those places."""
+        self._wanted = [axis.place_m / axis.half_m for axis in self._axes]
+        self._shifts = [place - share for place, share in zip(self._wanted, shares, strict=False)]
+
     def _step(self, dt_ns: int) -> None:
         joystick, model = self.joystick, self.model
         if self._now_ns >= self._fresh_until_ns:
@@ -184,6 +205,8 @@ class PageDevice(Mechanics):
             if self._pressed:
                 self._silent_ns = self._now_ns
             self.held = self._pressed = False
+        if self._axes:
+            self._step_axes(self._wanted if self.held else None, dt_ns)
         if not self.held:
             brake = model.brake_n_s_m if self._braked and not self._asked else 0.0
             brake_x, brake_y = -brake * joystick.vx_m_s, -brake * joystick.vy_m_s

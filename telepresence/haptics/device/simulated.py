@@ -5,11 +5,13 @@ The mechanics are those of `telepresence.haptics.joystick`, the hand that of
 of the buttons asks.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import pi, sin
 from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.axes import AxisName, AxisReading, built_in_axes
 from telepresence.haptics.device.device import KEEPS_FORCE_NS, JoystickFacts, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import Hand
@@ -100,6 +102,12 @@ class Fingers:
             self.buttons = 0 if self.dead_man else self._seen
 
 
+#: A hand on an axis behind x and y: spring (N/m), damper (N s/m), greatest pull (N); and what
+#: brakes an axis that nobody holds (N s/m). Chosen.
+_AXIS_HAND_N_M, _AXIS_HAND_N_S_M, _AXIS_PULL_N, _AXIS_BRAKE_N_S_M = 250.0, 15.0, 8.0, 40.0
+#: The simulated hand moves them back and forth in this time (ns), to this share of their ranges.
+_AXIS_PERIOD_NS, _AXIS_SHARE = 6 * NS_PER_S, 0.8
+
 #: Position of the handle at power-on, where the encoders begin to count. Chosen.
 START_M = (0.013, -0.021)
 
@@ -108,11 +116,20 @@ class Mechanics:
     """Handle, motors, encoders and LEDs of a simulated joystick; a device adds a hand and buttons.
 
     leds: mask of those that are lit.
+    axes: the axes behind x and y.
     """
 
+    facts: JoystickFacts
+
     def __init__(
-        self, model: JoystickModel = _MODEL, *, start_m: tuple[float, float] = START_M
+        self,
+        model: JoystickModel = _MODEL,
+        *,
+        start_m: tuple[float, float] = START_M,
+        axes: Sequence[AxisName] = (),
     ) -> None:
+        self._axes = built_in_axes(axes, meets=False)
+        self.facts = replace(self.facts, more=tuple(axis.facts for axis in self._axes))
         self.joystick = Joystick(model, x_m=start_m[0], y_m=start_m[1])
         self.leds = 0
         self._zero_x, self._zero_y = start_m
@@ -129,6 +146,21 @@ class Mechanics:
         """Set the motors' force (N, N); `Joystick` limits it."""
         self._force_x_n, self._force_y_n = x_n, y_n
         self._written_ns = self._now_ns
+
+    def read_more(self) -> list[AxisReading]:
+        """Return what the encoders of the axes behind x and y measure."""
+        return [
+            AxisReading(axis.place_m / axis.lever_m, axis.speed_m_s / axis.lever_m)
+            for axis in self._axes
+        ]
+
+    def write_more_forces(self, forces: Sequence[float]) -> None:
+        """Set the forces of the motors behind x and y (N; N m)."""
+        for axis, force in zip(self._axes, forces, strict=True):
+            axis.force_n = force / axis.lever_m
+
+    def write_more_positions(self, places: Sequence[float], speeds: Sequence[float]) -> None:
+        """No joystick takes places."""
 
     def write_leds(self, mask: int) -> None:
         """Light the LEDs in `mask`."""
@@ -157,6 +189,20 @@ class Mechanics:
         """Simulate `dt_ns`, at most 1 ms."""
         raise NotImplementedError
 
+    def _step_axes(self, wanted: Sequence[float] | None, dt_ns: int) -> None:
+        """Advance the axes behind x and y; a hand pulls them to these shares of their ranges.
+
+        wanted: from -1 to 1; None: nobody holds them, and they brake.
+        """
+        for index, axis in enumerate(self._axes):
+            if wanted is None:
+                hand_n = -_AXIS_BRAKE_N_S_M * axis.speed_m_s
+            else:
+                stretch_m = wanted[index] * axis.half_m - axis.place_m
+                pull_n = max(-_AXIS_PULL_N, min(_AXIS_PULL_N, _AXIS_HAND_N_M * stretch_m))
+                hand_n = pull_n - _AXIS_HAND_N_S_M * axis.speed_m_s
+            axis.step(axis.cut_n + hand_n, dt_ns)
+
 
 class SimulatedDevice(Mechanics):
     """`Joystick` with sensors, buttons and LEDs, and optionally a hand.
@@ -175,11 +221,12 @@ class SimulatedDevice(Mechanics):
         *,
         hand: Hand | None = None,
         start_m: tuple[float, float] = START_M,
+        axes: Sequence[AxisName] = (),
     ) -> None:
         self.hand = hand
         faults = faults or Faults()
         model = replace(_MODEL, coulomb_n=_MODEL.coulomb_n * faults.friction)
-        super().__init__(model, start_m=start_m)
+        super().__init__(model, start_m=start_m, axes=axes)
         self.joystick.temperature_c += faults.heat_c
         self.stuck = faults.stuck
         self._gain = faults.motor_gain
@@ -258,3 +305,9 @@ class SimulatedDevice(Mechanics):
             joystick.x_m, joystick.vx_m_s = x, 0.0
         elif self.stuck == 1:
             joystick.y_m, joystick.vy_m_s = y, 0.0
+        if self._axes:
+            wanted = None
+            if hand is not None and self._held_ns >= _GRIP_NS:
+                share = _AXIS_SHARE * sin(2.0 * pi * (self._now_ns / _AXIS_PERIOD_NS))
+                wanted = [share] * len(self._axes)
+            self._step_axes(wanted, dt_ns)

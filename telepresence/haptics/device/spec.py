@@ -10,8 +10,11 @@
 | `module:Class` | a user's `JoystickDevice`; so is the name of an entry point of `GROUP` |
 """
 
+from collections.abc import Sequence
+
 from kontur_av.errors import ConfigError
 from kontur_av.parts import make_part, names_part
+from telepresence.haptics.axes import AxisName, check_axes
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.gamepad import open_gamepad
 from telepresence.haptics.device.page import PageDevice
@@ -25,10 +28,10 @@ GAME_CONTROLLER = "evdev"
 GROUP = "kontur_av.joysticks"
 
 
-def check_joystick(spec: str) -> None:
-    """Raise ConfigError if `spec` names no joystick that can be opened now."""
+def check_joystick(spec: str, axes: Sequence[AxisName] = ()) -> None:
+    """Raise ConfigError if `spec` names no joystick with these axes that can be opened now."""
     if not is_simulated(spec):
-        open_device(spec).close()
+        open_device(spec, axes=axes).close()
     else:
         _fault(spec)
 
@@ -38,17 +41,25 @@ def is_simulated(spec: str) -> bool:
     return spec.partition(":")[0] == SIMULATED
 
 
-def open_device(spec: str, *, hand: Hand | None = None) -> JoystickDevice:
-    """Open the joystick that `spec` names; ConfigError if there is none.
+def open_device(
+    spec: str, *, hand: Hand | None = None, axes: Sequence[AxisName] = ()
+) -> JoystickDevice:
+    """Open the joystick that `spec` names; ConfigError if there is none, or it has other axes.
 
-    hand: holds a simulated joystick in the application.
+    hand: holds a simulated joystick in the application. axes: those behind x and y.
     """
+    device = _open(spec, hand, axes)
+    check_axes(f"joystick {spec}", device.facts.more, axes)
+    return device
+
+
+def _open(spec: str, hand: Hand | None, axes: Sequence[AxisName]) -> JoystickDevice:
     kind, _, rest = spec.partition(":")
     if kind == SIMULATED:
         fault = _fault(spec)
-        return SimulatedDevice(FAULTS[fault] if fault else None, hand=hand)
+        return SimulatedDevice(FAULTS[fault] if fault else None, hand=hand, axes=axes)
     if spec == PAGE:
-        return PageDevice()
+        return PageDevice(axes=axes)
     if kind == GAME_CONTROLLER:
         return open_gamepad(rest)
     if not names_part(spec, GROUP):

@@ -5,7 +5,6 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.hand.haptic_trace import (
-    BLOCK_OCTETS,
     BLOCK_ROWS,
     ROW,
     HapticTrace,
@@ -34,7 +33,7 @@ def test_rows_are_read_back_as_they_were():
     trace.add((*rows[-1], *counts[-1]))
     block = trace.poll_block()
     assert trace.poll_block() is None
-    assert block is not None and len(block) == BLOCK_OCTETS
+    assert block is not None and len(block) == BLOCK_ROWS * ROW.itemsize
     found = rows_of(block)
     assert found.dtype == ROW and ROW.itemsize == 40
     sent = [(65_530 + k // 2) % 65_536 if k % 2 else -1 for k in range(BLOCK_ROWS)]
@@ -99,3 +98,12 @@ def test_both_ends_trace_what_they_felt():
     assert abs(handle["x_m"][-1] - tip["x_m"][-1]) < 0.05
     assert {state_of(int(flags)) for flags in tip["flags"][100:]} == {JoystickState.APPLICATION}
     assert {lit_of(int(flags)) for flags in handle["flags"]} >= {0, 1}
+
+
+def test_rows_of_more_axes_name_them():
+    trace = HapticTrace(("z", "gripper"))
+    trace.handle_watched(True)
+    for k in range(BLOCK_ROWS + 1):
+        trace.add((k, 0.1, 0.2, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0.25, 0.5, 0.75, *[k] * 3))
+    found = rows_of(trace.poll_block())
+    assert [found[name][3] for name in ("z_m", "z_n", "z_uj", "gripper_m")] == [0.25, 0.5, 0.75, 3]

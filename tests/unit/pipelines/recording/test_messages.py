@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.hand.haptic_trace import ROW
+from pipelines.hand.haptic_trace import ROW, row_type
 from pipelines.recording import messages
 from pipelines.recording.messages import (
     HAPTIC_SAMPLES,
@@ -125,7 +125,8 @@ def test_a_schema_numbers_its_fields_without_a_gap_and_names_its_units():
     for schema in (*SCHEMAS, *LINK_SENT.nested):
         assert [row.number for row in schema.fields] == [*range(1, len(schema.fields) + 1)]
         assert all(row.what for row in schema.fields)
-    assert SAMPLE.names == tuple(row.name for row in HAPTIC_SAMPLES.fields)
+    names = tuple(row.name for row in HAPTIC_SAMPLES.fields)
+    assert names[: len(SAMPLE.names)] == SAMPLE.names
 
 
 def test_rows_of_the_trace_become_samples():
@@ -175,3 +176,12 @@ def test_facts_of_a_unit():
 )
 def test_words_of_a_packet(packet, words):
     assert packet_words(packet) == words
+
+
+def test_samples_of_more_axes_are_read_back():
+    rows = np.zeros(3, row_type(["z", "roll"]))
+    rows["z_m"], rows["roll_n_m"] = (0.0, 0.5, 0.0), (0.25, 0.0, -0.25)
+    samples = unpack_haptics(pack_haptics(haptic_samples(rows)))
+    assert samples["z_m"].tolist() == [0.0, 0.5, 0.0]
+    assert samples["roll_n_m"].tolist() == [0.25, 0.0, -0.25]
+    assert "gripper_m" not in samples.dtype.names

@@ -32,7 +32,7 @@ def felt(haptic, *samples, delay_ms=3):
 
 
 def test_the_newest_sample_at_an_instant_is_the_last_one_received_by_then():
-    haptic = HapticFigures()
+    haptic = HapticFigures(12)
     felt(haptic, (10, 100), (11, 101), (12, 102))
     felt(haptic, (13, 110), (14, 111))
 
@@ -48,18 +48,18 @@ def test_the_newest_sample_at_an_instant_is_the_last_one_received_by_then():
 
 
 def test_a_number_of_another_turn_is_no_match():
-    haptic = HapticFigures()
+    haptic = HapticFigures(12)
     felt(haptic, (7, 0))
     received_ns = START_NS + 3 * NS_PER_MS
     assert haptic.sent_ns_at(received_ns) == START_NS
     assert haptic.sent_ns_at(START_NS + 30 * NS_PER_S - 1) == START_NS
     # 30 s later the same number may be another sample's.
     assert haptic.sent_ns_at(START_NS + 30 * NS_PER_S) is None
-    assert HapticFigures().sent_ns_at(received_ns) is None
+    assert HapticFigures(12).sent_ns_at(received_ns) is None
 
 
 def test_the_rate_of_samples_counts_each_once():
-    haptic = HapticFigures()
+    haptic = HapticFigures(12)
     felt(haptic, *[(number, number) for number in range(100)])
     assert haptic.rate.octets == 100 * 12
     # A restarted end's first report may overtake its predecessor's last.
@@ -69,7 +69,7 @@ def test_the_rate_of_samples_counts_each_once():
 
 
 def test_a_batch_without_samples_changes_nothing():
-    haptic = HapticFigures()
+    haptic = HapticFigures(12)
     haptic.handle_received(np.empty((0, 2), np.int64), START_NS)
     assert haptic.pauses.last_ns is None
 

@@ -1,0 +1,175 @@
+"""The controllers of the axes behind x and y, one pair and one port for each.
+
+They are those of x and y, with one coordinate. Rotations count as paths at their lever (`axes`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from telepresence.haptics.axes import AxisName, AxisValue, MoreAxis
+from telepresence.haptics.figures import PortFigures
+from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
+from telepresence.haptics.passivity import PortController
+from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
+from telepresence.haptics.sample import Command, Feedback
+
+#: Skips `__new__` of a sample, which is one more Python call for each axis and cycle.
+_tuple = tuple.__new__
+
+
+def port_figures(controller: PortController) -> PortFigures:
+    """Return the energies of a controller's port (µJ), and the counts of what it did."""
+    return PortFigures(
+        energy_in_uj=controller.energy_in_uj,
+        energy_out_uj=controller.energy_out_uj,
+        granted_uj=controller.granted_uj,
+        credit_uj=round(controller.credit_uj),
+        least_uj=round(controller.least_observed_uj),
+        passivity_acted=controller.acted,
+        totals_refused=controller.port.refused,
+    )
+
+
+class _Axes:
+    """What both sides have in common.
+
+    axes: the axes behind x and y. controllers: one for each.
+    """
+
+    axes: Sequence[MoreAxis]
+    controllers: Sequence[PortController]
+
+    @property
+    def names(self) -> list[AxisName]:
+        return [axis.facts.name for axis in self.axes]
+
+    def row(self) -> list[float]:
+        """Return, of each axis, place (m; rad), force (N; N m) and credit (µJ)."""
+        values: list[float] = []
+        for axis, controller in zip(self.axes, self.controllers, strict=True):
+            lever_m = axis.lever_m
+            force_n = self._force_n(axis)
+            values += axis.place_m / lever_m, force_n * lever_m, controller.credit_uj
+        return values
+
+    @staticmethod
+    def _force_n(axis: MoreAxis) -> float:
+        """The force of a row: the surroundings' on a robot, the motor's on a handle."""
+        raise NotImplementedError
+
+    def report(self) -> dict[str, PortFigures]:
+        """Return the energies of each axis' port, by its name."""
+        return {
+            axis.facts.name: port_figures(controller)
+            for axis, controller in zip(self.axes, self.controllers, strict=True)
+        }
+
+
+class _Acted:
+    """Whether a controller acted since the last sample."""
+
+    def __init__(self, controller: PortController) -> None:
+        self._controller = controller
+        self._seen = 0
+
+    def take(self) -> bool:
+        seen, self._seen = self._seen, self._controller.acted
+        return seen != self._seen
+
+
+class RobotAxes(_Axes):
+    """At the robot: each axis follows the hand's by a spring and a damper."""
+
+    def __init__(self, axes: Sequence[MoreAxis], model: RobotControllerModel) -> None:
+        self.axes = axes
+        self.controllers: Sequence[RobotController] = [
+            RobotController(
+                replace(
+                    model,
+                    force_limit_n=min(model.force_limit_n, axis.force_limit_n),
+                    speed_m_s=axis.most_m_s,
+                    half_width_m=axis.half_m,
+                ),
+                x_m=axis.place_m,
+            )
+            for axis in axes
+        ]
+        self._acted = [_Acted(controller) for controller in self.controllers]
+        self._offsets = [0.0] * len(axes)
+        self._presses = 0
+
+    def step(self, command: Command | None, dt_ns: int, *, presses: int, speed: float) -> None:
+        """Set the force of each axis.
+
+        command: as admitted for x and y. presses: number of the newest press, at which the offset
+        between hand and axis is taken. speed: share of an axis's own speed, 0 to 1.
+        """
+        pressed, self._presses = presses != self._presses, presses
+        for index, (axis, controller) in enumerate(zip(self.axes, self.controllers, strict=True)):
+            own = None
+            if command is not None:
+                place_m, energy_uj, acted = command[-1][index]
+                if pressed:
+                    self._offsets[index] = controller.reference_x_m - place_m
+                place_m += self._offsets[index]
+                values = (place_m, 0.0, energy_uj, *command[3:6], acted, *command[7:])
+                own = _tuple(Command, values)
+            controller.speed_m_s = speed * axis.most_m_s
+            axis.force_n, _ = controller.step(
+                own, axis.place_m, 0.0, axis.speed_m_s, 0.0, dt_ns, touching=axis.contact
+            )
+
+    @staticmethod
+    def _force_n(axis: MoreAxis) -> float:
+        return axis.push_n
+
+    def release(self) -> None:
+        """The robot follows no hand in this cycle."""
+        for axis, controller in zip(self.axes, self.controllers, strict=True):
+            controller.release(axis.place_m, 0.0)
+            axis.force_n = 0.0
+
+    def values(self) -> tuple[AxisValue, ...]:
+        """Return what the next sample says of each axis."""
+        return tuple(
+            (axis.push_n, controller.port.granted_uj, acted.take())
+            for axis, controller, acted in zip(
+                self.axes, self.controllers, self._acted, strict=True
+            )
+        )
+
+
+class JoystickAxes(_Axes):
+    """At the joystick: each axis of the handle feels the robot's force."""
+
+    def __init__(self, axes: Sequence[MoreAxis], model: JoystickControllerModel | None) -> None:
+        self.axes = axes
+        self.controllers: Sequence[JoystickController] = [JoystickController(model) for _ in axes]
+        self._acted = [_Acted(controller) for controller in self.controllers]
+
+    @staticmethod
+    def _force_n(axis: MoreAxis) -> float:
+        return axis.force_n
+
+    def step(self, feedback: Feedback | None, limit_n: float, last_ns: int) -> None:
+        """Set the force of each axis, `last_ns` after the previous step.
+
+        limit_n: the force that the handle may exert along x and y now.
+        """
+        for index, (axis, controller) in enumerate(zip(self.axes, self.controllers, strict=True)):
+            own = None
+            if feedback is not None:
+                force_n, energy_uj, acted = feedback[-1][index]
+                values = (force_n, 0.0, energy_uj, *feedback[3:6], acted, *feedback[7:])
+                own = _tuple(Feedback, values)
+            controller.limit_n = min(limit_n, axis.force_limit_n)
+            axis.force_n, _ = controller.step(own, axis.place_m, 0.0, last_ns)
+
+    def values(self) -> tuple[AxisValue, ...]:
+        """Return what the next sample says of each axis."""
+        return tuple(
+            (axis.place_m, controller.port.granted_uj, acted.take())
+            for axis, controller, acted in zip(
+                self.axes, self.controllers, self._acted, strict=True
+            )
+        )
