@@ -5,9 +5,11 @@ import argparse
 from rich.console import Console
 
 from kontur_av.clock import MonotonicClock
+from pipelines.commands.common import say_unprotected
 from pipelines.commands.joystick import results_table
 from pipelines.hand.robot_check import RobotCheck
-from telepresence.haptics.robot_device import RobotDevice, load_robot
+from telepresence.haptics.robot_device import RobotDevice
+from telepresence.haptics.robot_spec import load_robot
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,15 +17,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     text = "do with a robot what a session will do, and say what it does wrong; IT MOVES"
     check = actions.add_parser("check", help=text, description=text)
-    check.add_argument("robot", metavar="SPEC", help="module:Class, as of `stream --robot`")
+    check.add_argument(
+        "robot",
+        metavar="SPEC",
+        help="udp:HOST:PORT[:KEYFILE] or module:Class, as of `stream --robot`",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """0 if all is well; 1 if a check failed."""
     device: RobotDevice = load_robot(args.robot)
+    say_unprotected(args.robot)
     console = Console()
-    console.print(f"{device.facts.name}; it moves a few centimetres", highlight=False)
+    console.print("the robot moves a few centimetres", highlight=False)
     results = list(RobotCheck(device, MonotonicClock()).run())
+    console.print(device.facts.name, highlight=False, markup=False)
     console.print(results_table(results))
     for result in results:
         if result.trouble:

@@ -16,6 +16,8 @@ _MOST_CYCLE_MS = 0.5
 _STILL_M_S, _STILL_M = 0.005, 0.002
 #: After an order to stop it comes to rest within this.
 _STOP_NS = 200 * NS_PER_MS
+#: A robot that runs alone stops after so long without a cycle.
+_ALONE_NS = 50 * NS_PER_MS
 #: A push or a way that a check asks for, as a part of what the robot can do.
 _GENTLE = 0.1
 _SPELL_NS = 300 * NS_PER_MS
@@ -44,6 +46,8 @@ class RobotCheck:
             yield self._check("moves", self.moves)
             yield self._check("stops", self.stops)
             yield self._check("missed cycles", self.missed_cycles)
+            if device.facts.runs_alone:
+                yield self._check("silence", self.silence)
             yield self._check("readings", self.readings)
             yield self._check("cycle time", self.cycle_time)
         finally:
@@ -94,6 +98,18 @@ class RobotCheck:
             late = self._cycles(50 * NS_PER_MS, None)
         fastest = max(hypot(one.vx_m_s, one.vy_m_s) for one in late)
         return (Figure("speed", fastest, "m/s", most=facts.speed_m_s),)
+
+    def silence(self) -> tuple[Figure, ...]:
+        """Hearing nothing at all, it comes to rest by itself."""
+        with self._active():
+            self._cycles(_SPELL_NS // 6, self._gentle)
+            self._clock.sleep_until_ns(self._clock.now_ns() + _ALONE_NS + _STOP_NS)
+            known = len(self._readings)
+            # The first answers are of before, so its place jumps.
+            last = self._cycles(_SPELL_NS // 15, lambda _: (0.0, 0.0))[-1]
+            del self._readings[known:]
+        speed = hypot(last.vx_m_s, last.vy_m_s)
+        return (Figure("speed", speed, "m/s", most=_STILL_M_S),)
 
     def readings(self) -> tuple[Figure, ...]:
         """All measurements are numbers, follow one from the other, and name no error."""

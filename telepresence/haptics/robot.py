@@ -50,6 +50,7 @@ class RobotFacts:
     session moves a virtual mass by the forces, and the robot follows its place.
     force_limit_n: per axis. speed_m_s: of the tip.
     half_width_m, half_height_m: of the workspace, from its middle.
+    runs_alone: its controller goes on between cycles, and must stop after 50 ms without one.
     """
 
     name: str
@@ -58,6 +59,7 @@ class RobotFacts:
     speed_m_s: float = 0.5
     half_width_m: float = 0.15
     half_height_m: float = 0.10
+    runs_alone: bool = False
 
 
 class Robot:
