@@ -144,10 +144,10 @@ def pack_hello(role: UdpRole, nonce: bytes, key: bytes) -> bytes:
     return body + code_of(body, key)
 
 
-def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpFacts]:
-    """Return the nonce and the facts of a controller that answers the `HELLO` with this nonce.
+def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpFacts] | None:
+    """Return the nonce and the facts of a controller; None if it answers an older `HELLO`.
 
-    datagram: is authentic. Raises ProtocolError, with the reason.
+    nonce: of the newest. datagram: is authentic. Raises ProtocolError, with the reason.
     """
     takes_places = _detail(datagram, Kind.WELCOME)
     body = datagram[_HEAD.size : -CODE_OCTETS]
@@ -155,7 +155,7 @@ def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpFacts]:
     if len(body) < 2 * NONCE_OCTETS + _FACTS.size or takes_places > 1:
         raise ProtocolError("a welcome of another form")
     if body[:NONCE_OCTETS] != nonce:
-        raise ProtocolError("a welcome that answers another hello")
+        return None
     limits = _FACTS.unpack_from(body, 2 * NONCE_OCTETS)
     force_n, speed_m_s, mass_kg, coulomb_n, viscous_n_s_m, buttons, leds, *half_m = limits
     # Compared this way round, so that NaN is refused, too.

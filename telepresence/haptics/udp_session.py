@@ -21,9 +21,9 @@ from telepresence.haptics.udp_protocol import (
     session_keys,
 )
 
-#: So many commands in a row without an answer end the session: 50 ms. Commands are counted, not
+#: So many commands in a row without an answer end the session: 100 ms. Commands are counted, not
 #: time, because a loop that was late itself has not asked. Chosen.
-MOST_UNANSWERED = 50
+MOST_UNANSWERED = 100
 _HELLO_NS = 100 * NS_PER_MS
 #: A loop that was late runs several cycles at once; only one command leaves.
 _LEAST_NS = NS_PER_MS // 2
@@ -104,8 +104,8 @@ class UdpSession:
         try:
             if kind == Kind.READING:
                 self._take(parse_reading(datagram))
-            elif keys is None:
-                self._begin(*parse_welcome(datagram, self._nonce))
+            elif keys is None and (welcome := parse_welcome(datagram, self._nonce)) is not None:
+                self._begin(*welcome)
             else:
                 self._late += 1
         except ProtocolError as error:

@@ -2,14 +2,36 @@
 
 from math import nan
 
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import DeviceFacts, Reading
 from telepresence.haptics.device.states import JoystickState
+from telepresence.haptics.device.stick import velocity_towards
 from telepresence.haptics.figures import UdpFigures
 from telepresence.haptics.udp_line import UdpLine
 from telepresence.haptics.udp_protocol import UdpRole
 
 #: Its place is not a number, which is a recoverable error: it is calibrated before it is trusted.
 _SILENT = Reading(nan, nan, 0.0, 0.0, dead_man=False)
+_CYCLE_S = NS_PER_MS / NS_PER_S
+
+
+class _FollowedAxis:
+    """Follows the place that an axis reads with a hand's acceleration.
+
+    Where readings come late the place jumps, which would break the controller's bound for the next
+    cycle. A motion without jumps is followed at once.
+    """
+
+    def __init__(self) -> None:
+        self.place = self.speed = 0.0
+
+    def advance(self, to_m: float, dt_ns: int) -> None:
+        left_s = dt_ns / NS_PER_S
+        while left_s > 0.0:
+            dt_s = min(left_s, _CYCLE_S)
+            self.speed = velocity_towards(self.speed, to_m - self.place, dt_s, _CYCLE_S)
+            self.place += self.speed * dt_s
+            left_s -= dt_s
 
 
 class UdpJoystick:
@@ -35,6 +57,7 @@ class UdpJoystick:
             leds=facts.leds,
         )
         self._zero_x = self._zero_y = 0.0
+        self._x, self._y = _FollowedAxis(), _FollowedAxis()
 
     @property
     def facts(self) -> DeviceFacts:
@@ -48,12 +71,12 @@ class UdpJoystick:
         reading = session.reading
         if reading is None or session.silent:
             return _SILENT
-        x_m, vx_m_s, _, y_m, vy_m_s, _ = reading.axes
+        x, y = self._x, self._y
         return Reading(
-            x_m - self._zero_x,
-            y_m - self._zero_y,
-            vx_m_s,
-            vy_m_s,
+            x.place - self._zero_x,
+            y.place - self._zero_y,
+            x.speed,
+            y.speed,
             reading.buttons,
             reading.dead_man,
             reading.temperature_c,
@@ -79,8 +102,11 @@ class UdpJoystick:
         self._session.detail = state
 
     def advance(self, dt_ns: int) -> None:
-        """Send what was ordered."""
+        """Send what was ordered, and follow the newest reading."""
         self._line.send()
+        if (reading := self._session.reading) is not None:
+            self._x.advance(reading.axes[0], dt_ns)
+            self._y.advance(reading.axes[3], dt_ns)
 
     def figures(self) -> UdpFigures:
         """Return what was counted."""
