@@ -33,6 +33,8 @@ class RobotCheck:
         self._device, self._clock = device, clock
         self._calls_ns: list[int] = []
         self._readings: list[RobotReading] = []
+        #: When each was read.
+        self._read_ns: list[int] = []
         #: Of the forces that were written: work on the robot (J), least and now.
         self._work_j = 0.0
 
@@ -107,22 +109,19 @@ class RobotCheck:
             known = len(self._readings)
             # The first answers are of before, so its place jumps.
             last = self._cycles(_SPELL_NS // 15, lambda _: (0.0, 0.0))[-1]
-            del self._readings[known:]
+            del self._readings[known:], self._read_ns[known:]
         speed = hypot(last.vx_m_s, last.vy_m_s)
         return (Figure("speed", speed, "m/s", most=_STILL_M_S),)
 
     def readings(self) -> tuple[Figure, ...]:
         """All measurements are numbers, follow one from the other, and name no error."""
-        readings = self._readings
+        facts, readings = self._device.facts, self._readings
         wrong = sum(not all(map(isfinite, one[:6])) for one in readings)
         errors = sum(bool(one.error) for one in readings)
-        finite = [one for one in readings if all(map(isfinite, one[:6]))]
-        steps = np.abs(np.diff([one.x_m for one in finite])) if len(finite) > 1 else np.zeros(1)
-        fastest = float(steps.max()) * 1000
         return (
             Figure("not numbers", wrong, most=0),
             Figure("with an error", errors, most=0),
-            Figure("steps of the place", fastest, "m/s", most=2 * self._device.facts.speed_m_s),
+            Figure("steps of the place", self._fastest_step(), "m/s", most=2 * facts.speed_m_s),
         )
 
     def cycle_time(self) -> tuple[Figure, ...]:
@@ -156,6 +155,17 @@ class RobotCheck:
         last, most = self._readings[-1], _GENTLE * self._device.facts.force_limit_n
         force_x, force_y = -20.0 * last.vx_m_s, -20.0 * last.vy_m_s
         return max(-most, min(most, force_x)), max(-most, min(most, force_y))
+
+    def _fastest_step(self) -> float:
+        """The largest step of the place in a cycle, as a velocity (m/s)."""
+        places = np.array([one.x_m for one in self._readings])
+        lasted_ns = np.full(len(places), NS_PER_MS)
+        if self._device.facts.runs_alone:
+            # It went on while this program was late, and its answer may be of the cycle before.
+            read_ns = np.array(self._read_ns)
+            lasted_ns[2:] = np.maximum(read_ns[2:] - read_ns[:-2], NS_PER_MS)
+        steps = np.abs(np.diff(places)) * NS_PER_S / lasted_ns[1:]
+        return float(np.nanmax(steps, initial=0.0))
 
     def _still(self, readings: list[RobotReading]) -> tuple[Figure, ...]:
         first = readings[0]
@@ -196,7 +206,9 @@ class RobotCheck:
                 device.write_position(x_m, y_m, 0.0, 0.0)
             device.advance(NS_PER_MS)
             last = device.read()
-            self._calls_ns.append(clock.now_ns() - begin_ns)
+            read_ns = clock.now_ns()
+            self._calls_ns.append(read_ns - begin_ns)
+            self._read_ns.append(read_ns)
             readings.append(last)
             if wanted is not None and takes_force and active:
                 pushed = wanted[0] + last.push_x_n, wanted[1] + last.push_y_n

@@ -42,7 +42,7 @@ _READING = struct.Struct(f">QQHHf{3 * AXES}f")
 _MOST = 1000.0
 
 
-class Kind(IntEnum):
+class UdpKind(IntEnum):
     """The kind of a datagram."""
 
     HELLO = 1
@@ -140,7 +140,7 @@ def session_keys(key: bytes, own: bytes, peer: bytes) -> tuple[bytes, bytes]:
 
 def pack_hello(role: UdpRole, nonce: bytes, key: bytes) -> bytes:
     """Return the datagram that asks for a session."""
-    body = _HEAD.pack(VERSION, Kind.HELLO, AXES, role) + nonce
+    body = _HEAD.pack(VERSION, UdpKind.HELLO, AXES, role) + nonce
     return body + code_of(body, key)
 
 
@@ -149,7 +149,7 @@ def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpFacts] | Non
 
     nonce: of the newest. datagram: is authentic. Raises ProtocolError, with the reason.
     """
-    takes_places = _detail(datagram, Kind.WELCOME)
+    takes_places = _detail(datagram, UdpKind.WELCOME)
     body = datagram[_HEAD.size : -CODE_OCTETS]
     text = body[2 * NONCE_OCTETS + _FACTS.size :]
     if len(body) < 2 * NONCE_OCTETS + _FACTS.size or takes_places > 1:
@@ -182,13 +182,15 @@ def pack_command(number: int, detail: int, leds: int, axes: tuple[float, ...], k
     detail: `WantedState` of a robot, `JoystickState` of a joystick. leds: of a joystick, as a mask.
     axes: force (N), place (m) and velocity (m/s) of each axis, one after the other.
     """
-    body = _HEAD.pack(VERSION, Kind.COMMAND, AXES, detail) + _COMMAND.pack(number, leds, 0, *axes)
+    body = _HEAD.pack(VERSION, UdpKind.COMMAND, AXES, detail) + _COMMAND.pack(
+        number, leds, 0, *axes
+    )
     return body + hmac.digest(key, body, "sha256")[:CODE_OCTETS]
 
 
 def parse_reading(datagram: bytes) -> UdpReading:
     """Return a reading. datagram: is authentic. Raises ProtocolError, with the reason."""
-    flags = _detail(datagram, Kind.READING)
+    flags = _detail(datagram, UdpKind.READING)
     body = datagram[_HEAD.size : -CODE_OCTETS]
     if len(body) < _READING.size or flags > CONTACT | DEAD_MAN:
         raise ProtocolError("a reading of another form")
@@ -208,7 +210,7 @@ def parse_reading(datagram: bytes) -> UdpReading:
     )
 
 
-def _detail(datagram: bytes, expected: Kind) -> int:
+def _detail(datagram: bytes, expected: UdpKind) -> int:
     version, kind, axes, detail = _HEAD.unpack_from(datagram)
     if version != VERSION:
         raise ProtocolError(f"version {version} of the protocol, {VERSION} is due")

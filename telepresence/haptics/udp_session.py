@@ -8,8 +8,8 @@ from telepresence.haptics.figures import UdpFigures
 from telepresence.haptics.udp_protocol import (
     AXES,
     NONCE_OCTETS,
-    Kind,
     UdpFacts,
+    UdpKind,
     UdpReading,
     UdpRole,
     is_authentic,
@@ -87,14 +87,14 @@ class UdpSession:
     def handle_datagram(self, datagram: bytes) -> None:
         """Take a datagram, whoever sent it. What is garbage is counted."""
         kind, keys = kind_of(datagram), self._keys
-        if kind == Kind.READING and keys is not None:
+        if kind == UdpKind.READING and keys is not None:
             key = keys[1]
-        elif kind == Kind.WELCOME:
+        elif kind == UdpKind.WELCOME:
             key = self._key
         else:
             # Also what comes late from a session that has ended.
-            self._foreign += kind == Kind.READING
-            self._malformed += kind != Kind.READING
+            self._foreign += kind == UdpKind.READING
+            self._malformed += kind != UdpKind.READING
             return
         if not is_authentic(datagram, key):
             self._foreign += 1
@@ -102,7 +102,7 @@ class UdpSession:
                 self.problem = "it has another key"
             return
         try:
-            if kind == Kind.READING:
+            if kind == UdpKind.READING:
                 self._take(parse_reading(datagram))
             elif keys is None and (welcome := parse_welcome(datagram, self._nonce)) is not None:
                 self._begin(*welcome)

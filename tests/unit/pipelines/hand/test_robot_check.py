@@ -95,6 +95,28 @@ class Slow(own_robot.Mass):
         return super().read()
 
 
+class Alone(own_robot.Mass):
+    """Its controller goes on by itself, and stops after 50 ms without a cycle."""
+
+    facts = replace(own_robot.Mass.facts, runs_alone=True)
+    patience_ns = 50_000_000
+    at_ns = 0
+
+    def advance(self, dt_ns):
+        alone_ns = CLOCK.now_ns() - self.at_ns if self.at_ns else dt_ns
+        self.at_ns = CLOCK.now_ns()
+        for _ in range(min(alone_ns, self.patience_ns) // 1_000_000):
+            super().advance(1_000_000)
+        if alone_ns > self.patience_ns:
+            self.vx = self.vy = 0.0
+
+
+class Endless(Alone):
+    """It does not stop."""
+
+    patience_ns = 10**12
+
+
 class Broken(own_robot.Mass):
     """Its driver has a fault."""
 
@@ -102,11 +124,11 @@ class Broken(own_robot.Mass):
         raise OSError("the bus is gone")
 
 
-@pytest.mark.parametrize("robot", [own_robot.Mass, Placed])
-def test_a_sound_robot_passes(robot):
+@pytest.mark.parametrize(("robot", "checks"), [(own_robot.Mass, 6), (Placed, 6), (Alone, 7)])
+def test_a_sound_robot_passes(robot, checks):
     results = list(RobotCheck(robot(), CLOCK).run())
     assert [one.name for one in results if one.failed] == [], results
-    assert len(results) == 6
+    assert len(results) == checks
 
 
 @pytest.mark.parametrize(
@@ -117,6 +139,7 @@ def test_a_sound_robot_passes(robot):
         (Crossed, "moves"),
         (Sliding, "stops"),
         (Runaway, "missed cycles"),
+        (Endless, "silence"),
         (Lost, "readings"),
         (Slow, "cycle time"),
         (Broken, "moves"),
