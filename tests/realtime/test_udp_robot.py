@@ -77,7 +77,6 @@ def test_a_session_outlives_its_robots_controller(start, controller, tmp_path, m
         *("taskboard", "--robot", f"udp:127.0.0.1:{robot_port}"),
         *("--joystick", f"udp:127.0.0.1:{joystick_port}", "--record", "run.mcap"),
     )
-    session.wait_for_flow()
     with session.bus(monkeypatch) as bus:
         tip = Tip(bus)
         tip.wait_until_it_moves()
