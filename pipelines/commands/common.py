@@ -14,6 +14,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, sessions
 from pipelines.report.report_file import discard_output
 from pipelines.session.sessions import started_here
+from telepresence.haptics.udp_line import unprotected
 
 
 def check_options(args: argparse.Namespace) -> None:
@@ -95,6 +96,12 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in zip(signals, before, strict=True):
             signal.signal(number, handler)
+
+
+def say_unprotected(*specs: str) -> None:
+    """Say which of these joysticks and robots every user of this machine can reach."""
+    for line in filter(None, map(unprotected, specs)):
+        print(f"kontur-av: {line}", file=sys.stderr)
 
 
 def acting_on(name: str | None, running: Sequence[str], *, moves: bool = False) -> str:

@@ -10,7 +10,11 @@ from pathlib import Path
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import sessions
-from pipelines.commands.common import output_that_may_fail, stopped_by_signals
+from pipelines.commands.common import (
+    output_that_may_fail,
+    say_unprotected,
+    stopped_by_signals,
+)
 from pipelines.commands.drive_far import Far
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
@@ -42,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--device",
         default=SIMULATED,
         metavar="SPEC",
-        help=f"sim, evdev or evdev:/dev/input/eventN (default: {SIMULATED})",
+        help="sim, evdev, evdev:/dev/input/eventN or udp:HOST:PORT[:KEYFILE] (default: sim)",
     )
     parser.add_argument(
         "--base-port",
@@ -66,6 +70,7 @@ def drive(args: argparse.Namespace) -> int:
     spec, seconds = args.device, args.seconds
     if spec == PAGE:
         raise ConfigError("--device page: a page's hand is in a session only; take sim or evdev")
+    say_unprotected(spec)
     device = open_device(spec, hand=Hand())
     try:
         with _reached(args) as (own, to_robot):

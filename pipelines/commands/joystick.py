@@ -10,7 +10,7 @@ from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands import drive
 from pipelines.commands.check_results import check_report, print_results
-from pipelines.commands.common import output_that_may_fail, stopped_by_signals
+from pipelines.commands.common import output_that_may_fail, say_unprotected, stopped_by_signals
 from pipelines.hand.joystick_check import JoystickCheck
 from pipelines.hand.joystick_test import run_live, run_virtually
 from pipelines.report.model import JoystickTestReport, TransitionReport
@@ -39,7 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--device",
         default="sim",
         metavar="SPEC",
-        help="sim, sim:FAULT, evdev or evdev:/dev/input/eventN (default: sim)",
+        help="sim, sim:FAULT, evdev, evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: "
+        "module:Class (default: sim)",
     )
     test.add_argument("--report", type=Path, metavar="FILE", help="write all figures as JSON")
     text = "drive the robot, or the arm, that a session's setup gives a partner"
@@ -73,6 +74,9 @@ def _list(print: Callable[[str], None] = print) -> int:
             print(f"evdev:{one.path:<26} {one.problem or one.name}")
         if not found:
             print("no game controller here; the first that is plugged in is called evdev")
+    print(
+        f"{'udp:HOST:PORT[:KEYFILE]':<32} a controller in any language; with a key on any machine"
+    )
     print("use: kontur-av joystick test --device SPEC, kontur-av stream --joystick SPEC")
     return 0
 
@@ -83,6 +87,7 @@ def _open(spec: str) -> JoystickDevice:
             "page: a page moves it in a session only, with `kontur-av stream --joystick page`; "
             "its mechanics are those of sim: take that"
         )
+    say_unprotected(spec)
     return open_device(spec)
 
 

@@ -150,7 +150,9 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
         joystick, axes = None, setup.more_axes
         if args.joystick is not None:
             _check_virtual("joystick", args.joystick)
-            joystick = opened.enter_context(closing(open_device(args.joystick, hand=Hand(), axes=axes)))
+            joystick = opened.enter_context(
+                closing(open_device(args.joystick, hand=Hand(), axes=axes))
+            )
         robot = None
         if args.robot is not None:
             _check_virtual("robot", args.robot)

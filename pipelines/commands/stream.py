@@ -8,7 +8,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.sources.page import PAGE
-from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.common import output_that_may_fail, say_unprotected
 from pipelines.commands.end_options import (
     add_end_arguments,
     chosen_end,
@@ -57,7 +57,8 @@ from pipelines.session.setup.table import STEREO, Setup, VideoStream
 from pipelines.session.topology import RTC, Segment, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
-from telepresence.haptics.robot_device import SIMULATED_ROBOT, check_robot
+from telepresence.haptics.robot_device import SIMULATED_ROBOT
+from telepresence.haptics.robot_spec import check_robot
 from telepresence.world import audio_scenes, video_scenes
 
 
@@ -92,14 +93,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=SIMULATED,
         metavar="SPEC",
         help="sim, page (the hand of who sits at the operator's page), evdev, "
-        "evdev:/dev/input/eventN or your own: module:Class (default: sim); see `kontur-av joystick "
-        "list`",
+        "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: "
+        "sim); see `kontur-av joystick list`",
     )
     parser.add_argument(
         "--robot",
         default=SIMULATED_ROBOT,
         metavar="SPEC",
-        help="sim, or your own: module:Class (default: sim)",
+        help="sim, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
     )
     add_task_arguments(parser)
     add_page_arguments(parser)
@@ -125,6 +126,7 @@ def run(args: argparse.Namespace) -> int:
         check_joystick(args.joystick, setup.more_axes)
     if Segment.GROUND in plan.segments:
         check_robot(args.robot, setup.more_axes)
+    say_unprotected(args.joystick, args.robot)
     tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
     check_writable(args.report)

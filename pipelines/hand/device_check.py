@@ -67,6 +67,8 @@ class DeviceCheck(Generic[R]):
         #: Energy that the device got by its port and by its surroundings, now and at its least.
         self._got_j = self._least_j = 0.0
         self._metered = False
+        #: It goes on between cycles, and an answer may be of the cycle before.
+        self._runs_alone = False
 
     def run(self) -> Iterator[CheckResult]:
         """Switch on, check, switch off; yield a result for each check."""
@@ -183,7 +185,7 @@ class DeviceCheck(Generic[R]):
         clock = self._clock
         before = began = self._read()
         readings: list[R] = []
-        read_ns = due_ns = clock.now_ns()
+        earlier_ns = read_ns = due_ns = clock.now_ns()
         count = lasts_ns // NS_PER_MS
         for cycle in range(count):
             due_ns += NS_PER_MS
@@ -197,9 +199,10 @@ class DeviceCheck(Generic[R]):
             self._readings.append(last)
             step_m = max(abs(last.x_m - before.x_m), abs(last.y_m - before.y_m))
             # A real device goes on while this program is late.
-            lasted_s = max(end_ns - read_ns, NS_PER_MS) / NS_PER_S
+            since_ns = earlier_ns if self._runs_alone else read_ns
+            lasted_s = max(end_ns - since_ns, NS_PER_MS) / NS_PER_S
             self._step_m_s = max(self._step_m_s, step_m / lasted_s)
-            read_ns = end_ns
+            earlier_ns, read_ns = read_ns, end_ns
             before = last
             if wanted is not None and self._metered:
                 self._got_j += self._power_w(wanted, last) * NS_PER_MS / NS_PER_S

@@ -47,14 +47,18 @@ from pipelines.session.topology import (
     TRAINER_TOPIC,
     WALL_TOPIC,
 )
+from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.spec import open_device
+from telepresence.haptics.device.udp_joystick import UdpJoystick
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership
-from telepresence.haptics.robot_device import open_robot
+from telepresence.haptics.robot_device import DrivenRobot, RobotDevice
+from telepresence.haptics.robot_spec import open_robot
+from telepresence.haptics.udp_robot import UdpRobot
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
 from telepresence.tasks.definitions import ControlMode
 from telepresence.world import WorldState
@@ -70,6 +74,8 @@ def run_robot(context: Context) -> None:
     """
     robot = open_robot(context.topology.options.robot, context.setup.more_axes)
     with closing(robot), context.open_bus() as bus:
+        if isinstance(robot, DrivenRobot):
+            _tell_datagrams(context, robot.device)
         writer = bus.writer(ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
         numbers = count()
 
@@ -140,6 +146,7 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
     axes = context.setup.more_axes
     device = open_device(context.topology.options.joystick, hand=hand, axes=axes)
     try:
+        _tell_datagrams(context, device)
         kept = KeptOrders(context.session)
         orders = kept.recall(JOYSTICK, JoystickOrders(paused=False), UNKNOWN_JOYSTICK)
         handle = OperatedHandle(device, paused=orders.paused)
@@ -174,6 +181,13 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
             run_loop(context, end, ports, before=before, seldom=seldom)
     finally:
         device.close()
+
+
+def _tell_datagrams(context: Context, device: RobotDevice | JoystickDevice) -> None:
+    """Report what a controller that is reached by UDP sent and got."""
+    if isinstance(device, UdpRobot | UdpJoystick):
+        figures = device.figures
+        context.on_flush(lambda: context.probe.tell(figures()))
 
 
 def _trace(bus: TopicBus, topic: str, trace: HapticTrace) -> Cycle:

@@ -7,6 +7,7 @@ from kontur_av.clock import NS_PER_MS, Clock
 from pipelines.hand.device_check import (
     GENTLE,
     SPELL_NS,
+    STILL_M_S,
     Check,
     DeviceCheck,
     Order,
@@ -19,6 +20,8 @@ from telepresence.haptics.robot_device import RobotDevice, RobotReading
 
 #: After an order to stop it comes to rest within this.
 _STOP_NS = 200 * NS_PER_MS
+#: A robot that runs alone stops after so long without a cycle.
+_ALONE_NS = 50 * NS_PER_MS
 #: The call of `deactivate` may take this long; the loop waits for it.
 _MOST_CALL_MS = 1.0
 
@@ -60,6 +63,18 @@ class RobotCheck(DeviceCheck[RobotReading]):
         fastest = max(map(speed, late))
         return (Figure("speed", fastest, "m/s", most=self._device.facts.speed_m_s),)
 
+    def silence(self) -> tuple[Figure, ...]:
+        """Hearing nothing at all, it comes to rest by itself."""
+        known, step_m_s = len(self._readings), self._step_m_s
+        with self._activated():
+            self._cycles(SPELL_NS // 6, self._gentle(0))
+            self._clock.sleep_until_ns(self._clock.now_ns() + _ALONE_NS + _STOP_NS)
+            last = self._cycles(SPELL_NS // 15, lambda _: (0.0, 0.0))[-1]
+        # Its first answers were of before, so its place jumped.
+        del self._readings[known:]
+        self._step_m_s = step_m_s
+        return (Figure("speed", speed(last), "m/s", most=STILL_M_S),)
+
     def readings(self) -> tuple[Figure, ...]:
         """All measurements are numbers, follow one from the other, and name no error."""
         errors = sum(bool(one.error) for one in self._readings)
@@ -86,6 +101,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
         device = self._device
         device.configure()
         self._takes_force = device.facts.takes == "force"
+        self._runs_alone = device.facts.runs_alone
         device.power_on()
         self._powered = True
         return device.facts
@@ -104,6 +120,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
             ("stops", self.stops, ""),
             ("emergency stop", self.emergency_stop, ""),
             ("missed cycles", self.missed_cycles, ""),
+            ("silence", self.silence, "" if self._runs_alone else "it moves in its cycles only"),
             ("readings", self.readings, ""),
             ("cycle time", self.cycle_time, ""),
             ("power off", self.power_off, ""),

@@ -8,16 +8,13 @@ import os
 import secrets
 from collections.abc import Sequence
 from pathlib import Path
-from stat import S_ISREG
 
 from kontur_av.errors import ConfigError
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
+from telepresence.private_file import OTHERS_WRITE, read_private
 
 _SEED_OCTETS = 32
-_LARGEST_FILE = 65536
 _TRUSTED = ".trusted"
-_OTHERS = 0o077
-_OTHERS_WRITE = 0o022
 _HEAD = "# Identities that this machine trusts: `kontur-av keys trust` and `keys forget`.\n"
 
 
@@ -66,7 +63,7 @@ def read_key(path: Path) -> MachineKey:
 
     Raises ConfigError, which never quotes the file, if there is none, or if others may read it.
     """
-    octets = _read(path, _OTHERS, f"chmod 600 {path}")
+    octets = read_private(path)
     if octets is None:
         raise ConfigError(f"there is no key {path}: `kontur-av keys new` makes one")
     try:
@@ -78,7 +75,7 @@ def read_key(path: Path) -> MachineKey:
 def trusted_identities(key_path: Path) -> list[MachineIdentity]:
     """Return the identities that the owner of a key trusts, in the order of the file."""
     path = trusted_path(key_path)
-    octets = _read(path, _OTHERS_WRITE, f"chmod go-w {path}")
+    octets = read_private(path, OTHERS_WRITE)
     found = []
     for number, line in enumerate((octets or b"").decode(errors="replace").splitlines(), 1):
         text = line.partition("#")[0].strip()
@@ -132,31 +129,6 @@ def pinned_peer(key_path: Path, chosen: str | None) -> MachineIdentity:
             "or `kontur-av keys forget` the others"
         )
     return known[0]
-
-
-def _read(path: Path, forbidden: int, mend: str) -> bytes | None:
-    """The octets of a small file; None if it is not there.
-
-    forbidden: bits of its mode that must not be set; mend: the command that takes them away.
-    """
-    try:
-        # Without O_NONBLOCK a FIFO would wait for a writer.
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-        # Of the opened file, because the name may have been given to another meanwhile.
-        state = os.fstat(descriptor)
-        if not S_ISREG(state.st_mode):
-            os.close(descriptor)
-            raise ConfigError(f"{path} is no file: give the file of a key")
-        with os.fdopen(descriptor, "rb") as file:
-            if state.st_uid not in (os.geteuid(), 0):
-                raise ConfigError(f"{path} belongs to another user: use a key of your own")
-            if state.st_mode & forbidden:
-                raise ConfigError(f"{path} is open to other users: {mend}")
-            return file.read(_LARGEST_FILE)
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
 
 
 def _write_trusted(key_path: Path, identities: Sequence[MachineIdentity]) -> None:

@@ -32,7 +32,13 @@ from pipelines.report.model import keys_of
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import LoopFigures, ProbeFigures, TrainerFigures
 from telepresence.haptics.envelope import SafetyFigures
-from telepresence.haptics.figures import JoystickFigures, PortFigures, SamplesReceived, SamplesSent
+from telepresence.haptics.figures import (
+    JoystickFigures,
+    PortFigures,
+    SamplesReceived,
+    SamplesSent,
+    UdpFigures,
+)
 from telepresence.haptics.ownership import OwnershipFigures
 from telepresence.link.figures import GatewayFigures
 from telepresence.link.peer.figures import PeerFigures
@@ -60,6 +66,7 @@ TOLD: tuple[type, ...] = (
     SamplesReceived,
     PortFigures,
     WallFigures,
+    UdpFigures,
     JoystickFigures,
     OwnershipFigures,
     SafetyFigures,

@@ -107,3 +107,22 @@ class JoystickFigures(OperationFigures):
 
     #: The last 20 transitions.
     log: list[LoggedTransition]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UdpFigures:
+    """A robot's or joystick's controller that is reached by UDP (`UdpSession`)."""
+
+    #: Handshakes that succeeded.
+    udp_sessions: int = 0
+    #: Sessions that ended by its silence.
+    udp_losses: int = 0
+    udp_commands: int = 0
+    udp_readings: int = 0
+    #: The most commands in a row without an answer.
+    udp_unanswered: Most[int] = 0
+    #: Readings that came after a newer one, or twice.
+    udp_late: int = 0
+    #: Of another key or session.
+    udp_foreign: int = 0
+    udp_malformed: int = 0

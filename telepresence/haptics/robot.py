@@ -53,6 +53,7 @@ class RobotFacts:
     force_limit_n: per axis. speed_m_s: of the tip.
     half_width_m, half_height_m: of the workspace, from its middle.
     more: the axes behind x and y; the driver then has the methods of `MoreAxes`.
+    runs_alone: its controller goes on between cycles, and must stop after 50 ms without one.
     """
 
     name: str
@@ -62,6 +63,7 @@ class RobotFacts:
     half_width_m: float = 0.15
     half_height_m: float = 0.10
     more: tuple[AxisFacts, ...] = ()
+    runs_alone: bool = False
 
 
 class Robot:

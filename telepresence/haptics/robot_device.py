@@ -1,21 +1,17 @@
 """A user's robot: the interface of its driver, and how a session drives it.
 
-A driver is a class of its own, named by `module:Class` or by an entry point of `GROUP`. It says
-where the tip is and what pushes it, and takes a force or a place. Modes, passivity, limits and the
+A driver is a class of its own (`telepresence.haptics.robot_spec`). It says where the tip is and
+what pushes it, and takes a force or a place. Modes, passivity, limits and the
 safety envelope stay on this side.
 """
 
-from collections.abc import Sequence
 from math import hypot, isfinite
 from typing import NamedTuple, Protocol, cast
 
-from kontur_av.parts import make_part
-from telepresence.haptics.axes import AxisName, MoreAxes, MoreAxis, SimulatedAxis, check_axes
+from telepresence.haptics.axes import MoreAxes, MoreAxis, SimulatedAxis
 from telepresence.haptics.robot import Robot, RobotFacts
 from telepresence.haptics.sample import MODE_OFF
 
-#: The entry points of robots.
-GROUP = "kontur_av.robots"
 #: The robot that the session simulates.
 SIMULATED_ROBOT = "sim"
 #: A robot that takes places and is further than this from the one it was given does not follow.
@@ -51,7 +47,8 @@ class RobotDevice(Protocol):
     """
 
     @property
-    def facts(self) -> RobotFacts: ...
+    def facts(self) -> RobotFacts:
+        """What it is; asked for after `configure`."""
 
     def configure(self) -> None:
         """Connect to the robot. Raises ConfigError, with the mend, if that is not possible."""
@@ -97,16 +94,17 @@ class _Surroundings:
 class DrivenRobot(Robot):
     """A `Robot` that is a user's. Its modes are those of the simulated one, at the tip.
 
+    device: its driver.
     error: why it cannot go on; the session then switches it off.
     """
 
     def __init__(self, device: RobotDevice) -> None:
-        self._device = device
+        self.device = device
         self._active = False
+        device.configure()
         self.facts = facts = device.facts
         self._takes_places = facts.takes == "position"
         self._surroundings = _Surroundings()
-        device.configure()
         device.power_on()
         first = device.read()
         super().__init__(x_m=first.x_m, y_m=first.y_m)
@@ -149,13 +147,13 @@ class DrivenRobot(Robot):
             super().drive(dt_ns)
             return
         # Its own brakes hold it.
-        self._device.advance(dt_ns)
-        self._take(self._device.read())
+        self.device.advance(dt_ns)
+        self._take(self.device.read())
         if self._axes is not None:
             self._take_more(self._axes, stand=True)
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
-        device, limit = self._device, self._limit
+        device, limit = self.device, self._limit
         if self._takes_places:
             super().step(fx_n, fy_n, dt_ns)
             device.write_position(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s)
@@ -189,7 +187,7 @@ class DrivenRobot(Robot):
         try:
             self._follow(active=False)
         finally:
-            self._device.power_off()
+            self.device.power_off()
 
     def led(self) -> int | None:
         return None
@@ -197,7 +195,7 @@ class DrivenRobot(Robot):
     def _follow(self, *, active: bool) -> None:
         if active is not self._active:
             self._active = active
-            (self._device.activate if active else self._device.deactivate)()
+            (self.device.activate if active else self.device.deactivate)()
 
     def _take(self, reading: RobotReading) -> None:
         """Stand where the robot stands."""
@@ -229,30 +227,3 @@ class DrivenRobot(Robot):
         self.force_n = hypot(self.push_x_n, self.push_y_n)
         self.error = reading.error
         return True
-
-
-def load_robot(spec: str) -> RobotDevice:
-    """Return the driver that `spec` names: `module:Class` or an entry point of `GROUP`.
-
-    Raises ConfigError if there is none. Nothing is switched on.
-    """
-    device: RobotDevice = make_part(spec, GROUP)
-    return device
-
-
-def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
-    """Return the robot that `spec` names, `sim` or as of `load_robot`, with power.
-
-    axes: those behind x and y; ConfigError for a robot that has others.
-    """
-    if spec == SIMULATED_ROBOT:
-        return Robot(axes=axes)
-    device = load_robot(spec)
-    check_axes(f"robot {spec}", device.facts.more, axes)
-    return DrivenRobot(device)
-
-
-def check_robot(spec: str, axes: Sequence[AxisName] = ()) -> None:
-    """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
-    if spec != SIMULATED_ROBOT:
-        check_axes(f"robot {spec}", load_robot(spec).facts.more, axes)

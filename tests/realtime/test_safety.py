@@ -3,42 +3,9 @@
 import os
 import signal
 import time
-from math import dist
 
+from robot_tip import STILL_M, Tip
 from running_session import eventually
-
-from pipelines.session.robot_state import unpack_state
-from pipelines.session.topology import ROBOT_TOPIC
-
-#: A robot that holds still gives way to what it touches, and comes to rest.
-STILL_M = 0.002
-
-
-class Tip:
-    """Looks at the robot's tip."""
-
-    def __init__(self, bus):
-        self._reader = bus.reader(ROBOT_TOPIC)
-        self._state = None
-
-    def place(self):
-        lease = eventually(self._reader.latest, "a state of the robot")
-        with lease:
-            state = unpack_state(lease.octets())
-        return state.x_m, state.y_m
-
-    def way(self, seconds):
-        """Return the largest distance (m) from where it was at first, on an axis."""
-        x_m, y_m = self.place()
-        end_s, most_m = time.monotonic() + seconds, 0.0
-        while time.monotonic() < end_s:
-            place = self.place()
-            most_m = max(most_m, abs(place[0] - x_m), abs(place[1] - y_m))
-        return most_m
-
-    def wait_until_it_moves(self):
-        place = self.place()
-        eventually(lambda: dist(self.place(), place) > 0.02, "a motion of the robot")
 
 
 def restarted(session, name, pids, number):

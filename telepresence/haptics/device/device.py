@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from telepresence.haptics.axes import AxisFacts
 from kontur_av.clock import NS_PER_MS
+from telepresence.haptics.axes import AxisFacts
 from telepresence.haptics.device.states import JoystickState
 
 #: A joystick that is told no new force keeps the last one for at most this long.

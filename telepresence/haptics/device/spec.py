@@ -7,10 +7,11 @@
 | `page` | the simulated joystick in the hand of a person at a browser page |
 | `evdev` | the first game controller |
 | `evdev:PATH` | the one at PATH, such as /dev/input/event5 |
+| `udp:HOST:PORT` | a controller in any language on this machine; with `:KEYFILE`, on any |
 | `module:Class` | a user's `JoystickDevice`; so is the name of an entry point of `GROUP` |
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from kontur_av.errors import ConfigError
 from kontur_av.parts import make_part, names_part
@@ -19,7 +20,9 @@ from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.gamepad import open_gamepad
 from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.simulated import FAULTS, SimulatedDevice
+from telepresence.haptics.device.udp_joystick import UdpJoystick
 from telepresence.haptics.hand import Hand
+from telepresence.haptics.udp_line import UDP
 
 SIMULATED = "sim"
 PAGE = "page"
@@ -60,15 +63,22 @@ def _open(spec: str, hand: Hand | None, axes: Sequence[AxisName]) -> JoystickDev
         return SimulatedDevice(FAULTS[fault] if fault else None, hand=hand, axes=axes)
     if spec == PAGE:
         return PageDevice(axes=axes)
-    if kind == GAME_CONTROLLER:
-        return open_gamepad(rest)
+    if opened := _BY_KIND.get(kind):
+        return opened(rest)
     if not names_part(spec, GROUP):
         raise ConfigError(
-            f"joystick {spec!r}: write sim, sim:FAULT, page, evdev, evdev:/dev/input/eventN or "
-            "module:Class"
+            f"joystick {spec!r}: write sim, sim:FAULT, page, evdev, evdev:/dev/input/eventN, "
+            "udp:HOST:PORT or module:Class"
         )
     device: JoystickDevice = make_part(spec, GROUP)
     return device
+
+
+#: What is opened with the text after the colon.
+_BY_KIND: dict[str, Callable[[str], JoystickDevice]] = {
+    GAME_CONTROLLER: open_gamepad,
+    UDP: UdpJoystick,
+}
 
 
 def _fault(spec: str) -> str:

@@ -142,8 +142,8 @@ class Stick:
         left_s = dt_ns / NS_PER_S
         while left_s > 0.0:
             dt_s = min(left_s, _CYCLE_S)
-            self._vx = _velocity(self._vx, self._to_x - self._x, dt_s)
-            self._vy = _velocity(self._vy, self._to_y - self._y, dt_s)
+            self._vx = velocity_towards(self._vx, self._to_x - self._x, dt_s, TAU_S)
+            self._vy = velocity_towards(self._vy, self._to_y - self._y, dt_s, TAU_S)
             self._x += self._vx * dt_s
             self._y += self._vy * dt_s
             left_s -= dt_s
@@ -154,12 +154,16 @@ class Stick:
         return x * HALF_WIDTH_M, -y * HALF_HEIGHT_M
 
 
-def _velocity(velocity: float, way: float, dt_s: float) -> float:
-    """Return the velocity (m/s) after `dt_s`, with `way` (m) left to the target."""
+def velocity_towards(velocity: float, way: float, dt_s: float, tau_s: float) -> float:
+    """Return the velocity (m/s) after `dt_s`, with `way` (m) left to the target.
+
+    It is that of a hand: at most `SPEED_M_S`, with at most `ACCELERATION_M_S2`.
+    tau_s: time constant of the last part of the way, at least `dt_s`.
+    """
     # Within `near`, the time constant brakes less than the limit allows; beyond, the limit rules.
-    near = _BRAKING_M_S2 * TAU_S * TAU_S
+    near = _BRAKING_M_S2 * tau_s * tau_s
     size = abs(way)
-    wanted = size / TAU_S if size <= near else sqrt(_BRAKING_M_S2 * (2.0 * size - near))
+    wanted = size / tau_s if size <= near else sqrt(_BRAKING_M_S2 * (2.0 * size - near))
     wanted = min(wanted, SPEED_M_S)
     change = (wanted if way > 0.0 else -wanted) - velocity
     most = ACCELERATION_M_S2 * dt_s

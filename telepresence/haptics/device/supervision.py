@@ -188,7 +188,9 @@ class JoystickSupervisor:
         for axis, half_m in enumerate(self._half_m):
             name, place_m, speed_m_s = "xy"[axis], reading.place(axis), reading.speed(axis)
             if not (isfinite(place_m) and isfinite(speed_m_s)):
-                return self._set_health(Health.FAULT, f"axis {name} reads no number")
+                return self._set_health(
+                    Health.FAULT, f"axis {name} reads no number: its sensor fails, or is silent"
+                )
             if abs(place_m) > half_m + self.limits.outside_m:
                 return self._set_health(
                     Health.FAULT,

@@ -157,6 +157,28 @@ class Ghost(own_robot.Mass):
     def power_off(self): ...
 
 
+class Alone(own_robot.Mass):
+    """Its controller goes on by itself, and stops after 50 ms without a cycle."""
+
+    facts = replace(own_robot.Mass.facts, runs_alone=True)
+    patience_ns = 50_000_000
+    at_ns = 0
+
+    def advance(self, dt_ns):
+        alone_ns = CLOCK.now_ns() - self.at_ns if self.at_ns else dt_ns
+        self.at_ns = CLOCK.now_ns()
+        for _ in range(min(alone_ns, self.patience_ns) // 1_000_000):
+            super().advance(1_000_000)
+        if alone_ns > self.patience_ns:
+            self.vx = self.vy = 0.0
+
+
+class Endless(Alone):
+    """It does not stop."""
+
+    patience_ns = 10**12
+
+
 class Broken(own_robot.Mass):
     """Its driver has a fault."""
 
@@ -164,11 +186,11 @@ class Broken(own_robot.Mass):
         raise OSError("the bus is gone")
 
 
-@pytest.mark.parametrize("robot", [own_robot.Mass, Placed])
+@pytest.mark.parametrize("robot", [own_robot.Mass, Placed, Alone])
 def test_a_sound_robot_passes(robot):
     results = list(RobotCheck(robot(), CLOCK).run())
     assert [one.name for one in results if one.failed] == [], results
-    assert len(results) == 10
+    assert len(results) == 11
 
 
 def failed(robot):
@@ -184,6 +206,7 @@ def failed(robot):
         (Late, "emergency stop"),
         (Blocking, "emergency stop"),
         (Runaway, "missed cycles"),
+        (Endless, "silence"),
         (Lost, "readings"),
         (Stale, "readings"),
         (Slow, "cycle time"),

@@ -11,7 +11,8 @@ from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.robot import RobotFacts
-from telepresence.haptics.robot_device import DrivenRobot, RobotReading, check_robot, open_robot
+from telepresence.haptics.robot_device import DrivenRobot, RobotReading
+from telepresence.haptics.robot_spec import check_robot, open_robot
 from telepresence.haptics.sample import Command
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl

@@ -1,0 +1,228 @@
+"""The datagrams between a session and a robot's or a joystick's controller that is reached by UDP.
+
+Big-endian; numbers with a fraction are IEEE 754 binary32; SI units. Each datagram begins with
+version, kind, number of axes and a detail, and ends with a code: HMAC-SHA-256 (RFC 2104), cut to
+128 bits. `docs/robots.md` has all of it in one table.
+
+| kind | from | code's key | octets |
+|---|---|---|--:|
+| `HELLO` | session | the shared key | 36 |
+| `WELCOME` | controller | the shared key | 82 and the name |
+| `COMMAND` | session | `session_keys`, first | 56 |
+| `READING` | controller | `session_keys`, second | 68 and the text of an error |
+"""
+
+import hmac
+import struct
+from enum import IntEnum
+from math import isfinite, isnan
+from typing import NamedTuple
+
+from kontur_av.errors import ProtocolError
+
+VERSION = 1
+#: More axes are refused for now.
+AXES = 2
+KEY_OCTETS = 32
+#: The key of controllers on this machine that have none: the code is a checksum then.
+NO_KEY = bytes(KEY_OCTETS)
+NONCE_OCTETS = 16
+CODE_OCTETS = 16
+#: A name or a text of an error has at most this many octets of UTF-8.
+TEXT_OCTETS = 80
+#: No datagram is longer.
+LONGEST_OCTETS = 200
+
+_HEAD = struct.Struct(">BBBB")
+_NONCE = struct.Struct(f">{NONCE_OCTETS}s")
+_FACTS = struct.Struct(f">5fBB{AXES}f")
+_COMMAND = struct.Struct(f">QHH{3 * AXES}f")
+_READING = struct.Struct(f">QQHHf{3 * AXES}f")
+#: Larger limits of a device are no limits.
+_MOST = 1000.0
+
+
+class UdpKind(IntEnum):
+    """The kind of a datagram."""
+
+    HELLO = 1
+    WELCOME = 2
+    COMMAND = 3
+    READING = 4
+
+
+class UdpRole(IntEnum):
+    """What a controller is asked to be: the detail of a `HELLO`."""
+
+    ROBOT = 1
+    JOYSTICK = 2
+
+
+class WantedState(IntEnum):
+    """What a robot is to be: the detail of its `COMMAND`."""
+
+    OFF = 0
+    POWER = 1
+    ACTIVE = 2
+
+
+#: Bits of the detail of a `READING`.
+CONTACT, DEAD_MAN = 1, 2
+
+
+class UdpFacts(NamedTuple):
+    """What a controller says of its device. What it has no use for is 0.
+
+    takes_places: a robot takes places and velocities, not forces.
+    speed_m_s: of a robot. The three after it, buttons and leds: of a joystick.
+    half_m: per axis, from the middle of the workspace to its edge.
+    """
+
+    name: str
+    takes_places: bool
+    force_limit_n: float
+    speed_m_s: float
+    mass_kg: float
+    coulomb_n: float
+    viscous_n_s_m: float
+    buttons: int
+    leds: int
+    half_m: tuple[float, ...]
+
+
+class UdpReading(NamedTuple):
+    """What a controller measures.
+
+    number: of this reading in its session. answers: the newest command that it has heard.
+    error: a number, 0 for none, and its text.
+    temperature_c: None without a sensor.
+    axes: place (m), velocity (m/s) and force (N) of each axis, one after the other.
+    """
+
+    number: int
+    answers: int
+    contact: bool
+    dead_man: bool
+    buttons: int
+    error: int
+    text: str
+    temperature_c: float | None
+    axes: tuple[float, ...]
+
+
+def code_of(body: bytes, key: bytes) -> bytes:
+    """Return the code that ends a datagram with this body."""
+    return hmac.digest(key, body, "sha256")[:CODE_OCTETS]
+
+
+def is_authentic(datagram: bytes, key: bytes) -> bool:
+    """Whether a datagram ends with the code of its body."""
+    return hmac.compare_digest(
+        code_of(datagram[:-CODE_OCTETS], key), bytes(datagram[-CODE_OCTETS:])
+    )
+
+
+def kind_of(datagram: bytes) -> int:
+    """Return the kind of a datagram that may be garbage; 0 if it has none."""
+    if not _HEAD.size + CODE_OCTETS < len(datagram) <= LONGEST_OCTETS:
+        return 0
+    return datagram[1]
+
+
+def session_keys(key: bytes, own: bytes, peer: bytes) -> tuple[bytes, bytes]:
+    """Return the keys of a session's commands and of its readings.
+
+    own, peer: the nonces of session and controller.
+    """
+    commands = hmac.digest(key, b"command" + own + peer, "sha256")
+    return commands, hmac.digest(key, b"reading" + own + peer, "sha256")
+
+
+def pack_hello(role: UdpRole, nonce: bytes, key: bytes) -> bytes:
+    """Return the datagram that asks for a session."""
+    body = _HEAD.pack(VERSION, UdpKind.HELLO, AXES, role) + nonce
+    return body + code_of(body, key)
+
+
+def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpFacts] | None:
+    """Return the nonce and the facts of a controller; None if it answers an older `HELLO`.
+
+    nonce: of the newest. datagram: is authentic. Raises ProtocolError, with the reason.
+    """
+    takes_places = _detail(datagram, UdpKind.WELCOME)
+    body = datagram[_HEAD.size : -CODE_OCTETS]
+    text = body[2 * NONCE_OCTETS + _FACTS.size :]
+    if len(body) < 2 * NONCE_OCTETS + _FACTS.size or takes_places > 1:
+        raise ProtocolError("a welcome of another form")
+    if body[:NONCE_OCTETS] != nonce:
+        return None
+    limits = _FACTS.unpack_from(body, 2 * NONCE_OCTETS)
+    force_n, speed_m_s, mass_kg, coulomb_n, viscous_n_s_m, buttons, leds, *half_m = limits
+    # Compared this way round, so that NaN is refused, too.
+    if not (all(0.0 <= one < _MOST for one in limits) and all(half_m) and max(buttons, leds) <= 16):
+        raise ProtocolError("facts that no device has")
+    facts = UdpFacts(
+        _text(text),
+        bool(takes_places),
+        force_n,
+        speed_m_s,
+        mass_kg,
+        coulomb_n,
+        viscous_n_s_m,
+        buttons,
+        leds,
+        tuple(half_m),
+    )
+    return body[NONCE_OCTETS : 2 * NONCE_OCTETS], facts
+
+
+def pack_command(number: int, detail: int, leds: int, axes: tuple[float, ...], key: bytes) -> bytes:
+    """Return a command.
+
+    detail: `WantedState` of a robot, `JoystickState` of a joystick. leds: of a joystick, as a mask.
+    axes: force (N), place (m) and velocity (m/s) of each axis, one after the other.
+    """
+    body = _HEAD.pack(VERSION, UdpKind.COMMAND, AXES, detail) + _COMMAND.pack(
+        number, leds, 0, *axes
+    )
+    return body + hmac.digest(key, body, "sha256")[:CODE_OCTETS]
+
+
+def parse_reading(datagram: bytes) -> UdpReading:
+    """Return a reading. datagram: is authentic. Raises ProtocolError, with the reason."""
+    flags = _detail(datagram, UdpKind.READING)
+    body = datagram[_HEAD.size : -CODE_OCTETS]
+    if len(body) < _READING.size or flags > CONTACT | DEAD_MAN:
+        raise ProtocolError("a reading of another form")
+    number, answers, buttons, error, temperature_c, *axes = _READING.unpack_from(body)
+    if not all(map(isfinite, axes)):
+        raise ProtocolError("a measurement is not a number")
+    return UdpReading(
+        number,
+        answers,
+        bool(flags & CONTACT),
+        bool(flags & DEAD_MAN),
+        buttons,
+        error,
+        _text(body[_READING.size :]),
+        None if isnan(temperature_c) else temperature_c,
+        tuple(axes),
+    )
+
+
+def _detail(datagram: bytes, expected: UdpKind) -> int:
+    version, kind, axes, detail = _HEAD.unpack_from(datagram)
+    if version != VERSION:
+        raise ProtocolError(f"version {version} of the protocol, {VERSION} is due")
+    if kind != expected:
+        raise ProtocolError(f"a datagram of kind {kind}")
+    if axes != AXES:
+        raise ProtocolError(f"{axes} axes, {AXES} are due")
+    return int(detail)
+
+
+def _text(octets: bytes) -> str:
+    if len(octets) > TEXT_OCTETS:
+        raise ProtocolError(f"a text of {len(octets)} octets, {TEXT_OCTETS} are the most")
+    text = octets.decode(errors="replace")
+    return "".join(one if one.isprintable() else "?" for one in text)

@@ -1,0 +1,174 @@
+"""A robot and a joystick by UDP, as the session drives them."""
+
+from itertools import pairwise
+from math import isnan
+
+import pytest
+from udp_controller import MemoryLine, PythonController
+
+from kontur_av.errors import ConfigError
+from telepresence.haptics import udp_robot
+from telepresence.haptics.device import udp_joystick
+from telepresence.haptics.device.operation import JoystickOperation
+from telepresence.haptics.device.spec import open_device
+from telepresence.haptics.device.states import JoystickState
+from telepresence.haptics.robot_device import DrivenRobot
+from telepresence.haptics.robot_spec import check_robot
+from telepresence.haptics.udp_line import UdpLine, unprotected
+from telepresence.haptics.udp_protocol import UdpRole
+from telepresence.haptics.udp_session import MOST_UNANSWERED
+from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.robot_control import RobotControl
+
+MS = 1_000_000
+OFF, POWER, ACTIVE = range(3)
+
+
+@pytest.fixture
+def controller(monkeypatch):
+    controller = PythonController()
+    for module in (udp_robot, udp_joystick):
+        monkeypatch.setattr(module, "UdpLine", lambda _, role: MemoryLine(role, controller))
+    return controller
+
+
+def drive(control, robot, count, force=2.0):
+    for cycle in range(count):
+        control.step(cycle * MS)
+        if robot.mode == 0:
+            robot.drive(MS)
+        else:
+            robot.step(force, 0.0, MS)
+
+
+def test_a_robot_is_moved_and_switched_off_for_good(controller):
+    robot = DrivenRobot(udp_robot.UdpRobot("127.0.0.1:9"))
+    control = RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
+    assert robot.facts.force_limit_n == 25.0
+    drive(control, robot, 200)
+    assert controller.state == ACTIVE and robot.x_m > 0.01
+    robot.close()
+    assert controller.state == OFF
+
+
+def test_a_controller_that_dies_switches_the_robot_off_until_it_is_reset(controller):
+    robot = DrivenRobot(udp_robot.UdpRobot("127.0.0.1:9"))
+    control = RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
+    drive(control, robot, 100)
+    controller.answers = False
+    drive(control, robot, MOST_UNANSWERED + 5)
+    assert not control.powered and "did not answer for 100 ms" in control.fault
+    assert "still there" in control.reset()
+    controller.restart()
+    controller.answers = True
+    drive(control, robot, 200)
+    assert controller.state == POWER and robot.error == "" and controller.speed == [0.0, 0.0]
+    assert control.reset() == "" and control.set_power(True) == ""
+    drive(control, robot, 50)
+    assert controller.state == ACTIVE
+
+
+def test_a_loss_is_told_even_if_the_controller_is_back_at_once(controller):
+    device = udp_robot.UdpRobot("127.0.0.1:9")
+    device.configure()
+    device.power_on()
+    device.activate()
+    controller.answers = False
+    for _ in range(MOST_UNANSWERED + 1):
+        device.advance(MS)
+    controller.restart()
+    controller.answers = True
+    for _ in range(120):
+        device.advance(MS)
+        assert device.read().error
+        assert controller.state != ACTIVE
+    device.deactivate()
+    device.activate()
+    device.advance(MS)
+    assert controller.state == ACTIVE and device.read().error == ""
+
+
+def test_the_controllers_own_error_is_told(controller):
+    robot = DrivenRobot(udp_robot.UdpRobot("127.0.0.1:9"))
+    control = RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
+    controller.error, controller.text = 7, b"drive 2 is\n hot"
+    drive(control, robot, 2)
+    assert control.fault == "error 7: drive 2 is? hot"
+
+
+def joystick_cycles(operation, count, begin=0):
+    for cycle in range(count):
+        operation.handle_force(1.0, 0.0)
+        operation.device.advance(MS)
+        operation.handle_reading((begin + cycle) * MS)
+    return begin + count
+
+
+def test_a_joystick_leads_and_after_a_silence_is_calibrated_before_it_leads_again(controller):
+    controller.facts = PythonController(limits=(0.0,) * 5).facts
+    device = udp_joystick.UdpJoystick("127.0.0.1:9")
+    operation = JoystickOperation(device)
+    now = joystick_cycles(operation, 400)
+    assert operation.state is JoystickState.APPLICATION
+    controller.place, controller.detail, controller.buttons = [0.03, -0.02], 2, 5
+    now = joystick_cycles(operation, 400, now)
+    reading = operation.reading
+    assert reading.place(0) == pytest.approx(0.03) and reading.place(1) == pytest.approx(-0.02)
+    assert reading.dead_man and reading.buttons == 5
+    assert controller.state == JoystickState.APPLICATION and controller.force == [0.0, 0.0]
+
+    controller.answers = False
+    now = joystick_cycles(operation, MOST_UNANSWERED + 5, now)
+    assert operation.state is JoystickState.RECOVERABLE and "is silent" in operation.reason
+    assert isnan(operation.reading.x_m) and not operation.reading.dead_man
+    controller.answers = True
+    controller.place = [0.0, 0.0]
+    now = joystick_cycles(operation, 2000, now)
+    assert operation.state is JoystickState.APPLICATION
+    assert operation.force_limit_n == 0.0, "the button is still held: that is no new press"
+
+
+def test_a_place_that_jumps_is_followed_with_a_hands_acceleration(controller):
+    device = udp_joystick.UdpJoystick("127.0.0.1:9")
+    places = [0.0]
+    controller.place = [0.05, 0.0]
+    for _ in range(200):
+        device.advance(MS)
+        places.append(device.read().x_m)
+    steps = [b - a for a, b in pairwise(places)]
+    changes = [abs(b - a) for a, b in pairwise(steps)]
+    assert max(changes) < 150.0 * 1e-6 and max(places) < 0.0501
+    assert places[-1] == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("udp:", "write udp:HOST:PORT"),
+        ("udp:127.0.0.1:0", "write udp:HOST:PORT"),
+        ("udp:127.0.0.1:x", "write udp:HOST:PORT"),
+        ("udp:192.0.2.7:9000", "give both ends a key"),
+        ("udp:127.0.0.1:9000:no.key", "openssl rand -hex 32 > no.key"),
+        ("udp:127.0.0.1:9000:open.key", "chmod 600 open.key"),
+        ("udp:127.0.0.1:9000:bad.key", "64 digits"),
+    ],
+)
+def test_a_spec_that_cannot_be_is_one_line_with_its_mend(spec, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, mode, text in (("open", 0o640, "00" * 32), ("bad", 0o600, "00" * 31 + "xy")):
+        path = tmp_path / f"{name}.key"
+        path.write_text(text)
+        path.chmod(mode)
+    for opened in (check_robot, open_device):
+        with pytest.raises(ConfigError, match=words) as refused:
+            opened(spec)
+        assert "\n" not in str(refused.value)
+
+
+def test_a_key_is_read_and_its_absence_is_said(tmp_path):
+    path = tmp_path / "arm.key"
+    path.write_text("0f" * 32 + "\n")
+    path.chmod(0o600)
+    UdpLine(f"192.0.2.7:9000:{path}", UdpRole.ROBOT)
+    assert unprotected(f"udp:192.0.2.7:9000:{path}") == unprotected("sim") == ""
+    assert "no key" in unprotected("udp:127.0.0.1:9000")
