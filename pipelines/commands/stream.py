@@ -58,6 +58,8 @@ from pipelines.session.topology import RTC, Segment, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.haptics.robot_device import SIMULATED_ROBOT, check_robot
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.telemetry_source import load_components
 from telepresence.world import audio_scenes, video_scenes
 
 
@@ -101,6 +103,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SPEC",
         help="sim, or your own: module:Class (default: sim)",
     )
+    parser.add_argument(
+        "--telemetry",
+        action="append",
+        default=[],
+        metavar="SPEC",
+        help="your component with parameters, events and functions: module:Class; may be given "
+        "several times, at both ends alike",
+    )
     add_task_arguments(parser)
     add_page_arguments(parser)
     add_rtc_arguments(parser)
@@ -125,6 +135,7 @@ def run(args: argparse.Namespace) -> int:
         check_joystick(args.joystick)
     if Segment.GROUND in plan.segments:
         check_robot(args.robot)
+    components = load_components(args.telemetry, built_in_dictionary())
     tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
     check_writable(args.report)
@@ -142,6 +153,7 @@ def run(args: argparse.Namespace) -> int:
         recorder=True,
         trainer=args.trainer,
         tasks=tasks is not None,
+        components=components,
         segments=plan.segments,
     )
     page_wish = bound_pages(args, plan.segments)
