@@ -14,7 +14,7 @@ from pipelines.session.reception import replace_file
 from pipelines.session.topology import TMTC_TOPICS, Segment, component_process
 from telepresence.tmtc.telemetry_source import Component, load_telemetry
 
-_DEPTH = 64
+_DEPTH = 32
 
 
 def run_component(context: Context, component: Component) -> None:
