@@ -77,7 +77,7 @@ class ComponentDesk:
         self._values: deque[SetValues] = deque()
         self._waiting: deque[_Waiting] = deque()
         self._actions: Retransmission[FunctionCall] = Retransmission(
-            timeout_ns=_AGAIN_NS, most=MOST_AT_ONCE, patience_ns=_PATIENCE_NS
+            timeout_ns=_AGAIN_NS, most=MOST_AT_ONCE
         )
         # An event counts as one octet.
         self._raised = TokenBucket(8, MOST_AT_ONCE)
@@ -114,13 +114,14 @@ class ComponentDesk:
 
     def poll_transmit(self, now_ns: int) -> TmtcRequest | None:
         """Return the next request for the end, or None; the same again until it is sent."""
+        for number, one in self._actions:
+            if now_ns - one.first_ns >= _PATIENCE_NS:
+                self._actions.pop(number)
+                self._fail(_SILENT, now_ns)
         if self._values:
             return self._values[0]
         if self._waiting:
             return self._waiting[0].request
-        while (number := self._actions.next_given_up(now_ns)) is not None:
-            self._actions.pop(number)
-            self._fail(_SILENT, now_ns)
         due = self._actions.poll_transmit(now_ns)
         return None if due is None else self._command(due[0], due[1].item)
 
