@@ -108,8 +108,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="SPEC",
-        help="your component with parameters, events and functions: module:Class; may be given "
-        "several times, at both ends alike",
+        help="your component in telemetry: module:Class; may be given several times, at both ends",
     )
     add_task_arguments(parser)
     add_page_arguments(parser)

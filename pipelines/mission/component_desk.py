@@ -83,7 +83,6 @@ class ComponentDesk:
         self._raised = TokenBucket(8, MOST_AT_ONCE)
         self._called = TokenBucket(8, MOST_AT_ONCE)
         self._events: deque[DatedEvent] = deque(maxlen=_EVENTS_DEPTH)
-        self._readings = self._calls = self._refused = 0
         self._acted = self._actions_failed = self._actions_dropped = 0
         self._events_dropped = self._faults = self._dropped = self._waited_ns = 0
         self._newest_fault = ""
@@ -141,9 +140,6 @@ class ComponentDesk:
         """Put the counters into the probe."""
         probe.tell(
             ComponentFigures(
-                readings=self._readings,
-                calls=self._calls,
-                calls_refused=self._refused,
                 actions=self._acted,
                 actions_failed=self._actions_failed,
                 actions_dropped=self._actions_dropped,
@@ -158,7 +154,6 @@ class ComponentDesk:
 
     def _read(self, now_ns: int) -> None:
         reading = self._source.read()
-        self._readings += 1
         values: Values = {}
         for name, value in {**self.settings, **reading.values}.items():
             try:
@@ -193,8 +188,6 @@ class ComponentDesk:
             # The user's own code: whoever called learns what it raised.
             refusal = _words(error)
             self._fault(f"{asked.function}: {refusal}", now_ns)
-        self._calls += not refusal
-        self._refused += bool(refusal)
         # Who asks for values after its completion gets those after the call.
         self._due_ns = now_ns + READ_NS
         self._read(now_ns)

@@ -64,21 +64,14 @@ class TaskFigures:
 class ComponentFigures:
     """A user's component in telemetry."""
 
-    #: Times that it was read.
-    readings: int = 0
-    #: Functions that it carried out.
-    calls: int = 0
-    #: Functions that it refused.
-    calls_refused: int = 0
     #: Functions that it called after events.
     actions: int = 0
-    #: Of these, refused or without an answer.
+    #: Of these, failed.
     actions_failed: int = 0
-    #: Not called, as they came too fast.
+    #: Functions and events beyond the rate.
     actions_dropped: int = 0
-    #: Events that it raised too fast.
     events_dropped: int = 0
-    #: Exceptions of its methods, and what no table has.
+    #: Exceptions and unfit values.
     faults: int = 0
     #: The newest of them.
     fault: str = ""
@@ -86,5 +79,5 @@ class ComponentFigures:
     requests_dropped: int = 0
     #: The longest that one waited.
     requests_waited_ms: Most[float] = 0.0
-    #: Its events and faults, oldest first; the newest 200.
+    #: Events and faults; the newest 200.
     events: tuple[DatedEvent, ...] = ()

@@ -599,7 +599,7 @@ class SessionReport(Report, frozen=True, kw_only=True):
     rtc: RtcReport | None = None
     #: The runs of tasks, oldest first; only with a plan.
     tasks: list[TaskRow] | None = None
-    #: The components in telemetry, by name; left out without one.
+    #: Components in telemetry, by name.
     telemetry: dict[str, ComponentFigures] | None = None
     #: What `report join` needs; of one end alone.
     trace: EndTrace | None = None

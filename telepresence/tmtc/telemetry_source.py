@@ -80,7 +80,7 @@ class TelemetryEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TelemetryFunction:
-    """A function that telecommands call. arguments: parameters; text: what it does."""
+    """A function. arguments: parameters; text: what it does."""
 
     name: str
     arguments: tuple[str, ...] = ()
@@ -88,14 +88,14 @@ class TelemetryFunction:
 
 
 class TelemetryReading(NamedTuple):
-    """values: of parameters, by name; those left out stay. events: what happened since the last."""
+    """values: of parameters; those left out stay. events: what happened since the last."""
 
     values: Mapping[str, Value]
     events: Sequence[str] = ()
 
 
 class FunctionCall(NamedTuple):
-    """Call a function of an application, as `kontur-av tc` does: robot power_off, for example."""
+    """Call a function of any application, as `kontur-av tc` does."""
 
     application: str
     function: str
@@ -103,7 +103,7 @@ class FunctionCall(NamedTuple):
 
 
 class TelemetrySource:
-    """A component: inherit from it, and define what the component has.
+    """A component of yours: inherit from it.
 
     It has a process of its own beside the robot, so its methods may block. Meanwhile its values
     grow old: after 5 s they are reported no more. An exception of `read` or `set` ends that
@@ -122,22 +122,25 @@ class TelemetrySource:
         """Connect. Raises ConfigError, with the mend, if that is not possible."""
 
     def read(self) -> TelemetryReading:
-        """Return the values, and the events since the last call. Called twice a second."""
+        """Return values, and the events since the last call. Called twice a second."""
         return TelemetryReading({})
 
     def set(self, name: str, value: Value) -> None:
-        """A telecommand has set a writable parameter; called in each new life, too."""
+        """A telecommand has set a parameter. Called in each new life, too."""
 
     def call(self, function: str, arguments: Mapping[str, Value]) -> str | None:
-        """Carry a function out within 10 s; return why it was refused, None if it was not."""
+        """Carry a function out; return why not, if it is refused.
+
+        After 10 s its telecommand counts as failed, whatever comes.
+        """
         return "it does nothing"
 
     def handle_event(self, event: EventReport) -> Iterable[FunctionCall] | None:
-        """An application of either end has reported an event; return what follows from it."""
+        """Return what follows from an event of any application, at either end."""
         return ()
 
     def close(self) -> None:
-        """The session ends."""
+        """Disconnect."""
 
 
 class Component(NamedTuple):
