@@ -14,6 +14,7 @@ from pipelines.session.setup.table import Setup
 from pipelines.session.topology import ProcessRow, SessionOptions, Topology
 from telepresence.haptics.device.spec import SIMULATED
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
+from telepresence.tmtc.telemetry_source import Component
 
 #: Within a stage, processes start in the order of the rooms.
 ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
@@ -37,6 +38,7 @@ def topology_of(
     recorder: bool = False,
     trainer: bool = False,
     tasks: bool = False,
+    components: tuple[Component, ...] = (),
     segments: tuple[Segment, ...] = tuple(Segment),
 ) -> Topology:
     """The table of a session of `setup`.
@@ -51,6 +53,7 @@ def topology_of(
         recorder=recorder,
         trainer=trainer,
         tasks=tasks,
+        components=components,
     )
     streams = Topology(setup=setup, options=options, segments=segments)
     rows = (row for room in ROOMS for row in room(streams) if row.when)

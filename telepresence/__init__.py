@@ -22,12 +22,22 @@ if TYPE_CHECKING:
     from telepresence.link.receiver import LinkReceiver
     from telepresence.link.sender import LinkSender
     from telepresence.tmtc.pus.application import PusApplication
-    from telepresence.tmtc.pus.user import PusUser
+    from telepresence.tmtc.pus.user import EventReport, PusUser
+    from telepresence.tmtc.telemetry_source import (
+        FunctionCall,
+        TelemetryEvent,
+        TelemetryFunction,
+        TelemetryParameter,
+        TelemetryReading,
+        TelemetrySource,
+    )
 
 __all__ = [
     "Command",
+    "EventReport",
     "Feedback",
     "Flow",
+    "FunctionCall",
     "Gateway",
     "Handle",
     "JoystickDevice",
@@ -46,6 +56,11 @@ __all__ = [
     "RobotFacts",
     "RobotReading",
     "RobotSide",
+    "TelemetryEvent",
+    "TelemetryFunction",
+    "TelemetryParameter",
+    "TelemetryReading",
+    "TelemetrySource",
     "load_radio",
     "packet_flow",
     "video_flow",
@@ -66,6 +81,14 @@ _HOMES = {
     "link.receiver": ("LinkReceiver",),
     "link.sender": ("LinkSender",),
     "tmtc.pus.application": ("PusApplication",),
-    "tmtc.pus.user": ("PusUser",),
+    "tmtc.pus.user": ("EventReport", "PusUser"),
+    "tmtc.telemetry_source": (
+        "FunctionCall",
+        "TelemetryEvent",
+        "TelemetryFunction",
+        "TelemetryParameter",
+        "TelemetryReading",
+        "TelemetrySource",
+    ),
 }
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)

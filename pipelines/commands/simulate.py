@@ -36,7 +36,7 @@ from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import replay, simulate
 from telepresence.haptics.device.spec import GAME_CONTROLLER, PAGE, open_device
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.robot_device import open_robot
+from telepresence.haptics.robot_spec import open_robot
 from telepresence.tasks.plan_file import load_plan
 
 #: Kinds of robots and joysticks whose time is not ours.

@@ -59,6 +59,8 @@ from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.robot_spec import check_robot
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.telemetry_source import load_components
 from telepresence.world import audio_scenes, video_scenes
 
 
@@ -102,6 +104,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SPEC",
         help="sim, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
     )
+    parser.add_argument(
+        "--telemetry",
+        action="append",
+        default=[],
+        metavar="SPEC",
+        help="your component in telemetry: module:Class; may be given several times, at both ends",
+    )
     add_task_arguments(parser)
     add_page_arguments(parser)
     add_rtc_arguments(parser)
@@ -127,6 +136,7 @@ def run(args: argparse.Namespace) -> int:
     if Segment.GROUND in plan.segments:
         check_robot(args.robot, setup.more_axes)
     say_unprotected(args.joystick, args.robot)
+    components = load_components(args.telemetry, built_in_dictionary())
     tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
     check_writable(args.report)
@@ -144,6 +154,7 @@ def run(args: argparse.Namespace) -> int:
         recorder=True,
         trainer=args.trainer,
         tasks=tasks is not None,
+        components=components,
         segments=plan.segments,
     )
     page_wish = bound_pages(args, plan.segments)

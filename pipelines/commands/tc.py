@@ -12,7 +12,7 @@ from pipelines.mission.tmtc_messages import (
     SHORT_VERBS,
     command_from_words,
 )
-from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.mission.tmtc_socket import read_dictionary, tmtc_socket_name
 from pipelines.session.asking import running_sessions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import TMTC_TOPICS
@@ -55,36 +55,50 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 once the telecommand is verified as completed; else 1."""
-    dictionary = built_in_dictionary()
-    if args.xtce:
-        print(dictionary_xtce(dictionary), end="")
+    if args.xtce or not args.words:
+        _print_known(args)
         return 0
-    if args.application is None:
-        for one in dictionary.applications:
-            print(f"{one.name} ({one.end}): {one.text}")
-        return 0
+    built_in = built_in_dictionary()
+    # Users' components are on the ground.
+    ends = {one.name: one.end for one in built_in.applications}
+    end = Segment(ends.get(args.application, Segment.GROUND.value))
+    origin = Segment(args.origin) if args.origin else end.peer
+    running = running_sessions(tmtc_socket_name(origin))
+    session = acting_on(args.session, running, moves=True) if running else None
+    dictionary = built_in if session is None else read_dictionary(session)
     application = dictionary.application(args.application)
-    if not args.words:
-        _list(application)
-        return 0
     request = command_from_words(
         application, args.words, client=_CLIENT, number=SystemRandom().getrandbits(48)
     )
-    origin = Segment(args.origin) if args.origin else Segment(application.end).peer
-    running = running_sessions(tmtc_socket_name(origin))
-    if not running:
+    if session is None:
         raise ConfigError(
             f"no session with its end {origin.value} runs here: start one with kontur-av stream"
         )
-    session = acting_on(args.session, running, moves=True)
     with TopicBus.join(session) as bus:
         reader = bus.reader(TMTC_TOPICS[origin], depth=32)
         return follow(Sending(session, origin, request, reader), application)
 
 
+def _print_known(args: argparse.Namespace) -> None:
+    """The dictionary of the running session; without any, the built-in one."""
+    found = (one for segment in Segment for one in running_sessions(tmtc_socket_name(segment)))
+    running = list(dict.fromkeys(found))
+    dictionary = built_in_dictionary()
+    if running:
+        dictionary = read_dictionary(acting_on(args.session, running))
+    if args.xtce:
+        print(dictionary_xtce(dictionary), end="")
+    elif args.application is not None:
+        _list(dictionary.application(args.application))
+    else:
+        for one in dictionary.applications:
+            print(f"{one.name} ({one.end}): {one.text}")
+
+
 def _list(application: Application) -> None:
     for function in application.functions:
-        print(" ".join((function.name, *function.arguments)))
+        words = " ".join((function.name, *function.arguments))
+        print(f"{words}: {function.text}" if function.text else words)
     for structure in application.structures:
         print(f"report {structure.name}: {', '.join(structure.parameters)}")
     settable = [one.name for one in application.parameters if one.writable]

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from kontur_av.figures import Most
+from pipelines.session.figures import DatedEvent
 from pipelines.session.task_journal import TaskRow
 
 
@@ -56,3 +58,26 @@ class TaskFigures:
     unrecorded_why: str | None = None
     #: The runs, by their numbers.
     runs: Mapping[int, TaskRow] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComponentFigures:
+    """A user's component in telemetry."""
+
+    #: Functions that it called after events.
+    actions: int = 0
+    #: Of these, failed.
+    actions_failed: int = 0
+    #: Functions and events beyond the rate.
+    actions_dropped: int = 0
+    events_dropped: int = 0
+    #: Exceptions and unfit values.
+    faults: int = 0
+    #: The newest of them.
+    fault: str = ""
+    #: Requests dropped because too many waited.
+    requests_dropped: int = 0
+    #: The longest that one waited.
+    requests_waited_ms: Most[float] = 0.0
+    #: Events and faults; the newest 200.
+    events: tuple[DatedEvent, ...] = ()

@@ -28,7 +28,7 @@ from pipelines.hand.haptic_trace import rows_of
 from pipelines.mission.choosing import CAMERA, SELECT
 from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
-from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.mission.tmtc_socket import read_dictionary, tmtc_socket_name
 from pipelines.session.asking import running_sessions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import (
@@ -38,7 +38,6 @@ from pipelines.session.topology import (
     displayed_topic,
     page_topic,
 )
-from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 _CLIENT = "JoinedSession"
 _LOOK_NS = 200 * NS_PER_MS
@@ -206,7 +205,7 @@ class JoinedSession(Closing):
         why not. Raises ConfigError for what the application does not know, and ConnectionError if
         the session does not answer.
         """
-        known = built_in_dictionary().application(application)
+        known = read_dictionary(self.name).application(application)
         number = SystemRandom().getrandbits(48)
         request = command_from_words(known, words, client=_CLIENT, number=number)
         origin = Segment(known.end).peer

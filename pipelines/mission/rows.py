@@ -28,6 +28,7 @@ from pipelines.session.topology import (
     Segment,
     Stage,
     Topology,
+    component_process,
     given,
     leds_port,
     link_state_topic,
@@ -36,7 +37,7 @@ from pipelines.session.topology import (
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
-    """Console and selector; with tasks, their kernel, LEDs and panel; with a trainer, its desk."""
+    """Console, selector and users' components; what tasks need; with a trainer, its desk."""
     setup, options = session.setup, session.options
     return (
         ProcessRow(
@@ -74,6 +75,18 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 packets_topic(TELEMETRY, sent=False),
             ),
             what="PUS of space: sends telecommands",
+        ),
+        *(
+            ProcessRow(
+                name=component_process(one.application.name),
+                segment=Segment.GROUND,
+                stage=Stage.LINK,
+                run="pipelines.mission.process_component:run_component",
+                arguments={"component": one},
+                reads=(TMTC_TOPICS[Segment.GROUND],),
+                what=one.application.text or "a user's component in telemetry",
+            )
+            for one in options.components
         ),
         ProcessRow(
             name=TASKS,

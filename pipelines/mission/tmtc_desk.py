@@ -17,7 +17,7 @@ from pipelines.link.link_state import unpack_link
 from pipelines.mission.choosing import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, FunctionAsked, pack_news
-from pipelines.mission.tmtc_socket import TmtcSocket
+from pipelines.mission.tmtc_socket import TmtcSocket, write_dictionary
 from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.mission_messages import MISSION_OCTETS, RobotStatus, pack, unpack
 from pipelines.session.process import Context
@@ -34,6 +34,7 @@ from pipelines.session.topology import (
 )
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.packets import COUNT_MODULUS
+from telepresence.tmtc.telemetry_source import with_components
 
 #: Each state of the joystick or the robot may answer another telecommand.
 _STATES = 16
@@ -57,9 +58,13 @@ class TmtcDesk:
     ) -> None:
         clock = context.clock
         now_ns = clock.now_ns()
+        dictionary = session_dictionary(
+            with_components(built_in_dictionary(), context.topology.options.components),
+            context.setup.cameras,
+        )
         self.end = TmtcEnd(
             segment,
-            session_dictionary(built_in_dictionary(), context.setup.cameras),
+            dictionary,
             now_ns=now_ns,
             first_count=secrets.randbelow(COUNT_MODULUS),
             life=(now_ns + clock.wall_offset_ns) // NS_PER_S,
@@ -109,6 +114,7 @@ class TmtcDesk:
             self._topics.append((bus.reader(ROBOT_TOPIC), take_robot))
             self._topics.append((bus.reader(ROBOT_STATUS_TOPIC, depth=_STATES), take_status))
         make_session_root(context.session)
+        write_dictionary(context.session, dictionary)
         self._requests = TmtcSocket(context.session, segment)
         context.on_flush(lambda: self.end.tell(context.probe))
 

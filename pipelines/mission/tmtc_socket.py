@@ -8,6 +8,9 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
+
+from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import session_root
 from pipelines.mission.tmtc_messages import (
@@ -25,8 +28,13 @@ from pipelines.mission.tmtc_messages import (
     plain_fields,
     unpack_news,
 )
+from pipelines.session.reception import replace_file
 from pipelines.session.topology import TMTC_TOPICS, Segment
 from telepresence.tmtc.k2aci import K2aciMessage
+from telepresence.tmtc.pus.dictionary import Dictionary
+
+#: In the session's directory.
+_DICTIONARY = "dictionary.json"
 
 
 def tmtc_socket_name(segment: Segment) -> str:
@@ -37,6 +45,23 @@ def tmtc_socket_name(segment: Segment) -> str:
 def tmtc_path(session: str, segment: Segment) -> Path:
     """Return the path of the socket of a session."""
     return session_root(session) / tmtc_socket_name(segment)
+
+
+def write_dictionary(session: str, dictionary: Dictionary) -> None:
+    """Keep the dictionary of a session for those who ask it. Do so before it takes requests."""
+    replace_file(session_root(session) / _DICTIONARY, msgspec.json.encode(dictionary))
+
+
+def read_dictionary(session: str) -> Dictionary:
+    """Return the dictionary of a running session, with its cameras and users' components.
+
+    Raises ConfigError if the session has ended.
+    """
+    try:
+        octets = (session_root(session) / _DICTIONARY).read_bytes()
+    except FileNotFoundError:
+        raise ConfigError(f"session {session} has ended") from None
+    return msgspec.json.decode(octets, type=Dictionary)
 
 
 def send_to_tmtc(session: str, segment: Segment, request: TmtcRequest) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
-from pipelines.mission.figures import TaskFigures
+from pipelines.mission.figures import ComponentFigures, TaskFigures
 from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
 from pipelines.session.figures import TrainerFigures
@@ -19,7 +19,7 @@ from pipelines.session.session_events import Event
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.setup.table import Setup
 from pipelines.session.task_journal import KEPT, OPEN
-from pipelines.session.topology import TASKS, TRAINER, Segment
+from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
 from telepresence.haptics.figures import JoystickFigures
 from telepresence.haptics.ownership import OwnershipFigures
 from telepresence.link.figures import SupervisionFigures
@@ -79,6 +79,7 @@ class EventLog:
             *self._session(switch),
             *self._recorded(),
             *self._tasks(now_ns),
+            *self._components(),
             *self._passes(started_ns, now_ns),
             *self._cameras(),
             *self._restarted(processes, now_ns),
@@ -121,6 +122,14 @@ class EventLog:
         arm = self._collector.process("robot").find(OwnershipFigures)
         owners = [] if arm is None else [(event.at_ns, event.what) for event in arm.events]
         yield from self._fresh("session", "robot", owners, "robot")
+
+    def _components(self) -> Iterator[tuple[int, str, str]]:
+        """Events of users' components in telemetry, and their faults."""
+        for component in self._collector.topology.options.components:
+            name = component.application.name
+            told = self._collector.process(component_process(name)).total(ComponentFigures)
+            events = [(event.at_ns, event.what) for event in told.events]
+            yield from self._fresh("session", name, events, name, "telemetry")
 
     def _fresh(
         self, what: str, who: str, record: Sequence[tuple[int, str]], *key: str

@@ -25,7 +25,7 @@ from pipelines.media.figures import (
     SnapshotFigures,
     StereoFigures,
 )
-from pipelines.mission.figures import TaskFigures, TmtcFigures
+from pipelines.mission.figures import ComponentFigures, TaskFigures, TmtcFigures
 from pipelines.partner.figures import RtcFigures
 from pipelines.recording.figures import RecorderFigures
 from pipelines.report.model import keys_of
@@ -72,6 +72,7 @@ TOLD: tuple[type, ...] = (
     SafetyFigures,
     TmtcFigures,
     TaskFigures,
+    ComponentFigures,
     TrainerFigures,
     PageFigures,
     RtcFigures,

@@ -28,6 +28,7 @@ from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.link.figures import SocketFigures, WayInFigures
 from pipelines.media.figures import DisplayFigures, GainFigures
+from pipelines.mission.figures import ComponentFigures
 from pipelines.partner.figures import RtcFigures
 from pipelines.recording.figures import RecorderFigures
 from pipelines.session.figures import DatedEvent, LoopFigures
@@ -602,6 +603,8 @@ class SessionReport(Report, frozen=True, kw_only=True):
     rtc: RtcReport | None = None
     #: The runs of tasks, oldest first; only with a plan.
     tasks: list[TaskRow] | None = None
+    #: Components in telemetry, by name.
+    telemetry: dict[str, ComponentFigures] | None = None
     #: What `report join` needs; of one end alone.
     trace: EndTrace | None = None
     #: Of `simulate` only.

@@ -12,7 +12,7 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram
 from pipelines.media.figures import DisplayFigures
-from pipelines.mission.figures import TaskFigures
+from pipelines.mission.figures import ComponentFigures, TaskFigures
 from pipelines.partner.figures import RtcFigures
 from pipelines.recording.figures import RecorderFigures
 from pipelines.report.collector import Collector
@@ -35,6 +35,7 @@ from pipelines.session.topology import (
     TASKS,
     TRAINER,
     Segment,
+    component_process,
 )
 from telepresence.haptics.figures import PortFigures, SamplesReceived, SamplesSent
 from telepresence.haptics.ownership import OwnershipFigures
@@ -69,6 +70,18 @@ def exercises(collector: Collector, epoch_ns: int) -> list[DatedEvent] | None:
     """Return what the trainer did; None if nothing."""
     told = collector.process(TRAINER).total(TrainerFigures).exercises
     return [replace(event, at_ns=event.at_ns - epoch_ns) for event in told] or None
+
+
+def component_reports(collector: Collector, epoch_ns: int) -> dict[str, ComponentFigures] | None:
+    """Return what the components in telemetry did, by name; None without one that ran here."""
+    found = {}
+    for component in collector.topology.options.components:
+        name = component.application.name
+        told = collector.process(component_process(name)).find(ComponentFigures)
+        if told is not None:
+            events = (replace(event, at_ns=event.at_ns - epoch_ns) for event in told.events)
+            found[name] = replace(told, events=tuple(events))
+    return found or None
 
 
 def task_runs(collector: Collector, epoch_ns: int) -> list[TaskRow] | None:

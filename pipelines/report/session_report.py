@@ -26,6 +26,7 @@ from pipelines.report.model import (
 )
 from pipelines.report.sections import (
     arm_report,
+    component_reports,
     cpu_report,
     exercises,
     recorder_report,
@@ -128,6 +129,7 @@ def build_report(
         safety=safety_report(collector),
         second_arm=second_arm_report(collector),
         tasks=task_runs(collector, _radio_epoch_ns(collector)),
+        telemetry=component_reports(collector, _radio_epoch_ns(collector)),
     )
 
 

@@ -23,6 +23,7 @@ from pipelines.session.topology import PAGES, Segment
 from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.telemetry_source import with_components
 
 
 def run_page(context: Context, *, segment: Segment, tasks: Catalogue | None = None) -> None:
@@ -61,9 +62,9 @@ class PageServer:
         self._site = WebSite(
             context.pages[PAGES[segment]], seat=segment.value, others=_OTHERS[segment]
         )
-        plan = seat_plan(
-            context.topology, segment, context.session, built_in_dictionary(), tasks=tasks
-        )
+        components = context.topology.options.components
+        dictionary = with_components(built_in_dictionary(), components)
+        plan = seat_plan(context.topology, segment, context.session, dictionary, tasks=tasks)
         self._seat = Seat(plan, first_command=self._now_ns())
         self._serving = ServingLoop(context, self._handle_time)
         self._sockets = SeatSockets(self._now_ns)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from battery import Mission
 from pus_ends import MS, Ends, oven
 from tmtc_session import Session
 from xtce_decoder import decoded
@@ -129,3 +130,23 @@ def test_it_knows_the_packets_with_walls(tmp_path: Path) -> None:
         3000,
         1500,
     )
+
+
+def test_it_reads_the_reports_and_calls_of_a_users_component(tmp_path: Path) -> None:
+    mission = Mission()
+    mission.battery.values = {"voltage": 11.0, "limit": 20}
+    mission.run(3)
+    mission.ask("call", "use", "b")
+    mission.ask("call", "recharge", 99.0)
+    packets = [
+        one
+        for one in decoded(mission.dictionary, b"".join(mission.packets), tmp_path)
+        if one["PKT_APID"] == mission.table.apid
+    ]
+    reports = [one for one in packets if "STRUCTURE" in one]
+    assert {(one["battery_voltage"], one["battery_limit"]) for one in reports} == {(11.0, 20)}
+    (low,) = [one for one in packets if "EVENT" in one]
+    assert (low["SUBTYPE"], low["battery_voltage"]) == (3, 11.0)
+    assert [one["battery_cell"] for one in packets if "battery_cell" in one] == ["b"]
+    (failure,) = [one for one in packets if "REASON" in one]
+    assert failure["REASON"] == "target is 99: give at least 11.1 and at most 14.4"

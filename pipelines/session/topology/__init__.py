@@ -26,6 +26,7 @@ from pipelines.session.topology.processes import (
     SELECTOR,
     TASKS,
     TRAINER,
+    component_process,
 )
 from pipelines.session.topology.rows import (
     LOOP_PRIORITY,
@@ -175,6 +176,7 @@ __all__ = [
     "Topology",
     "VideoRow",
     "backlog_topic",
+    "component_process",
     "displayed_topic",
     "gateway_topic",
     "given",

@@ -9,6 +9,13 @@ SECOND_ROBOT, OWNER_DESK = "robot_second", "owner_desk"
 SELECTOR, CONSOLE = "selector", "console"
 #: TOP kernel and experiment, the LED panel, the mission control panel.
 TASKS, LEDS, PANEL = "tasks", "leds", "panel"
+
+
+def component_process(name: str) -> str:
+    """The process of a user's component in telemetry."""
+    return f"telemetry_{name}"
+
+
 #: The process that takes a trainer's requests.
 TRAINER = "trainer"
 #: The process that records the session.

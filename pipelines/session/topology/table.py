@@ -29,6 +29,7 @@ from pipelines.session.topology.topics import Topic
 from telepresence.haptics.device.spec import SIMULATED
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.link.flows import Flow
+from telepresence.tmtc.telemetry_source import Component
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +41,7 @@ class SessionOptions:
     recorder: with the process that can record the session.
     trainer: with the process that takes a trainer's requests.
     tasks: with the processes by which tasks are done.
+    components: of users, in the telemetry.
     """
 
     joystick: str = SIMULATED
@@ -49,6 +51,7 @@ class SessionOptions:
     recorder: bool = False
     trainer: bool = False
     tasks: bool = False
+    components: tuple[Component, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

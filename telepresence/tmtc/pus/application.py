@@ -104,6 +104,7 @@ class PusApplication:
         self.events_reported = 0
         self.housekeeping_reported = 0
         self._epoch_ns = epoch_ns
+        self._told_ns = now_ns
         self._count = first_count % COUNT_MODULUS
         self._counters: dict[tuple[int, int], int] = {}
         self._housekeeping = HousekeepingReports(application, now_ns)
@@ -175,6 +176,7 @@ class PusApplication:
         for name, value in values.items():
             self.table.parameter(name).pack(value)
         self.values.update(values)
+        self._told_ns = now_ns
         for event in self._monitors.handle_values(values):
             self.handle_event(event, now_ns)
 
@@ -195,6 +197,8 @@ class PusApplication:
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """Return the next packet of telemetry, housekeeping last, or None."""
+        if self.table.fresh_s and now_ns - self._told_ns > self.table.fresh_s * NS_PER_S:
+            self.values.clear()
         for structure in self._housekeeping.poll_due(now_ns):
             data = self._housekeeping.pack(structure, self.values)
             if data is not None:
@@ -223,7 +227,10 @@ class PusApplication:
             self._fail(known, VerificationStage.ACCEPTED, Failure.BAD_DATA, reason, now_ns)
             return
         try:
-            arguments = unpack_values(self.table.named(function.arguments), data[1:])
+            parameters = self.table.named(function.arguments)
+            arguments = unpack_values(parameters, data[1:])
+            for parameter, value in zip(parameters, arguments, strict=True):
+                parameter.check(value)
         except ProtocolError as error:
             self._fail(known, VerificationStage.ACCEPTED, Failure.BAD_DATA, str(error), now_ns)
             return
@@ -386,8 +393,7 @@ class PusApplication:
             if not self.table.parameter(name).writable:
                 return f"{name} cannot be set"
         for name, value in settings:
-            if not self.table.parameter(name).within(value):
-                return f"{name} would be beyond its limits"
+            self.table.parameter(name).check(value)
         for name, value in settings:
             self.values[name] = value
             self._request(ParameterSet(name, value))

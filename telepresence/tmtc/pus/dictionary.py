@@ -101,13 +101,15 @@ class Action:
 class Application:
     """What the application `apid` has. By name, in the order of the table.
 
-    end: where it is, "space" or "ground".
+    end: where it is, "space" or "ground". fresh_s: values that were not told anew for so long are
+    forgotten, so that its reports end; 0: never.
     """
 
     name: str
     apid: int
     end: str = "space"
     text: str = ""
+    fresh_s: float = 0.0
     parameters: tuple[Parameter, ...] = ()
     structures: tuple[Structure, ...] = ()
     events: tuple[EventDefinition, ...] = ()
@@ -214,6 +216,8 @@ class Dictionary:
     def __post_init__(self) -> None:
         seen: dict[int, str] = {}
         for one in self.applications:
+            if one.name in seen.values():
+                raise ConfigError(f"{one.name}: another application has this name: choose another")
             if one.apid in seen:
                 raise ConfigError(
                     f"{one.name}.apid is {one.apid}, as that of {seen[one.apid]}: give each its own"

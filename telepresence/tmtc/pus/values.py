@@ -3,7 +3,7 @@
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 
 from kontur_av.errors import ConfigError, ProtocolError
 
@@ -98,11 +98,26 @@ class Parameter:
         # Rounded, so that 6294 times 0.00001 is 0.06294.
         return round(float(raw) * self.scale, 9)
 
-    def within(self, value: Value) -> bool:
-        """Whether `value` is within the limits. Values that are not numbers pass."""
-        if isinstance(value, str) or value != value:
-            return True
-        return (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
+    def check(self, value: Value) -> None:
+        """Raise ProtocolError, with the limits, unless `value` is finite and within them.
+
+        For what a telecommand asks for. On the wire a limit of an "f32" is a little above or below.
+        """
+        if isinstance(value, str):
+            return
+        low = -inf if self.low is None else self._sent(self.low)
+        high = inf if self.high is None else self._sent(self.high)
+        if isfinite(value) and low <= value <= high:
+            return
+        sides = {"at least": self.low, "at most": self.high}
+        known = " and ".join(f"{side} {at:g}" for side, at in sides.items() if at is not None)
+        raise ProtocolError(f"{self.name} is {value:g}: give {known or 'a finite number'}")
+
+    def _sent(self, limit: float) -> float:
+        if self.type != "f32":
+            return limit
+        (sent,) = struct.unpack(">f", _pack_float(limit))
+        return float(sent)
 
     def _pack_text(self, value: Value) -> bytes:
         if self.choices and value not in self.choices:

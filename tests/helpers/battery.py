@@ -1,0 +1,154 @@
+"""A user's component for tests, and the two ends of TM/TC that it is in."""
+
+from pipelines.mission.component_desk import ComponentDesk
+from pipelines.mission.tmtc import TmtcEnd
+from pipelines.mission.tmtc_messages import SendCommand
+from pipelines.session.setup.segments import Segment
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.telemetry_source import (
+    Component,
+    FunctionCall,
+    TelemetryEvent,
+    TelemetryFunction,
+    TelemetryParameter,
+    TelemetryReading,
+    TelemetrySource,
+    application_of,
+    with_components,
+)
+
+MS = 1_000_000
+S = 1_000 * MS
+
+
+class Battery(TelemetrySource):
+    """Says what a test tells it to."""
+
+    name = "battery"
+    parameters = (
+        TelemetryParameter(
+            name="voltage", unit="V", low=11.1, high=14.4, below="low", above="high", period_s=1.0
+        ),
+        TelemetryParameter(name="target", unit="V", low=11.1, high=14.4, period_s=None),
+        TelemetryParameter(name="limit", type="u8", unit="A", high=40, period_s=1.0, writable=True),
+        TelemetryParameter(name="cell", type="choice", choices=("a", "b"), period_s=None),
+    )
+    events = (
+        TelemetryEvent(name="low", severity="medium", arguments=("voltage",)),
+        TelemetryEvent(name="high", severity="high", arguments=("voltage",)),
+        TelemetryEvent(name="opened"),
+    )
+    functions = (
+        TelemetryFunction(name="recharge", arguments=("target",)),
+        TelemetryFunction(name="use", arguments=("cell",)),
+    )
+
+    def __init__(self):
+        self.values = {"voltage": 12.0}
+        self.raised = []
+        self.calls = []
+        self.answer = None
+        self.settings = []
+        self.heard = []
+        self.follows = lambda event: ()
+
+    def read(self):
+        raised, self.raised = self.raised, []
+        return TelemetryReading(self.values, raised)
+
+    def set(self, name, value):
+        self.settings.append((name, value))
+
+    def call(self, function, arguments):
+        self.calls.append((function, arguments))
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+    def handle_event(self, event):
+        self.heard.append((event.application, event.event, dict(event.values)))
+        return self.follows(event)
+
+
+def recharges(event):
+    """After each of its events the battery is recharged."""
+    if event.application == "battery":
+        yield FunctionCall("battery", "recharge", (12.5,))
+
+
+class Mission:
+    """Both ends, with a battery on the ground. Time goes on with `run`.
+
+    taken: whether the end takes what the component asks for. told: news of both ends.
+    """
+
+    def __init__(self, source=None, settings=None):
+        self.battery = source or Battery()
+        self.table = application_of(self.battery, 0x140)
+        self.dictionary = with_components(
+            built_in_dictionary(), [Component("tests:Battery", self.table)]
+        )
+        self.ends = {
+            segment: TmtcEnd(segment, self.dictionary, now_ns=0, first_count=1, life=1)
+            for segment in Segment
+        }
+        self.now_ns, self.taken, self.number = 0, True, 0
+        self.told = []
+        self.packets = []
+        self.restart(settings or {})
+
+    def restart(self, settings):
+        """Its process begins a new life."""
+        client = f"battery {self.now_ns}"
+        self.desk = ComponentDesk(
+            self.battery, self.table, now_ns=self.now_ns, client=client, settings=settings
+        )
+
+    def ask(self, verb, name="", *arguments, application="battery", **more):
+        """A telecommand from space; return its end once it is there."""
+        self.number += 1
+        request = SendCommand("test", self.number, application, verb, name, arguments, **more)
+        self.ends[Segment.SPACE].handle_request(request, self.now_ns)
+        self.run(2)
+        found = [
+            one
+            for one in self.told
+            if getattr(one, "client", "") == "test" and one.id == self.number and one.done
+        ]
+        return found[-1] if found else None
+
+    def ends_event(self, application, event):
+        """An application of the ground, other than the battery, reports an event."""
+        end = self.ends[Segment.GROUND]
+        end.handle_values(application, {"error": "speed"}, self.now_ns)
+        end.handle_event(application, event, self.now_ns)
+        self.step()
+
+    def run(self, seconds):
+        until_ns = self.now_ns + round(seconds * S)
+        while self.now_ns < until_ns:
+            self.now_ns += 50 * MS
+            self.step()
+
+    def step(self):
+        now_ns = self.now_ns
+        self.desk.handle_time(now_ns)
+        while (request := self.desk.poll_transmit(now_ns)) is not None:
+            if not self.taken:
+                break
+            self.ends[Segment.GROUND].handle_request(request, now_ns)
+            self.desk.handle_sent(request, now_ns)
+        for segment, end in self.ends.items():
+            while (octets := end.poll_transmit(now_ns)) is not None:
+                self.packets.append(octets)
+                self.ends[segment.peer].handle_packet(octets, now_ns)
+            while (news := end.next_event()) is not None:
+                self.told.append(news)
+                if segment is Segment.GROUND:
+                    self.desk.handle_news(news, now_ns)
+
+    def figures(self):
+        """What its process counts."""
+        told = []
+        self.desk.tell(type("Probe", (), {"tell": lambda _self, record: told.append(record)})())
+        return told[0]

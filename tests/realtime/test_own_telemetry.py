@@ -1,0 +1,69 @@
+"""A user's component in a whole session, by the command that the documents give."""
+
+import os
+import shutil
+import signal
+from pathlib import Path
+
+from mcap.reader import make_reader
+from running_session import eventually
+
+from pipelines.mission.tmtc_messages import CommandUpdate, Reported, unpack_news
+from pipelines.recording.messages import RecordedEvent, unpack
+from pipelines.session.topology import TMTC_TOPICS, Segment
+
+SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_telemetry.py"
+
+
+def process_of(session):
+    """The pid of the component; names of processes are cut to 15 characters."""
+    names = {Path(f"/proc/{pid}/comm").read_text().strip(): pid for pid in session.children()}
+    return names["kav telemetry_b"]
+
+
+def test_the_samples_battery_is_told_called_and_heard_and_lives_on(start, tmp_path, monkeypatch):
+    shutil.copy(SAMPLE, tmp_path)
+    path = tmp_path / "run.mcap"
+    session = start("taskboard", "--telemetry", "own_telemetry:Battery", "--record", str(path))
+
+    def voltage():
+        return (
+            "battery parameters: voltage 1" in session.ask("tc", "battery", "get", "voltage").stdout
+        )
+
+    eventually(voltage, "a value")
+    called = session.ask("tc", "battery", "recharge", "13")
+    assert called.returncode == 0
+    stages = [line.split()[1] for line in called.stdout.splitlines()]
+    assert stages == ["taken", "accepted", "started", "completed"]
+    refused = session.ask("tc", "battery", "recharge", "14")
+    assert refused.returncode == 1
+    assert "target is 14: give at least 12 and at most 13" in refused.stderr
+    with session.bus(monkeypatch) as bus:
+        reader = bus.reader(TMTC_TOPICS[Segment.GROUND], depth=32)
+        os.kill(process_of(session), signal.SIGKILL)
+        # Its next life sinks to its limit, which is an event, and recharges itself after it.
+        heard = []
+
+        def recharged():
+            while (lease := reader.next()) is not None:
+                with lease:
+                    heard.append(unpack_news(lease.octets()))
+            return any(
+                isinstance(one, CommandUpdate) and one.client.startswith("battery ") and one.ok
+                for one in heard
+            )
+
+        eventually(recharged, "the event and the action")
+    assert any(isinstance(one, Reported) and one.name == "low" for one in heard)
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    battery = report["telemetry"]["battery"]
+    assert report["processes"]["telemetry_battery"]["restarts"] == 1
+    assert (battery["faults"], battery["actions_failed"]) == (0, 0)
+    low = battery["events"][0]["what"]
+    assert low.startswith("low: voltage 10.")
+    with path.open("rb") as file:
+        events = make_reader(file).iter_messages(topics=["/events"])
+        texts = [unpack(RecordedEvent, message.data).text for _, _, message in events]
+    assert f"battery: {low}" in texts

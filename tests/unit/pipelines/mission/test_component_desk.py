@@ -1,0 +1,195 @@
+"""A user's component: telecommands reach it, what it says is reported, and nothing storms."""
+
+import pytest
+from battery import Mission, recharges
+
+from pipelines.mission.tmtc_messages import Reported
+from telepresence.tmtc.telemetry_source import FunctionCall, TelemetryReading
+
+
+def reported(mission, kind):
+    return [one for one in mission.told if isinstance(one, Reported) and one.kind == kind]
+
+
+def test_values_come_as_housekeeping_and_when_they_are_asked_for():
+    mission = Mission()
+    mission.battery.values = {"voltage": 12.25, "limit": 20}
+    mission.run(2)
+    (report, *_) = [
+        one for one in reported(mission, "housekeeping") if one.application == "battery"
+    ]
+    assert report.values == {"voltage": 12.25, "limit": 20}
+    assert mission.ask("parameters", "", "voltage").ok
+    assert reported(mission, "parameters")[-1].values == {"voltage": 12.25}
+    assert not mission.ask("parameters", "", "target").ok  # it never had a value
+
+
+def test_a_function_is_carried_out_with_its_arguments_by_name_and_may_refuse():
+    mission = Mission()
+    assert mission.ask("call", "recharge", 12.5).ok
+    assert mission.battery.calls == [("recharge", {"target": 12.5})]
+    mission.battery.answer = "no charger"
+    refused = mission.ask("call", "use", "b")
+    assert (refused.stage, refused.reason) == ("failed", "no charger")
+    assert mission.figures().faults == 0
+
+
+def test_what_a_function_raises_is_its_refusal_and_ends_nothing():
+    mission = Mission()
+    mission.battery.answer = OSError("no such port\nat all")
+    assert mission.ask("call", "recharge", 12.5).reason == "OSError: no such port"
+    figures = mission.figures()
+    assert (figures.faults, figures.fault) == (1, "recharge: OSError: no such port")
+    mission.battery.answer = None
+    assert mission.ask("call", "recharge", 12.5).ok
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        (11.0, "target is 11: give at least 11.1 and at most 14.4"),
+        (float("nan"), "target is nan: give at least 11.1 and at most 14.4"),
+        (float("inf"), "target is inf: give at least 11.1 and at most 14.4"),
+    ],
+)
+def test_an_argument_outside_of_its_range_is_refused_at_acceptance(value, reason):
+    mission = Mission()
+    assert mission.ask("call", "recharge", value).reason == reason
+    assert mission.battery.calls == []
+    # The limits themselves are within, although no single-precision number is exactly 11.1.
+    assert mission.ask("call", "recharge", 11.1).ok
+    assert mission.ask("call", "recharge", 14.4).ok
+
+
+def test_what_a_telecommand_has_set_outlives_the_process():
+    mission = Mission()
+    assert mission.ask("set", values={"limit": 30}).ok
+    assert mission.battery.settings == [("limit", 30)]
+    refused = mission.ask("set", values={"limit": 41})
+    assert refused.reason == "limit is 41: give at most 40"
+    mission.restart(mission.desk.settings)
+    assert mission.battery.settings == [("limit", 30), ("limit", 30)]
+    mission.run(1)
+    assert mission.ask("parameters", "", "limit").ok
+    assert reported(mission, "parameters")[-1].values == {"limit": 30}
+
+
+def test_its_own_events_and_those_of_its_limits_are_reported_and_kept_for_the_report():
+    mission = Mission()
+    mission.battery.raised = ["opened"]
+    mission.run(1)
+    mission.battery.values = {"voltage": 11.0}
+    mission.run(2)
+    names = [(one.name, one.severity) for one in reported(mission, "event")]
+    # Both ends report it to their processes.
+    assert names == [("opened", "info")] * 2 + [("low", "medium")] * 2
+    assert [one.what for one in mission.figures().events] == ["opened", "low: voltage 11 V"]
+
+
+def test_a_value_at_its_limit_raises_no_second_event_before_it_has_come_back():
+    mission = Mission()
+    for voltage_v in (11.0, 11.0, 11.15, 11.0, 11.15, 11.0, 11.0):
+        mission.battery.values = {"voltage": voltage_v}
+        mission.run(1)
+    assert [one[1] for one in mission.battery.heard] == ["low"]
+    for voltage_v in (12.0, 12.0, 11.0, 11.0):
+        mission.battery.values = {"voltage": voltage_v}
+        mission.run(1)
+    assert [one[1] for one in mission.battery.heard] == ["low", "low"]
+
+
+def test_an_action_follows_an_event_also_of_another_application():
+    mission = Mission()
+    mission.battery.follows = recharges
+    mission.battery.raised = ["opened"]
+    mission.run(1)
+    assert mission.battery.calls == [("recharge", {"target": 12.5})]
+    assert (mission.figures().actions, mission.figures().actions_failed) == (1, 0)
+    mission.battery.follows = lambda event: [FunctionCall("battery", "recharge", (99.0,))]
+    mission.ends_event("robot", "error")
+    mission.run(1)
+    figures = mission.figures()
+    assert (figures.actions, figures.actions_failed) == (2, 1)
+    assert figures.events[-1].what.startswith("action failed: battery: target is 99: give at least")
+
+
+@pytest.mark.parametrize(
+    "follows",
+    [
+        lambda event: 1 / 0,
+        lambda event: [("battery", "recharge")],
+        lambda event: [FunctionCall("battery", "recharge", (object(),))],
+        lambda event: [FunctionCall("battery", "recharge", ("x" * 5000,))],
+        lambda event: 7,
+    ],
+)
+def test_an_exception_after_an_event_is_counted_told_and_ends_nothing(follows):
+    mission = Mission()
+    mission.battery.follows = follows
+    mission.battery.raised = ["opened"]
+    mission.run(1)
+    figures = mission.figures()
+    assert (figures.faults, figures.actions) == (1, 0)
+    assert figures.events[-1].what.startswith("fault: after battery opened: ")
+    assert mission.ask("call", "recharge", 12.5).ok
+
+
+def test_neither_events_nor_actions_storm():
+    mission = Mission()
+    mission.battery.follows = lambda event: [FunctionCall("battery", "recharge", (12.0,))] * 20
+    mission.battery.read = lambda: TelemetryReading({"voltage": 12.0}, ["opened"] * 100)
+    mission.run(20)
+    figures = mission.figures()
+    opened = [one for one in mission.told if isinstance(one, Reported) and one.kind == "event"]
+    # Eight at once, then one a second.
+    assert 8 < len(opened) / 2 <= 8 + 21
+    assert 8 < figures.actions <= 8 + 21
+    assert figures.events_dropped > 500 and figures.actions_dropped > 100
+    # Telecommands of others still come through.
+    assert mission.ask("ping").ok
+
+
+def test_what_no_table_has_and_unfit_values_are_faults_and_the_rest_is_told():
+    mission = Mission()
+    mission.battery.values = {"voltage": 12.5, "limit": None, "amps": 3.0}
+    mission.battery.raised = ["exploded"]
+    mission.run(1)
+    assert mission.figures().faults > 2
+    assert mission.ask("parameters", "", "voltage").ok
+    assert "exploded" in str([one.what for one in mission.figures().events])
+
+
+def test_a_component_that_says_nothing_is_reported_no_more():
+    mission = Mission()
+    mission.run(3)
+    assert mission.ask("report", "report_1").ok is False  # limit has no value
+    mission.battery.values = {"voltage": 12.0, "limit": 1}
+    mission.run(1)
+    assert mission.ask("report", "report_1").ok
+    mission.taken = False
+    mission.run(8)
+    told = len(mission.told)
+    mission.run(5)
+    late = mission.told[told:]
+    assert not [one for one in late if getattr(one, "application", "") == "battery"]
+    assert "no value yet" in mission.ask("parameters", "", "voltage").reason
+
+
+def test_events_wait_for_an_end_that_is_started_again_and_a_late_action_is_given_up():
+    mission = Mission()
+    mission.run(1)
+    mission.taken = False
+    mission.battery.raised = ["opened"]
+    mission.run(3)
+    assert reported(mission, "event") == []
+    mission.taken = True
+    mission.run(1)
+    assert len(reported(mission, "event")) == 2
+    assert mission.figures().requests_waited_ms > 1000
+    mission.taken = False
+    mission.battery.follows = lambda event: [FunctionCall("battery", "recharge", (12.5,))]
+    mission.ends_event("robot", "error")
+    mission.run(8)
+    mission.taken = True
+    mission.run(2)
+    assert (mission.battery.calls, mission.figures().actions_failed) == ([], 1)
