@@ -57,7 +57,7 @@ from pipelines.session.setup.table import STEREO, Setup, VideoStream
 from pipelines.session.topology import RTC, Segment, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
-from telepresence.haptics.robot_device import SIMULATED_ROBOT, check_robot
+from telepresence.haptics.robot_device import SIMULATED_ROBOT, facts_of
 from telepresence.world import audio_scenes, video_scenes
 
 
@@ -101,6 +101,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SPEC",
         help="sim, or your own: module:Class (default: sim)",
     )
+    parser.add_argument(
+        "--second-robot",
+        default=SIMULATED_ROBOT,
+        metavar="SPEC",
+        help='the arm that a partner drives, as --robot; the setup has partner_arm = "second"',
+    )
     add_task_arguments(parser)
     add_page_arguments(parser)
     add_rtc_arguments(parser)
@@ -124,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
     if Segment.SPACE in plan.segments:
         check_joystick(args.joystick)
     if Segment.GROUND in plan.segments:
-        check_robot(args.robot)
+        facts_of(args.second_robot)
     tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
     check_writable(args.report)
@@ -137,6 +143,7 @@ def run(args: argparse.Namespace) -> int:
         setup,
         joystick=args.joystick,
         robot=args.robot,
+        second_robot=args.second_robot,
         snapshots=snapshots is not None,
         pages=not args.no_page,
         recorder=True,
@@ -200,19 +207,29 @@ def _arguments(
 
 
 def chosen_setup(args: argparse.Namespace) -> Setup:
-    """The setup that the options name, with what they change; ConfigError if it cannot work."""
+    """The setup that the options name, with what they change; ConfigError if it cannot work.
+
+    A user's robot brings its own sources for inputs of the setup.
+    """
     changes = {
         **radio_changes(args),
         **port_changes(args),
         **deadband_changes(args),
         **hand_changes(args),
     }
-    return load_setup(
-        args.setup,
-        sources=parse_sources(args.source),
-        changes=changes,
-        radio_start_s=args.radio_start,
-    )
+    given = parse_sources(args.source)
+    setup = load_setup(args.setup, sources=given, changes=changes, radio_start_s=args.radio_start)
+    if args.second_robot != SIMULATED_ROBOT and setup.partner_arm != "second":
+        raise ConfigError(
+            f"--second-robot {args.second_robot}: setup {setup.name} has no partner's arm; "
+            'give one whose partner_arm is "second"'
+        )
+    facts = None if args.end == Segment.SPACE.value else facts_of(args.robot)
+    if facts is None:
+        return setup
+    inputs = {row.name for row in topology_of(setup).inputs}
+    own = {name: spec for name, spec in facts.sources.items() if name in inputs}
+    return replace(setup, sources={**own, **setup.sources})
 
 
 def parse_sources(options: Sequence[str]) -> Mapping[str, str]:

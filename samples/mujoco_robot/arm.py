@@ -117,11 +117,16 @@ class SpaceJustin(_Arm):
     """The right arm, and the head's camera."""
 
     side = "right"
-    facts = RobotFacts(name="SpaceJustin, right arm")
+    facts = RobotFacts(
+        name="SpaceJustin, right arm",
+        half_width_m=0.17,
+        half_height_m=0.12,
+        sources={"head": "mujoco_robot:HeadCamera"},
+    )
 
 
 class LeftArm(_Arm):
     """The left arm."""
 
     side = "left"
-    facts = RobotFacts(name="SpaceJustin, left arm")
+    facts = RobotFacts(name="SpaceJustin, left arm", half_width_m=0.17, half_height_m=0.12)

@@ -4,7 +4,8 @@ Each of two joints moves the tip along one axis of the board through a lever. Gr
 coupling between the joints are compensated, so the tip is a point mass with the joints' friction.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -50,6 +51,7 @@ class RobotFacts:
     session moves a virtual mass by the forces, and the robot follows its place.
     force_limit_n: per axis. speed_m_s: of the tip.
     half_width_m, half_height_m: of the workspace, from its middle.
+    sources: its own cameras and microphones, by input: SPECs, where the user gives no other.
     """
 
     name: str
@@ -58,6 +60,7 @@ class RobotFacts:
     speed_m_s: float = 0.5
     half_width_m: float = 0.15
     half_height_m: float = 0.10
+    sources: Mapping[str, str] = field(default_factory=dict)
 
 
 class Robot:

@@ -206,7 +206,9 @@ def open_robot(spec: str) -> Robot:
     return Robot() if spec == SIMULATED_ROBOT else DrivenRobot(load_robot(spec))
 
 
-def check_robot(spec: str) -> None:
-    """Raise ConfigError if `spec` names no robot; nothing is switched on."""
-    if spec != SIMULATED_ROBOT:
-        load_robot(spec)
+def facts_of(spec: str) -> RobotFacts | None:
+    """What the robot that `spec` names is; None for the simulated one. Nothing is switched on.
+
+    Raises ConfigError if there is none.
+    """
+    return None if spec == SIMULATED_ROBOT else load_robot(spec).facts
