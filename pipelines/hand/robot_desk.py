@@ -130,6 +130,7 @@ class RobotDesk:
             waiting=safety.waiting,
             stopped=envelope.stopped,
             offset_mm=safety.offset_mm,
+            holds=robot.holds,
         )
 
     def _carry_out(self, command: RobotCommand, now_ns: int) -> str:

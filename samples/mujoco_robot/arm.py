@@ -82,8 +82,8 @@ class _Arm:
     def read(self) -> RobotReading:
         with suppress(BlockingIOError):
             while True:
-                *moves, contact, _holds = STATE.unpack(self._udp.recv(STATE.size))
-                self._reading = RobotReading(*moves, contact=contact)
+                *moves, contact, holds = STATE.unpack(self._udp.recv(STATE.size))
+                self._reading = RobotReading(*moves, contact=contact, holds=holds)
                 self._silent = 0
         if self._silent > _LOST:
             return self._reading._replace(error="the physics has ended, and is started again")
@@ -121,6 +121,7 @@ class SpaceJustin(_Arm):
         name="SpaceJustin, right arm",
         half_width_m=0.17,
         half_height_m=0.12,
+        two_hands=True,
         sources={"head": "mujoco_robot:HeadCamera"},
     )
 

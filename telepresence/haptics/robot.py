@@ -51,6 +51,7 @@ class RobotFacts:
     session moves a virtual mass by the forces, and the robot follows its place.
     force_limit_n: per axis. speed_m_s: of the tip.
     half_width_m, half_height_m: of the workspace, from its middle.
+    two_hands: its hand and that of its partner's arm can meet, and pass a ball.
     sources: its own cameras and microphones, by input: SPECs, where the user gives no other.
     """
 
@@ -60,6 +61,7 @@ class RobotFacts:
     speed_m_s: float = 0.5
     half_width_m: float = 0.15
     half_height_m: float = 0.10
+    two_hands: bool = False
     sources: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -76,6 +78,7 @@ class Robot:
     work_j: work that the joints have done at the tip.
     facts: of a user's robot (`telepresence.haptics.robot_device`); None for the simulated one.
     error: why a user's robot cannot go on, in one line.
+    holds: the hand of a user's robot holds a ball.
 
     In torque mode it applies `set_torque`; in position mode it moves to `set_position` and stays.
     In impedance mode a spring and a damper pull the tip to the centre given to `set_impedance`.
@@ -84,6 +87,7 @@ class Robot:
 
     facts: RobotFacts | None = None
     error = ""
+    holds = False
 
     def __init__(
         self,
