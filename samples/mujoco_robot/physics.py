@@ -141,7 +141,7 @@ def _braked(force_n: float) -> float:
 
 
 class World:
-    """Both arms, the board and the ball."""
+    """Both arms, the rail and the ball."""
 
     def __init__(self) -> None:
         self.model = mujoco.MjModel.from_xml_path(str(MODEL))
