@@ -13,9 +13,9 @@ from telepresence.haptics.robot_device import RobotReading
 pytest.importorskip("mujoco")
 sys.path.append(str(Path(__file__).resolve().parents[2] / "samples"))
 
-from mujoco_robot import LeftArm, SpaceJustin  # noqa: E402
-from mujoco_robot.messages import BRAKE, FOLLOW, STATE  # noqa: E402
-from mujoco_robot.physics import World  # noqa: E402
+from mujoco_robot import LeftArm, SpaceJustin
+from mujoco_robot.messages import BRAKE, FOLLOW, STATE
+from mujoco_robot.physics import World
 
 #: A hand that leads a tip (N/m, N s/m, N).
 STIFFNESS, DAMPING, MOST_N = 600.0, 40.0, 15.0
