@@ -188,7 +188,7 @@ class Meet(Elemop):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Hold(Elemop):
+class HoldBall(Elemop):
     """Ends when this hand alone held the ball for `hold_s`."""
 
     hand: Hands
@@ -220,7 +220,7 @@ ELEMOPS: dict[str, type[Elemop]] = {
         Follow,
         Pull,
         Meet,
-        Hold,
+        HoldBall,
         Wait,
     )
 }
@@ -258,7 +258,7 @@ class Task:
     @property
     def two_handed(self) -> bool:
         """Whether it needs the partner's arm, too."""
-        return any(isinstance(op, Meet | Hold) for op in self.exec.elemops)
+        return any(isinstance(op, Meet | HoldBall) for op in self.exec.elemops)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from telepresence.tasks.definitions import (
     Elemop,
     Follow,
     Hands,
-    Hold,
+    HoldBall,
     Meet,
     MoveTo,
     Operation,
@@ -477,10 +477,10 @@ class _MeetCheck(_Check):
         return self._held.handle(pushed, now_ns)
 
 
-class _HoldCheck(_Check):
-    elemop: Hold
+class _HoldBallCheck(_Check):
+    elemop: HoldBall
 
-    def __init__(self, elemop: Hold, now_ns: int) -> None:
+    def __init__(self, elemop: HoldBall, now_ns: int) -> None:
         super().__init__(elemop, now_ns)
         self._held = _Held(elemop.hold_s)
 
@@ -510,6 +510,6 @@ _CHECKS: dict[type[Elemop], type[_Check]] = {
     Follow: _FollowCheck,
     Pull: _PullCheck,
     Meet: _MeetCheck,
-    Hold: _HoldCheck,
+    HoldBall: _HoldBallCheck,
     Wait: _WaitCheck,
 }

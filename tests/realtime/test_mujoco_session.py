@@ -18,7 +18,7 @@ SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 LAB = """
 cameras = ["head"]
 partner_arm = "second"
-uplink_video = {cap_kbps = 85, width = 320, height = 240, fps = 10}
+uplink_video = {cap_kbps = 85, size = "320x240", fps = 10}
 """
 PLAN = 'skill = 1.0\n[[task]]\nname = "handshake"\n'
 #: The joystick of a partner who presses the button, pushes to the right for a while, and lets go.
