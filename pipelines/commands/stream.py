@@ -105,7 +105,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--second-robot",
         default=SIMULATED_ROBOT,
         metavar="SPEC",
-        help='the arm that a partner drives, as --robot; the setup has partner_arm = "second"',
+        help="the partner's arm, as --robot",
     )
     add_task_arguments(parser)
     add_page_arguments(parser)

@@ -40,7 +40,7 @@ class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
     #: The board's force on the tip.
     force_max_n: float
     force_mean_n: float
-    #: On the hand of the partner's arm, in tasks of two hands; else null.
+    #: On the partner's hand that the robot's can meet; else null.
     other_force_max_n: float | None = None
     other_force_mean_n: float | None = None
     #: Distance from target or path (m), or from the force to hold (N); null without any.
