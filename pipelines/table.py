@@ -33,6 +33,7 @@ def topology_of(
     *,
     joystick: str = SIMULATED,
     robot: str = SIMULATED_ROBOT,
+    second_robot: str = SIMULATED_ROBOT,
     snapshots: bool = False,
     pages: bool = False,
     recorder: bool = False,
@@ -48,6 +49,7 @@ def topology_of(
     options = SessionOptions(
         joystick=joystick,
         robot=robot,
+        second_robot=second_robot,
         snapshots=snapshots,
         pages=pages,
         recorder=recorder,

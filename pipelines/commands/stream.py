@@ -58,7 +58,7 @@ from pipelines.session.topology import RTC, Segment, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.robot_spec import check_robot
+from telepresence.haptics.robot_spec import check_robot, facts_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.telemetry_source import load_components
 from telepresence.world import audio_scenes, video_scenes
@@ -111,6 +111,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SPEC",
         help="your component in telemetry: module:Class; may be given several times, at both ends",
     )
+    parser.add_argument(
+        "--second-robot",
+        default=SIMULATED_ROBOT,
+        metavar="SPEC",
+        help="the partner's arm, as --robot",
+    )
     add_task_arguments(parser)
     add_page_arguments(parser)
     add_rtc_arguments(parser)
@@ -135,6 +141,7 @@ def run(args: argparse.Namespace) -> int:
         check_joystick(args.joystick, setup.more_axes)
     if Segment.GROUND in plan.segments:
         check_robot(args.robot, setup.more_axes)
+        check_robot(args.second_robot)
     say_unprotected(args.joystick, args.robot)
     components = load_components(args.telemetry, built_in_dictionary())
     tasks = task_wish(args, setup, plan.segments)
@@ -149,6 +156,7 @@ def run(args: argparse.Namespace) -> int:
         setup,
         joystick=args.joystick,
         robot=args.robot,
+        second_robot=args.second_robot,
         snapshots=snapshots is not None,
         pages=not args.no_page,
         recorder=True,
@@ -213,19 +221,29 @@ def _arguments(
 
 
 def chosen_setup(args: argparse.Namespace) -> Setup:
-    """The setup that the options name, with what they change; ConfigError if it cannot work."""
+    """The setup that the options name, with what they change; ConfigError if it cannot work.
+
+    A user's robot brings its own sources for inputs of the setup.
+    """
     changes = {
         **radio_changes(args),
         **port_changes(args),
         **deadband_changes(args),
         **hand_changes(args),
     }
-    return load_setup(
-        args.setup,
-        sources=parse_sources(args.source),
-        changes=changes,
-        radio_start_s=args.radio_start,
-    )
+    given = parse_sources(args.source)
+    setup = load_setup(args.setup, sources=given, changes=changes, radio_start_s=args.radio_start)
+    if args.second_robot != SIMULATED_ROBOT and setup.partner_arm != "second":
+        raise ConfigError(
+            f"--second-robot {args.second_robot}: setup {setup.name} has no partner's arm; "
+            'give one whose partner_arm is "second"'
+        )
+    facts = None if args.end == Segment.SPACE.value else facts_of(args.robot)
+    if facts is None:
+        return setup
+    inputs = {row.name for row in topology_of(setup).inputs}
+    own = {name: spec for name, spec in facts.sources.items() if name in inputs}
+    return replace(setup, sources={**own, **setup.sources})
 
 
 def parse_sources(options: Sequence[str]) -> Mapping[str, str]:

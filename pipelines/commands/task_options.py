@@ -11,6 +11,7 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import JOYSTICK, PAGES, TASKS
 from telepresence.haptics.device.spec import is_simulated
+from telepresence.haptics.robot_spec import facts_of
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
 from telepresence.tasks.plan_file import load_plan
@@ -24,6 +25,7 @@ class TaskWish:
     """Which tasks there are, who selects them, and where the LED panel is (None: built in).
 
     runs: directory for one recording of each run. simulated: a simulated cosmonaut does them.
+    two_hands: the robot's hand can meet that of the partner's arm.
     """
 
     catalogue: Catalogue
@@ -31,6 +33,7 @@ class TaskWish:
     leds: tuple[str, int] | None
     runs: Path | None
     simulated: bool
+    two_hands: bool
 
 
 def add_task_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,6 +69,8 @@ def task_wish(
             if getattr(args, option) is not None:
                 raise ConfigError(f"--{option} is for tasks: give --tasks or --plan, too")
         return None
+    facts = facts_of(args.robot) if Segment.GROUND in segments else None
+    two_hands = facts is not None and facts.two_hands and setup.partner_arm == "second"
     files = args.tasks or []
     if args.plan is None:
         plan, catalogue = None, load_tasks(files)
@@ -73,7 +78,7 @@ def task_wish(
         raise ConfigError("--plan names its files itself: leave those of --tasks out")
     else:
         plan, catalogue = load_plan(args.plan)
-        plan.check(catalogue, setup.cameras, setup.name)
+        plan.check(catalogue, setup.cameras, setup.name, two_hands=two_hands)
     simulated = plan is not None and is_simulated(args.joystick)
     if simulated and len(segments) == 1:
         raise ConfigError(
@@ -94,6 +99,7 @@ def task_wish(
         leds=None if args.leds is None else _address(args.leds),
         runs=made_directory(args.runs),
         simulated=simulated,
+        two_hands=two_hands,
     )
 
 
@@ -106,6 +112,7 @@ def task_arguments(wish: TaskWish | None) -> Mapping[str, Mapping[str, object]]:
             "plan": wish.plan,
             "catalogue": wish.catalogue,
             "leds": wish.leds,
+            "two_hands": wish.two_hands,
             "runs": None if wish.runs is None else str(wish.runs.resolve()),
         },
         PAGES[Segment.SPACE]: {"tasks": wish.catalogue},

@@ -169,6 +169,7 @@ class RobotEnd(_End[RobotSide]):
                 robot.contact,
                 self._contact_since_ns,
                 self._touched_ns,
+                holds=robot.holds,
             )
             if changed and robot.contact:
                 lit = state.lit

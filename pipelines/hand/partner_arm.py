@@ -1,6 +1,7 @@
 """What lets a partner's joystick drive the robot, or an arm of its own."""
 
 from collections.abc import Callable
+from contextlib import closing
 from itertools import count
 
 from kontur_av.media import CaptureStamp
@@ -9,7 +10,8 @@ from pipelines.hand.arm_owner import STATE_OCTETS as ARM_STATE_OCTETS
 from pipelines.hand.arm_owner import ArmState
 from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
 from pipelines.hand.haptics import RobotEnd
-from pipelines.hand.safety_ends import follow_stop
+from pipelines.hand.robot_desk import limits_of
+from pipelines.hand.safety_ends import follow_stop, within
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
@@ -22,13 +24,21 @@ from pipelines.session.topology import (
 )
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.ownership import HapticOwnership, Owner
+from telepresence.haptics.robot_device import open_robot
 from telepresence.haptics.sample import SAMPLE_OCTETS
+from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.robot_control import RobotControl
 from telepresence.world import WorldState
 
 
 def run_second_robot(context: Context) -> None:
-    """An arm of its own, which only a partner's joystick drives."""
-    with context.open_bus() as bus:
+    """An arm of its own, which only a partner's joystick drives.
+
+    Nobody commands its power: it is on whenever its cause of being off is gone, and moves after a
+    new press.
+    """
+    robot = open_robot(context.topology.options.second_robot)
+    with closing(robot), context.open_bus() as bus:
         writer = bus.writer(SECOND_ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
         numbers = count()
 
@@ -36,10 +46,24 @@ def run_second_robot(context: Context) -> None:
             stamp = CaptureStamp(state.time_ns, next(numbers), SECOND_ROBOT)
             writer.publish_octets(pack_state(state), stamp)
 
-        envelope = SafetyEnvelope(context.setup.safety)
-        end = RobotEnd(context.probe, life=new_life(), envelope=envelope)
+        envelope = SafetyEnvelope(within(context.setup.safety, robot.facts))
+        end = RobotEnd(context.probe, life=new_life(), envelope=envelope, robot=robot)
+        control = RobotControl(
+            robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
+        )
+
+        def watch(now_ns: int) -> None:
+            if envelope.stopped is not control.stopped:
+                control.handle_stop(envelope.stopped)
+            control.step(now_ns)
+
+        def recover(_now_ns: int) -> None:
+            if not control.powered and not control.stopped and not control.reset():
+                control.set_power(True)
+
         stop = follow_stop(KeptOrders(context.session), end)
-        run_loop(context, end, partner_ports(context.setup), publish, seldom=[stop])
+        ports = partner_ports(context.setup)
+        run_loop(context, end, ports, publish, before=watch, seldom=[stop, recover])
 
 
 def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cycle:

@@ -41,7 +41,7 @@ class RobotDesk:
         if orders is not None and not tasks:
             powered, mode = orders.powered, ControlMode(orders.mode)
         self.control = RobotControl(
-            side.robot, limits=_limits(side.robot.facts), powered=powered, mode=mode
+            side.robot, limits=limits_of(side.robot.facts), powered=powered, mode=mode
         )
         self._envelope = side.envelope or SafetyEnvelope()
         self._link = side.link
@@ -130,6 +130,7 @@ class RobotDesk:
             waiting=safety.waiting,
             stopped=envelope.stopped,
             offset_mm=safety.offset_mm,
+            holds=robot.holds,
         )
 
     def _carry_out(self, command: RobotCommand, now_ns: int) -> str:
@@ -151,7 +152,7 @@ class RobotDesk:
         return f"the robot has no function {command.function}"
 
 
-def _limits(facts: RobotFacts | None) -> RobotLimits | None:
+def limits_of(facts: RobotFacts | None) -> RobotLimits | None:
     """At twice what a user's robot can do it is switched off; None: the simulated one's limits."""
     if facts is None:
         return None

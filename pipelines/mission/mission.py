@@ -22,13 +22,14 @@ from telepresence.tasks.kernel import (
     ControlRobot,
     MoveRobot,
     Order,
+    OtherHand,
     PowerRobot,
     Record,
     ShowPicture,
     View,
 )
 from telepresence.tasks.panel_picture import DARK, PanelSender
-from telepresence.tasks.plan import PlanFollower, SessionPlan
+from telepresence.tasks.plan import NEEDS_TWO_HANDS, PlanFollower, SessionPlan
 from telepresence.tmtc.k2aci import K2aciMessage, TaskFinished, TaskResult
 
 _MOST_STEPS, _MOST_RUNS = 40, 20
@@ -37,13 +38,16 @@ _KILLED = "the task's process was restarted"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Seen:
-    """What the ground sees at a tick. camera: the selected one. link: for the report."""
+    """What the ground sees at a tick. camera: the selected one. link: for the report. other: the
+    hand of the partner's arm, None without one that the robot's can meet.
+    """
 
     robot: RobotStatus
     camera: str
     recording: bool
     signal: bool
     link: LinkMeanwhile
+    other: OtherHand | None = None
 
 
 class MissionMemory(msgspec.Struct, frozen=True, kw_only=True):
@@ -68,6 +72,7 @@ class MissionGround:
     `memory`. A new life that is given the memory of a run ends it as aborted.
 
     plan: what is selected, and when; None: people do that.
+    two_hands: the robot's hand can meet that of the partner's arm.
     first_number: of the LED panel's datagrams, as of `PanelSender`.
     """
 
@@ -79,7 +84,10 @@ class MissionGround:
         now_ns: int,
         memory: MissionMemory | None = None,
         first_number: int = 0,
+        two_hands: bool = False,
     ) -> None:
+        self._two_hands = two_hands
+        self._catalogue = catalogue
         memory = memory or MissionMemory()
         self.experiment = Experiment(catalogue, first_run=memory.next_run)
         self.leds = PanelSender(first_number=first_number)
@@ -167,6 +175,8 @@ class MissionGround:
             x_m=robot.x_m,
             y_m=robot.y_m,
             push_n=robot.push_n,
+            holds=robot.holds,
+            other=seen.other,
             goal_m=robot.goal_m,
             fault=robot.fault,
             camera=seen.camera,
@@ -179,7 +189,8 @@ class MissionGround:
         self._settle(now_ns)
         if experiment.status.phase is Phase.RUNNING:
             elemop, picture = experiment.kernel.elemop, self.leds.picture
-            self.journal.handle_robot(robot.x_m, robot.y_m, robot.push_n, elemop, picture)
+            other_n = None if seen.other is None else seen.other.push_n
+            self.journal.handle_robot(robot.x_m, robot.y_m, robot.push_n, elemop, picture, other_n)
 
     def poll_order(self) -> Order | None:
         """Return the next order to robot, camera or recorder, or None."""
@@ -190,6 +201,8 @@ class MissionGround:
         return self._messages.popleft() if self._messages else None
 
     def _select(self, name: str, now_ns: int) -> str:
+        if self._catalogue.task(name).two_handed and not self._two_hands:
+            return f"task {name} {NEEDS_TWO_HANDS}"
         refusal = self.experiment.select(name, now_ns)
         if not refusal:
             self.journal.handle_begin(self._link)

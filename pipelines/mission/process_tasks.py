@@ -36,12 +36,14 @@ from pipelines.session.recorder_requests import (
     RecordingWish,
     RecordRequest,
 )
+from pipelines.session.robot_state import unpack_state
 from pipelines.session.task_journal import KEPT, LinkMeanwhile
 from pipelines.session.topology import (
     MISSION_CAMERA_TOPIC,
     MISSION_GROUND_TOPIC,
     ROBOT_ORDER_TOPIC,
     ROBOT_STATUS_TOPIC,
+    SECOND_ROBOT_TOPIC,
     SELECTED_TOPIC,
     TASKS,
     Segment,
@@ -49,10 +51,11 @@ from pipelines.session.topology import (
     link_state_topic,
 )
 from telepresence.tasks.definitions import Catalogue, ControlMode
-from telepresence.tasks.kernel import TICK_NS, ChooseCamera, Record
+from telepresence.tasks.kernel import TICK_NS, ChooseCamera, OtherHand, Record
 from telepresence.tasks.panel_picture import ACKNOWLEDGEMENT_OCTETS
 from telepresence.tasks.plan import SessionPlan
 from telepresence.tasks.task_files import built_in_tasks
+from telepresence.world import WorldState
 
 #: A robot that is silent for longer has a fault.
 _SILENT_NS = 500 * NS_PER_MS
@@ -68,14 +71,15 @@ def run_tasks(
     catalogue: Catalogue | None = None,
     leds: tuple[str, int] | None = None,
     runs: str | None = None,
+    two_hands: bool = False,
 ) -> None:
     """Execute tasks.
 
     plan: selects them; None: people do. leds: address of a real LED panel. runs: directory for one
-    recording of each run.
+    recording of each run. two_hands: the robot's hand can meet that of the partner's arm.
     """
     with context.open_bus() as bus:
-        _Tasks(context, bus, plan, catalogue or built_in_tasks(), leds, runs).run()
+        _Tasks(context, bus, plan, catalogue or built_in_tasks(), leds, runs, two_hands).run()
 
 
 class _Tasks:
@@ -89,6 +93,7 @@ class _Tasks:
         catalogue: Catalogue,
         leds: tuple[str, int] | None,
         runs: str | None,
+        two_hands: bool,
     ) -> None:
         self._context, self._clock = context, context.clock
         now_ns = self._clock.now_ns()
@@ -101,7 +106,10 @@ class _Tasks:
             now_ns=now_ns,
             memory=self._kept,
             first_number=now_ns // (100 * NS_PER_MS) % (1 << 32),
+            two_hands=two_hands,
         )
+        self._other_robot = bus.reader(SECOND_ROBOT_TOPIC) if two_hands else None
+        self._other: WorldState | None = None
         self._client = TmtcClient(bus, context.session, Segment.GROUND, TASKS, first_number=now_ns)
         self._status = MissionReader(bus, ROBOT_STATUS_TOPIC, RobotStatus)
         self._selected = bus.reader(SELECTED_TOPIC)
@@ -170,7 +178,19 @@ class _Tasks:
             recording=self._files.recording,
             signal=self._signal,
             link=self._link,
+            other=self._other_hand(now_ns),
         )
+
+    def _other_hand(self, now_ns: int) -> OtherHand | None:
+        if self._other_robot is None:
+            return None
+        if (lease := self._other_robot.latest()) is not None:
+            with lease:
+                self._other = unpack_state(lease.octets())
+        other = self._other
+        if other is None or now_ns - other.time_ns > _SILENT_NS:
+            return None
+        return OtherHand(x_m=other.x_m, y_m=other.y_m, push_n=other.force_n, holds=other.holds)
 
     def _carry_out(self, now_ns: int) -> None:
         ground = self._ground

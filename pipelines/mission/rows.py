@@ -15,6 +15,7 @@ from pipelines.session.topology import (
     ROBOT_ORDER_TOPIC,
     ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
+    SECOND_ROBOT_TOPIC,
     SELECTED_TOPIC,
     SELECTOR,
     TASKS,
@@ -96,6 +97,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             run="pipelines.mission.process_tasks:run_tasks",
             reads=(
                 ROBOT_STATUS_TOPIC,
+                *given(setup.partner_arm == "second", SECOND_ROBOT_TOPIC),
                 SELECTED_TOPIC,
                 link_state_topic(Segment.GROUND),
                 TMTC_TOPICS[Segment.GROUND],

@@ -58,7 +58,8 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     commanded: number of the newest `RobotCommand`; None for none. command_refusal: why that was
     refused, "" if it was carried out. step_hz: cycles of the controller, in the last second.
     hold: why it follows no hand, in words, "" if it does. waiting: for a new press. stopped: an
-    emergency stop holds. offset_mm: the robot's place less the hand's.
+    emergency stop holds. offset_mm: the robot's place less the hand's. holds: its hand holds a
+    ball.
     """
 
     life: int
@@ -81,6 +82,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     waiting: bool = False
     stopped: bool = False
     offset_mm: tuple[float, float] = (0.0, 0.0)
+    holds: bool = False
 
 
 class CameraWish(msgspec.Struct, frozen=True, array_like=True):

@@ -10,8 +10,9 @@ from telepresence.tasks.lights import lights_of
 from telepresence.world import StateAt, WorldState, scripted_state
 from telepresence.world.state import Lights
 
-#: Instant, x, y (m), force (N), contact, instants at which this contact and the newest one began.
-_LAYOUT = struct.Struct("=qddd?qq")
+#: Instant, x, y (m), force (N), contact, instants at which this contact and the newest one began,
+#: and whether the hand holds a ball.
+_LAYOUT = struct.Struct("=qddd?qq?")
 STATE_OCTETS = _LAYOUT.size
 #: No contact yet.
 _NEVER_NS = -(1 << 63)
@@ -23,14 +24,13 @@ def pack_state(state: WorldState) -> bytes:
     touched_ns = state.touched_ns
     if touched_ns is None:
         touched_ns = since_ns if state.contact else _NEVER_NS
-    return _LAYOUT.pack(
-        state.time_ns, state.x_m, state.y_m, state.force_n, state.contact, since_ns, touched_ns
-    )
+    place = state.x_m, state.y_m, state.force_n, state.contact
+    return _LAYOUT.pack(state.time_ns, *place, since_ns, touched_ns, state.holds)
 
 
 def unpack_state(data: bytes) -> WorldState:
     """Unpack a state that `pack_state` packed."""
-    time_ns, x_m, y_m, force_n, contact, since_ns, touched_ns = _LAYOUT.unpack(data)
+    time_ns, x_m, y_m, force_n, contact, since_ns, touched_ns, holds = _LAYOUT.unpack(data)
     return WorldState(
         time_ns,
         x_m,
@@ -39,6 +39,7 @@ def unpack_state(data: bytes) -> WorldState:
         contact,
         since_ns if contact else None,
         None if touched_ns == _NEVER_NS else touched_ns,
+        holds=holds,
     )
 
 

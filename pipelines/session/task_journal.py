@@ -40,6 +40,9 @@ class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
     #: The board's force on the tip.
     force_max_n: float
     force_mean_n: float
+    #: On the partner's hand that the robot's can meet; else null.
+    other_force_max_n: float | None = None
+    other_force_mean_n: float | None = None
     #: Distance from target or path (m), or from the force to hold (N); null without any.
     error_mean: float | None
     error_max: float | None
@@ -86,10 +89,16 @@ class TaskJournal:
         self._keeper = ScoreKeeper()
 
     def handle_robot(
-        self, x_m: float, y_m: float, push_n: float, elemop: Elemop | None, picture: PanelPicture
+        self,
+        x_m: float,
+        y_m: float,
+        push_n: float,
+        elemop: Elemop | None,
+        picture: PanelPicture,
+        other_n: float | None = None,
     ) -> None:
         """As `ScoreKeeper.handle_robot`, while the cosmonaut drives."""
-        self._keeper.handle_robot(x_m, y_m, push_n, elemop, picture)
+        self._keeper.handle_robot(x_m, y_m, push_n, elemop, picture, other_n)
 
     def handle_event(self, event: Logged | TaskRun | KernelEvent, link: LinkMeanwhile) -> None:
         """An event of the experiment."""
@@ -155,13 +164,19 @@ class TaskJournal:
             path_m=round(scores.path_m, 4),
             force_max_n=round(scores.force_max_n, 3),
             force_mean_n=round(scores.force_mean_n, 3),
-            error_mean=None if scores.error_mean is None else round(scores.error_mean, 6),
-            error_max=None if scores.error_max is None else round(scores.error_max, 6),
+            other_force_max_n=_rounded(scores.other_force_max_n, 3),
+            other_force_mean_n=_rounded(scores.other_force_mean_n, 3),
+            error_mean=_rounded(scores.error_mean, 6),
+            error_max=_rounded(scores.error_max, 6),
             frames_lost=end.frames_lost - begin.frames_lost,
             frames=end.frames - begin.frames,
             delay_ms=round(end.delay_ns / NS_PER_MS, 3),
             steps=[*self._steps],
         )
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)
 
 
 #: The result of a run that the end of the session cut off.

@@ -4,8 +4,8 @@ Each of two joints moves the tip along one axis of the board through a lever. Gr
 coupling between the joints are compensated, so the tip is a point mass with the joints' friction.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -54,6 +54,8 @@ class RobotFacts:
     half_width_m, half_height_m: of the workspace, from its middle.
     more: the axes behind x and y; the driver then has the methods of `MoreAxes`.
     runs_alone: its controller goes on between cycles, and must stop after 50 ms without one.
+    two_hands: its hand and that of its partner's arm can meet, and pass a ball.
+    sources: its own cameras and microphones, by input: SPECs, where the user gives no other.
     """
 
     name: str
@@ -64,6 +66,8 @@ class RobotFacts:
     half_height_m: float = 0.10
     more: tuple[AxisFacts, ...] = ()
     runs_alone: bool = False
+    two_hands: bool = False
+    sources: Mapping[str, str] = field(default_factory=dict)
 
 
 class Robot:
@@ -80,6 +84,7 @@ class Robot:
     facts: of a user's robot (`telepresence.haptics.robot_device`); None for the simulated one.
     error: why a user's robot cannot go on, in one line.
     more: its axes behind x and y. They brake while the robot is not coupled.
+    holds: the hand of a user's robot holds a ball.
 
     In torque mode it applies `set_torque`; in position mode it moves to `set_position` and stays.
     In impedance mode a spring and a damper pull the tip to the centre given to `set_impedance`.
@@ -88,6 +93,7 @@ class Robot:
 
     facts: RobotFacts | None = None
     error = ""
+    holds = False
 
     def __init__(
         self,

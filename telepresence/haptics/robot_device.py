@@ -25,6 +25,7 @@ class RobotReading(NamedTuple):
     push_x_n, push_y_n: the force of its surroundings on the tip.
     contact: it touches something.
     error: why it cannot go on, in one line; "" if it can.
+    holds: its hand holds the ball of a task.
     """
 
     x_m: float
@@ -35,6 +36,7 @@ class RobotReading(NamedTuple):
     push_y_n: float = 0.0
     contact: bool = False
     error: str = ""
+    holds: bool = False
 
 
 class RobotDevice(Protocol):
@@ -226,4 +228,5 @@ class DrivenRobot(Robot):
         self.contact = reading.contact
         self.force_n = hypot(self.push_x_n, self.push_y_n)
         self.error = reading.error
+        self.holds = reading.holds
         return True

@@ -9,9 +9,10 @@
 
 from collections.abc import Sequence
 
+from kontur_av.errors import ConfigError
 from kontur_av.parts import make_part
 from telepresence.haptics.axes import AxisName, check_axes
-from telepresence.haptics.robot import Robot
+from telepresence.haptics.robot import Robot, RobotFacts
 from telepresence.haptics.robot_device import SIMULATED_ROBOT, DrivenRobot, RobotDevice
 from telepresence.haptics.udp_line import UDP
 from telepresence.haptics.udp_robot import UdpRobot
@@ -32,6 +33,21 @@ def load_robot(spec: str) -> RobotDevice:
     return device
 
 
+def facts_of(spec: str) -> RobotFacts | None:
+    """What the robot that `spec` names is; None for `sim`, and where only `configure` finds it out.
+
+    Raises ConfigError if there is none. Nothing is switched on.
+    """
+    return None if spec == SIMULATED_ROBOT else getattr(load_robot(spec), "facts", None)
+
+
+def check_robot(spec: str, axes: Sequence[AxisName] = ()) -> None:
+    """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
+    facts = facts_of(spec)
+    if facts is not None:
+        check_axes(f"robot {spec}", facts.more, axes)
+
+
 def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
     """Return the robot that `spec` names, with power.
 
@@ -39,12 +55,10 @@ def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
     """
     if spec == SIMULATED_ROBOT:
         return Robot(axes=axes)
-    device = load_robot(spec)
-    check_axes(f"robot {spec}", device.facts.more, axes)
-    return DrivenRobot(device)
-
-
-def check_robot(spec: str, axes: Sequence[AxisName] = ()) -> None:
-    """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
-    if spec != SIMULATED_ROBOT:
-        check_axes(f"robot {spec}", load_robot(spec).facts.more, axes)
+    robot = DrivenRobot(load_robot(spec))
+    try:
+        check_axes(f"robot {spec}", robot.facts.more, axes)
+    except ConfigError:
+        robot.close()
+        raise
+    return robot

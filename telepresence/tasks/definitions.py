@@ -58,6 +58,13 @@ class Curve(StrEnum):
     LINE = "line"
 
 
+class Hands(StrEnum):
+    """Whose hand: the robot's, or that of the partner's arm."""
+
+    ROBOT = "robot"
+    PARTNER = "partner"
+
+
 #: The longest time that anything in a task may take (s).
 LONGEST_S = 600.0
 
@@ -169,6 +176,27 @@ class Pull(Elemop):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Meet(Elemop):
+    """Ends when robot and partner's arm pushed each other for `hold_s`, each with `force_n` or
+    more, and their tips were within `within_mm`.
+    """
+
+    force_n: float = _within(1.0, 0.2, 6)
+    within_mm: float = _within(50.0, 0.5, 50)
+    hold_s: float = _within(0.3, 0, 60)
+    timeout_s: float = _within(60.0, 0.1, LONGEST_S)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HoldBall(Elemop):
+    """Ends when this hand alone held the ball for `hold_s`."""
+
+    hand: Hands
+    hold_s: float = _within(0.5, 0, 60)
+    timeout_s: float = _within(60.0, 0.1, LONGEST_S)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Wait(Elemop):
     """Ends after `seconds`."""
 
@@ -191,6 +219,8 @@ ELEMOPS: dict[str, type[Elemop]] = {
         Pursue,
         Follow,
         Pull,
+        Meet,
+        HoldBall,
         Wait,
     )
 }
@@ -224,6 +254,11 @@ class Task:
         """The cameras that it selects, in their order."""
         steps = (*self.start.elemops, *self.exec.elemops)
         return tuple(dict.fromkeys(op.camera for op in steps if isinstance(op, SelectCamera)))
+
+    @property
+    def two_handed(self) -> bool:
+        """Whether it needs the partner's arm, too."""
+        return any(isinstance(op, Meet | HoldBall) for op in self.exec.elemops)
 
 
 @dataclass(frozen=True, slots=True)

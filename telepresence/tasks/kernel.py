@@ -19,6 +19,9 @@ from telepresence.tasks.definitions import (
     ControlMode,
     Elemop,
     Follow,
+    Hands,
+    HoldBall,
+    Meet,
     MoveTo,
     Operation,
     Pattern,
@@ -91,11 +94,22 @@ Order = PowerRobot | ControlRobot | MoveRobot | ChooseCamera | ShowPicture | Rec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class OtherHand:
+    """The hand of the partner's arm. push_n: the force on it. holds: it holds a ball."""
+
+    x_m: float
+    y_m: float
+    push_n: float
+    holds: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class View:
     """What the kernel sees at a tick.
 
     goal_m: where the robot rests after its last move, None while it moves. push_n: the board's
-    force on the tip. shown: the panel has acknowledged its newest picture. signal: the link is up.
+    force on the tip. holds: the hand holds a ball. other: that of the partner's arm, None without.
+    shown: the panel has acknowledged its newest picture. signal: the link is up.
     halted: the joystick is halted or has an error.
     """
 
@@ -104,6 +118,8 @@ class View:
     x_m: float = 0.0
     y_m: float = 0.0
     push_n: float = 0.0
+    holds: bool = False
+    other: OtherHand | None = None
     goal_m: tuple[float, float] | None = None
     fault: str = ""
     camera: str = ""
@@ -444,6 +460,36 @@ class _PullCheck(_Check):
         return self._held.handle(right, now_ns)
 
 
+class _MeetCheck(_Check):
+    elemop: Meet
+
+    def __init__(self, elemop: Meet, now_ns: int) -> None:
+        super().__init__(elemop, now_ns)
+        self._held = _Held(elemop.hold_s)
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        other, elemop = view.other, self.elemop
+        pushed = (
+            other is not None
+            and min(view.push_n, other.push_n) >= elemop.force_n
+            and hypot(view.x_m - other.x_m, view.y_m - other.y_m) <= elemop.within_mm / 1e3
+        )
+        return self._held.handle(pushed, now_ns)
+
+
+class _HoldBallCheck(_Check):
+    elemop: HoldBall
+
+    def __init__(self, elemop: HoldBall, now_ns: int) -> None:
+        super().__init__(elemop, now_ns)
+        self._held = _Held(elemop.hold_s)
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        hands = view.holds, view.other is not None and view.other.holds
+        wanted = (True, False) if self.elemop.hand is Hands.ROBOT else (False, True)
+        return self._held.handle(hands == wanted, now_ns)
+
+
 class _WaitCheck(_Check):
     elemop: Wait
 
@@ -463,5 +509,7 @@ _CHECKS: dict[type[Elemop], type[_Check]] = {
     Pursue: _PursueCheck,
     Follow: _FollowCheck,
     Pull: _PullCheck,
+    Meet: _MeetCheck,
+    HoldBall: _HoldBallCheck,
     Wait: _WaitCheck,
 }

@@ -11,6 +11,11 @@ from telepresence.tasks.definitions import Catalogue
 #: Between a contact or the end of a run, and the next selection.
 PAUSE_NS = 3 * NS_PER_S
 _MOST_REPEATS = 1000
+#: Why a task of two hands is refused.
+NEEDS_TWO_HANDS = (
+    'needs two hands that meet: a session with partner_arm = "second", and a robot that says so '
+    "(--robot, --second-robot)"
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -42,9 +47,20 @@ class SessionPlan:
         if not 0.0 <= self.skill <= 1.0:
             raise ConfigError(f"skill is {self.skill:g}: give 0, a beginner, to 1, trained")
 
-    def check(self, catalogue: Catalogue, cameras: tuple[str, ...], setup: str) -> None:
-        """ConfigError for a task that is unknown, or needs a camera that the setup lacks."""
+    def check(
+        self,
+        catalogue: Catalogue,
+        cameras: tuple[str, ...],
+        setup: str,
+        *,
+        two_hands: bool = False,
+    ) -> None:
+        """ConfigError for a task that is unknown, or needs a camera that the setup lacks, or two
+        hands.
+        """
         for planned in self.tasks:
+            if catalogue.task(planned.name).two_handed and not two_hands:
+                raise ConfigError(f"task {planned.name} {NEEDS_TWO_HANDS}")
             for camera in catalogue.task(planned.name).cameras:
                 if camera not in cameras:
                     raise ConfigError(

@@ -13,6 +13,7 @@ from telepresence.tasks.places import curve_points, distance_m
 class Scores:
     """path_m: of the tip. force_max_n, force_mean_n: of the board on it. samples: of the robot.
 
+    other_force_max_n, other_force_mean_n: on the hand of the partner's arm; None without one.
     error_mean, error_max: distance from what was to be followed (m), or from the force that was to
     be held (N, for a spring); None where nothing was.
     """
@@ -20,6 +21,8 @@ class Scores:
     path_m: float
     force_max_n: float
     force_mean_n: float
+    other_force_max_n: float | None
+    other_force_mean_n: float | None
     error_mean: float | None
     error_max: float | None
     samples: int
@@ -32,7 +35,8 @@ class ScoreKeeper:
         self._last: tuple[float, float] | None = None
         self._path_m = self._force_sum_n = self._force_max_n = 0.0
         self._error_sum = self._error_max = 0.0
-        self._samples = self._errors = 0
+        self._samples = self._errors = self._others = 0
+        self._other_sum_n = self._other_max_n = 0.0
         self._curves: dict[Curve, list[tuple[float, float]]] = {}
 
     def handle_robot(
@@ -42,11 +46,17 @@ class ScoreKeeper:
         push_n: float,
         elemop: Elemop | None,
         picture: PanelPicture,
+        other_n: float | None = None,
     ) -> None:
         """The tip is at (x_m, y_m), and the board pushes it with `push_n`.
 
-        elemop: what the kernel waits for. picture: of the LED panel.
+        elemop: what the kernel waits for. picture: of the LED panel. other_n: the force on the
+        partner's hand.
         """
+        if other_n is not None:
+            self._others += 1
+            self._other_sum_n += other_n
+            self._other_max_n = max(self._other_max_n, other_n)
         if self._last is not None:
             self._path_m += hypot(x_m - self._last[0], y_m - self._last[1])
         self._last = x_m, y_m
@@ -61,11 +71,13 @@ class ScoreKeeper:
 
     def report(self) -> Scores:
         """Return the scores so far."""
-        count, errors = max(1, self._samples), self._errors
+        count, errors, others = max(1, self._samples), self._errors, self._others
         return Scores(
             path_m=self._path_m,
             force_max_n=self._force_max_n,
             force_mean_n=self._force_sum_n / count,
+            other_force_max_n=self._other_max_n if others else None,
+            other_force_mean_n=self._other_sum_n / others if others else None,
             error_mean=self._error_sum / errors if errors else None,
             error_max=self._error_max if errors else None,
             samples=self._samples,

@@ -38,6 +38,7 @@ class WorldState:
     touched_ns: when the newest contact began, even if it has ended. The microphone's click begins
     at that sample.
     lights: of the LED panel.
+    holds: the robot's hand holds a ball.
     """
 
     time_ns: int
@@ -48,6 +49,7 @@ class WorldState:
     contact_since_ns: int | None = None
     touched_ns: int | None = None
     lights: Lights = Lights()
+    holds: bool = False
 
     def at(self, instant_ns: int) -> "WorldState":
         """Return the state without a contact that began after `instant_ns`.

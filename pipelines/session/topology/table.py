@@ -36,7 +36,8 @@ from telepresence.tmtc.telemetry_source import Component
 class SessionOptions:
     """What a session has beside what its setup says.
 
-    joystick, robot: their SPECs. snapshots: with the process that keeps pictures as files.
+    joystick, robot, second_robot: their SPECs; the last is the arm that a partner drives.
+    snapshots: with the process that keeps pictures as files.
     pages: with the processes that serve a browser page at each end.
     recorder: with the process that can record the session.
     trainer: with the process that takes a trainer's requests.
@@ -46,6 +47,7 @@ class SessionOptions:
 
     joystick: str = SIMULATED
     robot: str = SIMULATED_ROBOT
+    second_robot: str = SIMULATED_ROBOT
     snapshots: bool = False
     pages: bool = False
     recorder: bool = False

@@ -138,6 +138,7 @@ SPACE = ["--setup", "spacejustin", "--end", "space", "--peer", "127.0.0.1:27000"
             ["--setup", "taskboard", "--tasks", "--runs", "runs", "--record", "all.mcap"],
             "want the same recorder",
         ),
+        (["--setup", "taskboard", "--second-robot", "arm:Left"], "has no partner's arm"),
         (["--setup", "taskboard", "--sources", "left=x"], "--help"),
         ([], "--setup"),
     ],
@@ -191,6 +192,22 @@ def test_the_suggested_mends_for_a_missing_source_work(capsys, tmp_path):
     path = write(tmp_path / "mine.toml", wrist + '[sources]\nwrist = "scene:left"\n')
     chosen = make_parser().parse_args(["stream", "--setup", path])
     assert stream.chosen_setup(chosen).source("wrist") == "scene:left"
+
+
+def test_a_robot_brings_its_own_cameras_unless_the_user_names_others(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    write(
+        tmp_path / "seeing_robot.py",
+        "from telepresence.haptics.robot import RobotFacts\n"
+        "class Arm:\n"
+        "    facts = RobotFacts(name='arm', sources={'head': 'own:Eye', 'tail': 'own:Eye'})\n",
+    )
+    words = ["stream", "--setup", "spacejustin", "--robot", "seeing_robot:Arm"]
+    assert stream.chosen_setup(make_parser().parse_args(words)).sources == {"head": "own:Eye"}
+    words += ["--source", "head=scene:head"]
+    chosen = stream.chosen_setup(make_parser().parse_args(words))
+    assert chosen.source("head") == "scene:head"
 
 
 @pytest.mark.parametrize("command", ["stream", "link", "simulate"])
@@ -332,3 +349,10 @@ def test_what_does_not_suit_a_plan_is_refused(capsys, tmp_path, options, says):
     plan = write(tmp_path / "plan.toml", '[[task]]\nname = "line"\n')
     words = ["stream", "--setup", "spacejustin", "--no-page", "--plan", plan, *options]
     assert says in refusal(capsys, *words)
+
+
+@pytest.mark.parametrize("command", [["stream", "--no-page"], ["simulate", "--seconds", "1"]])
+def test_a_task_of_two_hands_is_refused_where_there_is_one(capsys, tmp_path, command):
+    plan = write(tmp_path / "plan.toml", '[[task]]\nname = "handshake"\n')
+    words = [*command, "--setup", "spacejustin", "--plan", plan]
+    assert "task handshake needs two hands" in refusal(capsys, *words)

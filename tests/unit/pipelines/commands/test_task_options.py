@@ -16,6 +16,7 @@ SETUP = BUILT_IN["spacejustin"]
 def wish(setup, *words):
     parser = ArgumentParser()
     parser.add_argument("--joystick", default="page")
+    parser.add_argument("--robot", default="sim")
     add_task_arguments(parser)
     return task_wish(parser.parse_args(words), setup, tuple(Segment))
 

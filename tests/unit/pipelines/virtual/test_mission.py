@@ -113,6 +113,8 @@ def test_functions_are_refused_in_words_where_they_cannot_be_done():
     assert ground.ask("abort") == "no task is being done"
     assert "no task is offered" in ground.ask("start")
     assert "no task 99" in ground.ask("select", 99)
+    handshake = list(built_in_tasks().tasks).index("handshake")
+    assert "needs two hands" in ground.ask("select", handshake)
     assert ground.ask("select", 0) == ""
     assert "abort it first" in ground.ask("select", 1)
     ground.go(2)

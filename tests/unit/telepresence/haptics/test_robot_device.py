@@ -12,7 +12,7 @@ from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.robot_device import DrivenRobot, RobotReading
-from telepresence.haptics.robot_spec import check_robot, open_robot
+from telepresence.haptics.robot_spec import facts_of, open_robot
 from telepresence.haptics.sample import Command
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
@@ -137,7 +137,7 @@ def test_it_is_named_by_module_and_class(monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
     robot = open_robot("own_robot:Mass")
     assert robot.facts.name == "a mass before a wall"
-    check_robot("own_robot:Mass")
+    assert facts_of("own_robot:Mass").force_limit_n == 25.0
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_it_is_named_by_module_and_class(monkeypatch):
     ],
 )
 def test_a_robot_or_joystick_that_is_not_there_is_one_line(spec, words):
-    for opened in (check_robot, open_device):
+    for opened in (facts_of, open_device):
         with pytest.raises(ConfigError, match=words) as refused:
             opened(spec)
         assert "\n" not in str(refused.value)

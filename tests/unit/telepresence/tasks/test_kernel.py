@@ -15,6 +15,7 @@ from telepresence.tasks.kernel import (
     ElemopEnded,
     MoveRobot,
     OperationEnded,
+    OtherHand,
     PowerRobot,
     Record,
     ShowPicture,
@@ -215,3 +216,40 @@ def test_a_spring_is_to_be_held_at_its_force():
     robot.view = replace(robot.view, push_n=3.2)
     robot.run(5)
     assert robot.end.result is TaskResult.FINISHED
+
+
+def hand(x_m=0.0, push_n=0.0, holds=False):
+    return OtherHand(x_m=x_m, y_m=0.0, push_n=push_n, holds=holds)
+
+
+@pytest.mark.parametrize(
+    ("view", "meets"),
+    [
+        (View(push_n=2.0, other=hand(0.01, 2.0)), True),
+        (View(push_n=2.0, other=hand(0.01, 0.5)), False),
+        (View(push_n=0.5, other=hand(0.01, 2.0)), False),
+        (View(push_n=2.0, other=hand(0.2, 2.0)), False),
+        (View(push_n=2.0), False),
+    ],
+)
+def test_hands_meet_while_both_are_pushed_near_each_other(view, meets):
+    obedient = Obedient(TopKernel())
+    obedient.view = view
+    obedient.kernel.start(CATALOGUE.operations["execHandshake"], 0)
+    obedient.run(20.0)
+    assert ("darkLeds" in obedient.begun) is meets
+
+
+def test_the_ball_is_passed_once_the_partners_hand_alone_holds_it():
+    obedient = Obedient(TopKernel())
+    obedient.kernel.start(CATALOGUE.operations["execBall"], 0)
+    for holds, other, begun in (
+        (False, False, "takeBall"),
+        (True, False, "passBall"),
+        (True, True, "passBall"),
+        (False, True, "powerOff"),
+    ):
+        obedient.view = replace(obedient.view, holds=holds, other=hand(holds=other))
+        obedient.run(5.0)
+        assert obedient.begun[-1] == begun
+    assert obedient.end.result is TaskResult.FINISHED

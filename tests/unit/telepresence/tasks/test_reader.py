@@ -33,7 +33,9 @@ def test_the_aiming_operations_are_those_of_the_mission():
 
 
 def test_the_catalogue_has_the_missions_tasks():
-    assert " ".join(built_in_tasks().tasks) == "aiming pursuit contour line spring free"
+    assert " ".join(built_in_tasks().tasks) == (
+        "aiming pursuit contour line spring free handshake ball"
+    )
 
 
 def test_a_users_file_adds_to_the_catalogue(tmp_path):

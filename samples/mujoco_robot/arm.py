@@ -1,0 +1,133 @@
+"""The drivers of both arms: each is a `RobotDevice`, and sends the physics a datagram a cycle."""
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from importlib.util import find_spec
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
+from mujoco_robot.messages import (
+    BRAKE,
+    FOLLOW,
+    GOOD_BYE,
+    ORDER,
+    PHYSICS,
+    STATE,
+    own_socket,
+    session_directory,
+)
+from telepresence.haptics.robot_device import RobotFacts, RobotReading
+
+_STARTS_WITHIN_S = 20.0
+#: The physics is lost after so many cycles without news; it is started again after so many.
+_LOST, _AGAIN = 50, 1000
+
+
+class _Arm:
+    """A `RobotDevice` that takes forces (N) in the plane before the robot."""
+
+    side: str
+    facts: RobotFacts
+
+    def configure(self) -> None:
+        """Start the physics, if no other arm has, and wait for it."""
+        if find_spec("mujoco") is None:
+            raise ConfigError("the robot needs MuJoCo: pip install mujoco")
+        self._directory = session_directory()
+        self._udp = own_socket(self._directory / self.side)
+        self._order = ORDER.pack(BRAKE, 0.0, 0.0)
+        self._reading = RobotReading(0.0, 0.0, 0.0, 0.0)
+        self._active, self._silent = False, _AGAIN
+        until_s = time.monotonic() + _STARTS_WITHIN_S
+        while self._silent:
+            self.advance(NS_PER_MS)
+            time.sleep(0.01)
+            self.read()
+            if time.monotonic() > until_s:
+                raise ConfigError(f"the physics does not start: try `{' '.join(self._command())}`")
+
+    def power_on(self) -> None: ...
+
+    def activate(self) -> None:
+        self._active = True
+        self.write_force(0.0, 0.0)
+
+    def deactivate(self) -> None:
+        self._active = False
+        self._order = ORDER.pack(BRAKE, 0.0, 0.0)
+
+    def power_off(self) -> None:
+        self._send(ORDER.pack(GOOD_BYE, 0.0, 0.0))
+        self._udp.close()
+        (self._directory / self.side).unlink(missing_ok=True)
+
+    def write_force(self, x_n: float, y_n: float) -> None:
+        if self._active:
+            self._order = ORDER.pack(FOLLOW, x_n, y_n)
+
+    def write_position(self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float) -> None:
+        raise NotImplementedError("it takes forces")
+
+    def advance(self, dt_ns: int) -> None:
+        """Say what is ordered; the physics has its own clock."""
+        self._send(self._order)
+        self._silent += 1
+        if self._silent > _AGAIN:
+            self._silent = 1 + _LOST
+            self._start()
+
+    def read(self) -> RobotReading:
+        with suppress(BlockingIOError):
+            while True:
+                *moves, contact, holds = STATE.unpack(self._udp.recv(STATE.size))
+                self._reading = RobotReading(*moves, contact=contact, holds=holds)
+                self._silent = 0
+        if self._silent > _LOST:
+            return self._reading._replace(error="the physics has ended, and is started again")
+        return self._reading
+
+    def _send(self, octets: bytes) -> None:
+        # Without a physics, or when it is late, nothing is sent: it brakes.
+        with suppress(OSError):
+            self._udp.sendto(octets, str(self._directory / PHYSICS))
+
+    def _command(self) -> list[str]:
+        return [sys.executable, "-m", "mujoco_robot.physics", str(self._directory)]
+
+    def _start(self) -> None:
+        """Start the physics; it ends at once if another one is there."""
+        subprocess.Popen(
+            self._command(),
+            env={
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join(sys.path),
+                "OPENBLAS_NUM_THREADS": "1",
+            },
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            # It serves the other arm, too, and outlives this process.
+            start_new_session=True,
+        )
+
+
+class SpaceJustin(_Arm):
+    """The right arm, and the head's camera."""
+
+    side = "right"
+    facts = RobotFacts(
+        name="SpaceJustin, right arm",
+        half_width_m=0.17,
+        half_height_m=0.12,
+        two_hands=True,
+        sources={"head": "mujoco_robot:HeadCamera"},
+    )
+
+
+class LeftArm(_Arm):
+    """The left arm."""
+
+    side = "left"
+    facts = RobotFacts(name="SpaceJustin, left arm", half_width_m=0.17, half_height_m=0.12)

@@ -1,0 +1,147 @@
+"""The samples' robots of MuJoCo on virtual time: SpaceJustin's two arms, and a stranger's arm."""
+
+import sys
+from math import hypot
+from pathlib import Path
+
+import pytest
+
+from kontur_av.clock import NS_PER_MS, ManualClock
+from pipelines.hand.robot_check import RobotCheck
+from telepresence.haptics.robot_device import RobotReading
+
+pytest.importorskip("mujoco")
+sys.path.append(str(Path(__file__).resolve().parents[2] / "samples"))
+
+from mujoco_robot import LeftArm, SpaceJustin
+from mujoco_robot.messages import BRAKE, FOLLOW, STATE
+from mujoco_robot.physics import World
+
+#: A hand that leads a tip (N/m, N s/m, N).
+STIFFNESS, DAMPING, MOST_N = 600.0, 40.0, 15.0
+
+
+class Bench:
+    """Both arms in one physics, each led to a place; a reading of both after each step."""
+
+    def __init__(self):
+        self.world, self.now_ns = World(), 0
+        self.places = {"right": (0.06, 0.0), "left": (-0.06, 0.0)}
+        self.step()
+
+    def read(self, side):
+        *moves, contact, holds = STATE.unpack(self.world.arms[side].state)
+        return RobotReading(*moves, contact=contact, holds=holds)
+
+    def force(self, side):
+        one, (x_m, y_m) = self.read(side), self.places[side]
+        force = (
+            STIFFNESS * (x_m - one.x_m) - DAMPING * one.vx_m_s,
+            STIFFNESS * (y_m - one.y_m) - DAMPING * one.vy_m_s,
+        )
+        return tuple(max(-MOST_N, min(MOST_N, value)) for value in force)
+
+    def step(self):
+        self.now_ns += NS_PER_MS
+        for side, arm in self.world.arms.items():
+            arm.handle_order(FOLLOW, self.force(side), self.now_ns)
+        self.world.step(self.now_ns)
+
+    def lead(self, seconds, **places):
+        self.places.update(places)
+        for _ in range(round(seconds * 1000)):
+            self.step()
+        return self.read("right"), self.read("left")
+
+
+class Driven:
+    """One arm as a `RobotDevice`, in step with the caller."""
+
+    def __init__(self, kind, side):
+        self.facts, self._side = kind.facts, side
+        self._bench, self._order = Bench(), (BRAKE, (0.0, 0.0))
+
+    def configure(self): ...
+
+    def power_on(self): ...
+
+    def power_off(self): ...
+
+    def activate(self):
+        self._order = FOLLOW, (0.0, 0.0)
+
+    def deactivate(self):
+        self._order = BRAKE, (0.0, 0.0)
+
+    def write_force(self, x_n, y_n):
+        if self._order[0] == FOLLOW:
+            self._order = FOLLOW, (x_n, y_n)
+
+    def advance(self, dt_ns):
+        bench = self._bench
+        bench.now_ns += dt_ns
+        bench.world.arms[self._side].handle_order(*self._order, bench.now_ns)
+        bench.world.step(bench.now_ns)
+
+    def read(self):
+        return self._bench.read(self._side)
+
+
+@pytest.mark.parametrize(("kind", "side"), [(SpaceJustin, "right"), (LeftArm, "left")])
+def test_each_arm_passes_the_checks_of_a_robot(kind, side):
+    results = list(RobotCheck(Driven(kind, side), ManualClock()).run())
+    assert [result.name for result in results if not result.passed] == []
+
+
+def test_a_strangers_arm_passes_the_checks_of_a_robot():
+    pytest.importorskip("gymnasium_robotics")
+    from strangers_arm import Fetch
+
+    results = list(RobotCheck(Fetch(), ManualClock()).run())
+    assert [result.name for result in results if not result.passed] == []
+
+
+def test_the_hand_reaches_its_workspace_and_touches_the_rail():
+    bench = Bench()
+    bench.lead(1.0, left=(-0.15, 0.05))
+    for x_m, y_m in ((0.14, -0.1), (-0.14, -0.02), (-0.14, 0.1), (-0.14, 0.0)):
+        right, _ = bench.lead(1.5, right=(x_m, y_m))
+        assert hypot(right.x_m - x_m, right.y_m - y_m) < 0.005
+    bench.lead(1.0, right=(0.1, 0.0))
+    right, _ = bench.lead(1.0, right=(0.1, 0.05))
+    assert right.contact and right.push_y_n < -5.0
+    assert abs(right.push_x_n) < 1.0
+    assert 0.03 < right.y_m < 0.04
+
+
+def test_both_hands_feel_a_handshake_with_the_same_force():
+    right, left = Bench().lead(2.0, right=(0.0, 0.0), left=(0.03, 0.0))
+    assert right.contact and left.contact
+    assert hypot(right.x_m - left.x_m, right.y_m - left.y_m) < 0.02
+    assert right.push_x_n > 3.0
+    assert left.push_x_n == pytest.approx(-right.push_x_n, abs=0.1)
+
+
+def test_the_ball_goes_from_the_right_hand_to_the_left_one():
+    bench = Bench()
+    bench.lead(1.0, right=(0.1, 0.0))
+    bench.lead(1.0, right=(0.1, -0.095))
+    right, left = bench.lead(1.5, right=(0.0, -0.095))
+    assert right.holds and not left.holds
+    right, left = bench.lead(1.5, right=(0.03, 0.0))
+    # It carries the ball's weight.
+    assert right.holds and right.push_y_n == pytest.approx(-0.08 * 9.81, abs=0.2)
+    right, left = bench.lead(2.0, right=(0.0, 0.0), left=(0.0, 0.0))
+    assert left.holds and not right.holds
+    right, left = bench.lead(1.5, right=(0.1, 0.0), left=(-0.1, 0.0))
+    assert left.holds and left.push_y_n == pytest.approx(-0.08 * 9.81, abs=0.2)
+
+
+def test_an_arm_whose_driver_is_silent_brakes():
+    bench = Bench()
+    bench.lead(0.2, right=(0.14, 0.0))
+    assert bench.read("right").vx_m_s > 0.1
+    for _ in range(300):
+        bench.now_ns += NS_PER_MS
+        bench.world.step(bench.now_ns)
+    assert abs(bench.read("right").vx_m_s) < 0.001
