@@ -6,16 +6,9 @@ import time
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
-from pipelines.hand.arm_owner import (
-    OWNERS,
-    OwnerAnswer,
-    OwnerRequest,
-    pack_line,
-    parse_owner_answer,
-)
+from pipelines.hand.arm_owner import DESK, OWNERS, OwnerAnswer, OwnerRequest
 from pipelines.session.asking import ask_desk, running_sessions
 
-_DESK = "arm"
 #: How long a hand-over may take: the robot comes to rest first.
 _PATIENCE_S = 5.0
 _LOOK_S = 0.1
@@ -41,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 once the wanted owner drives; 1 without an answer, or if the robot does not rest."""
-    running = running_sessions(_DESK)
+    running = running_sessions(DESK)
     session = acting_on(args.session, running, moves=bool(args.owner)) if running else None
     answer = _ask(args.owner, session)
     end_s = time.monotonic() + _PATIENCE_S
@@ -67,8 +60,5 @@ def state_words(answer: OwnerAnswer) -> str:
 
 
 def _ask(owner: str, session: str | None) -> OwnerAnswer:
-    line = ask_desk(_DESK, pack_line(OwnerRequest(owner=owner)), session, missing=_MISSING)
-    answer = parse_owner_answer(line)
-    if answer is None:
-        return OwnerAnswer(ok=False, error="the session has ended before it answered")
-    return answer
+    answer = ask_desk(DESK, OwnerRequest(owner=owner), OwnerAnswer, session, missing=_MISSING)
+    return answer or OwnerAnswer(ok=False, error="the session has ended before it answered")

@@ -5,9 +5,16 @@ import sys
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
-from pipelines.mission.trainer_control import TRAINER_DESK, ask_trainer
-from pipelines.session.asking import running_sessions
-from pipelines.session.training import CAMERA, END, JOYSTICK, LOS, TrainerRequest
+from pipelines.session.asking import ask_desk, running_sessions
+from pipelines.session.training import (
+    CAMERA,
+    END,
+    JOYSTICK,
+    LOS,
+    TRAINER_DESK,
+    TrainerAnswer,
+    TrainerRequest,
+)
 
 #: By exercise: what it does, and how long it lasts by default.
 _EXERCISES = {
@@ -16,6 +23,10 @@ _EXERCISES = {
     CAMERA: ("a camera gives no pictures", 10.0),
     END: ("end all exercises at once", None),
 }
+_MISSING = (
+    "no session here has a trainer: start it with --trainer, "
+    "as `kontur-av stream --setup spacejustin --end space --trainer`"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +61,10 @@ def run(args: argparse.Namespace) -> int:
     )
     running = running_sessions(TRAINER_DESK)
     session = acting_on(args.session, running, moves=True) if running else None
-    answer = ask_trainer(request, session)
+    answer = ask_desk(TRAINER_DESK, request, TrainerAnswer, session, missing=_MISSING)
+    if answer is None:
+        print("kontur-av: the session's trainer has ended before it answered", file=sys.stderr)
+        return 1
     if answer.mistake:
         raise ConfigError(answer.text)
     if not answer.ok:

@@ -21,7 +21,7 @@ from kontur_av.figures import plus
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
-from pipelines.recording.desk import MOST_TERMINALS, Ask, DeskReply, RecorderDesk, Start, Stop
+from pipelines.recording.desk import Ask, RecorderDesk, Start, Stop
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
@@ -33,6 +33,7 @@ from pipelines.session.recorder_control import read_wish, recorder_path, remove_
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
 from pipelines.session.session_events import SessionEvents
 from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.terminal_lines import MOST_TERMINALS, Reply
 from pipelines.session.terminals import TerminalSockets
 from pipelines.session.topology import SELECTED_TOPIC
 
@@ -100,7 +101,7 @@ class _RecorderProcess:
         desk.handle_time(self._now_ns())
         while (event := desk.next_event()) is not None:
             match event:
-                case DeskReply():
+                case Reply():
                     terminals.send(event.terminal, event.octets, last=event.last)
                 case Start():
                     desk.handle_started(event, self._start(event))

@@ -37,16 +37,15 @@ from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.recorder_control import recorder_path
 from pipelines.session.recorder_requests import (
-    MAX_LINE_OCTETS,
     START,
     STOP,
+    RecordAnswer,
     RecordingWish,
     RecordRequest,
-    pack_line,
-    parse_record_answer,
 )
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.session_switch import Order
+from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
@@ -374,7 +373,7 @@ async def ask_recorder(session: str, *, begin: bool) -> str:
     try:
         writer.write(pack_line(request))
         async with asyncio.timeout(_PATIENCE_S):
-            answer = parse_record_answer(await reader.readline())
+            answer = parse_line(await reader.readline(), RecordAnswer)
     except (OSError, ValueError, TimeoutError):
         answer = None
     finally:

@@ -5,19 +5,14 @@ The recorder listens on a Unix socket in the session's directory, which only its
 
 import os
 import socket
+from contextlib import suppress
 from pathlib import Path
 
 from kontur_av.topics.session_files import make_session_root, session_root
 from pipelines.session.asking import running_sessions
-from pipelines.session.recorder_requests import (
-    MAX_LINE_OCTETS,
-    RecordAnswer,
-    RecordingWish,
-    RecordRequest,
-    pack_line,
-    parse_record_answer,
-    parse_wish,
-)
+from pipelines.session.reception import replace_file
+from pipelines.session.recorder_requests import RecordAnswer, RecordingWish, RecordRequest
+from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
 
 _SOCKET, _WISH = "recorder", "recording"
 #: How long a recorder may take to answer: it writes a slow disk's file to its end first.
@@ -32,16 +27,13 @@ def recorder_path(session: str) -> Path:
 def write_wish(session: str, wish: RecordingWish) -> None:
     """Keep what is to be recorded, for this and the next lives of the recorder."""
     make_session_root(session)
-    path = session_root(session) / _WISH
-    written = path.with_suffix(".new")
-    written.write_bytes(wish.pack())
-    written.replace(path)
+    replace_file(session_root(session) / _WISH, pack_line(wish))
 
 
 def read_wish(session: str) -> RecordingWish | None:
     """Return what is to be recorded, or None."""
     try:
-        return parse_wish((session_root(session) / _WISH).read_bytes())
+        return parse_line((session_root(session) / _WISH).read_bytes(), RecordingWish)
     except OSError:
         return None
 
@@ -55,9 +47,8 @@ def recorded_sessions() -> list[str]:
     """Return the running sessions of this user that can be recorded."""
     running = []
     for session in running_sessions(_SOCKET):
-        link = _connected(session)
-        if link is not None:
-            link.close()
+        with suppress(OSError):
+            RecorderLink(session).close()
             running.append(session)
     return running
 
@@ -81,7 +72,7 @@ class RecorderLink:
     def ask(self, request: RecordRequest) -> RecordAnswer:
         """Send a request and return its answer; OSError if none comes."""
         self._link.sendall(pack_line(request))
-        answer = parse_record_answer(self._lines.readline(MAX_LINE_OCTETS))
+        answer = parse_line(self._lines.readline(MAX_LINE_OCTETS), RecordAnswer)
         if answer is None:
             raise ConnectionError("the recorder has ended")
         return answer
@@ -90,10 +81,3 @@ class RecorderLink:
         """Close the connection."""
         self._lines.close()
         self._link.close()
-
-
-def _connected(session: str) -> RecorderLink | None:
-    try:
-        return RecorderLink(session)
-    except OSError:
-        return None

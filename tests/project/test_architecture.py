@@ -116,7 +116,6 @@ SHELLS = {
     "pipelines/session/terminals.py": "a Unix socket",
     "pipelines/session/reception.py": "files",
     "pipelines/mission/process_tasks.py": "the date, and files",
-    "pipelines/session/terminal_desk.py": "a Unix socket",
     "pipelines/mission/tmtc_desk.py": "a Unix socket and topics",
 }
 
@@ -183,7 +182,6 @@ USERS_OF_SHELLS = {
     "pipelines/session/sample_topic.py": "topics",
     "pipelines/media/sending.py": "sockets of a process",
     "pipelines/mission/tmtc_socket.py": "a Unix socket",
-    "pipelines/mission/trainer_control.py": "the trainer's socket",
 }
 
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
@@ -276,6 +274,7 @@ LIBRARIES = {
     "pipelines/hand/arm_owner.py": ({"msgspec"}, "requests, answers and the state as octets"),
     "pipelines/hand/hand_topics.py": ({"msgspec"}, "the joystick's state as octets"),
     "pipelines/session/session_events.py": ({"msgspec"}, "events as JSON"),
+    "pipelines/session/terminal_lines.py": ({"msgspec"}, "lines as JSON"),
     "pipelines/session/training.py": ({"msgspec"}, "requests, answers and exercises as octets"),
     "pipelines/mission/tmtc_messages.py": ({"msgspec"}, "requests and news as octets"),
     "pipelines/mission/mission.py": ({"msgspec"}, "what outlives the process"),
