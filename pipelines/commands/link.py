@@ -22,7 +22,14 @@ from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.report_file import check_writable, save_report
-from pipelines.session.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
+from pipelines.session.datagrams import (
+    LOOPBACK,
+    Address,
+    EndAddresses,
+    is_loopback,
+    obstacle,
+    reaches,
+)
 from pipelines.session.launcher import Launcher, hold_port, launcher_cpu_s
 from pipelines.session.options import (
     add_radio_arguments,
@@ -30,7 +37,6 @@ from pipelines.session.options import (
     port_changes,
     radio_changes,
 )
-from pipelines.session.process import LOOPBACK
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.table import topology_of
