@@ -74,6 +74,15 @@ def write_text(path: str, text: str, option: str) -> None:
         raise ConfigError(f"{option} {path!r} cannot be written: {error.strerror}") from None
 
 
+def end_with(report_file: str | None, report: str, failed: Sequence[str]) -> int:
+    """Write the report, if a file is given, and say what failed; the exit code."""
+    if report_file:
+        write_text(report_file, report, "--report")
+    for failure in failed:
+        print(f"failed: {failure}", file=sys.stderr)
+    return 1 if failed else 0
+
+
 @contextmanager
 def output_that_may_fail() -> Iterator[None]:
     """Within this context, a closed terminal or pipe loses only the output."""

@@ -13,8 +13,8 @@ from pipelines.commands.rtc_options import (
     ice_servers_of,
     token_of,
 )
-from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
-from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
+from pipelines.commands.rtc_reports import RtcCommandReport
+from pipelines.commands.rtc_running import add_run_arguments, closing_lines, keep, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
@@ -56,7 +56,14 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
     keeper = Keeper(
         args.whip, token=token, make_peer=make_peer, servers=servers, clock=clock, told=say
     )
-    begin_s, newest = time.monotonic(), None
+    begin_s = time.monotonic()
+
+    def look() -> None:
+        peer = keeper.peer
+        sources.wanted = peer is not None and peer.connected
+        if peer is not None and peer.media is not None:
+            sources.handle_wish(peer.media.wish_bps)
+
     with CodedSources(
         args,
         clock,
@@ -65,17 +72,7 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
             None if keeper.peer is None else keeper.peer.send_opus(opus, stamp)
         ),
     ) as sources:
-        running = asyncio.create_task(keeper.run())
-        async for _ in driven(args, running):
-            peer = keeper.peer
-            sources.wanted = peer is not None and peer.connected
-            if peer is not None and peer.media is not None:
-                newest = connection_report(peer) or newest
-                sources.handle_wish(peer.media.wish_bps)
-        if keeper.peer is not None:
-            newest = connection_report(keeper.peer) or newest
-        keeper.stop()
-        await running
+        newest = await keep(args, keeper, look)
         failed = []
         if not keeper.attempts.stood:
             failed.append(f"no connection to {args.whip}: {keeper.fault or 'none was made'}")

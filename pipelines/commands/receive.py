@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import selectors
-import sys
 import time
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -14,11 +13,11 @@ from kontur_av.media import parse_size
 from kontur_av.meters import RateMeter
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
-from pipelines.commands.common import check_options, stopped_by_signals, write_text
+from pipelines.commands.common import check_options, end_with, stopped_by_signals, write_text
 from pipelines.commands.media_reports import (
     ReceivedLatency,
     ReceivedStages,
-    ReceiveReport,
+    ReceiveEnd,
     RtpReport,
     SavedReport,
     latency_ms,
@@ -26,6 +25,7 @@ from pipelines.commands.media_reports import (
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.receive_media import PictureOutput, SoundOutput
 from pipelines.commands.remux import MatroskaWriter
+from pipelines.report.model import to_builtins, to_json
 
 _SILENCE_NS = 5 * NS_PER_S
 _SILENCE_AFTER_GOODBYE_NS = NS_PER_S
@@ -79,18 +79,17 @@ def run(args: argparse.Namespace) -> int:
             output = PictureOutput(stream, clock, writer, raw)
         else:
             output = SoundOutput(stream, clock, writer)
-        report = _ReceiveShell(stream, output, udp, clock, raw).run(args.seconds)
-    if args.save:
-        packets = 0 if writer is None else writer.written
-        report.saved = SavedReport(file=args.save, packets=packets)
-    if raw is not None:
-        report.raw = raw.report()
-        report.failed += [raw.fault] if raw.fault else []
-    if args.report:
-        write_text(args.report, report.to_json(), "--report")
-    for failure in report.failed:
-        print(f"failed: {failure}", file=sys.stderr)
-    return 1 if report.failed else 0
+        rtp, latency, failed = _ReceiveShell(stream, output, udp, clock, raw).run(args.seconds)
+    end = ReceiveEnd(
+        latency_ms=latency,
+        cpu_s=time.process_time(),
+        failed=failed + ([raw.fault] if raw is not None and raw.fault else []),
+        saved=None if writer is None else SavedReport(file=args.save, packets=writer.written),
+        raw=None if raw is None else raw.report(),
+    )
+    # One object with the keys of all parts.
+    report = to_builtins(rtp) | to_builtins(output.report()) | to_builtins(end)
+    return end_with(args.report, to_json(report), end.failed)
 
 
 def _open_raw(args: argparse.Namespace, stream: StreamDescription) -> RawPictures | None:
@@ -133,8 +132,8 @@ class _ReceiveShell:
         self._last_packet_ns: int | None = None
         self._payload_octets = 0
 
-    def run(self, seconds: float | None) -> ReceiveReport:
-        """Receive until the end; the report."""
+    def run(self, seconds: float | None) -> tuple[RtpReport, ReceivedLatency | None, list[str]]:
+        """Receive until the end; figures of packets and latency, and what failed."""
         start_ns = self._clock.now_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
         next_line_ns = start_ns + NS_PER_S
@@ -201,7 +200,7 @@ class _ReceiveShell:
             flush=True,
         )
 
-    def _report(self, start_ns: int) -> ReceiveReport:
+    def _report(self, start_ns: int) -> tuple[RtpReport, ReceivedLatency | None, list[str]]:
         counts, rate, output = self._receiver.counts.rtp, self._rate, self._output
         rtp = RtpReport(
             stream=self._stream.kind,
@@ -232,6 +231,4 @@ class _ReceiveShell:
             failed.append(f"no packet came to UDP port {self._stream.port}: is the sender running?")
         elif not output.decoded:
             failed.append(f"{counts.rtp_packets} packets came, but nothing could be decoded")
-        return ReceiveReport(
-            rtp, output.report(), latency_ms=latency, cpu_s=time.process_time(), failed=failed
-        )
+        return rtp, latency, failed

@@ -3,12 +3,12 @@
 import argparse
 import asyncio
 import signal
-import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 
-from pipelines.commands.common import output_that_may_fail, write_text
-from pipelines.commands.rtc_reports import RtcCommandReport
+from pipelines.commands.common import end_with, output_that_may_fail
+from pipelines.commands.rtc_reports import RtcCommandReport, RtcConnection, connection_report
+from pipelines.partner.whip import Keeper
 from pipelines.report.model import to_json
 
 _LOOK_S = 0.2
@@ -51,10 +51,26 @@ async def driven(
             loop.remove_signal_handler(number)
 
 
+async def keep(
+    args: argparse.Namespace, keeper: Keeper, look: Callable[[], None]
+) -> RtcConnection | None:
+    """Keep the connection until the command ends; figures of the newest one.
+
+    look: called five times a second.
+    """
+    newest = None
+    running = asyncio.create_task(keeper.run())
+    async for _ in driven(args, running):
+        look()
+        if keeper.peer is not None:
+            newest = connection_report(keeper.peer) or newest
+    if keeper.peer is not None:
+        newest = connection_report(keeper.peer) or newest
+    keeper.stop()
+    await running
+    return newest
+
+
 def closing_lines(args: argparse.Namespace, report: RtcCommandReport) -> int:
     """Write the report and say what failed; the exit code."""
-    if args.report:
-        write_text(args.report, to_json(report), "--report")
-    for failure in report.failed:
-        print(f"failed: {failure}", file=sys.stderr)
-    return 1 if report.failed else 0
+    return end_with(args.report, to_json(report), report.failed)

@@ -1,7 +1,6 @@
 """`kontur-av send`: one stream from a source to plain RTP over UDP, under a hard cap."""
 
 import argparse
-import sys
 import time
 from contextlib import closing
 
@@ -18,6 +17,7 @@ from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import (
     check_options,
     check_reachable,
+    end_with,
     parse_address,
     stopped_by_signals,
     write_text,
@@ -106,11 +106,7 @@ def run(args: argparse.Namespace) -> int:
         check_reachable(address)
         with closing(UdpSender(*address)) as udp:
             report = _SendShell(feed, udp, clock).run(args.seconds)
-    if args.report:
-        write_text(args.report, to_json(report), "--report")
-    for failure in report.failed:
-        print(f"failed: {failure}", file=sys.stderr)
-    return 1 if report.failed else 0
+    return end_with(args.report, to_json(report), report.failed)
 
 
 class _SendShell:

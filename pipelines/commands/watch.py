@@ -14,8 +14,8 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
-from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
-from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
+from pipelines.commands.rtc_reports import RtcCommandReport
+from pipelines.commands.rtc_running import add_run_arguments, closing_lines, keep, say
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
 async def _watch(args: argparse.Namespace) -> RtcCommandReport:
     clock = MonotonicClock()
     token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
-    begin_s, newest = time.monotonic(), None
+    begin_s = time.monotonic()
     with closing(PartnerOutput(args, clock)) as output:
 
         def make_peer(found: IceServers) -> RtcPeer:
@@ -59,15 +59,7 @@ async def _watch(args: argparse.Namespace) -> RtcCommandReport:
         keeper = Keeper(
             args.whep, token=token, make_peer=make_peer, servers=servers, clock=clock, told=say
         )
-        running = asyncio.create_task(keeper.run())
-        async for _ in driven(args, running):
-            output.flush()
-            if keeper.peer is not None:
-                newest = connection_report(keeper.peer) or newest
-        if keeper.peer is not None:
-            newest = connection_report(keeper.peer) or newest
-        keeper.stop()
-        await running
+        newest = await keep(args, keeper, output.flush)
         pictures, voice = output.pictures(), output.voice()
         failed = []
         if not keeper.attempts.stood:
