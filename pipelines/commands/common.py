@@ -16,10 +16,10 @@ from pipelines.report.report_file import discard_output
 from pipelines.session.sessions import started_here
 
 
-def check_options(args: argparse.Namespace) -> None:
-    """Raise ConfigError for numbers that are not above 0."""
-    for option in ("cap_kbps", "channel_kbps", "seconds"):
-        value = getattr(args, option, None)
+def check_options(args: argparse.Namespace, *options: str) -> None:
+    """Raise ConfigError for numbers that are not above 0: `--seconds`, and those of `options`."""
+    for option in (*options, "seconds"):
+        value = getattr(args, option)
         if value is not None and not 0 < value < 1e9:
             name = option.replace("_", "-")
             raise ConfigError(f"--{name} {value:g}: give a number above 0")
@@ -104,6 +104,13 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in zip(signals, before, strict=True):
             signal.signal(number, handler)
+
+
+def add_session_argument(parser: argparse.ArgumentParser) -> None:
+    """`--session`, for `acting_on`."""
+    parser.add_argument(
+        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
+    )
 
 
 def acting_on(name: str | None, running: Sequence[str], *, moves: bool = False) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail, resolve
+from pipelines.commands.common import check_options, output_that_may_fail, resolve
 from pipelines.commands.end_options import (
     add_end_arguments,
     chosen_end,
@@ -64,8 +64,7 @@ def run(args: argparse.Namespace) -> int:
         changes={**radio_changes(args), **port_changes(args)},
         radio_start_s=args.radio_start,
     )
-    if args.seconds is not None and not 0 < args.seconds < 1e9:
-        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    check_options(args)
     topology = topology_of(setup)
     one = chosen_end(args, topology)
     ends = list(Segment) if one is None else [one.segment]

@@ -5,7 +5,7 @@ import sys
 import time
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.hand.arm_owner import DESK, OWNERS, OwnerAnswer, OwnerRequest
 from pipelines.session.asking import ask_desk, running_sessions
 
@@ -23,9 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "owner", nargs="?", default="", metavar="|".join(OWNERS), help="hand the robot over"
     )
-    parser.add_argument(
-        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
-    )
+    add_session_argument(parser)
     parser.description = (
         "Hand the robot over to the joystick in space (iss) or to a partner's. "
         "Without an owner, say who drives."

@@ -7,6 +7,7 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
+from pipelines.commands.common import check_options
 from pipelines.commands.live_session import end_session, live_view, made_directory
 from pipelines.commands.replay_options import (
     add_coding_arguments,
@@ -63,8 +64,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the replay; 1 if its report names a failure."""
     if not 0.1 <= args.speed <= 4:
         raise ConfigError(f"--speed {args.speed:g}: take 0.1 to 4")
-    if args.seconds is not None and not 0 < args.seconds < 1e9:
-        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    check_options(args)
     recorded = load_recording(args.file)
     setup = replay_setup(args, args.file, recorded, speed=args.speed)
     check_caps(args.file, setup, recorded, recode=args.recode, speed=args.speed)

@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises ConfigError, with nothing sent, for what cannot work.
     """
-    check_options(args)
+    check_options(args, "cap_kbps", "channel_kbps")
     spec = args.video or args.audio
     if spec in FILLED_BY_OTHERS:
         raise ConfigError(

@@ -5,7 +5,7 @@ from random import SystemRandom
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.commands.telecommand import follow
 from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import (
@@ -41,9 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=[segment.value for segment in Segment],
         help="the end that sends it; default: the one across the radio",
     )
-    parser.add_argument(
-        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
-    )
+    add_session_argument(parser)
     parser.add_argument(
         "--xtce", action="store_true", help="print the dictionary as XTCE, for other ground systems"
     )

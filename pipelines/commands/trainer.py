@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.session.asking import ask_desk, running_sessions
 from pipelines.session.training import (
     CAMERA,
@@ -45,11 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 metavar="S",
                 help=f"for S seconds (default {seconds:g})",
             )
-        exercise.add_argument(
-            "--session",
-            metavar="NAME",
-            help="which one, where several run; its setup's name will do",
-        )
+        add_session_argument(exercise)
 
 
 def run(args: argparse.Namespace) -> int:
