@@ -25,7 +25,7 @@ from pipelines.commands.rtc_running import add_run_arguments, closing_lines, dri
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
-from pipelines.session.page_certificate import check_certificate, fingerprint, make_certificate
+from pipelines.session.page_certificate import certificate_for, check_certificate
 from pipelines.session.page_listener import PageListener
 from pipelines.session.page_sockets import bind_pages, listeners
 
@@ -75,19 +75,15 @@ def _listening(args: argparse.Namespace) -> Iterator[PageListener]:
         check_certificate(args.cert)
     token = token_of(args) or secrets.token_urlsafe(24)
     with TemporaryDirectory(prefix="kontur-rtc-") as folder:
-        certificate: Path | None = args.cert
-        made = certificate is None and not host.is_loopback
-        if made:
-            certificate = Path(folder) / "rtc.pem"
-            make_certificate(certificate, host.names())
+        certificate, made = certificate_for(host, args.cert, Path(folder) / "rtc.pem")
         sockets = bind_pages(host, port, [_SEAT])
         (listener,) = listeners(sockets, host, certificate).values()
         listener = replace(listener, operator_token=token)
         base = listener.url(_SEAT).partition(f"/{_SEAT}?")[0]
         say(f"page {listener.url(_SEAT)}")
         say(f"whip {base}/whip\nwhep {base}/whep/{_NAME}\ntoken {token}")
-        if made and certificate is not None:
-            say(f"certificate made for this run, SHA-256 {fingerprint(certificate)}")
+        if made:
+            say(f"certificate made for this run, SHA-256 {made}")
         with closing(listener.socket):
             yield listener
 
