@@ -17,8 +17,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.commands.common import output_that_may_fail, resolve
 from pipelines.session.page_certificate import certificate_for, check_certificate
-from pipelines.session.page_listener import PageListener
-from pipelines.session.page_sockets import PageHost, bind_pages, listeners
+from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
 from pipelines.session.seat_roles import Role
 from pipelines.session.topology import PAGES, Segment
 

@@ -26,8 +26,7 @@ from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, s
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
 from pipelines.session.page_certificate import certificate_for, check_certificate
-from pipelines.session.page_listener import PageListener
-from pipelines.session.page_sockets import bind_pages, listeners
+from pipelines.session.page_sockets import PageListener, bind_pages, listeners
 
 #: The only programme of this command.
 _NAME = "main"

@@ -15,8 +15,7 @@ from pipelines.commands.page_options import parse_page, write_private
 from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of, read_secret
 from pipelines.partner.ice_servers import IceServers
 from pipelines.session.page_certificate import certificate_for
-from pipelines.session.page_listener import PageListener
-from pipelines.session.page_sockets import PageHost, bind_pages, listeners
+from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
 from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology import RTC, Segment
 

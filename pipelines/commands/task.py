@@ -8,7 +8,7 @@ from rich.console import Console
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from pipelines.commands.common import acting_on, add_session_argument, output_that_may_fail
-from pipelines.commands.telecommand import follow
+from pipelines.commands.tc import follow
 from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import tmtc_socket_name

@@ -6,7 +6,7 @@ from kontur_av.media import CaptureStamp
 from pipelines.mission.tmtc_desk import TmtcDesk
 from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.sample_topic import SampleTopic
+from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, WALL_TOPIC, Segment, packets_topic
 from telepresence.haptics.mediated.wall import WALL_OCTETS, is_wall
 

@@ -17,7 +17,7 @@ from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import CameraWish, unpack
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.reception import replace_file
-from pipelines.session.sample_topic import SampleTopic
+from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import (
     FOLLOWED_TOPIC,
     MISSION_CAMERA_TOPIC,

@@ -25,7 +25,6 @@ from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.datagrams import LOOPBACK, receive
 from pipelines.session.mission_messages import CameraWish, RobotStatus
-from pipelines.session.mission_topic import MissionReader, MissionWriter
 from pipelines.session.process import Context
 from pipelines.session.reception import replace_file
 from pipelines.session.recorder_control import RecorderLink
@@ -38,6 +37,7 @@ from pipelines.session.recorder_requests import (
     RecordRequest,
 )
 from pipelines.session.task_journal import KEPT, LinkMeanwhile
+from pipelines.session.topic_ends import MissionReader, MissionWriter
 from pipelines.session.topology import (
     MISSION_CAMERA_TOPIC,
     MISSION_GROUND_TOPIC,

@@ -26,9 +26,9 @@ from pipelines.partner.tally import ConnectionSeen, SampleTally, Tally
 from pipelines.session.feeds import Feed
 from pipelines.session.messages import UNKNOWN_US
 from pipelines.session.process import Context
-from pipelines.session.sample_topic import SampleTopic
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
+from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import (
     RTC,
     RTC_CAMERA,

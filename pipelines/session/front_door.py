@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from kontur_av.clock import MonotonicClock
 from pipelines.session.doorway import HANDSHAKE_S, Doorway
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 
 _LOOK_S = 1.0
 #: After a refusal of the system, for example without descriptors.

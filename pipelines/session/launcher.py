@@ -25,7 +25,7 @@ from typing import Protocol
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
 from pipelines.session.process import Context, become
 from pipelines.session.restarts import NO_ROOM, RestartPolicy

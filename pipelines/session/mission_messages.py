@@ -176,16 +176,8 @@ class LedsShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 Message = (
     CameraWish | RobotOrder | RobotCommand | RobotStatus | PanelShown | ExperimentShown | LedsShown
 )
-_Kind = TypeVar(
-    "_Kind",
-    CameraWish,
-    RobotOrder,
-    RobotCommand,
-    RobotStatus,
-    PanelShown,
-    ExperimentShown,
-    LedsShown,
-)
+#: One of them.
+MessageT = TypeVar("MessageT", bound=Message)
 
 
 def pack(message: Message) -> bytes:
@@ -193,7 +185,7 @@ def pack(message: Message) -> bytes:
     return msgspec.msgpack.encode(message)
 
 
-def unpack(kind: type[_Kind], octets: bytes) -> _Kind:
+def unpack(kind: type[MessageT], octets: bytes) -> MessageT:
     """Return what `pack` packed; ProtocolError for anything else."""
     if len(octets) > MISSION_OCTETS:
         raise ProtocolError(f"{kind.__name__} has {len(octets)} octets: at most {MISSION_OCTETS}")

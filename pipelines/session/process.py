@@ -20,7 +20,7 @@ from pipelines.session.datagrams import (
     listen_to,
     outlet,
 )
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Probe
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.table import Setup

@@ -10,7 +10,7 @@ from aiohttp import web
 
 from pipelines.session.access import Access, AccessError, AccessKind, Found, headers
 from pipelines.session.front_door import FrontDoor
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 
 STATIC = Path(__file__).parents[1] / "seats" / "static"
 _TYPES = {
