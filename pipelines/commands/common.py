@@ -107,7 +107,6 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
 
 
 def add_session_argument(parser: argparse.ArgumentParser) -> None:
-    """`--session`, for `acting_on`."""
     parser.add_argument(
         "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
     )

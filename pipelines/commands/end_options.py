@@ -28,7 +28,6 @@ class EndChoice:
 
 
 def add_end_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--end`, and how this end and the other one find and know each other."""
     parser.add_argument(
         "--end",
         choices=[segment.value for segment in Segment],

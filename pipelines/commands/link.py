@@ -43,7 +43,6 @@ from pipelines.table import topology_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av link`."""
     add_setup_argument(parser)
     add_radio_arguments(parser, delay=False)
     parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
@@ -109,7 +108,6 @@ def run(args: argparse.Namespace) -> int:
 def gateway_arguments(
     topology: Topology, ends: Sequence[Segment], addresses: EndAddresses, peer: PeerPlan | None
 ) -> Mapping[str, Mapping[str, object]]:
-    """By gateway, what it takes beside the arguments of its row."""
     given = {"addresses": addresses, "peer": peer, "tell_backlog": False}
     return {topology.gateway(end).name: given for end in ends}
 
@@ -192,7 +190,6 @@ class _LinkScreen:
         self._shown = 0
 
     def show(self, launcher: Launcher) -> None:
-        """The present figures."""
         if self._quiet:
             return
         width = shutil.get_terminal_size().columns - 1 if self._terminal else None

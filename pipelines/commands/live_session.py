@@ -23,7 +23,6 @@ from pipelines.session.setup.table import Setup
 
 @contextmanager
 def live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[LiveView]:
-    """The table of a session in the terminal."""
     view = LiveView(collector, quiet=quiet, verbose=verbose)
     view.__enter__()
     try:

@@ -19,7 +19,6 @@ _MISSING = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The new owner, and the session where several run."""
     parser.add_argument(
         "owner", nargs="?", default="", metavar="|".join(OWNERS), help="hand the robot over"
     )

@@ -52,7 +52,6 @@ class PageWish:
 
 
 def add_page_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--page`, `--no-page`, `--open` and `--page-cert`."""
     either = parser.add_mutually_exclusive_group()
     either.add_argument(
         "--page",

@@ -22,7 +22,6 @@ from pipelines.partner.whip import Keeper
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av publish`."""
     parser.add_argument("--whip", metavar="URL", required=True, help="the endpoint (RFC 9725)")
     add_token_arguments(parser)
     add_source_arguments(parser)

@@ -101,7 +101,6 @@ class RawPictures:
         self._forget()
 
     def report(self) -> RawReport:
-        """Return the counts of written and dropped pictures."""
         return RawReport(
             file=self._path,
             pictures=self.written,

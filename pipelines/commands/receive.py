@@ -33,7 +33,6 @@ _LONGEST_WAIT_NS = 200 * NS_PER_MS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av receive`."""
     parser.add_argument("--sdp", metavar="FILE", required=True, help="describes the stream")
     parser.add_argument("--save", metavar="FILE.mkv", help="write the stream as it comes")
     parser.add_argument(

@@ -33,7 +33,6 @@ _RETURN_S = 4.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The file, the session where several run, and how long."""
     parser.add_argument("record", type=Path, metavar="FILE.mcap", help="what to write")
     add_session_argument(parser)
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")

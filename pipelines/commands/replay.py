@@ -38,7 +38,6 @@ _PARTS = "pipelines.recording.process_replaying"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av replay`."""
     parser.add_argument("file", metavar="FILE.mcap", type=Path, help="a recording")
     add_setup_argument(parser, needed=False)
     parser.add_argument("--seconds", type=float, metavar="S", help="send its first S seconds only")

@@ -34,7 +34,6 @@ _SEAT = "rtc"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The actions of `kontur-av rtc` and their options."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     text = "serve a partner: it sees and hears what is given here, and is seen and heard"
     serve = actions.add_parser("serve", help=text, description=text)

@@ -34,7 +34,6 @@ class RtcWish:
 
 
 def add_rtc_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--rtc`, and the way through NAT."""
     parser.add_argument(
         "--rtc",
         metavar="[HOST:]PORT",

@@ -16,7 +16,6 @@ from pipelines.partner.media import PictureCame, SoundCame
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of what is received."""
     parser.add_argument("--save", metavar="FILE.mkv", help="write the picture as it comes")
     parser.add_argument("--save-voice", metavar="FILE.mka", help="write the voice as it comes")
     parser.add_argument(
@@ -47,7 +46,6 @@ class PartnerOutput:
         self.size: tuple[int, int] | None = None
 
     def handle(self, event: PictureCame | SoundCame) -> None:
-        """Decode and write what has come."""
         if isinstance(event, PictureCame):
             self._handle_unit(event.unit, event.capture_ns)
         else:
@@ -59,18 +57,15 @@ class PartnerOutput:
             self._raw.handle_writable()
 
     def close(self) -> None:
-        """Finish the files."""
         for file in self._files:
             file.close()
         if self._raw is not None:
             self._raw.close()
 
     def pictures(self) -> ReceivedKind:
-        """Figures of the picture."""
         return _kind(self._pictures, self._picture_ns)
 
     def voice(self) -> ReceivedKind:
-        """Figures of the voice."""
         return _kind(self._blocks, self._voice_ns)
 
     def _open(self, path: str | None) -> MatroskaWriter | None:

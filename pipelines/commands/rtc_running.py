@@ -15,13 +15,11 @@ _LOOK_S = 0.2
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--seconds` and `--report`."""
     parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
     parser.add_argument("--report", metavar="FILE", help="write a JSON report")
 
 
 def say(line: str) -> None:
-    """Print a line about a connection."""
     with output_that_may_fail():
         print(line, flush=True)
 
@@ -72,5 +70,4 @@ async def keep(
 
 
 def closing_lines(args: argparse.Namespace, report: RtcCommandReport) -> int:
-    """Write the report and say what failed; the exit code."""
     return end_with(args.report, to_json(report), report.failed)

@@ -28,7 +28,6 @@ _LAST_S = 2.0
 
 
 def add_source_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of what is sent."""
     spec = "FILE, pipe:PATH, v4l2:DEVICE or scene:NAME"
     parser.add_argument("--video", metavar="SPEC", help=f"the picture to send: {spec}")
     parser.add_argument(
@@ -116,11 +115,9 @@ class CodedSources(Closing):
             self._begin("sound", self._sound, audio, voice)
 
     def want_key(self) -> None:
-        """Encode a key picture soon."""
         self._keys += 1
 
     def close(self) -> None:
-        """End the threads, and close the sources."""
         self._ended.set()
         for thread in self._threads:
             thread.join(_LAST_S)

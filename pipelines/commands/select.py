@@ -12,7 +12,6 @@ from pipelines.session.setup.segments import Segment
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The camera, and the session where several run."""
     parser.add_argument("camera", metavar="CAMERA", help="for example stereo, static or head")
     parser.description = (
         "Ask the ground to send another camera's pictures up, and wait for its acknowledgement. "

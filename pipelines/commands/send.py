@@ -36,7 +36,6 @@ _LONGEST_WAIT_NS = 100 * NS_PER_MS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av send`."""
     what = parser.add_mutually_exclusive_group(required=True)
     spec = "FILE, pipe:PATH, v4l2:DEVICE or scene:NAME"
     what.add_argument("--video", metavar="SPEC", help=spec)

@@ -10,7 +10,6 @@ from pipelines.session.orders import KeptOrders
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The release, and the session where several run."""
     parser.add_argument(
         "--release", action="store_true", help="release the stop; the robot stays off until told"
     )

@@ -23,7 +23,6 @@ _PATIENCE_NS = 2_000_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`list`, `select`, `start` and `abort`."""
     parser.add_argument(
         "action",
         choices=["list", "select", "start", "abort"],

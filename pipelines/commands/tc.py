@@ -27,7 +27,6 @@ _CLIENT = "kontur-av tc"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The application, what it is to do, and from where."""
     parser.add_argument(
         "application", nargs="?", metavar="APPLICATION", help="for example joystick or robot"
     )

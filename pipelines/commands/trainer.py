@@ -30,7 +30,6 @@ _MISSING = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The exercises, and the session where several run."""
     exercises = parser.add_subparsers(dest="exercise", required=True, metavar="EXERCISE")
     for name, (text, seconds) in _EXERCISES.items():
         exercise = exercises.add_parser(name, help=text, description=text)

@@ -22,7 +22,6 @@ from pipelines.partner.whip import Keeper
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av watch`."""
     parser.add_argument(
         "--whep", metavar="URL", required=True, help="the endpoint (draft-ietf-wish-whep)"
     )

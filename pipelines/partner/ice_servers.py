@@ -55,7 +55,6 @@ class IceServers:
             raise ConfigError("--ice-relay-only: give --ice-server turn:HOST, too")
 
     def for_aiortc(self) -> list[RTCIceServer]:
-        """The servers as aiortc has them."""
         return [
             RTCIceServer(
                 urls=one.url, username=one.username or None, credential=one.credential or None

@@ -140,7 +140,6 @@ class _SelectedCamera:
         return True
 
     def newest(self) -> Lease | None:
-        """Return the newest picture that was not taken yet, or None."""
         return None if self._reader is None else self._reader.latest()
 
     def close_retired(self) -> None:

@@ -269,7 +269,6 @@ class RtcTransport:
         await _end(old)
 
     async def add_candidates(self, candidates: tuple[RTCIceCandidate, ...], *, last: bool) -> None:
-        """The partner has told further candidates (trickle ICE)."""
         await _add(self._next or self._connection, candidates, last=last)
 
     async def send(self, packet: bytes) -> bool:

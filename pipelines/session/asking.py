@@ -17,7 +17,6 @@ _Answer = TypeVar("_Answer", bound=msgspec.Struct)
 
 
 def desk_path(session: str, desk: str) -> Path:
-    """Return the path of the Unix socket of a session's desk."""
     return session_root(session) / desk
 
 

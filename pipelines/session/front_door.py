@@ -44,13 +44,11 @@ class FrontDoor:
         return self._doorway.closed
 
     def start(self) -> None:
-        """Begin to accept."""
         self._socket.setblocking(False)
         self._begin(self._accept())
         self._begin(self._look())
 
     def close(self) -> None:
-        """Accept no more."""
         for task in list(self._tasks):
             task.cancel()
 
@@ -129,7 +127,6 @@ class _Visitor(asyncio.Protocol):
         self._door, self._inner = door, cast(asyncio.Protocol, inner)
 
     def end(self) -> None:
-        """Close the connection at once."""
         if self.transport is not None:
             self.transport.abort()
         elif self.connection is not None:

@@ -95,7 +95,6 @@ class Child:
         self.policy = RestartPolicy(self.row.stage)
 
     def cpu_s(self) -> float:
-        """Return the CPU seconds of all its lives so far."""
         if self.pid is None:
             return self.ended_cpu_s
         try:
@@ -142,7 +141,6 @@ class Launcher:
 
     @property
     def setup(self) -> Setup:
-        """The setup of the session."""
         return self.topology.setup
 
     @property
@@ -194,7 +192,6 @@ class Launcher:
             wake_write.close()
 
     def cpu_s(self) -> dict[str, float]:
-        """Return the CPU seconds of each process."""
         return {child.row.name: child.cpu_s() for child in self.children}
 
     def _handle_signal(self, number: int, frame: FrameType | None) -> None:

@@ -159,7 +159,6 @@ class LedsShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @classmethod
     def of(cls, picture: PanelPicture) -> "LedsShown":
-        """Return what is to be told of a picture."""
         return cls(
             pattern=picture.pattern,
             leds=picture.leds,
@@ -169,7 +168,6 @@ class LedsShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @property
     def picture(self) -> PanelPicture:
-        """The picture."""
         return PanelPicture(self.pattern, self.leds, self.spot_m, self.colour)
 
 

@@ -65,7 +65,6 @@ class Context:
 
     @property
     def setup(self) -> Setup:
-        """The setup of the session."""
         return self.topology.setup
 
     def first_deadline_ns(self, period_ns: int, phase: float = 0.0) -> int:
@@ -78,7 +77,6 @@ class Context:
         return (now_ns // period_ns + 2) * period_ns + round(phase * period_ns)
 
     def open_bus(self) -> "TopicBus":
-        """Open this process's access to shared memory."""
         from kontur_av.topics.bus import TopicBus
 
         return TopicBus(self.session)
@@ -116,7 +114,6 @@ class Context:
             self.flush(now_ns)
 
     def flush(self, now_ns: int) -> None:
-        """Flush the probe now."""
         for fill in self._fill:
             fill()
         self.send_figures(now_ns)

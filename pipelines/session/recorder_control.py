@@ -20,7 +20,6 @@ _PATIENCE_S = 10.0
 
 
 def recorder_path(session: str) -> Path:
-    """Return the path of the Unix socket of `session`'s recorder."""
     return session_root(session) / _SOCKET
 
 
@@ -31,7 +30,6 @@ def write_wish(session: str, wish: RecordingWish) -> None:
 
 
 def read_wish(session: str) -> RecordingWish | None:
-    """Return what is to be recorded, or None."""
     try:
         return parse_line((session_root(session) / _WISH).read_bytes(), RecordingWish)
     except OSError:
@@ -39,7 +37,6 @@ def read_wish(session: str) -> RecordingWish | None:
 
 
 def remove_wish(session: str) -> None:
-    """Nothing more is to be recorded."""
     (session_root(session) / _WISH).unlink(missing_ok=True)
 
 
@@ -78,6 +75,5 @@ class RecorderLink:
         return answer
 
     def close(self) -> None:
-        """Close the connection."""
         self._lines.close()
         self._link.close()

@@ -39,7 +39,6 @@ class RecordingWish(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
 
     @property
     def limits(self) -> PartLimits:
-        """When a new part begins."""
         return PartLimits(ns=round(self.part_s * NS_PER_S), octets=round(self.part_mb * 1e6))
 
 

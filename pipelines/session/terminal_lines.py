@@ -58,7 +58,6 @@ class LineDesk(Generic[_Content]):
         return list(self._lines)
 
     def handle_terminal(self, terminal: int) -> None:
-        """A terminal has connected."""
         if len(self._lines) >= MOST_TERMINALS:
             self._replies.append(Reply(terminal, b"", last=True))
         else:

@@ -74,7 +74,6 @@ class TerminalSockets:
             self._links.pop(terminal).close()
 
     def close(self) -> None:
-        """Take no more terminals."""
         self._path.unlink(missing_ok=True)
 
 

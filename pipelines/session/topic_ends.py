@@ -37,7 +37,6 @@ class MissionWriter:
         self._topic, self._numbers = topic, count()
 
     def publish(self, message: Message, now_ns: int) -> None:
-        """Publish a message."""
         stamp = CaptureStamp(now_ns, next(self._numbers), self._topic)
         self._writer.publish_octets(pack(message), stamp)
 

@@ -39,7 +39,6 @@ class Exercises(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     cameras_ns: Mapping[str, int] = {}
 
     def pack(self) -> bytes:
-        """Return it as octets."""
         return msgspec.msgpack.encode(self)
 
     @classmethod

@@ -88,14 +88,12 @@ class WebSite:
         )
 
     async def start(self, runner: web.BaseRunner) -> None:
-        """Serve on the listener's socket."""
         await runner.setup()
         assert runner.server is not None
         self._door = FrontDoor(self._listener, runner.server, self._tls())
         self._door.start()
 
     def close(self) -> None:
-        """Accept no more connections."""
         if self._door is not None:
             self._door.close()
 

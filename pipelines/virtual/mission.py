@@ -225,7 +225,6 @@ class SimulatedMission:
         return self._gateways[segment].supervisor.state is LinkState.CONNECTED
 
     def _look(self, now_ns: int) -> None:
-        """What happens in space."""
         self._agenda.at(now_ns + LOOK_NS, self._look)
         panel, handle, cosmonaut = self._panel, self._joystick.handle, self._cosmonaut
         panel.handle_contact(self._connected(Segment.SPACE), now_ns)
@@ -244,7 +243,6 @@ class SimulatedMission:
         self._send(Segment.SPACE, panel.poll_message, now_ns)
 
     def _tick(self, now_ns: int) -> None:
-        """What happens on the ground."""
         self._agenda.at(now_ns + TICK_NS, self._tick)
         reports = [gateway.report(now_ns) for gateway in self._gateways.values()]
         link = LinkMeanwhile(

@@ -185,7 +185,6 @@ class ReplayedMedia(Media):
         cost_ns: int,
         sender: VideoProcess | VoiceProcess,
     ) -> None:
-        """Send each unit `cost_ns` after its capture."""
         agenda, start_ns, numbered = self._scene.agenda, self._scene.start_ns, enumerate(units)
 
         def enter(now_ns: int) -> None:

@@ -54,7 +54,6 @@ class CpuResult:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench cpu`."""
     add_setup_argument(parser, default="spacejustin")
     parser.add_argument(
         "--against", type=Path, metavar="DIR", help="another checkout, measured in turn with this"
@@ -147,7 +146,6 @@ def read_run(report: JsonReader) -> CpuRun:
 
 
 def headlines(result: CpuResult) -> list[Headline]:
-    """Medians over the runs."""
     name = "this tree" if result.against else ""
     found = [*_of_tree(name, result.runs), *_of_tree("other tree", result.against)]
     if result.ratios:

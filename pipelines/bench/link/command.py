@@ -43,7 +43,6 @@ _BLACKOUTS_S = (0.1, 1.0, 10.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench link`."""
     parser.add_argument(
         "--seconds", type=float, default=20.0, metavar="S", help="of each run (default 20)"
     )
@@ -74,7 +73,6 @@ class Delays:
 
     @property
     def json(self) -> dict[str, Json]:
-        """One key for each direction."""
         waits = {f"voice_wait_{name}_ms": as_json(of) for name, of in self.voice_wait_ms.items()}
         return {"haptic_difference": as_json(self.haptic_difference), **waits}
 
@@ -91,7 +89,6 @@ class GoodputOf:
 
     @property
     def json(self) -> dict[str, Json]:
-        """Flat, as a row of a table."""
         found = as_json(self.found)
         assert isinstance(found, dict)
         return {
@@ -114,7 +111,6 @@ class Resumption:
 
     @property
     def json(self) -> dict[str, Json]:
-        """The events beside the counts."""
         times = {name: as_json(of) for name, of in self.times_ms.items()}
         return {**times, "packets": self.packets, "stale": self.stale}
 

@@ -58,7 +58,6 @@ class _Offers:
         }
 
     def handle_slot(self, now_ns: int) -> None:
-        """Offer a sample and the packets that are due by `now_ns`."""
         self._gateway.handle_haptic(bytes(12), now_ns)
         for flow, (period_ns, octets) in _OFFERS.items():
             due_ns = self._due_ns[flow]
@@ -81,13 +80,11 @@ class _Watch:
         self._waiting = {HAPTIC, *_OFFERS, CONNECTED}
 
     def handle_arrival(self, kind: str, now_ns: int, result: Resumptions) -> None:
-        """`kind` came out of the link."""
         if kind in self._waiting and now_ns >= self._back_ns:
             self._waiting.discard(kind)
             result.first[kind].append(now_ns - self._back_ns)
 
     def handle_slot(self, now_ns: int, result: Resumptions) -> None:
-        """A slot has passed."""
         supervisor = self._gateway.supervisor
         if not self._noticed and not supervisor.signal:
             self._noticed = True

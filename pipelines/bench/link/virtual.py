@@ -170,7 +170,6 @@ class Goodput:
     idle: float
 
     def shares(self) -> tuple[float, float, float, float]:
-        """They sum to 1."""
         return self.packets, self.framing, self.supervision, self.idle
 
 

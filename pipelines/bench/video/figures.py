@@ -136,7 +136,6 @@ class ContenderFigures:
 
     @property
     def cpu_s(self) -> float:
-        """Of sender and receiver together."""
         return self.sender_cpu_s + self.receiver_cpu_s
 
 

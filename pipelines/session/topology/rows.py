@@ -131,7 +131,6 @@ class MediaRow(StreamRow):
 
     @property
     def received_topic(self) -> Topic:
-        """Its decoded pictures or sounds."""
         return received_topic(self.name)
 
     @property
@@ -159,7 +158,6 @@ class VideoRow(MediaRow):
 
     @property
     def displayed_topic(self) -> Topic:
-        """The displayed pictures."""
         return displayed_topic(self.name)
 
     @property
@@ -184,7 +182,6 @@ class InputRow:
 
     @property
     def topic(self) -> Topic:
-        """Its pictures or its sound."""
         kind = "picture" if self.kind is Kind.VIDEO else "20 ms of sound"
         return Topic(f"input/{self.name}", f"{kind} as captured")
 

@@ -50,7 +50,6 @@ class Table:
         return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
     def without(self, heading: str) -> "Table":
-        """The table without a column."""
         gone = self.headings.index(heading)
         every = [
             [cell for column, cell in enumerate(row) if column != gone]
@@ -114,7 +113,6 @@ def streams_table(topology: Topology) -> Table:
 
 
 def topics_table(topology: Topology) -> Table:
-    """The topics in shared memory."""
     return Table(
         headings=("topic", "writer", "sample", "readers"),
         rows=[(row.name, row.writer, row.sample, _listed(row.readers)) for row in topology.topics],

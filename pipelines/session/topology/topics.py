@@ -109,7 +109,6 @@ def link_state_topic(segment: Segment) -> Topic:
 
 # Streams of pictures and voices.
 def received_topic(stream: str) -> Topic:
-    """The decoded pictures or sounds of a stream."""
     return Topic(f"received/{stream}", "decoded picture or sound")
 
 
@@ -119,7 +118,6 @@ def page_topic(name: str, kind: str = "picture or sound") -> Topic:
 
 
 def displayed_topic(stream: str) -> Topic:
-    """The displayed pictures of a stream."""
     return Topic(f"displayed/{stream}", "picture, marked where it is stale")
 
 

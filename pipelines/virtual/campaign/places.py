@@ -209,7 +209,6 @@ _MOST_JOBS = 256
 
 
 def processors() -> int:
-    """The number of processors that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
