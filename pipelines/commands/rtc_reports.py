@@ -60,7 +60,7 @@ def connection_report(peer: RtcPeer) -> RtcConnection | None:
         return None
     route, figures = peer.route, peer.media.figures
     return RtcConnection(
-        route=None if route is None else f"{route.local} to {route.remote}",
+        route=None if route is None else str(route),
         ice_restarts=peer.restarts,
         sent=_streams(figures.sent),
         received=_streams(figures.received),

@@ -157,7 +157,7 @@ class _Leg:
                 rate_lowered=self._uplink.wish.rate.lowered,
                 partners=len(standing),
                 rate_bps=self._uplink.wish.rate.bps,
-                route=None if route is None else f"{route.local} to {route.remote}",
+                route=None if route is None else str(route),
                 round_trip_ns=trips[-1] if trips else None,
                 streams=total.streams,
             )

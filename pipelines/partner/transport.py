@@ -51,8 +51,10 @@ class Route:
 
     local: str
     remote: str
-    remote_host: str
     remote_port: int
+
+    def __str__(self) -> str:
+        return f"{self.local} to {self.remote}"
 
 
 class _Path:
@@ -211,12 +213,7 @@ class RtcTransport:
         pair: Any = getattr(self._connection, "_nominated", {}).get(1)
         if pair is not None:
             local, remote = pair.local_candidate.type, pair.remote_candidate
-            self._route = Route(
-                local=local,
-                remote=remote.type,
-                remote_host=remote.host,
-                remote_port=remote.port,
-            )
+            self._route = Route(local=local, remote=remote.type, remote_port=remote.port)
         return self._route
 
     async def gather(self) -> Transport:

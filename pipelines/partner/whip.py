@@ -235,9 +235,7 @@ class Keeper:
         now_ns = self._clock.now_ns()
         if peer.connected and self.attempts.doing is Doing.CONNECTING:
             self.attempts.handle_connected(now_ns)
-            route = peer.route
-            way = "" if route is None else f" by {route.local} to {route.remote}"
-            self._told(f"connected{way}")
+            self._told("connected" if peer.route is None else f"connected by {peer.route}")
         if self.attempts.is_hopeless(now_ns):
             self.fault = "nothing came for seconds, also after a restart of ICE"
             await peer.close()

@@ -6,6 +6,7 @@ from random import Random
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.bench.link.virtual import COMMANDS, FLOWS, VIDEO, VOICE, Talker
+from pipelines.report.result import Percentiles, spread
 from telepresence.link.gateway import Gateway
 from telepresence.link.radio import RadioProfile
 from telepresence.link.radio.profile import Blackout
@@ -45,6 +46,12 @@ class Resumptions:
     )
     packets: int = 0
     stale: int = 0
+
+    @property
+    def times_ms(self) -> dict[str, Percentiles]:
+        """By event."""
+        times = {"loss noticed (from the last good frame)": self.noticed, **self.first}
+        return {name: spread(ns, per_unit=NS_PER_MS) for name, ns in times.items()}
 
 
 class _Offers:

@@ -217,17 +217,8 @@ class Topology:
     def gateway(self, segment: Segment) -> ProcessRow:
         return self.process(self.link(segment.transmits).sender)
 
-    def sender_of(self, stream: str) -> ProcessRow:
-        return self.process(self.media(stream).sender)
-
-    def receiver_of(self, stream: str) -> ProcessRow:
-        return self.process(self.media(stream).receiver)
-
     def input(self, name: str) -> InputRow:
         return next(row for row in self.inputs if row.name == name)
-
-    def input_process(self, name: str) -> ProcessRow:
-        return self.process(self.input(name).process)
 
     def camera(self, name: str) -> CameraRow:
         return next(row for row in self.cameras if row.name == name)
