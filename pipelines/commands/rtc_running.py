@@ -8,6 +8,7 @@ from contextlib import suppress
 
 from pipelines.commands.common import end_with, output_that_may_fail
 from pipelines.commands.rtc_reports import RtcCommandReport, RtcConnection, connection_report
+from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
 from pipelines.report.model import to_json
 
@@ -50,7 +51,7 @@ async def driven(
 
 
 async def keep(
-    args: argparse.Namespace, keeper: Keeper, look: Callable[[], None]
+    args: argparse.Namespace, keeper: Keeper[RtcPeer], look: Callable[[], None]
 ) -> RtcConnection | None:
     """Keep the connection until the command ends; figures of the newest one.
 
