@@ -17,7 +17,6 @@ from pipelines.commands.end_options import (
     hold_listen_port,
     path_line,
 )
-from pipelines.commands.link_ports import port_table
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
@@ -39,6 +38,7 @@ from pipelines.session.options import (
 )
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import Segment, Topology
+from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
 
 
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     screen = _LinkScreen(LinkView(setup, ends), collector, quiet=args.quiet)
     if one is not None:
         screen.show_lines([path_line(one)])
-    screen.show_lines(port_table(topology, ends, addresses))
+    screen.show_lines(ports_table(topology, ends, addresses.apps_bind, addresses.apps).lines(200))
     launcher = Launcher(
         session="link",
         topology=topology,

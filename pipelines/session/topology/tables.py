@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipelines.session.setup.segments import Direction
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.topology.rows import Kind, MediaRow, StreamRow
 from pipelines.session.topology.table import Topology
 
@@ -117,6 +117,29 @@ def topics_table(topology: Topology) -> Table:
         headings=("topic", "writer", "sample", "readers"),
         rows=[(row.name, row.writer, row.sample, _listed(row.readers)) for row in topology.topics],
         spare=("sample",),
+    )
+
+
+def ports_table(topology: Topology, ends: Sequence[Segment], bind: str, apps: str) -> Table:
+    """The channels at `ends`, by priority in each direction.
+
+    bind: where programs send to. apps: where the datagrams for them go.
+    """
+
+    def place(host: str, port: int, end: Segment) -> str:
+        return f"{host}:{port}" if end in ends else "the other end"
+
+    return Table(
+        headings=("channel", "send to", "comes out at", "what"),
+        rows=[
+            (
+                row.name,
+                place(bind, row.entry_port, row.direction.sender),
+                place(apps, row.exit_port, row.direction.receiver),
+                travels(row, topology),
+            )
+            for row in topology.streams
+        ],
     )
 
 
