@@ -8,7 +8,12 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import check_options
-from pipelines.commands.live_session import end_session, live_view, made_directory
+from pipelines.commands.live_session import (
+    add_live_arguments,
+    end_session,
+    live_view,
+    made_directory,
+)
 from pipelines.commands.replay_options import (
     add_coding_arguments,
     check_caps,
@@ -51,12 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_coding_arguments(parser)
     add_radio_arguments(parser)
     parser.set_defaults(seed=None)
-    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
-    parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
-    loudness = parser.add_mutually_exclusive_group()
-    loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
-    loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+    add_live_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,6 +1,6 @@
 """The whole table, with lookups of rows."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -132,11 +132,6 @@ class Topology:
     def process(self, name: str) -> ProcessRow:
         return self._processes[name]
 
-    def processes_of(self, segments: Iterable[Segment]) -> tuple[ProcessRow, ...]:
-        """Return the processes of a machine on which these segments run."""
-        here = {None, *segments}
-        return tuple(row for row in self.processes if row.segment in here)
-
     @property
     def alone(self) -> Segment | None:
         """The only segment on this machine; None if both are."""
@@ -145,7 +140,7 @@ class Topology:
     @property
     def processes_here(self) -> tuple[ProcessRow, ...]:
         """The processes of this machine, in the order in which they are started."""
-        return self.processes_of(self.segments)
+        return tuple(row for row in self.processes if self.runs(row.name))
 
     @property
     def ports_here(self) -> tuple[int, ...]:
