@@ -13,6 +13,7 @@ from kontur_av.errors import ConfigError
 from pipelines.commands.common import check_options, output_that_may_fail, resolve
 from pipelines.commands.end_options import (
     add_end_arguments,
+    check_one_machine,
     chosen_end,
     hold_listen_port,
     path_line,
@@ -119,43 +120,36 @@ def chosen_addresses(args: argparse.Namespace) -> EndAddresses:
             raise ConfigError("--apps-bind goes with --apps HOST, the machine of the programs")
         return EndAddresses()
     apps = resolve(args.apps, args.apps, "--apps", socket.AF_INET)
-    bind = _bound_address("--apps-bind", args.apps_bind, (apps, 9), "--apps", args.apps)
-    return EndAddresses(apps=apps, apps_bind=bind)
+    check_one_machine("--apps", args.apps, apps)
+    return EndAddresses(apps=apps, apps_bind=_bound_address(args, (apps, 9)))
 
 
-def _bound_address(
-    option: str, given: str | None, other: Address, other_option: str, text: str
-) -> str:
-    """Return the local address in `option`; without it loopback, if `other` is on loopback.
-
-    other: the address to be reached. other_option, text: the option with which the user gave it.
-    """
-    host = ipaddress.IPv4Address(other[0])
-    if host.is_unspecified or host.is_multicast:
-        raise ConfigError(f"{other_option} {text}: give the address of one machine")
-    if given is not None:
+def _bound_address(args: argparse.Namespace, other: Address) -> str:
+    """Return the local address in `--apps-bind`; without it loopback, if `other` is on loopback."""
+    if args.apps_bind is not None:
         try:
-            bind = str(ipaddress.IPv4Address(given))
+            bind = str(ipaddress.IPv4Address(args.apps_bind))
         except ValueError:
             raise ConfigError(
-                f"{option} {given!r}: write an IPv4 address of this machine, or 0.0.0.0 for all"
+                f"--apps-bind {args.apps_bind!r}: write an IPv4 address of this machine, or "
+                "0.0.0.0 for all"
             ) from None
         why = obstacle(bind, other)
         if why is not None:
             own = reaches(other)
-            mend = "" if own is None else f"; use {option} {own}"
+            mend = "" if own is None else f"; use --apps-bind {own}"
             raise ConfigError(
-                f"{other_option} {text} cannot be reached from {option} {bind}: {why}{mend}"
+                f"--apps {args.apps} cannot be reached from --apps-bind {bind}: {why}{mend}"
             )
         return bind
     if is_loopback(other[0]):
         return LOOPBACK
     own = reaches(other)
     if own is None:
-        raise ConfigError(f"{text} cannot be reached from here: check address and network")
+        raise ConfigError(f"{args.apps} cannot be reached from here: check address and network")
     raise ConfigError(
-        f"{text} is another machine, and {option} is missing: "
-        f"add {option} {own}, the address by which this one is reached from there"
+        f"{args.apps} is another machine, and --apps-bind is missing: "
+        f"add --apps-bind {own}, the address by which this one is reached from there"
     )
 
 

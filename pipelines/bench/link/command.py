@@ -171,43 +171,23 @@ def _headlines(
     costs: Sequence[Cost],
     live: Mapping[str, Sequence[LoopPunctuality]],
 ) -> list[Headline]:
-    found = [
-        Headline(
-            group="on virtual time",
-            what="delay that saturated media add to a haptic sample, largest",
-            unit="slots",
-            value=difference.largest_slots,
-        )
-    ]
+    virtual = partial(Headline, group="on virtual time")
+    what = "delay that saturated media add to a haptic sample, largest"
+    found = [virtual(what=what, unit="slots", value=difference.largest_slots)]
     for name, of in waits_ms.items():
         what = f"voice until its first slot, {name} saturated, max"
-        found.append(Headline(group="on virtual time", what=what, unit="ms", value=of.max))
+        found.append(virtual(what=what, unit="ms", value=of.max))
     for traffic, counted in headers.items():
         what = f"header octets of {traffic} (of 40), mean"
-        found.append(
-            Headline(group="on virtual time", what=what, unit="octets", value=counted.mean)
-        )
+        found.append(virtual(what=what, unit="octets", value=counted.mean))
+    group = "from the first good frame after a blackout, p99"
     for length, recovery in resumed.items():
         for event, of in recovery.times_ms.items():
-            found.append(
-                Headline(
-                    group="from the first good frame after a blackout, p99",
-                    what=event,
-                    who=f"of {length}",
-                    unit="ms",
-                    value=of.p99,
-                )
-            )
-    found += [
-        Headline(
-            group="cost of a slot, p50",
-            what=f"{cost.direction}, {cost.traffic}",
-            who=cost.what,
-            unit="µs",
-            value=cost.us.p50,
-        )
-        for cost in costs
-    ]
+            who = f"of {length}"
+            found.append(Headline(group=group, what=event, who=who, unit="ms", value=of.p99))
+    for cost in costs:
+        what, group = f"{cost.direction}, {cost.traffic}", "cost of a slot, p50"
+        found.append(Headline(group=group, what=what, who=cost.what, unit="µs", value=cost.us.p50))
     for name, tasks in live.items():
         for task in tasks:
             who, late_us = f"{name} media", task.lateness_us["p99"]
