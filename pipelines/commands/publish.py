@@ -6,7 +6,7 @@ import time
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import check_options
+from pipelines.commands.common import check_options, end_with
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
@@ -14,11 +14,12 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.commands.rtc_reports import RtcCommandReport
-from pipelines.commands.rtc_running import add_run_arguments, closing_lines, keep, say
+from pipelines.commands.rtc_running import add_run_arguments, keep, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
+from pipelines.report.model import to_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +38,8 @@ def run(args: argparse.Namespace) -> int:
     check_options(args)
     if args.video is None and args.audio is None:
         raise ConfigError("nothing to publish: give --video SPEC, --audio SPEC or both")
-    return closing_lines(args, asyncio.run(_publish(args)))
+    report = asyncio.run(_publish(args))
+    return end_with(args.report, to_json(report), report.failed)
 
 
 async def _publish(args: argparse.Namespace) -> RtcCommandReport:

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.common import check_options
+from pipelines.commands.common import check_options, end_with
 from pipelines.commands.page_options import parse_page
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
@@ -21,10 +21,11 @@ from pipelines.commands.rtc_options import (
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
-from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
+from pipelines.commands.rtc_running import add_run_arguments, driven, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
+from pipelines.report.model import to_json
 from pipelines.session.page_certificate import certificate_for, check_certificate
 from pipelines.session.page_sockets import PageListener, bind_pages, listeners
 
@@ -62,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
     Raises ConfigError for what cannot work.
     """
     check_options(args)
-    return closing_lines(args, asyncio.run(_serve(args)))
+    report = asyncio.run(_serve(args))
+    return end_with(args.report, to_json(report), report.failed)
 
 
 @contextmanager

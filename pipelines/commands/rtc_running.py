@@ -6,11 +6,10 @@ import signal
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 
-from pipelines.commands.common import end_with, output_that_may_fail
-from pipelines.commands.rtc_reports import RtcCommandReport, RtcConnection, connection_report
+from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.rtc_reports import RtcConnection, connection_report
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
-from pipelines.report.model import to_json
 
 _LOOK_S = 0.2
 
@@ -68,7 +67,3 @@ async def keep(
     keeper.stop()
     await running
     return newest
-
-
-def closing_lines(args: argparse.Namespace, report: RtcCommandReport) -> int:
-    return end_with(args.report, to_json(report), report.failed)

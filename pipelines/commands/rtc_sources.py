@@ -18,7 +18,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import AccessUnit, CaptureStamp, VideoFrame, empty_picture, parse_size
 from kontur_av.meters import RateMeter
 from kontur_av.sources.page import FILLED_BY_OTHERS
-from pipelines.commands.send_media import open_pictures, open_sound
+from pipelines.commands.send_media import add_picture_arguments, open_pictures, open_sound
 from pipelines.partner.decisions import LEAST_BPS, PicturePlan, RateFollower
 from pipelines.partner.description import Kind
 
@@ -33,8 +33,7 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--audio", metavar="SPEC", help=f"the voice to send: {spec.replace('v4l2', 'alsa')}"
     )
-    parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
-    parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
+    add_picture_arguments(parser)
     parser.add_argument(
         "--video-kbps",
         metavar="K",

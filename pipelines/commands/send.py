@@ -29,7 +29,7 @@ from pipelines.commands.media_reports import (
     SourceReport,
     latency_ms,
 )
-from pipelines.commands.send_media import open_feed
+from pipelines.commands.send_media import add_picture_arguments, open_feed
 from pipelines.report.model import to_json
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         help="the rate at which packets of a picture leave (default: the cap)",
     )
-    parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
+    add_picture_arguments(parser)
     parser.add_argument(
         "--coded-size",
         metavar="WxH",
@@ -76,7 +76,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for the best way to code pictures that are not coded small: quick takes half the "
         "time and loses 1 dB (default: thorough)",
     )
-    parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
     parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
     parser.add_argument("--sdp", metavar="FILE", help="write what receivers need to know")
     parser.add_argument("--report", metavar="FILE", help="write a JSON report")

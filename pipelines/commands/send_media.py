@@ -53,6 +53,11 @@ def _bps(kbps: float) -> int:
     return round(kbps * 1000)
 
 
+def add_picture_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
+    parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
+
+
 def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSource:
     """The source of `--video`, of `--size` and `--fps`. ConfigError."""
     scenes = None

@@ -6,7 +6,7 @@ import time
 from contextlib import closing
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.common import check_options
+from pipelines.commands.common import check_options, end_with
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
@@ -15,10 +15,11 @@ from pipelines.commands.rtc_options import (
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_reports import RtcCommandReport
-from pipelines.commands.rtc_running import add_run_arguments, closing_lines, keep, say
+from pipelines.commands.rtc_running import add_run_arguments, keep, say
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
+from pipelines.report.model import to_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,7 +38,8 @@ def run(args: argparse.Namespace) -> int:
     Raises ConfigError for what cannot work.
     """
     check_options(args)
-    return closing_lines(args, asyncio.run(_watch(args)))
+    report = asyncio.run(_watch(args))
+    return end_with(args.report, to_json(report), report.failed)
 
 
 async def _watch(args: argparse.Namespace) -> RtcCommandReport:

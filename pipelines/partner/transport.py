@@ -197,11 +197,6 @@ class RtcTransport:
         return self._dtls.state
 
     @property
-    def dropped(self) -> int:
-        """Datagrams dropped here: in a full queue, or without a way."""
-        return self._path.dropped
-
-    @property
     def lost(self) -> bool:
         """Whether the way to the partner is gone, until a restart finds another one."""
         return self._path.lost

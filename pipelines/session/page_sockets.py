@@ -80,11 +80,9 @@ class PageListener:
     certificate: Path | None = None
     role_tokens: Mapping[str, str] = field(default_factory=dict, repr=False)
 
-    def url(self, seat: str, *, viewer: bool = False, role: str = "") -> str:
+    def url(self, seat: str, *, role: str = "") -> str:
         """Return the address of a page, such as "space" or "top". role: whose token it has."""
-        token = self.viewer_token if viewer else self.operator_token
-        if role:
-            token = self.role_tokens[role]
+        token = self.role_tokens[role] if role else self.operator_token
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.scheme}://{host}:{self.port}/{seat}?token={token}"
 
