@@ -48,7 +48,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def state_words(answer: OwnerAnswer) -> str:
-    """Who drives, in one line."""
     if not answer.owner:
         return f"nobody drives; {answer.wanted} will, once the robot rests"
     if answer.waiting:

@@ -256,7 +256,6 @@ class MissionDesk:
             self._changed.add(kind)
 
     def poll_transmit(self, now_ns: int) -> TmtcRequest | None:
-        """Return a request for this end's socket, or None."""
         return self._commands.poll_transmit(now_ns) or self._chat.poll_transmit(now_ns)
 
     def next_event(self) -> Answered | None:

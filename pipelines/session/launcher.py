@@ -145,7 +145,6 @@ class Launcher:
 
     @property
     def seconds(self) -> float:
-        """How long the session has run, in s."""
         end_ns = self.ended_ns or self.clock.now_ns()
         return (end_ns - self.started_ns) / NS_PER_S
 

@@ -109,7 +109,6 @@ class Context:
         self._fill.append(fill)
 
     def tick(self, now_ns: int) -> None:
-        """Flush the probe if it is due."""
         if self.probe.due(now_ns):
             self.flush(now_ns)
 

@@ -74,5 +74,4 @@ class LineDesk(Generic[_Content]):
         self._replies.append(Reply(terminal, octets, last=True))
 
     def next_event(self) -> Reply | None:
-        """Return the next octets for a terminal, or None."""
         return self._replies.popleft() if self._replies else None

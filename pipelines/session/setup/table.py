@@ -93,7 +93,6 @@ class VideoStream:
 
     @property
     def coded_size(self) -> tuple[int, int]:
-        """The width and height in which pictures are coded."""
         return self.coded or coded_size_for(self.width, self.height, self.fps, self.cap_bps)
 
     @property

@@ -80,7 +80,6 @@ class Topology:
 
     @cached_property
     def cameras(self) -> tuple[CameraRow, ...]:
-        """What can be selected for the uplink video."""
         return tuple(camera_row(name, self.inputs) for name in self.setup.cameras)
 
     @property
@@ -184,7 +183,6 @@ class Topology:
 
     @property
     def video_streams(self) -> tuple[VideoRow, ...]:
-        """The pictures, in the setup's order."""
         return tuple(row for row in self.media_streams if isinstance(row, VideoRow))
 
     def media(self, name: str) -> MediaRow:

@@ -72,7 +72,6 @@ class Table:
 
 
 def processes_table(topology: Topology) -> Table:
-    """The processes, in the order in which they are started."""
     return Table(
         headings=("process", "segment", "stage", "priority", "reads", "writes", "what"),
         rows=[
@@ -92,7 +91,6 @@ def processes_table(topology: Topology) -> Table:
 
 
 def streams_table(topology: Topology) -> Table:
-    """What the radio link carries, by direction and priority."""
     return Table(
         headings=("stream", "from", "kind", "cap", "in", "out", "sender", "receiver"),
         rows=[

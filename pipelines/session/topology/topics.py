@@ -91,7 +91,6 @@ TMTC_TOPICS = {
 
 
 def packets_topic(stream: str, *, sent: bool) -> Topic:
-    """The space packets of a stream of telecommands or telemetry, at one of its ends."""
     way = "sent" if sent else "received"
     return Topic(f"{stream}/{way}", f"space packet as {way}")
 
@@ -113,7 +112,6 @@ def received_topic(stream: str) -> Topic:
 
 
 def page_topic(name: str, kind: str = "picture or sound") -> Topic:
-    """What a browser page or a joined program gives in the place of an input's own source."""
     return Topic(f"page/{name}", f"{kind} of a browser page")
 
 
