@@ -28,8 +28,9 @@ from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
 from pipelines.recording.recorder import Recorder
 from pipelines.recording.sources import Content, Source, sources_of
+from pipelines.session.asking import desk_path
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.recorder_control import read_wish, recorder_path, remove_wish, write_wish
+from pipelines.session.recorder_control import RECORDER_DESK, read_wish, remove_wish, write_wish
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
 from pipelines.session.session_events import SessionEvents
 from pipelines.session.setup.setup_text import setup_toml
@@ -71,7 +72,7 @@ class _RecorderProcess:
         context, now_ns = self._context, self._now_ns
         if self._desk.wish is not None:
             self._recording = _Recording(context, self._desk.wish, self._maker)
-        terminals = TerminalSockets(recorder_path(context.session), most=MOST_TERMINALS)
+        terminals = TerminalSockets(desk_path(context.session, RECORDER_DESK), most=MOST_TERMINALS)
         while not context.stopping:
             wait_ns = PATIENCE_NS if self._recording is None else _WAKE_NS
             self._serve(terminals, wait_ns)

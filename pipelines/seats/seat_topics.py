@@ -32,10 +32,11 @@ from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import SeatStream, Unpack
 from pipelines.seats.seat import RecordingAsked, Seat, StopAsked
 from pipelines.seats.texts import Via
+from pipelines.session.asking import desk_path
 from pipelines.session.feeds import Feed, TopicState
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
-from pipelines.session.recorder_control import recorder_path
+from pipelines.session.recorder_control import RECORDER_DESK
 from pipelines.session.recorder_requests import (
     START,
     STOP,
@@ -366,7 +367,7 @@ async def ask_recorder(session: str, *, begin: bool) -> str:
         request = RecordRequest(record=START, wish=wish)
     try:
         reader, writer = await asyncio.open_unix_connection(
-            os.fspath(recorder_path(session)), limit=MAX_LINE_OCTETS
+            os.fspath(desk_path(session, RECORDER_DESK)), limit=MAX_LINE_OCTETS
         )
     except OSError:
         return "the session's recorder is not running"

@@ -6,21 +6,18 @@ The recorder listens on a Unix socket in the session's directory, which only its
 import os
 import socket
 from contextlib import suppress
-from pathlib import Path
 
 from kontur_av.topics.session_files import make_session_root, session_root
-from pipelines.session.asking import running_sessions
+from pipelines.session.asking import desk_path, running_sessions
 from pipelines.session.reception import replace_file
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish, RecordRequest
 from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
 
-_SOCKET, _WISH = "recorder", "recording"
+#: The name of the recorder's Unix socket.
+RECORDER_DESK = "recorder"
+_WISH = "recording"
 #: How long a recorder may take to answer: it writes a slow disk's file to its end first.
 _PATIENCE_S = 10.0
-
-
-def recorder_path(session: str) -> Path:
-    return session_root(session) / _SOCKET
 
 
 def write_wish(session: str, wish: RecordingWish) -> None:
@@ -43,7 +40,7 @@ def remove_wish(session: str) -> None:
 def recorded_sessions() -> list[str]:
     """Return the running sessions of this user that can be recorded."""
     running = []
-    for session in running_sessions(_SOCKET):
+    for session in running_sessions(RECORDER_DESK):
         with suppress(OSError):
             RecorderLink(session).close()
             running.append(session)
@@ -60,7 +57,7 @@ class RecorderLink:
         self._link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._link.settimeout(_PATIENCE_S)
         try:
-            self._link.connect(os.fspath(recorder_path(session)))
+            self._link.connect(os.fspath(desk_path(session, RECORDER_DESK)))
         except OSError:
             self._link.close()
             raise
