@@ -41,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do what the action says; mistakes are ConfigErrors."""
     path: Path = default_key_path() if args.key is None else args.key
     if args.action == "new":
         identity = make_key(path).identity

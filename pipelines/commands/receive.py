@@ -22,7 +22,7 @@ from pipelines.commands.media_reports import (
     SavedReport,
     latency_ms,
 )
-from pipelines.commands.raw_pictures import RawPictures
+from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.receive_media import PictureOutput, SoundOutput
 from pipelines.commands.remux import MatroskaWriter
 from pipelines.report.model import to_builtins, to_json
@@ -35,11 +35,7 @@ _LONGEST_WAIT_NS = 200 * NS_PER_MS
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sdp", metavar="FILE", required=True, help="describes the stream")
     parser.add_argument("--save", metavar="FILE.mkv", help="write the stream as it comes")
-    parser.add_argument(
-        "--raw",
-        metavar="PATH",
-        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
-    )
+    add_raw_argument(parser)
     parser.add_argument(
         "--size", metavar="WxH", help="of the pictures of --raw (default: that of the first one)"
     )

@@ -9,7 +9,7 @@ from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.commands.media_reports import latency_ms
-from pipelines.commands.raw_pictures import RawPictures
+from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.remux import MatroskaWriter
 from pipelines.commands.rtc_reports import ReceivedKind
 from pipelines.partner.media import PictureCame, SoundCame
@@ -18,11 +18,7 @@ from pipelines.partner.media import PictureCame, SoundCame
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--save", metavar="FILE.mkv", help="write the picture as it comes")
     parser.add_argument("--save-voice", metavar="FILE.mka", help="write the voice as it comes")
-    parser.add_argument(
-        "--raw",
-        metavar="PATH",
-        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
-    )
+    add_raw_argument(parser)
 
 
 class PartnerOutput:

@@ -81,7 +81,6 @@ class TaskJournal:
         self._keeper = ScoreKeeper()
 
     def handle_begin(self, link: LinkMeanwhile) -> None:
-        """A task is selected."""
         self._begin = link
         self._keeper = ScoreKeeper()
 

@@ -99,7 +99,6 @@ class WebSite:
 
     @property
     def closed(self) -> int:
-        """Connections closed to make room, or because no token came."""
         return 0 if self._door is None else self._door.closed
 
     def _tls(self) -> ssl.SSLContext | None:

@@ -102,7 +102,6 @@ class Telling:
 
     @property
     def processes(self) -> list[str]:
-        """The names of all processes, in the order in which they were made."""
         return list(self._probes)
 
     def probe(self, process: str) -> Probe:

@@ -99,7 +99,6 @@ class SimulatedTmtc:
         scene.agenda.at(now_ns + SAMPLE_NS, self._sample)
 
     def subscribe(self, segment: Segment, take: TakeNews) -> None:
-        """Call `take` with all news of a segment from now on."""
         self._takers[segment].append(take)
 
     def handle_request(self, segment: Segment, request: TmtcRequest, now_ns: int) -> None:

@@ -146,7 +146,6 @@ class ReplayedMedia(Media):
             receiver.on_unit = tally.handle_unit
 
     def streams_report(self) -> dict[str, ReplayedStream]:
-        """What became of each stream of pictures."""
         return {name: tally.report() for name, tally in self._tallies.items()}
 
     def _send_uplink_video(self) -> None:

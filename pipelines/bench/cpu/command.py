@@ -67,7 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the sessions in turn, and print each as soon as it is over."""
     if not 1 <= args.runs <= 1000:
         raise ConfigError(f"--runs {args.runs}: give 1 to 1000")
     if not 2 <= args.seconds <= 3600:

@@ -244,7 +244,6 @@ def _range(limits: tuple[float, float]) -> str:
 
 
 def _rows(runs: Mapping[str, JsonReader]) -> Iterator[tuple[str, list[list[str]]]]:
-    """Label, and the cells of each run."""
     first, reports = next(iter(runs.values())), list(runs.values())
     for direction in ("up", "down"):
         name = "force (haptic_up)" if direction == "up" else "command (haptic_down)"

@@ -44,7 +44,6 @@ class Table:
         return lines
 
     def markdown(self) -> str:
-        """A table of Markdown, with a line break at its end."""
         rule = ["---"] * len(self.headings)
         rows = (self.headings, rule, *self.rows)
         return "".join(f"| {' | '.join(row)} |\n" for row in rows)
