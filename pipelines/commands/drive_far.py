@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.rtc_running import say
+from pipelines.partner.decisions import Doing
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.samples import SamplePeer
 from pipelines.partner.whip import Keeper
@@ -90,9 +91,10 @@ async def _keep(
     loop.add_signal_handler(signal.SIGTERM, keeper.stop)
 
     def forward() -> None:
-        newest = newest_sample(joystick)
-        if newest is not None and keeper.peer is not None:
-            keeper.peer.send(newest)
+        newest, peer = newest_sample(joystick), keeper.peer
+        # Not before it is said that the connection stands.
+        if newest is not None and peer is not None and keeper.attempts.doing is Doing.CONNECTED:
+            peer.send(newest)
 
     loop.add_reader(joystick, forward)
     await keeper.run()
