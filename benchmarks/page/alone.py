@@ -15,8 +15,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.topics.bus import TopicBus
 from pipelines.seats.process_page import run_page
-from pipelines.session.page_listener import PageListener
-from pipelines.session.page_sockets import PageHost, bind_pages, listeners
+from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
 from pipelines.session.process import Context
 from pipelines.session.sessions import hold_session
 from pipelines.session.setup.setup_file import load_setup

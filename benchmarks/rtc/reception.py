@@ -31,7 +31,7 @@ from pipelines.partner.peer import Programme, RtcPeer
 from pipelines.partner.server import RtcServer
 from pipelines.partner.whip import WhipClient
 from pipelines.report.result import spread
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 
 _TOKEN = "bench"
 _RATES: dict[Kind, int] = {"video": 1_500_000, "audio": 32_000}

@@ -20,7 +20,6 @@ BENCHES = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """A command for each bench."""
     benches = parser.add_subparsers(dest="bench", required=True, metavar="BENCH")
     for name, text in BENCHES.items():
         command = benches.add_parser(name, help=text, description=text)
@@ -28,6 +27,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the chosen bench."""
     result: int = import_module(f"pipelines.bench.{args.bench}.command").run(args)
     return result

@@ -17,10 +17,10 @@ from pipelines.session.sessions import started_here
 from telepresence.haptics.udp_line import unprotected
 
 
-def check_options(args: argparse.Namespace) -> None:
-    """Raise ConfigError for numbers that are not above 0."""
-    for option in ("cap_kbps", "channel_kbps", "seconds"):
-        value = getattr(args, option, None)
+def check_options(args: argparse.Namespace, *options: str) -> None:
+    """Raise ConfigError for numbers that are not above 0: `--seconds`, and those of `options`."""
+    for option in (*options, "seconds"):
+        value = getattr(args, option)
         if value is not None and not 0 < value < 1e9:
             name = option.replace("_", "-")
             raise ConfigError(f"--{name} {value:g}: give a number above 0")
@@ -75,6 +75,15 @@ def write_text(path: str, text: str, option: str) -> None:
         raise ConfigError(f"{option} {path!r} cannot be written: {error.strerror}") from None
 
 
+def end_with(report_file: str | None, report: str, failed: Sequence[str]) -> int:
+    """Write the report, if a file is given, and say what failed; the exit code."""
+    if report_file:
+        write_text(report_file, report, "--report")
+    for failure in failed:
+        print(f"failed: {failure}", file=sys.stderr)
+    return 1 if failed else 0
+
+
 @contextmanager
 def output_that_may_fail() -> Iterator[None]:
     """Within this context, a closed terminal or pipe loses only the output."""
@@ -102,6 +111,12 @@ def say_unprotected(*specs: str) -> None:
     """Say which of these joysticks and robots every user of this machine can reach."""
     for line in filter(None, map(unprotected, specs)):
         print(f"kontur-av: {line}", file=sys.stderr)
+
+
+def add_session_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
+    )
 
 
 def acting_on(name: str | None, running: Sequence[str], *, moves: bool = False) -> str:

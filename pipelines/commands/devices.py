@@ -8,7 +8,6 @@ from pipelines.media.input_devices import cameras, microphones
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """There are no options; the description says what is listed."""
     parser.description = (
         "List cameras (V4L2), microphones (ALSA) and built-in scenes, each as "
         "`kontur-av stream --source NAME=SPEC` takes it."
@@ -16,7 +15,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was found."""
     return devices()
 
 

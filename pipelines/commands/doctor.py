@@ -7,7 +7,6 @@ from pipelines.session.machine_checks import CHECKS, Check, checked
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """There are no options; the description says what the verdicts mean."""
     parser.description = (
         "Try what a session needs: code a picture, publish through shared memory, keep a 1 kHz "
         "schedule. One line a check: ok; missing (a session cannot run); advice (it runs, and "
@@ -16,7 +15,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was found."""
     return doctor()
 
 

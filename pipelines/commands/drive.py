@@ -41,7 +41,6 @@ _LOOK_NS = 100 * NS_PER_MS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The joystick, and where the robot's ports are."""
     parser.add_argument(
         "--device",
         default=SIMULATED,

@@ -9,20 +9,20 @@ import multiprocessing
 import signal
 import socket
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import closing
 from typing import Self
 from urllib.parse import urlsplit
 
 from kontur_av.clock import MonotonicClock
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ConfigError
 from pipelines.commands.rtc_running import say
-from pipelines.partner.decisions import Attempts
+from pipelines.partner.decisions import Doing
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.samples import SamplePeer
-from pipelines.partner.whip import WhipClient
+from pipelines.partner.whip import Keeper
 from pipelines.session.datagrams import Outlet, newest_sample
 
-_LOOK_S, _END_S = 0.1, 3.0
+_END_S = 3.0
 
 
 class Far:
@@ -79,65 +79,22 @@ def _relay(
 async def _keep(
     url: str, token: str, servers: Callable[[], IceServers], joystick: socket.socket
 ) -> None:
-    """Connect, and connect again whenever the connection has ended."""
-    clock, attempts, loop = MonotonicClock(), Attempts(), asyncio.get_running_loop()
-    stop, present = asyncio.Event(), list[SamplePeer]()
-    to_joystick = Outlet(joystick)
-    loop.add_signal_handler(signal.SIGTERM, stop.set)
+    to_joystick, loop = Outlet(joystick), asyncio.get_running_loop()
+    keeper = Keeper(
+        url,
+        token=token,
+        make_peer=lambda found: SamplePeer(found, to_joystick.send),
+        servers=servers,
+        clock=MonotonicClock(),
+        told=lambda line: say(f"joystick: {line}"),
+    )
+    loop.add_signal_handler(signal.SIGTERM, keeper.stop)
 
     def forward() -> None:
-        newest = newest_sample(joystick)
-        if newest is not None:
-            for peer in present:
-                peer.send(newest)
+        newest, peer = newest_sample(joystick), keeper.peer
+        # Not before it is said that the connection stands.
+        if newest is not None and peer is not None and keeper.attempts.doing is Doing.CONNECTED:
+            peer.send(newest)
 
     loop.add_reader(joystick, forward)
-    while not stop.is_set():
-        if attempts.poll_connect(clock.now_ns()):
-            fault = ""
-            try:
-                fault = await _connection(
-                    url, token, servers(), to_joystick, stop, present, attempts, clock
-                )
-            except ConfigError:
-                if not attempts.stood:
-                    raise
-            except (ConnectionError, ProtocolError) as error:
-                fault = str(error)
-            attempts.handle_ended(clock.now_ns())
-            if not stop.is_set():
-                say(f"joystick: no connection: {fault or 'it has ended'}")
-        with suppress(TimeoutError):
-            async with asyncio.timeout(_LOOK_S):
-                await stop.wait()
-
-
-async def _connection(
-    url: str,
-    token: str,
-    servers: IceServers,
-    to_joystick: Outlet,
-    stop: asyncio.Event,
-    present: list[SamplePeer],
-    attempts: Attempts,
-    clock: MonotonicClock,
-) -> str:
-    """One connection, from its offer to its end; why it has ended."""
-    async with WhipClient(url, token=token) as client:
-        if not servers.servers:
-            named = await client.ice_servers()
-            servers = IceServers(servers=named, relay_only=servers.relay_only)
-        peer = SamplePeer(servers, to_joystick.send)
-        try:
-            await peer.accept(await client.post(await peer.offer()))
-            running = asyncio.create_task(peer.run())
-            while not stop.is_set() and not running.done():
-                if peer.connected and not present:
-                    attempts.handle_connected(clock.now_ns())
-                    present.append(peer)
-                    say("joystick: connected to the robot's site")
-                await asyncio.wait([running], timeout=_LOOK_S)
-        finally:
-            present.clear()
-            await peer.close()
-        return peer.fault
+    await keeper.run()

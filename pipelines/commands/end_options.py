@@ -28,7 +28,6 @@ class EndChoice:
 
 
 def add_end_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--end`, and how this end and the other one find and know each other."""
     parser.add_argument(
         "--end",
         choices=[segment.value for segment in Segment],
@@ -108,7 +107,7 @@ def _addresses(args: argparse.Namespace, topology: Topology) -> tuple[Address, A
             "or --peer HOST:PORT to call it"
         )
     peer = parse_address(args.peer, "--peer", socket.AF_INET)
-    _check_one_machine("--peer", args.peer, peer)
+    check_one_machine("--peer", args.peer, peer[0])
     why = obstacle(_ANY, peer)
     if why is not None:
         raise ConfigError(f"--peer {args.peer} cannot be reached from here: {why}")
@@ -118,7 +117,7 @@ def _addresses(args: argparse.Namespace, topology: Topology) -> tuple[Address, A
 def _listen_address(text: str, topology: Topology) -> Address:
     listen = parse_address(text, "--listen", socket.AF_INET)
     if listen[0] != _ANY:
-        _check_one_machine("--listen", text, listen)
+        check_one_machine("--listen", text, listen[0])
     # Nobody uses the radio's ports here, because the radio is between two machines.
     radio = [topology.radio_port(segment) for segment in Segment]
     if listen[1] in topology.ports and listen[1] not in radio:
@@ -130,8 +129,9 @@ def _listen_address(text: str, topology: Topology) -> Address:
     return listen
 
 
-def _check_one_machine(option: str, text: str, address: Address) -> None:
-    host = ipaddress.IPv4Address(address[0])
+def check_one_machine(option: str, text: str, address: str) -> None:
+    """ConfigError for the IPv4 address of no machine, or of many."""
+    host = ipaddress.IPv4Address(address)
     if host.is_unspecified or host.is_multicast:
         raise ConfigError(f"{option} {text}: give the address of one machine")
 

@@ -21,7 +21,6 @@ _STEP = 500
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av export`."""
     parser.add_argument(
         "file",
         metavar="FILE.mcap",
@@ -72,7 +71,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _with_progress(recording: JoinedRecording) -> Iterator[JoinedMessage]:
-    """The messages of a recording, with a bar on a terminal."""
     total = sum(recording.counts.values())
     with Progress(console=Console(stderr=True), transient=True) as progress:
         progress.disable = not progress.console.is_terminal

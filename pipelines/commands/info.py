@@ -11,12 +11,10 @@ from pipelines.recording.recording_file import octets_of_file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av info`."""
     parser.add_argument("file", metavar="FILE.mcap", type=Path, help="a recording; torn ones, too")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the inventory of a file."""
     try:
         inventory = take_inventory(octets_of_file(args.file))
     except ProtocolError as error:

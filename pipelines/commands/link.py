@@ -10,19 +10,26 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail, resolve
+from pipelines.commands.common import check_options, output_that_may_fail, resolve
 from pipelines.commands.end_options import (
     add_end_arguments,
+    check_one_machine,
     chosen_end,
     hold_listen_port,
     path_line,
 )
-from pipelines.commands.link_ports import port_table
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.report_file import check_writable, save_report
-from pipelines.session.datagrams import Address, EndAddresses, is_loopback, obstacle, reaches
+from pipelines.session.datagrams import (
+    LOOPBACK,
+    Address,
+    EndAddresses,
+    is_loopback,
+    obstacle,
+    reaches,
+)
 from pipelines.session.launcher import Launcher, hold_port, launcher_cpu_s
 from pipelines.session.options import (
     add_radio_arguments,
@@ -30,14 +37,13 @@ from pipelines.session.options import (
     port_changes,
     radio_changes,
 )
-from pipelines.session.process import LOOPBACK
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import Segment, Topology
+from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av link`."""
     add_setup_argument(parser)
     add_radio_arguments(parser, delay=False)
     parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
@@ -58,8 +64,7 @@ def run(args: argparse.Namespace) -> int:
         changes={**radio_changes(args), **port_changes(args)},
         radio_start_s=args.radio_start,
     )
-    if args.seconds is not None and not 0 < args.seconds < 1e9:
-        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    check_options(args)
     topology = topology_of(setup)
     one = chosen_end(args, topology)
     ends = list(Segment) if one is None else [one.segment]
@@ -72,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     screen = _LinkScreen(LinkView(setup, ends), collector, quiet=args.quiet)
     if one is not None:
         screen.show_lines([path_line(one)])
-    screen.show_lines(port_table(topology, ends, addresses))
+    screen.show_lines(ports_table(topology, ends, addresses.apps_bind, addresses.apps).lines(200))
     launcher = Launcher(
         session="link",
         topology=topology,
@@ -104,7 +109,6 @@ def run(args: argparse.Namespace) -> int:
 def gateway_arguments(
     topology: Topology, ends: Sequence[Segment], addresses: EndAddresses, peer: PeerPlan | None
 ) -> Mapping[str, Mapping[str, object]]:
-    """By gateway, what it takes beside the arguments of its row."""
     given = {"addresses": addresses, "peer": peer, "tell_backlog": False}
     return {topology.gateway(end).name: given for end in ends}
 
@@ -116,43 +120,36 @@ def chosen_addresses(args: argparse.Namespace) -> EndAddresses:
             raise ConfigError("--apps-bind goes with --apps HOST, the machine of the programs")
         return EndAddresses()
     apps = resolve(args.apps, args.apps, "--apps", socket.AF_INET)
-    bind = _bound_address("--apps-bind", args.apps_bind, (apps, 9), "--apps", args.apps)
-    return EndAddresses(apps=apps, apps_bind=bind)
+    check_one_machine("--apps", args.apps, apps)
+    return EndAddresses(apps=apps, apps_bind=_bound_address(args, (apps, 9)))
 
 
-def _bound_address(
-    option: str, given: str | None, other: Address, other_option: str, text: str
-) -> str:
-    """Return the local address in `option`; without it loopback, if `other` is on loopback.
-
-    other: the address to be reached. other_option, text: the option with which the user gave it.
-    """
-    host = ipaddress.IPv4Address(other[0])
-    if host.is_unspecified or host.is_multicast:
-        raise ConfigError(f"{other_option} {text}: give the address of one machine")
-    if given is not None:
+def _bound_address(args: argparse.Namespace, other: Address) -> str:
+    """Return the local address in `--apps-bind`; without it loopback, if `other` is on loopback."""
+    if args.apps_bind is not None:
         try:
-            bind = str(ipaddress.IPv4Address(given))
+            bind = str(ipaddress.IPv4Address(args.apps_bind))
         except ValueError:
             raise ConfigError(
-                f"{option} {given!r}: write an IPv4 address of this machine, or 0.0.0.0 for all"
+                f"--apps-bind {args.apps_bind!r}: write an IPv4 address of this machine, or "
+                "0.0.0.0 for all"
             ) from None
         why = obstacle(bind, other)
         if why is not None:
             own = reaches(other)
-            mend = "" if own is None else f"; use {option} {own}"
+            mend = "" if own is None else f"; use --apps-bind {own}"
             raise ConfigError(
-                f"{other_option} {text} cannot be reached from {option} {bind}: {why}{mend}"
+                f"--apps {args.apps} cannot be reached from --apps-bind {bind}: {why}{mend}"
             )
         return bind
     if is_loopback(other[0]):
         return LOOPBACK
     own = reaches(other)
     if own is None:
-        raise ConfigError(f"{text} cannot be reached from here: check address and network")
+        raise ConfigError(f"{args.apps} cannot be reached from here: check address and network")
     raise ConfigError(
-        f"{text} is another machine, and {option} is missing: "
-        f"add {option} {own}, the address by which this one is reached from there"
+        f"{args.apps} is another machine, and --apps-bind is missing: "
+        f"add --apps-bind {own}, the address by which this one is reached from there"
     )
 
 
@@ -187,7 +184,6 @@ class _LinkScreen:
         self._shown = 0
 
     def show(self, launcher: Launcher) -> None:
-        """The present figures."""
         if self._quiet:
             return
         width = shutil.get_terminal_size().columns - 1 if self._terminal else None

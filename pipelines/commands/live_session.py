@@ -21,9 +21,17 @@ from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.setup.table import Setup
 
 
+def add_live_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
+    parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
+    loudness = parser.add_mutually_exclusive_group()
+    loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
+    loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+
+
 @contextmanager
 def live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[LiveView]:
-    """The table of a session in the terminal."""
     view = LiveView(collector, quiet=quiet, verbose=verbose)
     view.__enter__()
     try:

@@ -1,9 +1,7 @@
 """The reports of `kontur-av send` and `kontur-av receive`."""
 
-from dataclasses import dataclass
-
 from kontur_av.meters import Histogram
-from pipelines.report.model import Report, to_builtins, to_json
+from pipelines.report.model import Report
 
 
 class Latency(Report, frozen=True, kw_only=True):
@@ -146,28 +144,3 @@ class ReceiveEnd(Report, frozen=True, kw_only=True):
     failed: list[str]
     saved: SavedReport | None = None
     raw: RawReport | None = None
-
-
-@dataclass(slots=True)
-class ReceiveReport:
-    """The report of `receive`: in JSON one object with the keys of all its parts."""
-
-    rtp: RtpReport
-    output: PicturesReport | SoundReport
-    latency_ms: ReceivedLatency | None
-    cpu_s: float
-    failed: list[str]
-    saved: SavedReport | None = None
-    raw: RawReport | None = None
-
-    def to_json(self) -> str:
-        """The report as text."""
-        end = ReceiveEnd(
-            latency_ms=self.latency_ms,
-            cpu_s=self.cpu_s,
-            failed=self.failed,
-            saved=self.saved,
-            raw=self.raw,
-        )
-        parts = map(to_builtins, (self.rtp, self.output, end))
-        return to_json({key: value for part in parts for key, value in part.items()})

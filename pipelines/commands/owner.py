@@ -5,17 +5,10 @@ import sys
 import time
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on
-from pipelines.hand.arm_owner import (
-    OWNERS,
-    OwnerAnswer,
-    OwnerRequest,
-    pack_line,
-    parse_owner_answer,
-)
+from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.hand.arm_owner import DESK, OWNERS, OwnerAnswer, OwnerRequest
 from pipelines.session.asking import ask_desk, running_sessions
 
-_DESK = "arm"
 #: How long a hand-over may take: the robot comes to rest first.
 _PATIENCE_S = 5.0
 _LOOK_S = 0.1
@@ -26,13 +19,10 @@ _MISSING = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The new owner, and the session where several run."""
     parser.add_argument(
         "owner", nargs="?", default="", metavar="|".join(OWNERS), help="hand the robot over"
     )
-    parser.add_argument(
-        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
-    )
+    add_session_argument(parser)
     parser.description = (
         "Hand the robot over to the joystick in space (iss) or to a partner's. "
         "Without an owner, say who drives."
@@ -41,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 once the wanted owner drives; 1 without an answer, or if the robot does not rest."""
-    running = running_sessions(_DESK)
+    running = running_sessions(DESK)
     session = acting_on(args.session, running, moves=bool(args.owner)) if running else None
     answer = _ask(args.owner, session)
     end_s = time.monotonic() + _PATIENCE_S
@@ -58,7 +48,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def state_words(answer: OwnerAnswer) -> str:
-    """Who drives, in one line."""
     if not answer.owner:
         return f"nobody drives; {answer.wanted} will, once the robot rests"
     if answer.waiting:
@@ -67,8 +56,5 @@ def state_words(answer: OwnerAnswer) -> str:
 
 
 def _ask(owner: str, session: str | None) -> OwnerAnswer:
-    line = ask_desk(_DESK, pack_line(OwnerRequest(owner=owner)), session, missing=_MISSING)
-    answer = parse_owner_answer(line)
-    if answer is None:
-        return OwnerAnswer(ok=False, error="the session has ended before it answered")
-    return answer
+    answer = ask_desk(DESK, OwnerRequest(owner=owner), OwnerAnswer, session, missing=_MISSING)
+    return answer or OwnerAnswer(ok=False, error="the session has ended before it answered")

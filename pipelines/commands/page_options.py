@@ -16,9 +16,8 @@ from socket import socket
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.commands.common import output_that_may_fail, resolve
-from pipelines.session.page_certificate import check_certificate, fingerprint, make_certificate
-from pipelines.session.page_listener import PageListener
-from pipelines.session.page_sockets import PageHost, bind_pages, listeners
+from pipelines.session.page_certificate import certificate_for, check_certificate
+from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
 from pipelines.session.seat_roles import Role
 from pipelines.session.topology import PAGES, Segment
 
@@ -53,7 +52,6 @@ class PageWish:
 
 
 def add_page_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--page`, `--no-page`, `--open` and `--page-cert`."""
     either = parser.add_mutually_exclusive_group()
     either.add_argument(
         "--page",
@@ -121,11 +119,8 @@ def announced_pages(
     if wish is None:
         yield {}
         return
-    root, certificate = session_root(session), wish.certificate
-    made = certificate is None and not wish.host.is_loopback
-    if made:
-        certificate = root / "page.pem"
-        make_certificate(certificate, wish.host.names())
+    root = session_root(session)
+    certificate, made = certificate_for(wish.host, wish.certificate, root / "page.pem")
     seats = listeners(
         wish.sockets, wish.host, None if certificate is None else certificate.resolve()
     )
@@ -137,12 +132,12 @@ def announced_pages(
     }
     viewer = next(iter(seats.values())).viewer_token
     kept = {**urls, **people, "viewer_token": viewer}
-    _write(root / "pages.json", json.dumps(kept, indent=1) + "\n")
+    write_private(root / "pages.json", json.dumps(kept, indent=1) + "\n")
     if not quiet:
         lines = [f"{seat:<7} {url}" for seat, url in (urls | people).items()]
         lines.append(f"to watch only: token={viewer}")
-        if made and certificate is not None:
-            lines.append(f"certificate made for this session, SHA-256 {fingerprint(certificate)}")
+        if made:
+            lines.append(f"certificate made for this session, SHA-256 {made}")
         with output_that_may_fail():
             print("\n".join(lines), flush=True)
     if wish.browser:
@@ -168,7 +163,7 @@ def _open_in_browser(urls: Mapping[str, str], root: Path) -> None:
     for seat, url in urls.items():
         leads = root / f"open-{seat}.html"
         to = escape(url)
-        _write(
+        write_private(
             leads,
             f'<!doctype html><meta charset="utf-8"><title>{seat}</title>'
             f'<meta http-equiv="refresh" content="0;url={to}"><a href="{to}">{seat}</a>\n',
@@ -183,7 +178,7 @@ def _open_in_browser(urls: Mapping[str, str], root: Path) -> None:
         )
 
 
-def _write(path: Path, text: str) -> None:
+def write_private(path: Path, text: str) -> None:
     """Write a new file that only its owner may read. It appears with all of its text."""
     unready = path.with_suffix(".new")
     unready.touch(0o600, exist_ok=False)

@@ -6,23 +6,23 @@ import time
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import check_options
+from pipelines.commands.common import check_options, end_with
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
     ice_servers_of,
     token_of,
 )
-from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
-from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
+from pipelines.commands.rtc_reports import RtcCommandReport
+from pipelines.commands.rtc_running import add_run_arguments, keep, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
+from pipelines.report.model import to_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av publish`."""
     parser.add_argument("--whip", metavar="URL", required=True, help="the endpoint (RFC 9725)")
     add_token_arguments(parser)
     add_source_arguments(parser)
@@ -38,7 +38,8 @@ def run(args: argparse.Namespace) -> int:
     check_options(args)
     if args.video is None and args.audio is None:
         raise ConfigError("nothing to publish: give --video SPEC, --audio SPEC or both")
-    return closing_lines(args, asyncio.run(_publish(args)))
+    report = asyncio.run(_publish(args))
+    return end_with(args.report, to_json(report), report.failed)
 
 
 async def _publish(args: argparse.Namespace) -> RtcCommandReport:
@@ -56,7 +57,14 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
     keeper = Keeper(
         args.whip, token=token, make_peer=make_peer, servers=servers, clock=clock, told=say
     )
-    begin_s, newest = time.monotonic(), None
+    begin_s = time.monotonic()
+
+    def look() -> None:
+        peer = keeper.peer
+        sources.wanted = peer is not None and peer.connected
+        if peer is not None and peer.media is not None:
+            sources.handle_wish(peer.media.wish_bps)
+
     with CodedSources(
         args,
         clock,
@@ -65,17 +73,7 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
             None if keeper.peer is None else keeper.peer.send_opus(opus, stamp)
         ),
     ) as sources:
-        running = asyncio.create_task(keeper.run())
-        async for _ in driven(args, running):
-            peer = keeper.peer
-            sources.wanted = peer is not None and peer.connected
-            if peer is not None and peer.media is not None:
-                newest = connection_report(peer) or newest
-                sources.handle_wish(peer.media.wish_bps)
-        if keeper.peer is not None:
-            newest = connection_report(keeper.peer) or newest
-        keeper.stop()
-        await running
+        newest = await keep(args, keeper, look)
         failed = []
         if not keeper.attempts.stood:
             failed.append(f"no connection to {args.whip}: {keeper.fault or 'none was made'}")

@@ -1,5 +1,6 @@
 """Received pictures for other programs: YUV4MPEG2 into a file or a FIFO, as they come."""
 
+import argparse
 import errno
 import fcntl
 import os
@@ -16,6 +17,14 @@ from kontur_av.sources.y4m import FRAME
 from pipelines.commands.media_reports import RawReport
 
 _FRAME_LINE = FRAME + b"\n"
+
+
+def add_raw_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--raw",
+        metavar="PATH",
+        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
+    )
 
 
 class RawPictures:
@@ -101,7 +110,6 @@ class RawPictures:
         self._forget()
 
     def report(self) -> RawReport:
-        """Return the counts of written and dropped pictures."""
         return RawReport(
             file=self._path,
             pictures=self.written,

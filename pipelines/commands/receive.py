@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import selectors
-import sys
 import time
 from contextlib import ExitStack, closing
 from pathlib import Path
@@ -14,18 +13,19 @@ from kontur_av.media import parse_size
 from kontur_av.meters import RateMeter
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
-from pipelines.commands.common import check_options, stopped_by_signals, write_text
+from pipelines.commands.common import check_options, end_with, stopped_by_signals, write_text
 from pipelines.commands.media_reports import (
     ReceivedLatency,
     ReceivedStages,
-    ReceiveReport,
+    ReceiveEnd,
     RtpReport,
     SavedReport,
     latency_ms,
 )
-from pipelines.commands.raw_pictures import RawPictures
+from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.receive_media import PictureOutput, SoundOutput
 from pipelines.commands.remux import MatroskaWriter
+from pipelines.report.model import to_builtins, to_json
 
 _SILENCE_NS = 5 * NS_PER_S
 _SILENCE_AFTER_GOODBYE_NS = NS_PER_S
@@ -33,14 +33,9 @@ _LONGEST_WAIT_NS = 200 * NS_PER_MS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av receive`."""
     parser.add_argument("--sdp", metavar="FILE", required=True, help="describes the stream")
     parser.add_argument("--save", metavar="FILE.mkv", help="write the stream as it comes")
-    parser.add_argument(
-        "--raw",
-        metavar="PATH",
-        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
-    )
+    add_raw_argument(parser)
     parser.add_argument(
         "--size", metavar="WxH", help="of the pictures of --raw (default: that of the first one)"
     )
@@ -79,18 +74,17 @@ def run(args: argparse.Namespace) -> int:
             output = PictureOutput(stream, clock, writer, raw)
         else:
             output = SoundOutput(stream, clock, writer)
-        report = _ReceiveShell(stream, output, udp, clock, raw).run(args.seconds)
-    if args.save:
-        packets = 0 if writer is None else writer.written
-        report.saved = SavedReport(file=args.save, packets=packets)
-    if raw is not None:
-        report.raw = raw.report()
-        report.failed += [raw.fault] if raw.fault else []
-    if args.report:
-        write_text(args.report, report.to_json(), "--report")
-    for failure in report.failed:
-        print(f"failed: {failure}", file=sys.stderr)
-    return 1 if report.failed else 0
+        rtp, latency, failed = _ReceiveShell(stream, output, udp, clock, raw).run(args.seconds)
+    end = ReceiveEnd(
+        latency_ms=latency,
+        cpu_s=time.process_time(),
+        failed=failed + ([raw.fault] if raw is not None and raw.fault else []),
+        saved=None if writer is None else SavedReport(file=args.save, packets=writer.written),
+        raw=None if raw is None else raw.report(),
+    )
+    # One object with the keys of all parts.
+    report = to_builtins(rtp) | to_builtins(output.report()) | to_builtins(end)
+    return end_with(args.report, to_json(report), end.failed)
 
 
 def _open_raw(args: argparse.Namespace, stream: StreamDescription) -> RawPictures | None:
@@ -133,8 +127,8 @@ class _ReceiveShell:
         self._last_packet_ns: int | None = None
         self._payload_octets = 0
 
-    def run(self, seconds: float | None) -> ReceiveReport:
-        """Receive until the end; the report."""
+    def run(self, seconds: float | None) -> tuple[RtpReport, ReceivedLatency | None, list[str]]:
+        """Receive until the end; figures of packets and latency, and what failed."""
         start_ns = self._clock.now_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
         next_line_ns = start_ns + NS_PER_S
@@ -201,7 +195,7 @@ class _ReceiveShell:
             flush=True,
         )
 
-    def _report(self, start_ns: int) -> ReceiveReport:
+    def _report(self, start_ns: int) -> tuple[RtpReport, ReceivedLatency | None, list[str]]:
         counts, rate, output = self._receiver.counts.rtp, self._rate, self._output
         rtp = RtpReport(
             stream=self._stream.kind,
@@ -232,6 +226,4 @@ class _ReceiveShell:
             failed.append(f"no packet came to UDP port {self._stream.port}: is the sender running?")
         elif not output.decoded:
             failed.append(f"{counts.rtp_packets} packets came, but nothing could be decoded")
-        return ReceiveReport(
-            rtp, output.report(), latency_ms=latency, cpu_s=time.process_time(), failed=failed
-        )
+        return rtp, latency, failed

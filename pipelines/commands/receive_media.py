@@ -57,7 +57,6 @@ class PictureOutput:
         return self._decoding.decoder.counts.frames_decoded
 
     def drain(self) -> None:
-        """Decode, count and write what the receiver has ready."""
         for unit, pictures in self._decoding.units():
             capture_ns = self.receiver.capture_ns(unit.timestamp)
             if capture_ns is not None:
@@ -101,7 +100,6 @@ class SoundOutput:
         self._writer = writer
 
     def drain(self) -> None:
-        """Decode, count and write what the receiver has ready."""
         receiver = self.receiver
         for timestamp, received_ns in receiver.take_arrivals():
             capture_ns = receiver.capture_ns(timestamp)

@@ -8,7 +8,12 @@ from contextlib import suppress
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on, stopped_by_signals
+from pipelines.commands.common import (
+    acting_on,
+    add_session_argument,
+    check_options,
+    stopped_by_signals,
+)
 from pipelines.commands.record_options import add_recording_arguments, wish_of
 from pipelines.recording.part_files import check_recordable
 from pipelines.session.recorder_control import RecorderLink, recorded_sessions
@@ -28,11 +33,8 @@ _RETURN_S = 4.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The file, the session where several run, and how long."""
     parser.add_argument("record", type=Path, metavar="FILE.mcap", help="what to write")
-    parser.add_argument(
-        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
-    )
+    add_session_argument(parser)
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
     add_recording_arguments(parser)
     parser.description = (
@@ -43,8 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 once the recording is whole; 1 if messages are missing in it."""
-    if args.seconds is not None and not 0 < args.seconds < 1e9:
-        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    check_options(args)
     wish = wish_of(args, held=True)
     assert wish is not None
     check_recordable(Path(wish.file), overwrite=args.overwrite)

@@ -13,13 +13,11 @@ _LEAST_S, _LEAST_MB = 1.0, 0.1
 
 
 def add_record_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--record` and what belongs to it."""
     parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record the session")
     add_recording_arguments(parser)
 
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
-    """What may be said of a recording besides its file."""
     parser.add_argument("--overwrite", action="store_true", help="replace a recording of that name")
     parser.add_argument(
         "--link-frames", action="store_true", help="record every frame of the radio link, too"

@@ -10,7 +10,6 @@ from pipelines.recording.recover import Recovery
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av recover`."""
     parser.add_argument("file", metavar="FILE.mcap", type=Path, help="a torn recording; it stays")
     parser.add_argument(
         "--out", metavar="FILE", type=Path, help="the whole one; default: FILE.recovered.mcap"

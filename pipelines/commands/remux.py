@@ -52,5 +52,4 @@ class MatroskaWriter:
         self.written += self._file.write_sound(payload, ticks, AUDIO_CLOCK_HZ, samples)
 
     def close(self) -> None:
-        """Finish the file."""
         self._file.close()

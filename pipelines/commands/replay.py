@@ -7,7 +7,13 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.live_session import end_session, live_view, made_directory
+from pipelines.commands.common import check_options
+from pipelines.commands.live_session import (
+    add_live_arguments,
+    end_session,
+    live_view,
+    made_directory,
+)
 from pipelines.commands.replay_options import (
     add_coding_arguments,
     check_caps,
@@ -37,7 +43,6 @@ _PARTS = "pipelines.recording.process_replaying"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av replay`."""
     parser.add_argument("file", metavar="FILE.mcap", type=Path, help="a recording")
     add_setup_argument(parser, needed=False)
     parser.add_argument("--seconds", type=float, metavar="S", help="send its first S seconds only")
@@ -51,20 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_coding_arguments(parser)
     add_radio_arguments(parser)
     parser.set_defaults(seed=None)
-    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
-    parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
-    loudness = parser.add_mutually_exclusive_group()
-    loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
-    loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+    add_live_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the replay; 1 if its report names a failure."""
     if not 0.1 <= args.speed <= 4:
         raise ConfigError(f"--speed {args.speed:g}: take 0.1 to 4")
-    if args.seconds is not None and not 0 < args.seconds < 1e9:
-        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    check_options(args)
     recorded = load_recording(args.file)
     setup = replay_setup(args, args.file, recorded, speed=args.speed)
     check_caps(args.file, setup, recorded, recode=args.recode, speed=args.speed)

@@ -32,7 +32,6 @@ _INPUTS = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_v
 
 
 def add_coding_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--recode` and `--cap-kbps`."""
     parser.add_argument(
         "--recode",
         action="store_true",

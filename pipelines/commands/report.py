@@ -18,7 +18,6 @@ _MOST_OCTETS = 1 << 30
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The two reports."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     text = (
         "write to standard output the report that the session would have given on one machine, "

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.common import check_options
+from pipelines.commands.common import check_options, end_with
 from pipelines.commands.page_options import parse_page
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
@@ -21,13 +21,13 @@ from pipelines.commands.rtc_options import (
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
-from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
+from pipelines.commands.rtc_running import add_run_arguments, driven, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
-from pipelines.session.page_certificate import check_certificate, fingerprint, make_certificate
-from pipelines.session.page_listener import PageListener
-from pipelines.session.page_sockets import bind_pages, listeners
+from pipelines.report.model import to_json
+from pipelines.session.page_certificate import certificate_for, check_certificate
+from pipelines.session.page_sockets import PageListener, bind_pages, listeners
 
 #: The only programme of this command.
 _NAME = "main"
@@ -35,7 +35,6 @@ _SEAT = "rtc"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The actions of `kontur-av rtc` and their options."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     text = "serve a partner: it sees and hears what is given here, and is seen and heard"
     serve = actions.add_parser("serve", help=text, description=text)
@@ -64,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
     Raises ConfigError for what cannot work.
     """
     check_options(args)
-    return closing_lines(args, asyncio.run(_serve(args)))
+    report = asyncio.run(_serve(args))
+    return end_with(args.report, to_json(report), report.failed)
 
 
 @contextmanager
@@ -75,19 +75,15 @@ def _listening(args: argparse.Namespace) -> Iterator[PageListener]:
         check_certificate(args.cert)
     token = token_of(args) or secrets.token_urlsafe(24)
     with TemporaryDirectory(prefix="kontur-rtc-") as folder:
-        certificate: Path | None = args.cert
-        made = certificate is None and not host.is_loopback
-        if made:
-            certificate = Path(folder) / "rtc.pem"
-            make_certificate(certificate, host.names())
+        certificate, made = certificate_for(host, args.cert, Path(folder) / "rtc.pem")
         sockets = bind_pages(host, port, [_SEAT])
         (listener,) = listeners(sockets, host, certificate).values()
         listener = replace(listener, operator_token=token)
         base = listener.url(_SEAT).partition(f"/{_SEAT}?")[0]
         say(f"page {listener.url(_SEAT)}")
         say(f"whip {base}/whip\nwhep {base}/whep/{_NAME}\ntoken {token}")
-        if made and certificate is not None:
-            say(f"certificate made for this run, SHA-256 {fingerprint(certificate)}")
+        if made:
+            say(f"certificate made for this run, SHA-256 {made}")
         with closing(listener.socket):
             yield listener
 

@@ -11,12 +11,11 @@ from socket import socket
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.commands.common import output_that_may_fail
-from pipelines.commands.page_options import parse_page
+from pipelines.commands.page_options import parse_page, write_private
 from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of, read_secret
 from pipelines.partner.ice_servers import IceServers
-from pipelines.session.page_certificate import fingerprint, make_certificate
-from pipelines.session.page_listener import PageListener
-from pipelines.session.page_sockets import PageHost, bind_pages, listeners
+from pipelines.session.page_certificate import certificate_for
+from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
 from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology import RTC, Segment
 
@@ -35,7 +34,6 @@ class RtcWish:
 
 
 def add_rtc_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--rtc`, and the way through NAT."""
     parser.add_argument(
         "--rtc",
         metavar="[HOST:]PORT",
@@ -99,24 +97,19 @@ def announced_rtc(
     if wish is None:
         yield {}
         return
-    root, certificate = session_root(session), wish.certificate
-    made = certificate is None and not wish.host.is_loopback
-    if made:
-        certificate = root / "rtc.pem"
-        make_certificate(certificate, wish.host.names())
+    root = session_root(session)
+    certificate, made = certificate_for(wish.host, wish.certificate, root / "rtc.pem")
     found = listeners(wish.sockets, wish.host, certificate and certificate.resolve())
     listener = found[RTC]
     if wish.token:
         listener = replace(listener, operator_token=wish.token)
     base = listener.url(RTC).partition(f"/{RTC}?")[0]
     told = {"page": listener.url(RTC), "base": base, "token": listener.operator_token}
-    file = root / "rtc.json"
-    file.touch(0o600, exist_ok=False)
-    file.write_text(json.dumps(told, indent=1) + "\n")
+    write_private(root / "rtc.json", json.dumps(told, indent=1) + "\n")
     if not quiet:
         lines = [f"partner {told['page']}"]
-        if made and certificate is not None:
-            lines.append(f"its certificate was made for this session: {fingerprint(certificate)}")
+        if made:
+            lines.append(f"its certificate was made for this session: {made}")
         with output_that_may_fail():
             print("\n".join(lines), flush=True)
     try:

@@ -15,7 +15,6 @@ _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{1,4096}")
 
 
 def add_token_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--token` and `--token-file`."""
     either = parser.add_mutually_exclusive_group()
     either.add_argument("--token", metavar="T", help="the bearer token that the server wants")
     either.add_argument(
@@ -37,7 +36,6 @@ def token_of(args: argparse.Namespace) -> str:
 
 
 def add_ice_arguments(parser: argparse.ArgumentParser) -> None:
-    """Servers for the way through NAT."""
     parser.add_argument(
         "--ice-server",
         metavar="URL",

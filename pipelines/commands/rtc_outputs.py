@@ -9,21 +9,16 @@ from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.commands.media_reports import latency_ms
-from pipelines.commands.raw_pictures import RawPictures
+from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.remux import MatroskaWriter
 from pipelines.commands.rtc_reports import ReceivedKind
 from pipelines.partner.media import PictureCame, SoundCame
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of what is received."""
     parser.add_argument("--save", metavar="FILE.mkv", help="write the picture as it comes")
     parser.add_argument("--save-voice", metavar="FILE.mka", help="write the voice as it comes")
-    parser.add_argument(
-        "--raw",
-        metavar="PATH",
-        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
-    )
+    add_raw_argument(parser)
 
 
 class PartnerOutput:
@@ -47,7 +42,6 @@ class PartnerOutput:
         self.size: tuple[int, int] | None = None
 
     def handle(self, event: PictureCame | SoundCame) -> None:
-        """Decode and write what has come."""
         if isinstance(event, PictureCame):
             self._handle_unit(event.unit, event.capture_ns)
         else:
@@ -59,18 +53,15 @@ class PartnerOutput:
             self._raw.handle_writable()
 
     def close(self) -> None:
-        """Finish the files."""
         for file in self._files:
             file.close()
         if self._raw is not None:
             self._raw.close()
 
     def pictures(self) -> ReceivedKind:
-        """Figures of the picture."""
         return _kind(self._pictures, self._picture_ns)
 
     def voice(self) -> ReceivedKind:
-        """Figures of the voice."""
         return _kind(self._blocks, self._voice_ns)
 
     def _open(self, path: str | None) -> MatroskaWriter | None:

@@ -2,8 +2,9 @@
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.commands.media_reports import Latency
+from pipelines.partner.description import Kind
 from pipelines.partner.peer import RtcPeer
-from pipelines.partner.tally import MediaFigures
+from pipelines.partner.tally import TrackFigures
 from pipelines.report.model import Report
 
 
@@ -59,23 +60,22 @@ def connection_report(peer: RtcPeer) -> RtcConnection | None:
         return None
     route, figures = peer.route, peer.media.figures
     return RtcConnection(
-        route=None if route is None else f"{route.local} to {route.remote}",
+        route=None if route is None else str(route),
         ice_restarts=peer.restarts,
-        sent=_sent(figures),
-        received=_received(figures),
+        sent=_streams(figures.sent),
+        received=_streams(figures.received),
         garbage=figures.garbage,
     )
 
 
-def _sent(figures: MediaFigures) -> dict[str, RtcStream]:
+def _streams(figures: dict[Kind, TrackFigures]) -> dict[str, RtcStream]:
     found = {}
-    for kind, one in figures.sent.items():
-        told = one.reception
-        trip_ns = None if told is None else told.round_trip_ns
+    for kind, one in figures.items():
+        trip_ns = None if one.reception is None else one.reception.round_trip_ns
         found[str(kind)] = RtcStream(
             packets=one.packets,
             octets=one.octets,
-            lost=0 if told is None else told.lost,
+            lost=one.lost,
             round_trip_ms=None if trip_ns is None else trip_ns / NS_PER_MS,
             keys_asked=one.keys_asked,
             nacks=one.asked,
@@ -84,18 +84,3 @@ def _sent(figures: MediaFigures) -> dict[str, RtcStream]:
             rate_told_bps=one.wish_bps,
         )
     return found
-
-
-def _received(figures: MediaFigures) -> dict[str, RtcStream]:
-    return {
-        str(kind): RtcStream(
-            packets=one.packets,
-            octets=one.octets,
-            lost=one.lost,
-            keys_asked=one.keys_asked,
-            nacks=one.asked,
-            repeated=one.repeated,
-            rate_told_bps=one.wish_bps,
-        )
-        for kind, one in figures.received.items()
-    }

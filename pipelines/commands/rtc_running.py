@@ -3,25 +3,23 @@
 import argparse
 import asyncio
 import signal
-import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 
-from pipelines.commands.common import output_that_may_fail, write_text
-from pipelines.commands.rtc_reports import RtcCommandReport
-from pipelines.report.model import to_json
+from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.rtc_reports import RtcConnection, connection_report
+from pipelines.partner.peer import RtcPeer
+from pipelines.partner.whip import Keeper
 
 _LOOK_S = 0.2
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--seconds` and `--report`."""
     parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
     parser.add_argument("--report", metavar="FILE", help="write a JSON report")
 
 
 def say(line: str) -> None:
-    """Print a line about a connection."""
     with output_that_may_fail():
         print(line, flush=True)
 
@@ -51,10 +49,21 @@ async def driven(
             loop.remove_signal_handler(number)
 
 
-def closing_lines(args: argparse.Namespace, report: RtcCommandReport) -> int:
-    """Write the report and say what failed; the exit code."""
-    if args.report:
-        write_text(args.report, to_json(report), "--report")
-    for failure in report.failed:
-        print(f"failed: {failure}", file=sys.stderr)
-    return 1 if report.failed else 0
+async def keep(
+    args: argparse.Namespace, keeper: Keeper[RtcPeer], look: Callable[[], None]
+) -> RtcConnection | None:
+    """Keep the connection until the command ends; figures of the newest one.
+
+    look: called five times a second.
+    """
+    newest = None
+    running = asyncio.create_task(keeper.run())
+    async for _ in driven(args, running):
+        look()
+        if keeper.peer is not None:
+            newest = connection_report(keeper.peer) or newest
+    if keeper.peer is not None:
+        newest = connection_report(keeper.peer) or newest
+    keeper.stop()
+    await running
+    return newest

@@ -6,7 +6,7 @@ A source waits for its device, and coding takes milliseconds: neither may hold u
 import argparse
 import asyncio
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
@@ -17,8 +17,8 @@ from kontur_av.codecs.opus import OpusEncoder, heard_stamp
 from kontur_av.errors import ConfigError
 from kontur_av.media import AccessUnit, CaptureStamp, VideoFrame, empty_picture, parse_size
 from kontur_av.meters import RateMeter
-from kontur_av.sources import open_audio, open_video
 from kontur_av.sources.page import FILLED_BY_OTHERS
+from pipelines.commands.send_media import add_picture_arguments, open_pictures, open_sound
 from pipelines.partner.decisions import LEAST_BPS, PicturePlan, RateFollower
 from pipelines.partner.description import Kind
 
@@ -28,14 +28,12 @@ _LAST_S = 2.0
 
 
 def add_source_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of what is sent."""
     spec = "FILE, pipe:PATH, v4l2:DEVICE or scene:NAME"
     parser.add_argument("--video", metavar="SPEC", help=f"the picture to send: {spec}")
     parser.add_argument(
         "--audio", metavar="SPEC", help=f"the voice to send: {spec.replace('v4l2', 'alsa')}"
     )
-    parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
-    parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
+    add_picture_arguments(parser)
     parser.add_argument(
         "--video-kbps",
         metavar="K",
@@ -109,32 +107,16 @@ class CodedSources(Closing):
                 cap_bps=sends["video"],
                 refresh_s=SLOW_REFRESH_S,
             )
-            video = open_video(
-                args.video,
-                name="video",
-                width=width,
-                height=height,
-                fps=args.fps,
-                clock=clock,
-                scenes=_scenes("video") if args.video.startswith("scene:") else None,
-            )
-            plan = PicturePlan(bps=sends["video"])
+            video, plan = open_pictures(args, clock), PicturePlan(bps=sends["video"])
             self._begin("pictures", self._pictures, video, encoder, plan)
         if args.audio is not None:
-            audio = open_audio(
-                args.audio,
-                name="audio",
-                clock=clock,
-                scenes=_scenes("audio") if args.audio.startswith("scene:") else None,
-            )
-            self._begin("sound", self._sound, audio, OpusEncoder(bitrate_bps=sends["audio"]))
+            audio, voice = open_sound(args, clock), OpusEncoder(bitrate_bps=sends["audio"])
+            self._begin("sound", self._sound, audio, voice)
 
     def want_key(self) -> None:
-        """Encode a key picture soon."""
         self._keys += 1
 
     def close(self) -> None:
-        """End the threads, and close the sources."""
         self._ended.set()
         for thread in self._threads:
             thread.join(_LAST_S)
@@ -194,10 +176,3 @@ class CodedSources(Closing):
     def _hand_over(self, send: Callable[..., None], *what: Any) -> None:
         if not self._ended.is_set():
             self._loop.call_soon_threadsafe(send, *what)
-
-
-def _scenes(kind: str) -> Mapping[str, Any]:
-    from telepresence import world
-
-    scenes: Mapping[str, Any] = world.video_scenes() if kind == "video" else world.audio_scenes()
-    return scenes

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.mission.joined_session import JoinedSession
 from pipelines.mission.tmtc_messages import selection_error
 from pipelines.mission.tmtc_socket import tmtc_socket_name
@@ -12,15 +12,12 @@ from pipelines.session.setup.segments import Segment
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The camera, and the session where several run."""
     parser.add_argument("camera", metavar="CAMERA", help="for example stereo, static or head")
     parser.description = (
         "Ask the ground to send another camera's pictures up, and wait for its acknowledgement. "
         "Exit code 1 if it refuses or no answer comes."
     )
-    parser.add_argument(
-        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
-    )
+    add_session_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,7 +1,6 @@
 """`kontur-av send`: one stream from a source to plain RTP over UDP, under a hard cap."""
 
 import argparse
-import sys
 import time
 from contextlib import closing
 
@@ -18,6 +17,7 @@ from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import (
     check_options,
     check_reachable,
+    end_with,
     parse_address,
     stopped_by_signals,
     write_text,
@@ -29,14 +29,13 @@ from pipelines.commands.media_reports import (
     SourceReport,
     latency_ms,
 )
-from pipelines.commands.send_media import open_feed
+from pipelines.commands.send_media import add_picture_arguments, open_feed
 from pipelines.report.model import to_json
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av send`."""
     what = parser.add_mutually_exclusive_group(required=True)
     spec = "FILE, pipe:PATH, v4l2:DEVICE or scene:NAME"
     what.add_argument("--video", metavar="SPEC", help=spec)
@@ -55,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         help="the rate at which packets of a picture leave (default: the cap)",
     )
-    parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
+    add_picture_arguments(parser)
     parser.add_argument(
         "--coded-size",
         metavar="WxH",
@@ -77,7 +76,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for the best way to code pictures that are not coded small: quick takes half the "
         "time and loses 1 dB (default: thorough)",
     )
-    parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
     parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
     parser.add_argument("--sdp", metavar="FILE", help="write what receivers need to know")
     parser.add_argument("--report", metavar="FILE", help="write a JSON report")
@@ -88,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises ConfigError, with nothing sent, for what cannot work.
     """
-    check_options(args)
+    check_options(args, "cap_kbps", "channel_kbps")
     spec = args.video or args.audio
     if spec in FILLED_BY_OTHERS:
         raise ConfigError(
@@ -106,11 +104,7 @@ def run(args: argparse.Namespace) -> int:
         check_reachable(address)
         with closing(UdpSender(*address)) as udp:
             report = _SendShell(feed, udp, clock).run(args.seconds)
-    if args.report:
-        write_text(args.report, to_json(report), "--report")
-    for failure in report.failed:
-        print(f"failed: {failure}", file=sys.stderr)
-    return 1 if report.failed else 0
+    return end_with(args.report, to_json(report), report.failed)
 
 
 class _SendShell:

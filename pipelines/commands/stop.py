@@ -5,18 +5,15 @@ import os
 import pwd
 
 from kontur_av.topics.session_files import choose_session, sessions
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.session.orders import KeptOrders
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The release, and the session where several run."""
     parser.add_argument(
         "--release", action="store_true", help="release the stop; the robot stays off until told"
     )
-    parser.add_argument(
-        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
-    )
+    add_session_argument(parser)
     parser.description = (
         "Stop the robot of a running session, and hold it until the stop is released. "
         "At the joystick's end every haptic sample carries it to the robot. "

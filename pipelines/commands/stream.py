@@ -8,14 +8,19 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.sources.page import PAGE
-from pipelines.commands.common import output_that_may_fail, say_unprotected
+from pipelines.commands.common import check_options, output_that_may_fail, say_unprotected
 from pipelines.commands.end_options import (
     add_end_arguments,
     chosen_end,
     hold_listen_port,
     path_line,
 )
-from pipelines.commands.live_session import end_session, live_view, made_directory
+from pipelines.commands.live_session import (
+    add_live_arguments,
+    end_session,
+    live_view,
+    made_directory,
+)
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
 from pipelines.commands.record_options import add_record_arguments, wish_of
 from pipelines.commands.rtc_leg import (
@@ -77,13 +82,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a program; may be "
         "given several times",
     )
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
-    parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
+    add_live_arguments(parser)
     add_record_arguments(parser)
     add_radio_arguments(parser)
     add_deadband_argument(parser)
     add_hand_argument(parser)
-    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
     add_end_arguments(parser)
     parser.add_argument(
         "--trainer",
@@ -120,16 +123,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_task_arguments(parser)
     add_page_arguments(parser)
     add_rtc_arguments(parser)
-    loudness = parser.add_mutually_exclusive_group()
-    loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
-    loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the session; 1 if its report names a failure."""
     setup = with_rtc(args, chosen_setup(args))
-    if args.seconds is not None and not 0 < args.seconds < 1e9:
-        raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0")
+    check_options(args)
     plan = topology_of(setup)
     one = chosen_end(args, plan)
     plan = replace(plan, segments=tuple(Segment) if one is None else (one.segment,))

@@ -45,7 +45,6 @@ _KEEP_EVERY_S = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av sweep`."""
     parser.add_argument(
         "file", type=Path, metavar="FILE.toml", help="the fields, their values and the seeds"
     )

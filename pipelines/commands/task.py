@@ -7,8 +7,8 @@ from rich.console import Console
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from pipelines.commands.common import acting_on, output_that_may_fail
-from pipelines.commands.telecommand import follow
+from pipelines.commands.common import acting_on, add_session_argument, output_that_may_fail
+from pipelines.commands.tc import follow
 from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import tmtc_socket_name
@@ -23,7 +23,6 @@ _PATIENCE_NS = 2_000_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`list`, `select`, `start` and `abort`."""
     parser.add_argument(
         "action",
         choices=["list", "select", "start", "abort"],
@@ -31,9 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "the cosmonaut; start: begin in the cosmonaut's place; abort: end it",
     )
     parser.add_argument("task", nargs="?", metavar="TASK", help="which one to select")
-    parser.add_argument(
-        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
-    )
+    add_session_argument(parser)
     parser.description = (
         "What an experimenter on the ground does with the tasks of a session that was started with "
         "--tasks or --plan. Exit code 1 if it is refused."

@@ -37,7 +37,6 @@ class TaskWish:
 
 
 def add_task_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--plan`, `--tasks`, `--leds` and `--runs`."""
     parser.add_argument(
         "--plan",
         type=Path,

@@ -1,16 +1,19 @@
 """`kontur-av tc`: send a telecommand to an application of a running session, and print its way."""
 
 import argparse
+import sys
 from random import SystemRandom
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from pipelines.commands.common import acting_on
-from pipelines.commands.telecommand import follow
+from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import (
     SHORT_VERBS,
+    Reported,
     command_from_words,
+    report_words,
+    update_words,
 )
 from pipelines.mission.tmtc_socket import read_dictionary, tmtc_socket_name
 from pipelines.session.asking import running_sessions
@@ -24,7 +27,6 @@ _CLIENT = "kontur-av tc"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The application, what it is to do, and from where."""
     parser.add_argument(
         "application", nargs="?", metavar="APPLICATION", help="for example joystick or robot"
     )
@@ -41,9 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=[segment.value for segment in Segment],
         help="the end that sends it; default: the one across the radio",
     )
-    parser.add_argument(
-        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
-    )
+    add_session_argument(parser)
     parser.add_argument(
         "--xtce", action="store_true", help="print the dictionary as XTCE, for other ground systems"
     )
@@ -105,3 +105,16 @@ def _list(application: Application) -> None:
     if settable:
         print(f"set {', '.join(settable)}")
     print(", ".join(SHORT_VERBS))
+
+
+def follow(sending: Sending, application: Application) -> int:
+    """Send it, and print what becomes of it; return the exit code."""
+    for news in sending.news():
+        if isinstance(news, Reported):
+            print(report_words(news, application), flush=True)
+        else:
+            failed = news.done and not news.ok
+            print(update_words(news), file=sys.stderr if failed else sys.stdout, flush=True)
+    if sending.done is None:
+        print("kontur-av: the session has not answered", file=sys.stderr)
+    return 0 if sending.done is not None and sending.done.ok else 1

@@ -13,14 +13,12 @@ from pipelines.table import topology_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av topology`."""
     add_setup_argument(parser)
     parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
     parser.add_argument("--dot", action="store_true", help="a graph for Graphviz instead")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the table of a setup."""
     topology = topology_of(replace(load_setup(args.setup), **port_changes(args)), pages=True)
     if args.dot:
         text = dot(topology)

@@ -4,10 +4,17 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on
-from pipelines.mission.trainer_control import TRAINER_DESK, ask_trainer
-from pipelines.session.asking import running_sessions
-from pipelines.session.training import CAMERA, END, JOYSTICK, LOS, TrainerRequest
+from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.session.asking import ask_desk, running_sessions
+from pipelines.session.training import (
+    CAMERA,
+    END,
+    JOYSTICK,
+    LOS,
+    TRAINER_DESK,
+    TrainerAnswer,
+    TrainerRequest,
+)
 
 #: By exercise: what it does, and how long it lasts by default.
 _EXERCISES = {
@@ -16,10 +23,13 @@ _EXERCISES = {
     CAMERA: ("a camera gives no pictures", 10.0),
     END: ("end all exercises at once", None),
 }
+_MISSING = (
+    "no session here has a trainer: start it with --trainer, "
+    "as `kontur-av stream --setup spacejustin --end space --trainer`"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The exercises, and the session where several run."""
     exercises = parser.add_subparsers(dest="exercise", required=True, metavar="EXERCISE")
     for name, (text, seconds) in _EXERCISES.items():
         exercise = exercises.add_parser(name, help=text, description=text)
@@ -34,11 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 metavar="S",
                 help=f"for S seconds (default {seconds:g})",
             )
-        exercise.add_argument(
-            "--session",
-            metavar="NAME",
-            help="which one, where several run; its setup's name will do",
-        )
+        add_session_argument(exercise)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,7 +56,10 @@ def run(args: argparse.Namespace) -> int:
     )
     running = running_sessions(TRAINER_DESK)
     session = acting_on(args.session, running, moves=True) if running else None
-    answer = ask_trainer(request, session)
+    answer = ask_desk(TRAINER_DESK, request, TrainerAnswer, session, missing=_MISSING)
+    if answer is None:
+        print("kontur-av: the session's trainer has ended before it answered", file=sys.stderr)
+        return 1
     if answer.mistake:
         raise ConfigError(answer.text)
     if not answer.ok:

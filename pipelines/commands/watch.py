@@ -6,7 +6,7 @@ import time
 from contextlib import closing
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.common import check_options
+from pipelines.commands.common import check_options, end_with
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
@@ -14,15 +14,15 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
-from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
-from pipelines.commands.rtc_running import add_run_arguments, closing_lines, driven, say
+from pipelines.commands.rtc_reports import RtcCommandReport
+from pipelines.commands.rtc_running import add_run_arguments, keep, say
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
+from pipelines.report.model import to_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av watch`."""
     parser.add_argument(
         "--whep", metavar="URL", required=True, help="the endpoint (draft-ietf-wish-whep)"
     )
@@ -38,13 +38,14 @@ def run(args: argparse.Namespace) -> int:
     Raises ConfigError for what cannot work.
     """
     check_options(args)
-    return closing_lines(args, asyncio.run(_watch(args)))
+    report = asyncio.run(_watch(args))
+    return end_with(args.report, to_json(report), report.failed)
 
 
 async def _watch(args: argparse.Namespace) -> RtcCommandReport:
     clock = MonotonicClock()
     token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
-    begin_s, newest = time.monotonic(), None
+    begin_s = time.monotonic()
     with closing(PartnerOutput(args, clock)) as output:
 
         def make_peer(found: IceServers) -> RtcPeer:
@@ -59,15 +60,7 @@ async def _watch(args: argparse.Namespace) -> RtcCommandReport:
         keeper = Keeper(
             args.whep, token=token, make_peer=make_peer, servers=servers, clock=clock, told=say
         )
-        running = asyncio.create_task(keeper.run())
-        async for _ in driven(args, running):
-            output.flush()
-            if keeper.peer is not None:
-                newest = connection_report(keeper.peer) or newest
-        if keeper.peer is not None:
-            newest = connection_report(keeper.peer) or newest
-        keeper.stop()
-        await running
+        newest = await keep(args, keeper, output.flush)
         pictures, voice = output.pictures(), output.voice()
         failed = []
         if not keeper.attempts.stood:

@@ -11,9 +11,11 @@ is `{"ok": true, "owner": "iss", "wanted": "partner", ...}` or `{"ok": false, "e
 
 import msgspec
 
-from pipelines.session.terminal_lines import TerminalLines
+from pipelines.session.terminal_lines import LineDesk
 from telepresence.haptics.ownership import Owner, OwnershipFigures
 
+#: The name of its Unix socket.
+DESK = "arm"
 ORDER_OCTETS = max(len(owner.value) for owner in Owner)
 STATE_OCTETS = 256
 OWNERS = tuple(owner.value for owner in Owner)
@@ -67,40 +69,22 @@ class OwnerAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
 
 class OwnerDesk:
-    """Takes requests. After each input publish `order`, and drain `next_event`.
+    """Takes requests. After each input publish `order`.
 
-    order: who is to drive. It outlives the desk: give the last one at the start.
+    desk: takes them. order: who is to drive. It outlives the desk: give the last one at the start.
     """
 
     def __init__(self, order: Owner = Owner.ISS) -> None:
         self.order = order
         self._state = ArmState(wanted=order.value)
-        self._terminals = TerminalLines()
-        self.handle_terminal = self._terminals.handle_terminal
-        self.next_event = self._terminals.next_event
-
-    @property
-    def asking(self) -> list[int]:
-        """The terminals whose requests are not complete yet."""
-        return self._terminals.asking
+        self.desk = LineDesk(OwnerRequest, self._answer)
 
     def handle_state(self, state: ArmState) -> None:
         """The robot has told who drives."""
         self._state = state
 
-    def handle_octets(self, terminal: int, data: bytes, now_ns: int) -> None:
-        """A terminal in `asking` has sent octets; b"" if it has closed its side."""
-        line = self._terminals.handle_octets(terminal, data)
-        if line is None:
-            return
-        try:
-            request = msgspec.json.decode(line, type=OwnerRequest)
-        except (msgspec.DecodeError, RecursionError):
-            self._terminals.reply(terminal, b"")
-            return
-        self._terminals.reply(terminal, pack_line(self._answer(request.owner)))
-
-    def _answer(self, wanted: object) -> OwnerAnswer:
+    def _answer(self, request: OwnerRequest, _now_ns: int) -> OwnerAnswer:
+        wanted = request.owner
         if wanted != "":
             if wanted not in OWNERS:
                 error = f"no owner {wanted}: take {' or '.join(OWNERS)}"
@@ -110,16 +94,3 @@ class OwnerDesk:
         return OwnerAnswer(
             ok=True, owner=state.owner, wanted=self.order.value, waiting=state.waiting
         )
-
-
-def pack_line(content: OwnerRequest | OwnerAnswer) -> bytes:
-    """Return a request or an answer as a line."""
-    return msgspec.json.encode(content) + b"\n"
-
-
-def parse_owner_answer(line: bytes) -> OwnerAnswer | None:
-    """Return the answer in a line, or None for anything else."""
-    try:
-        return msgspec.json.decode(line, type=OwnerAnswer)
-    except msgspec.DecodeError:
-        return None

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pipelines.hand.haptic_trace import BLOCK_ROWS
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.hand.replaying import ReplayedEnd
+from pipelines.session.datagrams import receive
 from pipelines.session.figures import LoopFigures
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.rows import LatenessRow
@@ -64,7 +65,7 @@ def run_loop(
         send = route(send)
     schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(CYCLE_NS, _PHASE))
     # Looked up once: what follows runs a thousand times a second.
-    take, receive = udp.recv, context.receive
+    take = udp.recv
     most_octets = sample_octets(len(context.setup.more_axes)) + 1
     clock_ns, sleep_until_ns = clock.now_ns, clock.sleep_until_ns
     handle_wakeup, handle_datagram, handle_cycle = (

@@ -6,8 +6,8 @@ from kontur_av.topics.bus import TopicBus
 from pipelines.hand.haptic_loop import Cycle
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.session.mission_messages import LedsShown, PanelShown, RobotCommand, RobotOrder
-from pipelines.session.mission_topic import MissionReader, MissionWriter
 from pipelines.session.robot_state import unpack_state
+from pipelines.session.topic_ends import MissionReader, MissionWriter
 from pipelines.session.topology import (
     MISSION_LEDS_TOPIC,
     MISSION_PANEL_TOPIC,

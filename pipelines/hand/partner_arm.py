@@ -12,6 +12,7 @@ from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
 from pipelines.hand.haptics import RobotEnd
 from pipelines.hand.robot_desk import limits_of
 from pipelines.hand.safety_ends import follow_stop, within
+from pipelines.session.datagrams import receive
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
@@ -89,7 +90,7 @@ def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cy
 def open_partner(context: Context, end: RobotEnd) -> tuple[Cycle, Send]:
     """Return what takes a partner's samples, and what sends samples to it."""
     taken, given = partner_ports(context.setup)
-    udp, receive = context.listen_own(taken), context.receive
+    udp = context.listen_own(taken)
 
     def take(now_ns: int) -> None:
         while (datagram := receive(udp, SAMPLE_OCTETS + 1)) is not None:

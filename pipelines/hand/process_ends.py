@@ -29,10 +29,10 @@ from pipelines.hand.safety_ends import (
     watch_camera,
     within,
 )
-from pipelines.session.exercises import new_exercises
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
+from pipelines.session.topic_ends import new_exercises
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,

@@ -7,16 +7,12 @@ from itertools import count
 
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.session_files import make_session_root, session_root
-from pipelines.hand.arm_owner import ORDER_OCTETS, ArmState, OwnerDesk
-from pipelines.session.asking import desk_path
+from pipelines.hand.arm_owner import DESK, ORDER_OCTETS, ArmState, OwnerDesk
 from pipelines.session.process import Context
 from pipelines.session.reception import replace_file
-from pipelines.session.terminal_desk import serve_terminals
+from pipelines.session.terminals import serve_terminals
 from pipelines.session.topology import ARM_ORDER_TOPIC, ARM_STATE_TOPIC
 from telepresence.haptics.ownership import Owner
-
-#: The name of its Unix socket.
-DESK = "arm"
 
 
 def run_owner_desk(context: Context) -> None:
@@ -44,4 +40,4 @@ def run_owner_desk(context: Context) -> None:
             stamp = CaptureStamp(now_ns, next(numbers), DESK)
             writer.publish_octets(order.encode("ascii"), stamp)
 
-        serve_terminals(context, desk_path(context.session, DESK), desk, follow)
+        serve_terminals(context, DESK, desk.desk, follow)

@@ -7,6 +7,8 @@ from functools import partial
 
 from pipelines.link.peer_socket import PeerSocket
 from pipelines.session.datagrams import (
+    LOOPBACK,
+    OWN_SENDERS,
     EndAddresses,
     Inlet,
     Outlet,
@@ -18,7 +20,6 @@ from pipelines.session.datagrams import (
     outlet,
     receive,
 )
-from pipelines.session.process import LOOPBACK, OWN_SENDERS
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, Topology
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import Gateway

@@ -18,9 +18,9 @@ from pipelines.link.gateway_ports import GatewayPorts
 from pipelines.link.link_topics import LinkTopics
 from pipelines.link.peer_socket import PeerPlan, PeerSocket, make_path
 from pipelines.session.datagrams import EndAddresses
-from pipelines.session.exercises import new_exercises
 from pipelines.session.process import Context
 from pipelines.session.rows import LatenessRow, SendingRow
+from pipelines.session.topic_ends import new_exercises
 from pipelines.session.topology import TRAINER_TOPIC, Segment
 from pipelines.session.training import Exercises
 from telepresence.link.backlog import BACKLOG_OCTETS, Backlog

@@ -13,10 +13,10 @@ from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.capturing import Capturing
 from pipelines.media.previewing import Previewing, preview_size
 from pipelines.media.taking_over import Takeover
-from pipelines.session.exercises import new_exercises
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.robot_state import newest_state
 from pipelines.session.setup.table import VideoStream
+from pipelines.session.topic_ends import new_exercises
 from pipelines.session.topology import MISSION_LEDS_TOPIC, TRAINER_TOPIC, InputRow
 from pipelines.session.training import Exercises
 from telepresence.world import audio_scenes, video_scenes

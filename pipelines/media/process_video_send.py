@@ -17,6 +17,7 @@ from pipelines.media.session_streams import video_sender
 from pipelines.media.stream_figures import tell_sender
 from pipelines.media.tip_region import TipRegion, tip_region
 from pipelines.media.video_sending import LinkedVideoSender
+from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.robot_state import unpack_state
 from pipelines.session.setup.table import VideoStream
@@ -103,7 +104,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
                     backlog = Backlog.unpack(told.octets())
                     linked.handle_backlog(backlog, told.stamp.capture_ns, clock.now_ns())
             outgoing.handle_time(clock.now_ns())
-            while (datagram := context.receive(feedback)) is not None:
+            while (datagram := receive(feedback)) is not None:
                 sender.handle_feedback(datagram, clock.now_ns())
             done = encoding.poll()
             if done is not None and encoded is not None:

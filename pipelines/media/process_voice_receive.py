@@ -8,8 +8,8 @@ from pipelines.media.session_streams import voice_receiver
 from pipelines.media.stream_figures import note_arrivals
 from pipelines.session.process import Context
 from pipelines.session.reception import Incoming
-from pipelines.session.sample_topic import SampleTopic
 from pipelines.session.setup.table import VoiceStream
+from pipelines.session.topic_ends import SampleTopic
 
 
 def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:

@@ -8,8 +8,8 @@ from pipelines.media.sending import to_gateway
 from pipelines.media.session_streams import voice_sender
 from pipelines.media.stream_figures import tell_sender
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.sample_topic import SampleTopic
 from pipelines.session.setup.table import VoiceStream
+from pipelines.session.topic_ends import SampleTopic
 
 
 def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None:

@@ -4,8 +4,9 @@ from itertools import count
 
 from kontur_av.media import CaptureStamp
 from pipelines.mission.tmtc_desk import TmtcDesk
+from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.sample_topic import SampleTopic
+from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, WALL_TOPIC, Segment, packets_topic
 from telepresence.haptics.mediated.wall import WALL_OCTETS, is_wall
 
@@ -33,7 +34,7 @@ def run_console(context: Context) -> None:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             wall = None
-            while (datagram := context.receive(udp)) is not None:
+            while (datagram := receive(udp)) is not None:
                 if not desk.handle_packet(datagram, now_ns) and is_wall(datagram):
                     wall = datagram
                 received.handle_sample(datagram, now_ns)

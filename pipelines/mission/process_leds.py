@@ -6,8 +6,8 @@ from contextlib import suppress
 
 from pipelines.session.datagrams import Address
 from pipelines.session.mission_messages import LedsShown
-from pipelines.session.mission_topic import MissionWriter
 from pipelines.session.process import Context
+from pipelines.session.topic_ends import MissionWriter
 from pipelines.session.topology import MISSION_LEDS_TOPIC, leds_port
 from telepresence.tasks.panel_picture import STATE_OCTETS, LedPanel
 

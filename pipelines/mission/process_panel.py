@@ -6,8 +6,8 @@ from pipelines.link.link_state import CONNECTED, unpack_link
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.mission_messages import PanelShown
-from pipelines.session.mission_topic import MissionWriter
 from pipelines.session.process import Context
+from pipelines.session.topic_ends import MissionWriter
 from pipelines.session.topology import (
     JOYSTICK_STATE_TOPIC,
     MISSION_PANEL_TOPIC,

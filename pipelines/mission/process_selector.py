@@ -13,10 +13,11 @@ from pipelines.media.following import CHOICE_OCTETS, unpack_confirmed
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.tmtc_desk import TmtcDesk
 from pipelines.mission.tmtc_messages import FunctionAsked
+from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import CameraWish, unpack
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.reception import replace_file
-from pipelines.session.sample_topic import SampleTopic
+from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import (
     FOLLOWED_TOPIC,
     MISSION_CAMERA_TOPIC,
@@ -63,7 +64,7 @@ def run_selector(context: Context) -> None:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             changed = False
-            while (datagram := context.receive(udp)) is not None:
+            while (datagram := receive(udp)) is not None:
                 desk.handle_packet(datagram, now_ns)
                 received.handle_sample(datagram, now_ns)
             if wished is not None and (lease := wished.latest()) is not None:

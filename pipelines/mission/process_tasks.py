@@ -23,9 +23,9 @@ from pipelines.mission.figures import TaskFigures
 from pipelines.mission.mission import MissionGround, MissionMemory, Seen, robot_order
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
+from pipelines.session.datagrams import LOOPBACK, receive
 from pipelines.session.mission_messages import CameraWish, RobotStatus
-from pipelines.session.mission_topic import MissionReader, MissionWriter
-from pipelines.session.process import LOOPBACK, Context
+from pipelines.session.process import Context
 from pipelines.session.reception import replace_file
 from pipelines.session.recorder_control import RecorderLink
 from pipelines.session.recorder_requests import (
@@ -38,6 +38,7 @@ from pipelines.session.recorder_requests import (
 )
 from pipelines.session.robot_state import unpack_state
 from pipelines.session.task_journal import KEPT, LinkMeanwhile
+from pipelines.session.topic_ends import MissionReader, MissionWriter
 from pipelines.session.topology import (
     MISSION_CAMERA_TOPIC,
     MISSION_GROUND_TOPIC,
@@ -152,7 +153,7 @@ class _Tasks:
                 self._client.answer(came, refusal)
             else:
                 self._ground.handle_message(came, now_ns)
-        while (octets := self._context.receive(self._udp, ACKNOWLEDGEMENT_OCTETS + 1)) is not None:
+        while (octets := receive(self._udp, ACKNOWLEDGEMENT_OCTETS + 1)) is not None:
             self._ground.leds.handle_datagram(octets, now_ns)
         if (lease := self._selected.latest()) is not None:
             with lease:

@@ -6,12 +6,11 @@
 from itertools import count
 
 from kontur_av.media import CaptureStamp
-from pipelines.mission.trainer_control import trainer_path
 from pipelines.session.process import Context
 from pipelines.session.setup.table import VideoStream
-from pipelines.session.terminal_desk import serve_terminals
+from pipelines.session.terminals import serve_terminals
 from pipelines.session.topology import TRAINER_TOPIC, Segment, Topology
-from pipelines.session.training import Trainer
+from pipelines.session.training import TRAINER_DESK, Trainer
 
 _OCTETS = 4096
 
@@ -37,7 +36,7 @@ def run_trainer(context: Context) -> None:
                 stamp = CaptureStamp(now_ns, next(numbers), "trainer")
                 writer.publish_octets(published.pack(), stamp)
 
-        serve_terminals(context, trainer_path(context.session), trainer, publish)
+        serve_terminals(context, TRAINER_DESK, trainer.desk, publish)
 
 
 def _cameras(topology: Topology) -> list[str]:

@@ -49,7 +49,6 @@ class Attempts:
         return self._due_ns if self.doing is Doing.WAITING else None
 
     def poll_connect(self, now_ns: int) -> bool:
-        """Return whether to begin a connection now."""
         if self.doing is not Doing.WAITING or now_ns < self._due_ns:
             return False
         self.doing = Doing.CONNECTING
@@ -242,7 +241,6 @@ class PicturePlan:
         return coding
 
     def handle_coded(self, octets: int, now_ns: int) -> None:
-        """The picture has become so many octets."""
         self._free_ns = max(self._free_ns, now_ns) + octets * 8 * NS_PER_S // self._bps
 
 
@@ -260,7 +258,6 @@ class Wish(NamedTuple):
     keys: int
 
     def pack(self) -> bytes:
-        """Return it as `WISH_OCTETS` octets."""
         return _FORMAT.pack(*self)
 
     @classmethod

@@ -55,7 +55,6 @@ class IceServers:
             raise ConfigError("--ice-relay-only: give --ice-server turn:HOST, too")
 
     def for_aiortc(self) -> list[RTCIceServer]:
-        """The servers as aiortc has them."""
         return [
             RTCIceServer(
                 urls=one.url, username=one.username or None, credential=one.credential or None
@@ -75,16 +74,14 @@ class IceServers:
         return links
 
 
-def timed_credentials(
-    secret: str, *, name: str, now_s: int, lasting_s: int = LASTING_S
-) -> tuple[str, str]:
+def timed_credentials(secret: str, *, name: str, now_s: int) -> tuple[str, str]:
     """Return user name and password of a TURN server that shares `secret` with us.
 
     now_s: Unix time. Raises ConfigError for a secret that is too short.
     """
     if len(secret) < _LEAST_SECRET_OCTETS:
         raise ConfigError(f"the TURN secret is too short: give {_LEAST_SECRET_OCTETS} octets")
-    username = f"{now_s + lasting_s}:{name}"
+    username = f"{now_s + LASTING_S}:{name}"
     digest = hmac.digest(secret.encode(), username.encode(), "sha1")
     return username, base64.b64encode(digest).decode()
 

@@ -41,7 +41,6 @@ class _Incoming:
         self._receiver.handle_packet(packet, now_ns)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> None:
-        """Handle a datagram with a sender report."""
         self._receiver.handle_report(datagram, now_ns)
 
     def handle_timeout(self, now_ns: int) -> None:
@@ -53,7 +52,6 @@ class _Incoming:
         return self._receiver.poll_timeout()
 
     def block(self, now_ns: int) -> RtcpReceiverInfo | None:
-        """Return the report block of this stream, or None."""
         return self._receiver.report_block(now_ns)
 
 

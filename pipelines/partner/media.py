@@ -120,7 +120,6 @@ class RtcMedia:
         return None if track is None else track.wish_bps
 
     def handle_rtp(self, packet: bytes, now_ns: int) -> None:
-        """Handle a decrypted RTP packet. Garbage is counted."""
         whole = _LEAST_RTP_OCTETS <= len(packet) <= _MOST_OCTETS
         stream = self._by_type.get(packet[1] & 0x7F) if whole else None
         if stream is None:
@@ -130,7 +129,6 @@ class RtcMedia:
         stream.handle_packet(packet, now_ns)
 
     def handle_rtcp(self, datagram: bytes, now_ns: int) -> None:
-        """Handle a decrypted RTCP datagram. Garbage is counted."""
         try:
             packets = parse_rtcp(datagram)
         except ProtocolError:
@@ -187,7 +185,6 @@ class RtcMedia:
         return self._heard_ns is not None and now_ns - self._heard_ns > SILENCE_NS
 
     def goodbye(self, now_ns: int) -> list[bytes]:
-        """Return the last RTCP packets of what was sent."""
         said = [track.goodbye(now_ns) for track in self.outgoing.values()]
         return [one for one in said if one is not None]
 

@@ -128,7 +128,6 @@ class OutgoingTrack:
         self._units_waiting.append((unit, now_ns))
 
     def handle_opus(self, opus: bytes, stamp: CaptureStamp, now_ns: int) -> None:
-        """Send one Opus packet of 20 ms."""
         if self._is_late(now_ns):
             self._drop_waiting()
         self._units_waiting.append(((opus, stamp), now_ns))

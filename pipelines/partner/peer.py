@@ -157,7 +157,6 @@ class RtcPeer:
         await self._transport.finish_restart(peer)
 
     async def add_candidates(self, told: Transport) -> None:
-        """The partner has told further candidates."""
         await self._transport.add_candidates(told.candidates, last=told.complete)
 
     def send_unit(self, unit: AccessUnit) -> None:

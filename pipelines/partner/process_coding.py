@@ -15,8 +15,8 @@ from pipelines.media.coded_topics import ReceivedTopics, SentTopic
 from pipelines.media.following import Choice
 from pipelines.partner.decisions import PicturePlan, Wish
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.sample_topic import SampleTopic
 from pipelines.session.setup.table import GROUND_MIC
+from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import (
     RTC_CAMERA,
     RTC_CAMERA_TOPIC,
@@ -140,7 +140,6 @@ class _SelectedCamera:
         return True
 
     def newest(self) -> Lease | None:
-        """Return the newest picture that was not taken yet, or None."""
         return None if self._reader is None else self._reader.latest()
 
     def close_retired(self) -> None:

@@ -26,9 +26,9 @@ from pipelines.partner.tally import ConnectionSeen, SampleTally, Tally
 from pipelines.session.feeds import Feed
 from pipelines.session.messages import UNKNOWN_US
 from pipelines.session.process import Context
-from pipelines.session.sample_topic import SampleTopic
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
+from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import (
     RTC,
     RTC_CAMERA,
@@ -157,7 +157,7 @@ class _Leg:
                 rate_lowered=self._uplink.wish.rate.lowered,
                 partners=len(standing),
                 rate_bps=self._uplink.wish.rate.bps,
-                route=None if route is None else f"{route.local} to {route.remote}",
+                route=None if route is None else str(route),
                 round_trip_ns=trips[-1] if trips else None,
                 streams=total.streams,
             )

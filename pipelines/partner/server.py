@@ -31,7 +31,7 @@ from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.partner.peer import Programme, RtcPeer
 from pipelines.partner.samples import SamplePeer, SamplePorts
 from pipelines.session.access import AccessError
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
 
 _SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"

@@ -120,7 +120,6 @@ class SampleTally:
 
     @property
     def garbage(self) -> int:
-        """Messages that are not samples."""
         return self._total("garbage")
 
     def totals(self) -> dict[str, int]:

@@ -51,8 +51,10 @@ class Route:
 
     local: str
     remote: str
-    remote_host: str
     remote_port: int
+
+    def __str__(self) -> str:
+        return f"{self.local} to {self.remote}"
 
 
 class _Path:
@@ -195,11 +197,6 @@ class RtcTransport:
         return self._dtls.state
 
     @property
-    def dropped(self) -> int:
-        """Datagrams dropped here: in a full queue, or without a way."""
-        return self._path.dropped
-
-    @property
     def lost(self) -> bool:
         """Whether the way to the partner is gone, until a restart finds another one."""
         return self._path.lost
@@ -211,12 +208,7 @@ class RtcTransport:
         pair: Any = getattr(self._connection, "_nominated", {}).get(1)
         if pair is not None:
             local, remote = pair.local_candidate.type, pair.remote_candidate
-            self._route = Route(
-                local=local,
-                remote=remote.type,
-                remote_host=remote.host,
-                remote_port=remote.port,
-            )
+            self._route = Route(local=local, remote=remote.type, remote_port=remote.port)
         return self._route
 
     async def gather(self) -> Transport:
@@ -269,7 +261,6 @@ class RtcTransport:
         await _end(old)
 
     async def add_candidates(self, candidates: tuple[RTCIceCandidate, ...], *, last: bool) -> None:
-        """The partner has told further candidates (trickle ICE)."""
         await _add(self._next or self._connection, candidates, last=last)
 
     async def send(self, packet: bytes) -> bool:

@@ -8,7 +8,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Self
+from typing import Generic, Self, TypeVar
 from urllib.parse import urljoin, urlsplit
 
 import aiohttp
@@ -25,6 +25,7 @@ from pipelines.partner.description import (
 )
 from pipelines.partner.ice_servers import IceServer, IceServers, servers_of_links
 from pipelines.partner.peer import RtcPeer
+from pipelines.partner.samples import SamplePeer
 
 _SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
 _TIMEOUT = aiohttp.ClientTimeout(total=10, connect=5)
@@ -151,10 +152,13 @@ async def _read(answer: aiohttp.ClientResponse) -> bytes:
 
 
 _LOOK_S = 0.25
+_Peer = TypeVar("_Peer", RtcPeer, SamplePeer)
 
 
-class Keeper:
+class Keeper(Generic[_Peer]):
     """Connects to a server, restarts ICE when nothing comes any more, and connects again.
+
+    A connection for samples ends when nothing comes, and a new one is made.
 
     url, token: as of `WhipClient`. make_peer: called with the ICE servers of each connection.
     servers: called for our own ICE servers; without any, the server is asked for some.
@@ -166,7 +170,7 @@ class Keeper:
         url: str,
         *,
         token: str,
-        make_peer: Callable[[IceServers], RtcPeer],
+        make_peer: Callable[[IceServers], _Peer],
         servers: Callable[[], IceServers],
         clock: Clock,
         told: Callable[[str], None] = lambda _: None,
@@ -174,11 +178,12 @@ class Keeper:
         # A wrong address is refused here and now.
         WhipClient(url, token=token)
         self._url, self._token = url, token
-        self._make_peer, self._servers = make_peer, servers
+        self._make_peer: Callable[[IceServers], _Peer] = make_peer
+        self._servers = servers
         self._clock, self._told = clock, told
         self.attempts = Attempts()
         #: The present connection; None while there is none.
-        self.peer: RtcPeer | None = None
+        self.peer: _Peer | None = None
         #: Why the last connection ended.
         self.fault = ""
         self._stopping = False
@@ -231,13 +236,14 @@ class Keeper:
                 with suppress(asyncio.CancelledError):
                     await running
 
-    async def _look(self, client: WhipClient, peer: RtcPeer) -> None:
+    async def _look(self, client: WhipClient, peer: RtcPeer | SamplePeer) -> None:
         now_ns = self._clock.now_ns()
+        route = peer.route if isinstance(peer, RtcPeer) else None
         if peer.connected and self.attempts.doing is Doing.CONNECTING:
             self.attempts.handle_connected(now_ns)
-            route = peer.route
-            way = "" if route is None else f" by {route.local} to {route.remote}"
-            self._told(f"connected{way}")
+            self._told("connected" if route is None else f"connected by {route}")
+        if isinstance(peer, SamplePeer):
+            return
         if self.attempts.is_hopeless(now_ns):
             self.fault = "nothing came for seconds, also after a restart of ICE"
             await peer.close()

@@ -5,28 +5,23 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from pipelines.session.recorder_requests import (
-    MAX_LINE_OCTETS,
     START,
     STATE,
     STOP,
     RecordAnswer,
     RecordingWish,
+    RecordRequest,
+)
+from pipelines.session.terminal_lines import (
+    MAX_LINE_OCTETS,
+    MOST_TERMINALS,
+    Reply,
     pack_line,
-    parse_record_request,
+    parse_line,
 )
 
-#: The most terminals at once; others are refused.
-MOST_TERMINALS = 8
 #: A held recording goes on for so long without its terminal: that may come back.
 HOLD_NS = 5 * NS_PER_S
-
-
-class DeskReply(NamedTuple):
-    """Octets for a terminal. last: close the connection after them."""
-
-    terminal: int
-    octets: bytes
-    last: bool
 
 
 class Start(NamedTuple):
@@ -61,7 +56,7 @@ class RecorderDesk:
         self._lines: dict[int, bytes] = {}
         self._holders: set[int] = set()
         self._free_ns = now_ns
-        self._events: deque[DeskReply | Start | Stop | Ask] = deque()
+        self._events: deque[Reply | Start | Stop | Ask] = deque()
 
     @property
     def terminals(self) -> list[int]:
@@ -71,7 +66,7 @@ class RecorderDesk:
     def handle_terminal(self, terminal: int) -> None:
         """A terminal has connected."""
         if len(self._lines) >= MOST_TERMINALS:
-            self._events.append(DeskReply(terminal, b"", last=True))
+            self._events.append(Reply(terminal, b"", last=True))
         else:
             self._lines[terminal] = b""
 
@@ -115,12 +110,12 @@ class RecorderDesk:
             self._free_ns = now_ns
             self._events.append(Stop(None))
 
-    def next_event(self) -> DeskReply | Start | Stop | Ask | None:
+    def next_event(self) -> Reply | Start | Stop | Ask | None:
         """Return what is to be done next, or None."""
         return self._events.popleft() if self._events else None
 
     def _handle_line(self, terminal: int, line: bytes) -> None:
-        request = parse_record_request(line)
+        request = parse_line(line, RecordRequest)
         if request is None or request.record not in (START, STOP, STATE):
             self._refuse(terminal, "no request to a recorder")
         elif request.record == STATE:
@@ -146,10 +141,10 @@ class RecorderDesk:
 
     def _answer(self, terminal: int, answer: RecordAnswer) -> None:
         if terminal in self._lines:
-            self._events.append(DeskReply(terminal, pack_line(answer), last=False))
+            self._events.append(Reply(terminal, pack_line(answer), last=False))
 
     def _close(self, terminal: int, now_ns: int) -> None:
         del self._lines[terminal]
         self._holders.discard(terminal)
         self._free_ns = now_ns
-        self._events.append(DeskReply(terminal, b"", last=True))
+        self._events.append(Reply(terminal, b"", last=True))

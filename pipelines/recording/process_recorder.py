@@ -21,18 +21,20 @@ from kontur_av.figures import plus
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
-from pipelines.recording.desk import MOST_TERMINALS, Ask, DeskReply, RecorderDesk, Start, Stop
+from pipelines.recording.desk import Ask, RecorderDesk, Start, Stop
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
 from pipelines.recording.recorder import Recorder
 from pipelines.recording.sources import Content, Source, sources_of
+from pipelines.session.asking import desk_path
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.recorder_control import read_wish, recorder_path, remove_wish, write_wish
+from pipelines.session.recorder_control import RECORDER_DESK, read_wish, remove_wish, write_wish
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
 from pipelines.session.session_events import SessionEvents
 from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.terminal_lines import MOST_TERMINALS, Reply
 from pipelines.session.terminals import TerminalSockets
 from pipelines.session.topology import SELECTED_TOPIC
 
@@ -70,7 +72,7 @@ class _RecorderProcess:
         context, now_ns = self._context, self._now_ns
         if self._desk.wish is not None:
             self._recording = _Recording(context, self._desk.wish, self._maker)
-        terminals = TerminalSockets(recorder_path(context.session), most=MOST_TERMINALS)
+        terminals = TerminalSockets(desk_path(context.session, RECORDER_DESK), most=MOST_TERMINALS)
         while not context.stopping:
             wait_ns = PATIENCE_NS if self._recording is None else _WAKE_NS
             self._serve(terminals, wait_ns)
@@ -100,7 +102,7 @@ class _RecorderProcess:
         desk.handle_time(self._now_ns())
         while (event := desk.next_event()) is not None:
             match event:
-                case DeskReply():
+                case Reply():
                     terminals.send(event.terminal, event.octets, last=event.last)
                 case Start():
                     desk.handle_started(event, self._start(event))

@@ -26,6 +26,7 @@ from pipelines.mission.choosing import CameraChoice, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.recording.recorded_session import SentPacket, SentUnit
+from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
@@ -99,7 +100,7 @@ def run_video_replay(
                 with told:
                     backlog = Backlog.unpack(told.octets())
                     linked.handle_backlog(backlog, told.stamp.capture_ns, clock.now_ns())
-            while (datagram := context.receive(feedback)) is not None:
+            while (datagram := receive(feedback)) is not None:
                 sender.handle_feedback(datagram, clock.now_ns())
             while (due := script.poll_due(clock.now_ns())) is not None:
                 number, capture_ns = due
@@ -242,7 +243,7 @@ def _run_packets(
         select.select([udp], [], [], _wait_ns(now_ns, script.poll_timeout()) / NS_PER_S)
         while (due := script.poll_due(clock.now_ns())) is not None:
             send(packets[due[0]].data)
-        while (datagram := context.receive(udp)) is not None:
+        while (datagram := receive(udp)) is not None:
             take(datagram, clock.now_ns())
 
 

@@ -49,7 +49,6 @@ class Outbox(Generic[_Request]):
         self._waiting.pop(number, None)
 
     def poll_transmit(self, now_ns: int) -> _Request | None:
-        """Return a request that is due, or None."""
         for number, (request, tries, due_ns) in self._waiting.items():
             if due_ns <= now_ns and tries < _TRIES:
                 self._waiting[number] = request, tries + 1, now_ns + AGAIN_NS
@@ -126,7 +125,6 @@ class CommandDesk:
         return True
 
     def poll_transmit(self, now_ns: int) -> SendCommand | None:
-        """Return a request for this end's socket, or None."""
         while (number := self._outbox.next_event(now_ns)) is not None:
             given_up = CommandUpdate(self._client, number, "", "refused", done=True, reason=_SILENT)
             self._settle(given_up)
@@ -209,7 +207,6 @@ class ChatLog:
         return True
 
     def poll_transmit(self, now_ns: int) -> SendK2aci | None:
-        """Return a message for this end's socket, or None."""
         while (number := self._outbox.next_event(now_ns)) is not None:
             self._settle(number, "refused", _CHAT_SILENT, 0.0)
         return self._outbox.poll_transmit(now_ns)

@@ -32,7 +32,6 @@ class HandleOwnership:
         self._shown = self.state
 
     def handle_joined(self, page: int) -> None:
-        """A page that may command is there."""
         self._pages.add(page)
 
     def handle_gone(self, page: int) -> None:

@@ -96,7 +96,6 @@ class TelemetryLog:
 
     @property
     def values_text(self) -> ValuesText:
-        """All parameters that were reported."""
         return ValuesText(values=tuple(self._rows()))
 
     @property
@@ -225,7 +224,6 @@ class MissionDesk:
         return self._chat.handle_said(chat_role(role, self._segment), said.text, now_ns)
 
     def handle_news(self, news: TmtcNews, now_ns: int) -> None:
-        """What the TM/TC end of this segment has published."""
         if isinstance(news, CommandUpdate):
             if self._commands.handle_update(news):
                 self._changed |= {"commands", "radio"}
@@ -258,7 +256,6 @@ class MissionDesk:
             self._changed.add(kind)
 
     def poll_transmit(self, now_ns: int) -> TmtcRequest | None:
-        """Return a request for this end's socket, or None."""
         return self._commands.poll_transmit(now_ns) or self._chat.poll_transmit(now_ns)
 
     def next_event(self) -> Answered | None:

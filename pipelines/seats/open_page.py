@@ -169,7 +169,6 @@ class ClientQueue:
         return self._lanes[stream]
 
     def closed_lanes(self) -> Iterator[int]:
-        """Streams whose gate is closed."""
         return (index for index, lane in self._lanes.items() if not lane.open)
 
     def put_answer(self, text: str) -> None:

@@ -30,7 +30,6 @@ class PageClock:
         self._offsets_ns: deque[int] = deque(maxlen=_KEPT)
 
     def handle_ping(self, page_ms: float, now_ns: int) -> None:
-        """A ping has come that was sent at `page_ms`."""
         self._offsets_ns.append(now_ns - _ns(page_ms))
 
     def instant_ns(self, page_ms: float, now_ns: int) -> int:
@@ -90,7 +89,6 @@ class OwnInputs:
         self._owners = {index: owner for index, owner in self._owners.items() if owner != link}
 
     def handle_text(self, link: int, text: str, now_ns: int) -> str:
-        """Return the answer to a request."""
         one = self._links[link]
         if not one.texts.handle_message(now_ns):
             raise ProtocolError("too many requests")

@@ -166,7 +166,6 @@ class PageServer:
         return page.ws
 
     async def _next_message(self, number: int) -> Message:
-        """Wait for the next message to a page."""
         wake = self._wakes[number]
         while (message := self._seat.poll_transmit(number)) is None:
             wake.clear()

@@ -307,7 +307,6 @@ class Seat:
             self._tell_state(now_ns)
 
     def handle_news(self, news: TmtcNews, now_ns: int) -> None:
-        """What the TM/TC end of this segment has published."""
         self.mission.handle_news(news, now_ns)
         self._settle_mission(now_ns)
 

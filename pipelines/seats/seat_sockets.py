@@ -68,7 +68,6 @@ class SeatSockets:
                 await sending
 
     def handle_time(self, now_ns: int) -> None:
-        """Close sockets whose pages have stalled."""
         for one in self._open:
             one.handle_time(now_ns)
 
@@ -128,7 +127,6 @@ class SeatSocket:
             self._transport.abort()
 
     def handle_time(self, now_ns: int) -> None:
-        """Close the socket of a page that has taken nothing for long."""
         since_ns = self._blocked_ns
         if since_ns is not None and now_ns - since_ns > _STALLED_NS and self._transport is not None:
             self._transport.abort()

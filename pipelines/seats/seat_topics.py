@@ -32,21 +32,21 @@ from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import SeatStream, Unpack
 from pipelines.seats.seat import RecordingAsked, Seat, StopAsked
 from pipelines.seats.texts import Via
+from pipelines.session.asking import desk_path
 from pipelines.session.feeds import Feed, TopicState
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
-from pipelines.session.recorder_control import recorder_path
+from pipelines.session.recorder_control import RECORDER_DESK
 from pipelines.session.recorder_requests import (
-    MAX_LINE_OCTETS,
     START,
     STOP,
+    RecordAnswer,
     RecordingWish,
     RecordRequest,
-    pack_line,
-    parse_record_answer,
 )
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.session_switch import Order
+from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
@@ -367,14 +367,14 @@ async def ask_recorder(session: str, *, begin: bool) -> str:
         request = RecordRequest(record=START, wish=wish)
     try:
         reader, writer = await asyncio.open_unix_connection(
-            os.fspath(recorder_path(session)), limit=MAX_LINE_OCTETS
+            os.fspath(desk_path(session, RECORDER_DESK)), limit=MAX_LINE_OCTETS
         )
     except OSError:
         return "the session's recorder is not running"
     try:
         writer.write(pack_line(request))
         async with asyncio.timeout(_PATIENCE_S):
-            answer = parse_record_answer(await reader.readline())
+            answer = parse_line(await reader.readline(), RecordAnswer)
     except (OSError, ValueError, TimeoutError):
         answer = None
     finally:

@@ -4,16 +4,19 @@ import errno
 import os
 import socket
 from pathlib import Path
+from typing import TypeVar
+
+import msgspec
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, session_root
-from pipelines.session.terminal_lines import MAX_LINE_OCTETS
+from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
 
 _PATIENCE_S = 5.0
+_Answer = TypeVar("_Answer", bound=msgspec.Struct)
 
 
 def desk_path(session: str, desk: str) -> Path:
-    """Return the path of the Unix socket of a session's desk."""
     return session_root(session) / desk
 
 
@@ -35,11 +38,13 @@ def _listens(path: Path) -> bool:
     return True
 
 
-def ask_desk(desk: str, line: bytes, session: str | None, *, missing: str) -> bytes:
-    """Send a line to the desk of a session, and return the answer; b"" without one.
+def ask_desk(
+    desk: str, request: msgspec.Struct, answer: type[_Answer], session: str | None, *, missing: str
+) -> _Answer | None:
+    """Ask the desk of a session; None without an answer.
 
-    session: a name as of `choose_session`. Raises ConfigError, with `missing`, if no session has
-    such a desk.
+    answer: its type. session: a name as of `choose_session`. Raises ConfigError, with `missing`,
+    if no session has such a desk.
     """
     running = running_sessions(desk)
     if not running:
@@ -49,7 +54,7 @@ def ask_desk(desk: str, line: bytes, session: str | None, *, missing: str) -> by
         link.settimeout(_PATIENCE_S)
         try:
             link.connect(os.fspath(desk_path(chosen, desk)))
-            link.sendall(line)
-            return link.makefile("rb").readline(MAX_LINE_OCTETS)
+            link.sendall(pack_line(request))
+            return parse_line(link.makefile("rb").readline(MAX_LINE_OCTETS), answer)
         except OSError:
-            return b""
+            return None

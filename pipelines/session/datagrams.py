@@ -14,10 +14,15 @@ from functools import partial
 from pathlib import Path
 
 from kontur_av.topics.session_files import make_session_root, session_root
-from pipelines.session.process import LOOPBACK
 from telepresence.haptics.sample import SAMPLE_OCTETS
 
 Address = tuple[str, int]
+
+LOOPBACK = "127.0.0.1"
+#: The address from which a session's own processes send media, with the port number of the
+#: receiver. The receiver is connected to it. While a sender has it, nobody else can send from it.
+OWN_SENDERS = "127.0.0.2"
+MAX_DATAGRAM_OCTETS = 65_535
 
 #: The most errors in a row that are skipped: a connected socket reports each refusal once.
 _MOST_ERRORS = 8
@@ -186,7 +191,7 @@ class Inlet:
         return data
 
 
-def receive(udp: socket.socket, most_octets: int) -> bytes | None:
+def receive(udp: socket.socket, most_octets: int = MAX_DATAGRAM_OCTETS) -> bytes | None:
     """Return the next datagram, or None. ICMP errors of earlier sends are skipped.
 
     most_octets: longer datagrams are cut. Pass one octet more than the largest valid datagram: that

@@ -41,12 +41,10 @@ class Doorway:
         return self._close(closing)
 
     def handle_known(self, number: int) -> None:
-        """A connection has shown a token."""
         if self._strangers.pop(number, None) is not None:
             self._known.add(number)
 
     def handle_closed(self, number: int) -> None:
-        """A connection has ended."""
         self._strangers.pop(number, None)
         self._known.discard(number)
 

@@ -64,7 +64,6 @@ class TopicState:
             self._reader = self._bus.reader(self._topic)
 
     def close(self) -> None:
-        """Leave the topic."""
         if self._reader is not None:
             self._reader.close()
             self._reader = None

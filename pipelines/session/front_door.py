@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from kontur_av.clock import MonotonicClock
 from pipelines.session.doorway import HANDSHAKE_S, Doorway
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 
 _LOOK_S = 1.0
 #: After a refusal of the system, for example without descriptors.
@@ -44,13 +44,11 @@ class FrontDoor:
         return self._doorway.closed
 
     def start(self) -> None:
-        """Begin to accept."""
         self._socket.setblocking(False)
         self._begin(self._accept())
         self._begin(self._look())
 
     def close(self) -> None:
-        """Accept no more."""
         for task in list(self._tasks):
             task.cancel()
 
@@ -129,7 +127,6 @@ class _Visitor(asyncio.Protocol):
         self._door, self._inner = door, cast(asyncio.Protocol, inner)
 
     def end(self) -> None:
-        """Close the connection at once."""
         if self.transport is not None:
             self.transport.abort()
         elif self.connection is not None:

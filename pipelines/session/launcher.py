@@ -24,9 +24,10 @@ from typing import Protocol
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.session.page_listener import PageListener
+from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS
+from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
-from pipelines.session.process import LOOPBACK, OWN_SENDERS, Context, become
+from pipelines.session.process import Context, become
 from pipelines.session.restarts import NO_ROOM, RestartPolicy
 from pipelines.session.session_switch import (
     PATIENCE_NS,
@@ -94,7 +95,6 @@ class Child:
         self.policy = RestartPolicy(self.row.stage)
 
     def cpu_s(self) -> float:
-        """Return the CPU seconds of all its lives so far."""
         if self.pid is None:
             return self.ended_cpu_s
         try:
@@ -141,12 +141,10 @@ class Launcher:
 
     @property
     def setup(self) -> Setup:
-        """The setup of the session."""
         return self.topology.setup
 
     @property
     def seconds(self) -> float:
-        """How long the session has run, in s."""
         end_ns = self.ended_ns or self.clock.now_ns()
         return (end_ns - self.started_ns) / NS_PER_S
 
@@ -193,7 +191,6 @@ class Launcher:
             wake_write.close()
 
     def cpu_s(self) -> dict[str, float]:
-        """Return the CPU seconds of each process."""
         return {child.row.name: child.cpu_s() for child in self.children}
 
     def _handle_signal(self, number: int, frame: FrameType | None) -> None:

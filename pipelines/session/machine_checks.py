@@ -136,7 +136,6 @@ def check_shared_memory(
 
 
 def check_descriptors() -> Finding:
-    """Check how many files and sockets a process may have open."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     found = f"{soft} open files and sockets a process"
     # A session raises the soft limit by itself.

@@ -116,7 +116,6 @@ def pack_haptic(end: int, rows: NDArray[np.void]) -> bytes:
 
 
 def pack_preview(preview: int, capture_us: int, picture: I420) -> bytes:
-    """Return a small picture as a message."""
     height, width = picture.shape[0] * 2 // 3, picture.shape[1]
     return _PREVIEW.pack(PREVIEW, preview, width, height, capture_us) + picture.tobytes()
 

@@ -161,7 +161,6 @@ class LedsShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @classmethod
     def of(cls, picture: PanelPicture) -> "LedsShown":
-        """Return what is to be told of a picture."""
         return cls(
             pattern=picture.pattern,
             leds=picture.leds,
@@ -171,23 +170,14 @@ class LedsShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @property
     def picture(self) -> PanelPicture:
-        """The picture."""
         return PanelPicture(self.pattern, self.leds, self.spot_m, self.colour)
 
 
 Message = (
     CameraWish | RobotOrder | RobotCommand | RobotStatus | PanelShown | ExperimentShown | LedsShown
 )
-_Kind = TypeVar(
-    "_Kind",
-    CameraWish,
-    RobotOrder,
-    RobotCommand,
-    RobotStatus,
-    PanelShown,
-    ExperimentShown,
-    LedsShown,
-)
+#: One of them.
+MessageT = TypeVar("MessageT", bound=Message)
 
 
 def pack(message: Message) -> bytes:
@@ -195,7 +185,7 @@ def pack(message: Message) -> bytes:
     return msgspec.msgpack.encode(message)
 
 
-def unpack(kind: type[_Kind], octets: bytes) -> _Kind:
+def unpack(kind: type[MessageT], octets: bytes) -> MessageT:
     """Return what `pack` packed; ProtocolError for anything else."""
     if len(octets) > MISSION_OCTETS:
         raise ProtocolError(f"{kind.__name__} has {len(octets)} octets: at most {MISSION_OCTETS}")

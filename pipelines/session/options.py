@@ -23,7 +23,6 @@ def add_setup_argument(
 
 
 def add_radio_argument(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
-    """`--radio`."""
     parser.add_argument(
         "--radio",
         default=default,
@@ -56,12 +55,10 @@ def add_radio_arguments(parser: argparse.ArgumentParser, *, delay: bool = True) 
 
 
 def radio_change(name_or_file: str) -> dict[str, Any]:
-    """Return the fields of a setup that change with another radio."""
     return {"radio": load_radio(name_or_file), "radio_delay_ms": 0.0}
 
 
 def radio_changes(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the fields of a setup that the radio options change."""
     delay_ms = getattr(args, "radio_delay_ms", None)
     if args.radio is not None and delay_ms is not None:
         raise ConfigError("--radio and --radio-delay-ms: give one of them")
@@ -73,7 +70,6 @@ def radio_changes(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
-    """`--deadband`."""
     parser.add_argument(
         "--deadband",
         nargs="?",
@@ -85,12 +81,10 @@ def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def deadband_changes(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the fields of a setup that `--deadband` changes."""
     return {} if args.deadband is None else {"deadband": args.deadband}
 
 
 def add_hand_argument(parser: argparse.ArgumentParser) -> None:
-    """`--hand`."""
     parser.add_argument(
         "--hand",
         choices=HAND_MODES,
@@ -100,10 +94,8 @@ def add_hand_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def hand_changes(args: argparse.Namespace) -> dict[str, str]:
-    """Return the fields of a setup that `--hand` changes."""
     return {} if args.hand is None else {"hand": args.hand}
 
 
 def port_changes(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the fields of a setup that `--base-port` changes."""
     return {} if args.base_port is None else {"base_port": args.base_port}

@@ -52,7 +52,6 @@ class KeptOrders:
             replace_file(self._stop, by[:_MOST_CHARACTERS].encode())
 
     def release(self) -> None:
-        """Release the emergency stop."""
         self._stop.unlink(missing_ok=True)
 
     def recall(self, name: str, first: T, unknown: T) -> T:
@@ -68,7 +67,6 @@ class KeptOrders:
             return unknown
 
     def keep(self, name: str, orders: msgspec.Struct) -> None:
-        """Keep the newest orders of process `name`."""
         replace_file(self._path(name), msgspec.json.encode(orders))
 
     def _path(self, name: str) -> Path:

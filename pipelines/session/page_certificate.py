@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kontur_av.errors import ConfigError
+from pipelines.session.page_sockets import PageHost
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -86,6 +87,17 @@ def make_certificate(path: Path, names: Iterable[str]) -> None:
     )
     path.touch(0o600, exist_ok=False)
     path.write_bytes(made.public_bytes(serialization.Encoding.PEM) + secret)
+
+
+def certificate_for(host: PageHost, own: Path | None, new: Path) -> tuple[Path | None, str]:
+    """Return the certificate for pages on a host: the user's own, or a new file `new`.
+
+    None: they need none. The text is the fingerprint of a new one, else "".
+    """
+    if own is not None or host.is_loopback:
+        return own, ""
+    make_certificate(new, host.names())
+    return new, fingerprint(new)
 
 
 def fingerprint(path: Path) -> str:

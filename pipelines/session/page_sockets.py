@@ -7,13 +7,12 @@ import socket
 import struct
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fcntl import ioctl
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.session.datagrams import reaches
-from pipelines.session.page_listener import PageListener
 from pipelines.session.seat_roles import PEOPLE
 
 #: A page takes the first free one of this many ports.
@@ -58,6 +57,34 @@ class PageHost:
         if self.is_loopback or self.is_wildcard:
             found.append("localhost")
         return tuple(dict.fromkeys(_as_browsers_write(name) for name in found))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageListener:
+    """A bound TCP socket, kept by the launcher, so that a restarted process has the same port.
+
+    scheme: "http" or "https". host: as the printed address has it. port: as bound.
+    names: the hosts, in lower case and without brackets, that a browser may ask for.
+    operator_token, viewer_token: who has it may command, or only watch.
+    role_tokens: of the people of this end, by the value of their `Role`.
+    certificate: PEM file with certificate and key, for "https".
+    """
+
+    socket: socket.socket
+    scheme: str
+    host: str
+    port: int
+    names: tuple[str, ...] = ()
+    operator_token: str = field(repr=False)
+    viewer_token: str = field(repr=False)
+    certificate: Path | None = None
+    role_tokens: Mapping[str, str] = field(default_factory=dict, repr=False)
+
+    def url(self, seat: str, *, role: str = "") -> str:
+        """Return the address of a page, such as "space" or "top". role: whose token it has."""
+        token = self.role_tokens[role] if role else self.operator_token
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}/{seat}?token={token}"
 
 
 def bind_pages(host: PageHost, port: int, names: Iterable[str]) -> Mapping[str, socket.socket]:

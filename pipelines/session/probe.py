@@ -40,11 +40,9 @@ class Series(Generic[RowT]):
         self.width = len(kind._fields)
 
     def add(self, row: RowT) -> None:
-        """Add a row."""
         self.values.extend(row)
 
     def extend(self, rows: Iterable[RowT]) -> None:
-        """Add rows."""
         self.values.extend(chain.from_iterable(rows))
 
     def extend_plain(self, rows: Iterable[tuple[int, ...]]) -> None:
@@ -61,7 +59,6 @@ class Series(Generic[RowT]):
         self.values.extend(values)
 
     def rows(self) -> list[RowT]:
-        """Return all rows."""
         columns = [iter(self.values)] * self.width
         return [self.kind(*row) for row in zip(*columns, strict=True)]
 

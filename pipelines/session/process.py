@@ -6,13 +6,21 @@ import os
 import signal
 import socket
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
-from pipelines.session.page_listener import PageListener
+from pipelines.session.datagrams import (
+    LOOPBACK,
+    OWN_SENDERS,
+    OwnOutlet,
+    listen,
+    listen_own,
+    listen_to,
+    outlet,
+)
+from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Probe
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.table import Setup
@@ -21,11 +29,6 @@ from pipelines.session.topology import LOOP_PRIORITY, ProcessRow, Topology
 if TYPE_CHECKING:
     from kontur_av.topics.bus import TopicBus
 
-LOOPBACK = "127.0.0.1"
-#: The address from which a session's own processes send media, with the port number of the
-#: receiver. The receiver is connected to it. While a sender has it, nobody else can send from it.
-OWN_SENDERS = "127.0.0.2"
-MAX_DATAGRAM_OCTETS = 65_535
 #: The longest sleep of a process before it checks whether to end.
 PATIENCE_NS = 100 * NS_PER_MS
 
@@ -62,7 +65,6 @@ class Context:
 
     @property
     def setup(self) -> Setup:
-        """The setup of the session."""
         return self.topology.setup
 
     def first_deadline_ns(self, period_ns: int, phase: float = 0.0) -> int:
@@ -75,84 +77,42 @@ class Context:
         return (now_ns // period_ns + 2) * period_ns + round(phase * period_ns)
 
     def open_bus(self) -> "TopicBus":
-        """Open this process's access to shared memory."""
         from kontur_av.topics.bus import TopicBus
 
         return TopicBus(self.session)
 
     def listen(self, port: int) -> socket.socket:
         """Open a UDP socket on loopback that never blocks, for datagrams of any sender."""
-        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        udp.setblocking(False)
-        udp.bind((LOOPBACK, port))
-        return udp
+        return listen((LOOPBACK, port))
 
     def listen_media(self, port: int) -> socket.socket:
         """Open a UDP socket for datagrams of the session's own gateway; see `OWN_SENDERS`."""
-        from pipelines.session.datagrams import listen_to
-
         return listen_to((LOOPBACK, port), (OWN_SENDERS, port))
 
     def sender(self, port: int) -> Callable[[bytes], None]:
         """Return a function that sends one datagram to `port` on loopback, from `OWN_SENDERS`.
 
-        It ignores a port without a listener. Its socket is connected, so that the kernel looks up
-        the route only once.
+        It ignores a port without a listener.
         """
-        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        udp.setblocking(False)
-        udp.bind((OWN_SENDERS, port))
-        udp.connect((LOOPBACK, port))
-        send_now = udp.send
-
-        def send(data: bytes) -> None:
-            try:
-                send_now(data)
-            except (BlockingIOError, ConnectionError):
-                # An ICMP error of an earlier datagram, in place of sending this one: try again.
-                with suppress(BlockingIOError, ConnectionError):
-                    send_now(data)
-
-        return send
+        return outlet(OWN_SENDERS, (LOOPBACK, port), port=port).send
 
     def listen_own(self, port: int) -> socket.socket:
         """Open the session's own socket in the place of `port`, which its user alone reaches."""
-        from pipelines.session.datagrams import listen_own
-
         return listen_own(self.session, port)
 
     def own_sender(self, port: int) -> Callable[[bytes], None]:
         """Return a function that sends one datagram to the session's own socket for `port`."""
-        from pipelines.session.datagrams import OwnOutlet
-
         return OwnOutlet(self.session, port).send
-
-    @staticmethod
-    def receive(udp: socket.socket, most_octets: int = MAX_DATAGRAM_OCTETS) -> bytes | None:
-        """Return the next datagram, or None. ICMP errors of earlier sends are skipped.
-
-        most_octets: longer datagrams are cut. Pass one octet more than the largest valid datagram:
-        that tells a datagram that is too long, without a buffer of 64 KiB.
-        """
-        while True:
-            try:
-                return udp.recv(most_octets)
-            except BlockingIOError:
-                return None
-            except ConnectionError:
-                continue
 
     def on_flush(self, fill: Callable[[], None]) -> None:
         """Call `fill` before each flush, to put counters and gauges into the probe."""
         self._fill.append(fill)
 
     def tick(self, now_ns: int) -> None:
-        """Flush the probe if it is due."""
         if self.probe.due(now_ns):
             self.flush(now_ns)
 
     def flush(self, now_ns: int) -> None:
-        """Flush the probe now."""
         for fill in self._fill:
             fill()
         self.send_figures(now_ns)

@@ -6,6 +6,7 @@ from typing import Protocol
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.topics.session_files import session_root
+from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
 
@@ -31,7 +32,6 @@ class Incoming:
         topology = context.topology
         self._clock = context.clock
         self._receiver = receiver
-        self._receive = context.receive
         self._rtp = context.listen_media(topology.exit_port(stream.name))
         self._rtcp = context.listen_media(topology.exit_port(topology.media(stream.name).rtcp))
         self._memory = session_root(context.session) / f"{stream.name}.report"
@@ -47,10 +47,10 @@ class Incoming:
         # Each datagram has its own stamp: one that comes during this loop must not seem to arrive
         # before it was sent. Reports are first, because the first of them dates the first picture.
         if self._rtcp in ready:
-            while (datagram := self._receive(self._rtcp)) is not None:
+            while (datagram := receive(self._rtcp)) is not None:
                 self._handle_report(datagram, self._clock.now_ns())
         if self._rtp in ready:
-            while (datagram := self._receive(self._rtp)) is not None:
+            while (datagram := receive(self._rtp)) is not None:
                 self._receiver.handle_packet(datagram, self._clock.now_ns())
 
     def _handle_report(self, datagram: bytes, now_ns: int) -> None:

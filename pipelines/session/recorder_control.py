@@ -5,59 +5,44 @@ The recorder listens on a Unix socket in the session's directory, which only its
 
 import os
 import socket
-from pathlib import Path
+from contextlib import suppress
 
 from kontur_av.topics.session_files import make_session_root, session_root
-from pipelines.session.asking import running_sessions
-from pipelines.session.recorder_requests import (
-    MAX_LINE_OCTETS,
-    RecordAnswer,
-    RecordingWish,
-    RecordRequest,
-    pack_line,
-    parse_record_answer,
-    parse_wish,
-)
+from pipelines.session.asking import desk_path, running_sessions
+from pipelines.session.reception import replace_file
+from pipelines.session.recorder_requests import RecordAnswer, RecordingWish, RecordRequest
+from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
 
-_SOCKET, _WISH = "recorder", "recording"
+#: The name of the recorder's Unix socket.
+RECORDER_DESK = "recorder"
+_WISH = "recording"
 #: How long a recorder may take to answer: it writes a slow disk's file to its end first.
 _PATIENCE_S = 10.0
-
-
-def recorder_path(session: str) -> Path:
-    """Return the path of the Unix socket of `session`'s recorder."""
-    return session_root(session) / _SOCKET
 
 
 def write_wish(session: str, wish: RecordingWish) -> None:
     """Keep what is to be recorded, for this and the next lives of the recorder."""
     make_session_root(session)
-    path = session_root(session) / _WISH
-    written = path.with_suffix(".new")
-    written.write_bytes(wish.pack())
-    written.replace(path)
+    replace_file(session_root(session) / _WISH, pack_line(wish))
 
 
 def read_wish(session: str) -> RecordingWish | None:
-    """Return what is to be recorded, or None."""
     try:
-        return parse_wish((session_root(session) / _WISH).read_bytes())
+        return parse_line((session_root(session) / _WISH).read_bytes(), RecordingWish)
     except OSError:
         return None
 
 
 def remove_wish(session: str) -> None:
-    """Nothing more is to be recorded."""
     (session_root(session) / _WISH).unlink(missing_ok=True)
 
 
 def recorded_sessions() -> list[str]:
     """Return the running sessions of this user that can be recorded."""
     running = []
-    for session in running_sessions(_SOCKET):
-        link = _connected(session)
-        if link is not None:
-            link.close()
+    for session in running_sessions(RECORDER_DESK):
+        with suppress(OSError):
+            RecorderLink(session).close()
             running.append(session)
     return running
 
@@ -72,7 +57,7 @@ class RecorderLink:
         self._link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._link.settimeout(_PATIENCE_S)
         try:
-            self._link.connect(os.fspath(recorder_path(session)))
+            self._link.connect(os.fspath(desk_path(session, RECORDER_DESK)))
         except OSError:
             self._link.close()
             raise
@@ -81,19 +66,11 @@ class RecorderLink:
     def ask(self, request: RecordRequest) -> RecordAnswer:
         """Send a request and return its answer; OSError if none comes."""
         self._link.sendall(pack_line(request))
-        answer = parse_record_answer(self._lines.readline(MAX_LINE_OCTETS))
+        answer = parse_line(self._lines.readline(MAX_LINE_OCTETS), RecordAnswer)
         if answer is None:
             raise ConnectionError("the recorder has ended")
         return answer
 
     def close(self) -> None:
-        """Close the connection."""
         self._lines.close()
         self._link.close()
-
-
-def _connected(session: str) -> RecorderLink | None:
-    try:
-        return RecorderLink(session)
-    except OSError:
-        return None

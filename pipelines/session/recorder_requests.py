@@ -11,7 +11,6 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 
-MAX_LINE_OCTETS = 8192
 START, STOP, STATE = "start", "stop", "state"
 
 
@@ -40,20 +39,7 @@ class RecordingWish(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
 
     @property
     def limits(self) -> PartLimits:
-        """When a new part begins."""
         return PartLimits(ns=round(self.part_s * NS_PER_S), octets=round(self.part_mb * 1e6))
-
-    def pack(self) -> bytes:
-        """Return it as JSON."""
-        return msgspec.json.encode(self)
-
-
-def parse_wish(data: bytes) -> RecordingWish | None:
-    """Return what `RecordingWish.pack` packed, or None for anything else."""
-    try:
-        return msgspec.json.decode(data, type=RecordingWish)
-    except (msgspec.DecodeError, RecursionError):
-        return None
 
 
 class RecordRequest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -75,24 +61,3 @@ class RecordAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     messages: int = 0
     lost: int = 0
     fault: str = ""
-
-
-def pack_line(content: RecordRequest | RecordAnswer) -> bytes:
-    """Return a request or an answer as a line."""
-    return msgspec.json.encode(content) + b"\n"
-
-
-def parse_record_request(line: bytes) -> RecordRequest | None:
-    """Return the request in a line, or None for anything else."""
-    try:
-        return msgspec.json.decode(line, type=RecordRequest)
-    except (msgspec.DecodeError, RecursionError):
-        return None
-
-
-def parse_record_answer(line: bytes) -> RecordAnswer | None:
-    """Return the answer in a line, or None for anything else."""
-    try:
-        return msgspec.json.decode(line, type=RecordAnswer)
-    except msgspec.DecodeError:
-        return None

@@ -34,11 +34,9 @@ class RestartPolicy:
         self._due_ns: int | None = None
 
     def handle_start(self, now_ns: int) -> None:
-        """A life begins."""
         self._started_ns, self._due_ns = now_ns, None
 
     def handle_end(self, now_ns: int) -> None:
-        """The present life has ended."""
         assert self._started_ns is not None
         if now_ns - self._started_ns >= GOOD_LIFE_NS:
             self._pause_ns = FIRST_PAUSE_NS

@@ -29,7 +29,6 @@ def pack_state(state: WorldState) -> bytes:
 
 
 def unpack_state(data: bytes) -> WorldState:
-    """Unpack a state that `pack_state` packed."""
     time_ns, x_m, y_m, force_n, contact, since_ns, touched_ns, holds = _LAYOUT.unpack(data)
     return WorldState(
         time_ns,

@@ -3,7 +3,7 @@
 A row's type names its series, so two series with the same columns have a type each.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 
 class OutRow(NamedTuple):
@@ -139,21 +139,11 @@ Row = (
     | ClockRow
 )
 
+_INSTANTS = {
+    *("sent_ns", "capture_ns", "encoded_ns", "came_ns", "begun_ns", "received_ns", "decoded_ns"),
+    *("displayed_ns", "instant_ns"),
+}
 #: The columns that are instants of the clock of the process that tells the row.
 INSTANTS: dict[type[Row], tuple[str, ...]] = {
-    OutRow: ("sent_ns",),
-    TxRow: ("capture_ns", "encoded_ns", "sent_ns"),
-    CodingRow: ("came_ns", "begun_ns"),
-    RxRow: ("received_ns",),
-    DecodedRow: ("decoded_ns",),
-    ShownRow: ("capture_ns", "displayed_ns"),
-    SampleSentRow: ("sent_ns",),
-    SampleReceivedRow: ("received_ns",),
-    LatenessRow: (),
-    SendingRow: (),
-    ContactRow: ("instant_ns",),
-    LightRow: ("instant_ns", "capture_ns"),
-    ClickRow: ("instant_ns", "capture_ns"),
-    StepRow: ("instant_ns",),
-    ClockRow: ("instant_ns",),
+    kind: tuple(column for column in kind._fields if column in _INSTANTS) for kind in get_args(Row)
 }

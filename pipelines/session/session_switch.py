@@ -79,7 +79,6 @@ class SessionSwitch:
             self._start(now_ns)
 
     def poll_timeout(self) -> int | None:
-        """When to call `handle_timeout`; None for never."""
         return self._kill_ns
 
     def handle_timeout(self, now_ns: int) -> None:
@@ -89,13 +88,11 @@ class SessionSwitch:
             self._actions.append(SwitchAction.KILL)
 
     def handle_end(self, now_ns: int) -> None:
-        """The session is over."""
         self._close(now_ns)
         self._kill_ns = None
         self._actions.clear()
 
     def next_event(self) -> SwitchAction | None:
-        """What to do now; None when nothing is left."""
         return self._actions.popleft() if self._actions else None
 
     def running_ns(self, begin_ns: int, now_ns: int) -> int:

@@ -84,7 +84,6 @@ class TaskJournal:
         self._keeper = ScoreKeeper()
 
     def handle_begin(self, link: LinkMeanwhile) -> None:
-        """A task is selected."""
         self._begin = link
         self._keeper = ScoreKeeper()
 
@@ -101,7 +100,6 @@ class TaskJournal:
         self._keeper.handle_robot(x_m, y_m, push_n, elemop, picture, other_n)
 
     def handle_event(self, event: Logged | TaskRun | KernelEvent, link: LinkMeanwhile) -> None:
-        """An event of the experiment."""
         self._newest = link
         if isinstance(event, Logged):
             if event.step is RunStep.SELECTED:
@@ -120,7 +118,6 @@ class TaskJournal:
         return self.newest(len(self._rows) + 1)
 
     def newest(self, most: int) -> list[TaskRow]:
-        """The last ones of `report`."""
         if (begun := self._open) is None:
             return self._rows[-most:]
         figures = self._keeper.report(), self._begin, self._newest

@@ -1,11 +1,30 @@
-"""Lines that terminals send to a process of a session, and the answers. A core."""
+"""Lines of JSON that terminals send to a process of a session, and the answers. A core."""
 
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Generic, NamedTuple, TypeVar
 
-MAX_LINE_OCTETS = 4096
+import msgspec
+
+#: A longer line is cut, and so no request.
+MAX_LINE_OCTETS = 8192
 #: The most terminals that may ask at once; others are refused.
 MOST_TERMINALS = 8
+
+_Content = TypeVar("_Content", bound=msgspec.Struct)
+
+
+def pack_line(content: msgspec.Struct) -> bytes:
+    """Return a request or an answer as a line."""
+    return msgspec.json.encode(content) + b"\n"
+
+
+def parse_line(line: bytes, kind: type[_Content]) -> _Content | None:
+    """Return the request or the answer in a line, or None for anything else."""
+    try:
+        return msgspec.json.decode(line, type=kind)
+    except (msgspec.DecodeError, RecursionError):
+        return None
 
 
 class Reply(NamedTuple):
@@ -16,13 +35,19 @@ class Reply(NamedTuple):
     last: bool
 
 
-class TerminalLines:
-    """Collects one line of each terminal. Read from those in `asking` only.
+class LineDesk(Generic[_Content]):
+    """Answers one line of each terminal. Read from those in `asking` only.
 
     A terminal is a connection, known by a number that is never used again.
+
+    kind: of the requests. answer: called with a request and its instant; anything else is not
+    answered.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self, kind: type[_Content], answer: Callable[[_Content, int], msgspec.Struct]
+    ) -> None:
+        self._kind, self._answer = kind, answer
         #: By terminal: what it has sent so far.
         self._lines: dict[int, bytes] = {}
         self._replies: deque[Reply] = deque()
@@ -33,26 +58,20 @@ class TerminalLines:
         return list(self._lines)
 
     def handle_terminal(self, terminal: int) -> None:
-        """A terminal has connected."""
         if len(self._lines) >= MOST_TERMINALS:
-            self.reply(terminal, b"")
+            self._replies.append(Reply(terminal, b"", last=True))
         else:
             self._lines[terminal] = b""
 
-    def handle_octets(self, terminal: int, data: bytes) -> bytes | None:
-        """A terminal in `asking` has sent octets, b"" if it has closed its side.
-
-        Return its line once it is complete: answer it by `reply`.
-        """
+    def handle_octets(self, terminal: int, data: bytes, now_ns: int) -> None:
+        """A terminal in `asking` has sent octets, b"" if it has closed its side."""
         line = self._lines[terminal] = self._lines[terminal] + data
         if b"\n" not in line and data and len(line) < MAX_LINE_OCTETS:
-            return None
-        return self._lines.pop(terminal)
-
-    def reply(self, terminal: int, octets: bytes) -> None:
-        """Answer a terminal, and let it go."""
+            return
+        del self._lines[terminal]
+        request = parse_line(line, self._kind)
+        octets = b"" if request is None else pack_line(self._answer(request, now_ns))
         self._replies.append(Reply(terminal, octets, last=True))
 
     def next_event(self) -> Reply | None:
-        """Return the next octets for a terminal, or None."""
         return self._replies.popleft() if self._replies else None

@@ -1,11 +1,19 @@
 """The Unix socket on which other terminals ask a process of a session."""
 
 import os
+import select
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
+from typing import Any
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.topics.session_files import make_session_root
+from pipelines.session.asking import desk_path
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.terminal_lines import MOST_TERMINALS, LineDesk
 
 #: Octets that are read at once.
 _READ_OCTETS = 8192
@@ -66,5 +74,30 @@ class TerminalSockets:
             self._links.pop(terminal).close()
 
     def close(self) -> None:
-        """Take no more terminals."""
         self._path.unlink(missing_ok=True)
+
+
+def serve_terminals(
+    context: Context, name: str, desk: LineDesk[Any], follow: Callable[[int], None]
+) -> None:
+    """Carry lines between terminals and the desk until the process is to end.
+
+    name: of the socket. follow: called after each input, with the instant, and at least every
+    `PATIENCE_NS`.
+    """
+    clock = context.clock
+    make_session_root(context.session)
+    terminals = TerminalSockets(desk_path(context.session, name), most=MOST_TERMINALS)
+    while not context.stopping:
+        context.tick(clock.now_ns())
+        asking = desk.asking
+        ready = select.select(terminals.readers(asking), [], [], PATIENCE_NS / NS_PER_S)[0]
+        now_ns = clock.now_ns()
+        if (terminal := terminals.accept(ready)) is not None:
+            desk.handle_terminal(terminal)
+        for terminal, data in terminals.read(ready, asking):
+            desk.handle_octets(terminal, data, now_ns)
+        follow(now_ns)
+        while (reply := desk.next_event()) is not None:
+            terminals.send(reply.terminal, reply.octets, last=reply.last)
+    terminals.close()

@@ -16,8 +16,10 @@ import msgspec
 from kontur_av.clock import NS_PER_S
 from pipelines.session.figures import DatedEvent, TrainerFigures
 from pipelines.session.probe import Probe
-from pipelines.session.terminal_lines import Reply, TerminalLines
+from pipelines.session.terminal_lines import LineDesk
 
+#: The name of the trainer's Unix socket.
+TRAINER_DESK = "trainer"
 LOS, JOYSTICK, CAMERA, END = "los", "joystick-error", "camera-lost", "end"
 #: An exercise is no longer than this.
 LONGEST_S = 3600.0
@@ -37,7 +39,6 @@ class Exercises(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     cameras_ns: Mapping[str, int] = {}
 
     def pack(self) -> bytes:
-        """Return it as octets."""
         return msgspec.msgpack.encode(self)
 
     @classmethod
@@ -63,12 +64,12 @@ class TrainerAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
 
 
 class Trainer:
-    """Turns requests into `exercises`. After each input, drain `next_event`.
+    """Turns requests into `exercises`.
 
     radio: whether the radio of this session is here. joystick: whether the joystick is.
     cameras: the inputs with pictures that are here.
 
-    exercises: what lasts at present; a new object after each change.
+    desk: takes the requests. exercises: what lasts at present; a new object after each change.
     """
 
     def __init__(
@@ -77,30 +78,8 @@ class Trainer:
         self.exercises = Exercises()
         self._probe = probe
         self._radio, self._joystick, self._cameras = radio, joystick, tuple(cameras)
-        self._terminals = TerminalLines()
-        self.handle_terminal = self._terminals.handle_terminal
+        self.desk = LineDesk(TrainerRequest, self._answer)
         self._events: deque[DatedEvent] = deque(maxlen=_DEPTH)
-
-    @property
-    def asking(self) -> list[int]:
-        """The terminals whose requests are not complete yet."""
-        return self._terminals.asking
-
-    def handle_octets(self, terminal: int, data: bytes, now_ns: int) -> None:
-        """A terminal in `asking` has sent octets; b"" if it has closed its side."""
-        line = self._terminals.handle_octets(terminal, data)
-        if line is None:
-            return
-        try:
-            request = msgspec.json.decode(line, type=TrainerRequest)
-        except (msgspec.DecodeError, RecursionError):
-            self._terminals.reply(terminal, b"")
-            return
-        self._terminals.reply(terminal, pack_line(self._answer(request, now_ns)))
-
-    def next_event(self) -> Reply | None:
-        """Return the next octets for a terminal, or None."""
-        return self._terminals.next_event()
 
     def tell(self) -> None:
         """Put what was done into the probe."""
@@ -144,16 +123,3 @@ class Trainer:
             known = ", ".join(self._cameras) or "none"
             return f"no camera {request.camera} is here: here are {known}"
         return ""
-
-
-def pack_line(content: TrainerRequest | TrainerAnswer) -> bytes:
-    """Return a request or an answer as a line."""
-    return msgspec.json.encode(content) + b"\n"
-
-
-def parse_trainer_answer(line: bytes) -> TrainerAnswer | None:
-    """Return the answer in a line, or None for anything else."""
-    try:
-        return msgspec.json.decode(line, type=TrainerAnswer)
-    except msgspec.DecodeError:
-        return None

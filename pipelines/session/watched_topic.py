@@ -23,5 +23,4 @@ class WatchedTopic:
         return True
 
     def handle_watched(self, watched: bool) -> None:
-        """The topic has readers, or it has none."""
         self.watched = watched

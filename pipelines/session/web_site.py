@@ -10,7 +10,7 @@ from aiohttp import web
 
 from pipelines.session.access import Access, AccessError, AccessKind, Found, headers
 from pipelines.session.front_door import FrontDoor
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 
 STATIC = Path(__file__).parents[1] / "seats" / "static"
 _TYPES = {
@@ -88,20 +88,17 @@ class WebSite:
         )
 
     async def start(self, runner: web.BaseRunner) -> None:
-        """Serve on the listener's socket."""
         await runner.setup()
         assert runner.server is not None
         self._door = FrontDoor(self._listener, runner.server, self._tls())
         self._door.start()
 
     def close(self) -> None:
-        """Accept no more connections."""
         if self._door is not None:
             self._door.close()
 
     @property
     def closed(self) -> int:
-        """Connections closed to make room, or because no token came."""
         return 0 if self._door is None else self._door.closed
 
     def _tls(self) -> ssl.SSLContext | None:

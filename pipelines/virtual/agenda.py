@@ -29,13 +29,11 @@ class Agenda:
         self.next_ns = FAR_NS
 
     def at(self, instant_ns: int, action: Action) -> None:
-        """Enter `action` for `instant_ns`."""
         self._entered += 1
         heappush(self._entries, (instant_ns, self._entered, action))
         self.next_ns = self._entries[0][0]
 
     def do_next(self) -> None:
-        """Do the first action, at its instant."""
         instant_ns, _, action = heappop(self._entries)
         self.next_ns = self._entries[0][0] if self._entries else FAR_NS
         action(instant_ns)
@@ -104,7 +102,6 @@ class Telling:
 
     @property
     def processes(self) -> list[str]:
-        """The names of all processes, in the order in which they were made."""
         return list(self._probes)
 
     def probe(self, process: str) -> Probe:
@@ -116,7 +113,6 @@ class Telling:
         self._fills.append(fill)
 
     def flush(self, now_ns: int) -> None:
-        """Pass all figures to the collector."""
         for fill in self._fills:
             fill()
         for name, probe in self._probes.items():

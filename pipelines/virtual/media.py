@@ -264,7 +264,6 @@ class Media:
         Camera(self._scene, ISS_CAMERA, stream.fps, self._film(ISS_CAMERA, studio), show)
 
     def handle_choice(self, choice: Choice, now_ns: int) -> None:
-        """The selector says which camera to take."""
         if self._follow_choice is not None:
             self._follow_choice(choice, now_ns)
 

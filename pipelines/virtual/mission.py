@@ -99,7 +99,6 @@ class SimulatedTmtc:
         scene.agenda.at(now_ns + SAMPLE_NS, self._sample)
 
     def subscribe(self, segment: Segment, take: TakeNews) -> None:
-        """Call `take` with all news of a segment from now on."""
         self._takers[segment].append(take)
 
     def handle_request(self, segment: Segment, request: TmtcRequest, now_ns: int) -> None:
@@ -225,7 +224,6 @@ class SimulatedMission:
         return self._gateways[segment].supervisor.state is LinkState.CONNECTED
 
     def _look(self, now_ns: int) -> None:
-        """What happens in space."""
         self._agenda.at(now_ns + LOOK_NS, self._look)
         panel, handle, cosmonaut = self._panel, self._joystick.handle, self._cosmonaut
         panel.handle_contact(self._connected(Segment.SPACE), now_ns)
@@ -244,7 +242,6 @@ class SimulatedMission:
         self._send(Segment.SPACE, panel.poll_message, now_ns)
 
     def _tick(self, now_ns: int) -> None:
-        """What happens on the ground."""
         self._agenda.at(now_ns + TICK_NS, self._tick)
         reports = [gateway.report(now_ns) for gateway in self._gateways.values()]
         link = LinkMeanwhile(

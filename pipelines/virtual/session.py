@@ -366,7 +366,6 @@ class Simulation:
                 return
 
     def _carry(self, sender: Gateway, receiver: Gateway, samples: list[bytes], now_ns: int) -> None:
-        """A frame arrives, and what was in it goes where it belongs."""
         frame = sender.poll_transmit(now_ns)
         if frame is None:
             return

@@ -147,7 +147,6 @@ class ReplayedMedia(Media):
             receiver.on_unit = tally.handle_unit
 
     def streams_report(self) -> dict[str, ReplayedStream]:
-        """What became of each stream of pictures."""
         return {name: tally.report() for name, tally in self._tallies.items()}
 
     def _send_uplink_video(self) -> None:
@@ -186,7 +185,6 @@ class ReplayedMedia(Media):
         cost_ns: int,
         sender: VideoProcess | VoiceProcess,
     ) -> None:
-        """Send each unit `cost_ns` after its capture."""
         agenda, start_ns, numbered = self._scene.agenda, self._scene.start_ns, enumerate(units)
 
         def enter(now_ns: int) -> None:

@@ -123,7 +123,6 @@ class VideoSendProcess(VideoProcess):
         self._reported = backlog, now_ns
 
     def handle_choice(self, choice: Choice, now_ns: int) -> None:
-        """The selector says which camera to take."""
         assert self.follower is not None
         if self.follower.handle_choice(choice):
             self._newest = None

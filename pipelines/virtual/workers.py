@@ -82,7 +82,6 @@ class Worker:
         self._theirs.close()
 
     def submit(self, job: Any) -> Job:
-        """Begin `job`, anything that can be pickled."""
         waiting = Job(self)
         self._open.append(waiting)
         self._link.send_bytes(pickle.dumps(job, pickle.HIGHEST_PROTOCOL))
@@ -143,7 +142,6 @@ class Workers(ExitStack):
         self._links: list[Connection] = []
 
     def start(self, make: Callable[[], Coder]) -> Worker:
-        """Start a process. make: called there to make its coder."""
         worker = Worker(make, self._links)
         worker.start()
         self.callback(worker.close)
@@ -169,7 +167,6 @@ class Scene:
     start_ns: int
 
     def sending_gateway(self, stream: str) -> Gateway:
-        """The gateway into which a stream goes."""
         return self.gateways[self.topology.media(stream).direction.sender]
 
     def random(self, what: str) -> Random:
@@ -177,7 +174,6 @@ class Scene:
         return Random(f"{self.seed} {what}")
 
     def identity(self, stream: str) -> RtpIdentity:
-        """The numbers of a stream's RTP packets."""
         return RtpIdentity.draw(self.random(stream).getrandbits)
 
 

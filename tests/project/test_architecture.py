@@ -113,12 +113,10 @@ SHELLS = {
     "pipelines/mission/tmtc_socket.py": "a Unix socket",
     "pipelines/session/asking.py": "a Unix socket",
     "pipelines/session/page_certificate.py": "files, and random numbers of a key",
-    "pipelines/session/page_listener.py": "the addresses of pages",
     "pipelines/session/page_sockets.py": "the sockets of pages",
     "pipelines/session/terminals.py": "a Unix socket",
     "pipelines/session/reception.py": "files",
     "pipelines/mission/process_tasks.py": "the date, and files",
-    "pipelines/session/terminal_desk.py": "a Unix socket",
     "pipelines/mission/tmtc_desk.py": "a Unix socket and topics",
 }
 
@@ -185,13 +183,10 @@ USERS_OF_SHELLS = {
     "pipelines/hand/mission_ends.py": "topics",
     "pipelines/hand/safety_ends.py": "topics, and orders in files",
     "pipelines/hand/partner_arm.py": "sockets of a process",
-    "pipelines/session/mission_topic.py": "topics",
+    "pipelines/session/topic_ends.py": "topics",
     "pipelines/session/robot_state.py": "a topic",
-    "pipelines/session/exercises.py": "a topic",
-    "pipelines/session/sample_topic.py": "topics",
     "pipelines/media/sending.py": "sockets of a process",
     "pipelines/mission/tmtc_socket.py": "a Unix socket",
-    "pipelines/mission/trainer_control.py": "the trainer's socket",
 }
 
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
@@ -285,6 +280,7 @@ LIBRARIES = {
     "pipelines/hand/arm_owner.py": ({"msgspec"}, "requests, answers and the state as octets"),
     "pipelines/hand/hand_topics.py": ({"msgspec"}, "the joystick's state as octets"),
     "pipelines/session/session_events.py": ({"msgspec"}, "events as JSON"),
+    "pipelines/session/terminal_lines.py": ({"msgspec"}, "lines as JSON"),
     "pipelines/session/training.py": ({"msgspec"}, "requests, answers and exercises as octets"),
     "pipelines/mission/tmtc_messages.py": ({"msgspec"}, "requests and news as octets"),
     "pipelines/mission/mission.py": ({"msgspec"}, "what outlives the process"),

@@ -10,7 +10,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from pipelines.session.session_switch import Order
 from pipelines.session.launcher import Launcher
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 from pipelines.report.collector import Collector
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import ProcessRow, Segment, Stage

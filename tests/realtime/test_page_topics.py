@@ -24,7 +24,7 @@ from pipelines.media.figures import CaptureFigures
 from pipelines.media.process_capture import run_camera, run_microphone
 from pipelines.media.process_video_receive import run_video_receive
 from pipelines.media.process_video_send import run_video_send
-from pipelines.session.process import LOOPBACK
+from pipelines.session.datagrams import LOOPBACK
 from pipelines.table import topology_of
 
 STREAM = SETUP.downlink_video

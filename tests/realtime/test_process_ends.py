@@ -5,9 +5,10 @@ import socket
 import pytest
 
 from kontur_av.clock import MonotonicClock
+from pipelines.session.datagrams import LOOPBACK, receive
 from pipelines.session.figures import LoopFigures, ProbeFigures
 from pipelines.session.probe import FLUSH_NS, Message
-from pipelines.session.process import LOOPBACK, Context
+from pipelines.session.process import Context
 from pipelines.session.rows import LatenessRow, RxRow
 from telepresence.haptics.figures import PortFigures
 
@@ -100,7 +101,7 @@ def test_a_sender_survives_its_receiver_and_reaches_the_next_one():
     port = first.getsockname()[1]
     send = context.sender(port)
     send(b"1")
-    assert context.receive(first) == b"1"
+    assert receive(first) == b"1"
     first.close()
     for _ in range(3):
         send(b"nobody hears this")
@@ -109,6 +110,6 @@ def test_a_sender_survives_its_receiver_and_reaches_the_next_one():
         second.bind((LOOPBACK, port))
         send(b"2")
         send(b"and longer")
-        assert context.receive(second) == b"2"
-        assert context.receive(second, 3) == b"and"
-        assert context.receive(second) is None
+        assert receive(second) == b"2"
+        assert receive(second, 3) == b"and"
+        assert receive(second) is None

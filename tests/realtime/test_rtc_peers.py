@@ -17,7 +17,7 @@ from pipelines.partner.peer import Programme
 from pipelines.partner.samples import SamplePeer
 from pipelines.partner.server import RtcServer
 from pipelines.partner.whip import Keeper, WhipClient
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 from telepresence.haptics.sample import SAMPLE_OCTETS
 
 pytestmark = pytest.mark.realtime

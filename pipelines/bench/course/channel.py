@@ -42,7 +42,6 @@ class ThinChannel:
         return None
 
     def poll_timeout(self) -> int | None:
-        """When the next datagram has passed."""
         return self._queue[0].due_ns if self._queue else None
 
 

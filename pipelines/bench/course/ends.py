@@ -72,7 +72,6 @@ class End:
         return result
 
     def end(self) -> None:
-        """Ask the work to end."""
         with suppress(OSError):
             self._link.send(None)
 

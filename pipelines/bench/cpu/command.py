@@ -54,7 +54,6 @@ class CpuResult:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench cpu`."""
     add_setup_argument(parser, default="spacejustin")
     parser.add_argument(
         "--against", type=Path, metavar="DIR", help="another checkout, measured in turn with this"
@@ -68,7 +67,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the sessions in turn, and print each as soon as it is over."""
     if not 1 <= args.runs <= 1000:
         raise ConfigError(f"--runs {args.runs}: give 1 to 1000")
     if not 2 <= args.seconds <= 3600:
@@ -147,7 +145,6 @@ def read_run(report: JsonReader) -> CpuRun:
 
 
 def headlines(result: CpuResult) -> list[Headline]:
-    """Medians over the runs."""
     name = "this tree" if result.against else ""
     found = [*_of_tree(name, result.runs), *_of_tree("other tree", result.against)]
     if result.ratios:

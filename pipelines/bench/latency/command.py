@@ -65,7 +65,6 @@ VIRTUAL_CLOCK = ClockMethod("one virtual clock for all", 0.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench latency`."""
     add_setup_argument(parser, default="spacejustin")
     parser.add_argument(
         "--seconds", type=float, default=20.0, metavar="S", help="of virtual time (default 20)"
@@ -245,7 +244,6 @@ def _range(limits: tuple[float, float]) -> str:
 
 
 def _rows(runs: Mapping[str, JsonReader]) -> Iterator[tuple[str, list[list[str]]]]:
-    """Label, and the cells of each run."""
     first, reports = next(iter(runs.values())), list(runs.values())
     for direction in ("up", "down"):
         name = "force (haptic_up)" if direction == "up" else "command (haptic_down)"
@@ -321,7 +319,6 @@ _READINGS = 2000
 
 
 def virtual_run(setup: Setup, *, seconds: float, seed: int) -> JsonReader:
-    """The report of a session on virtual time."""
     return JsonReader(as_json(simulate(setup, seconds=seconds, seed=seed)))
 
 

@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -11,10 +10,10 @@ from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.bench.link.live import LoopPunctuality, live_punctuality, slot_cost
+from pipelines.bench.link.live import Cost, LoopPunctuality, live_punctuality, slot_costs
 from pipelines.bench.link.paired import WAYS, headlines
 from pipelines.bench.link.protected import paired_run
-from pipelines.bench.link.resume import resumptions
+from pipelines.bench.link.resume import Resumptions, resumptions
 from pipelines.bench.link.virtual import (
     FILE,
     VIDEO,
@@ -43,7 +42,6 @@ _BLACKOUTS_S = (0.1, 1.0, 10.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench link`."""
     parser.add_argument(
         "--seconds", type=float, default=20.0, metavar="S", help="of each run (default 20)"
     )
@@ -65,72 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
 
 
-@dataclass(frozen=True, slots=True)
-class Delays:
-    """voice_wait_ms: of a voice packet until its first slot, by direction."""
-
-    haptic_difference: HapticDifference
-    voice_wait_ms: Mapping[str, Percentiles]
-
-    @property
-    def json(self) -> dict[str, Json]:
-        """One key for each direction."""
-        waits = {f"voice_wait_{name}_ms": as_json(of) for name, of in self.voice_wait_ms.items()}
-        return {"haptic_difference": as_json(self.haptic_difference), **waits}
-
-
-@dataclass(frozen=True, slots=True)
-class GoodputOf:
-    """The goodput of one kind of packet in one direction, with haptic samples or without."""
-
-    direction: str
-    flow: str
-    octets: int
-    haptics: bool
-    found: Goodput
-
-    @property
-    def json(self) -> dict[str, Json]:
-        """Flat, as a row of a table."""
-        found = as_json(self.found)
-        assert isinstance(found, dict)
-        return {
-            "direction": self.direction,
-            "flow": self.flow,
-            "octets": self.octets,
-            "haptics": self.haptics,
-            **found,
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class Resumption:
-    """Recovery from blackouts of one length. times_ms: by event; packets, stale: counts."""
-
-    times_ms: Mapping[str, Percentiles]
-    counts: Mapping[str, int]
-    packets: int
-    stale: int
-
-    @property
-    def json(self) -> dict[str, Json]:
-        """The events beside the counts."""
-        times = {name: as_json(of) for name, of in self.times_ms.items()}
-        return {**times, "packets": self.packets, "stale": self.stale}
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """us: time of a slot. what: `send` or `receive`."""
-
-    direction: str
-    traffic: str
-    what: str
-    us: Percentiles
-
-
 def run(args: argparse.Namespace) -> int:
-    """Measure, and print each table as soon as it is known."""
     if not 1 <= args.seconds <= 3600:
         raise ConfigError(f"--seconds {args.seconds:g}: give 1 to 3600")
     if not 1 <= args.blackouts <= 10_000:
@@ -142,21 +75,40 @@ def run(args: argparse.Namespace) -> int:
     console = open_console(args)
     if args.protected:
         return _run_protected(args, console)
-    delays = _measure_delays(args.seconds)
-    console.print(_delay_table(delays, args.seconds))
+    difference = haptic_difference(args.seconds, delay_ns=_DELAY_NS)
+    #: Of a voice packet until its first slot, by direction.
+    waits_ms = {
+        profile.name: spread(voice_waits(args.seconds, profile), per_unit=NS_PER_MS)
+        for profile in (UPLINK, DOWNLINK)
+    }
+    console.print(_delay_table(difference, waits_ms, args.seconds))
     headers = header_octets(args.seconds)
     console.print(_header_table(headers))
     goodputs = _measure_goodputs(min(args.seconds, 5.0))
     console.print(_goodput_table(goodputs))
-    resumption = _measure_resumptions(args.blackouts)
-    console.print(_resumption_table(resumption, args.blackouts))
-    costs = _measure_costs(round(1000 * args.seconds))
+    resumed = {
+        f"{length_s:g} s": resumptions(length_s, blackouts=args.blackouts, delay_ns=_DELAY_NS)
+        for length_s in _BLACKOUTS_S
+    }
+    console.print(_resumption_table(resumed, args.blackouts))
+    costs = [
+        cost
+        for profile in (UPLINK, DOWNLINK)
+        for busy in (False, True)
+        for cost in slot_costs(profile, slots=round(1000 * args.seconds), busy=busy)
+    ]
     console.print(_cost_table(costs))
     figures: dict[str, Json] = {
-        "delays": delays.json,
+        "delays": {
+            "haptic_difference": as_json(difference),
+            **{f"voice_wait_{name}_ms": as_json(of) for name, of in waits_ms.items()},
+        },
         "headers": as_json(headers),
-        "goodput": [of.json for of in goodputs],
-        "resumption": {name: of.json for name, of in resumption.items()},
+        "goodput": as_json(goodputs),
+        "resumption": {
+            length: as_json({**of.times_ms, "packets": of.packets, "stale": of.stale})
+            for length, of in resumed.items()
+        },
         "cost": as_json(costs),
     }
     live: dict[str, Sequence[LoopPunctuality]] = {}
@@ -167,7 +119,8 @@ def run(args: argparse.Namespace) -> int:
         )
         console.print(_punctuality_table(live[name], args.setup, media=media))
         figures[f"live_{name}_media"] = as_json(live[name])
-    write_result(args.report, figures, _headlines(delays, headers, resumption, costs, live))
+    found = _headlines(difference, waits_ms, headers, resumed, costs, live)
+    write_result(args.report, figures, found)
     return 0
 
 
@@ -210,49 +163,30 @@ def _cell(line: Headline) -> str:
 
 
 def _headlines(
-    delays: Delays,
+    difference: HapticDifference,
+    waits_ms: Mapping[str, Percentiles],
     headers: Mapping[str, HeaderOctets],
-    resumption: Mapping[str, Resumption],
+    resumed: Mapping[str, Resumptions],
     costs: Sequence[Cost],
     live: Mapping[str, Sequence[LoopPunctuality]],
 ) -> list[Headline]:
-    found = [
-        Headline(
-            group="on virtual time",
-            what="delay that saturated media add to a haptic sample, largest",
-            unit="slots",
-            value=delays.haptic_difference.largest_slots,
-        )
-    ]
-    for name, of in delays.voice_wait_ms.items():
+    virtual = partial(Headline, group="on virtual time")
+    what = "delay that saturated media add to a haptic sample, largest"
+    found = [virtual(what=what, unit="slots", value=difference.largest_slots)]
+    for name, of in waits_ms.items():
         what = f"voice until its first slot, {name} saturated, max"
-        found.append(Headline(group="on virtual time", what=what, unit="ms", value=of.max))
+        found.append(virtual(what=what, unit="ms", value=of.max))
     for traffic, counted in headers.items():
         what = f"header octets of {traffic} (of 40), mean"
-        found.append(
-            Headline(group="on virtual time", what=what, unit="octets", value=counted.mean)
-        )
-    for length, resumed in resumption.items():
-        for event, of in resumed.times_ms.items():
-            found.append(
-                Headline(
-                    group="from the first good frame after a blackout, p99",
-                    what=event,
-                    who=f"of {length}",
-                    unit="ms",
-                    value=of.p99,
-                )
-            )
-    found += [
-        Headline(
-            group="cost of a slot, p50",
-            what=f"{cost.direction}, {cost.traffic}",
-            who=cost.what,
-            unit="µs",
-            value=cost.us.p50,
-        )
-        for cost in costs
-    ]
+        found.append(virtual(what=what, unit="octets", value=counted.mean))
+    group = "from the first good frame after a blackout, p99"
+    for length, recovery in resumed.items():
+        for event, of in recovery.times_ms.items():
+            who = f"of {length}"
+            found.append(Headline(group=group, what=event, who=who, unit="ms", value=of.p99))
+    for cost in costs:
+        what, group = f"{cost.direction}, {cost.traffic}", "cost of a slot, p50"
+        found.append(Headline(group=group, what=what, who=cost.what, unit="µs", value=cost.us.p50))
     for name, tasks in live.items():
         for task in tasks:
             who, late_us = f"{name} media", task.lateness_us["p99"]
@@ -264,22 +198,15 @@ def _headlines(
     return found
 
 
-def _measure_delays(seconds: float) -> Delays:
-    waits = {
-        profile.name: spread(voice_waits(seconds, profile), per_unit=NS_PER_MS)
-        for profile in (UPLINK, DOWNLINK)
-    }
-    return Delays(haptic_difference(seconds, delay_ns=_DELAY_NS), waits)
-
-
-def _delay_table(delays: Delays, seconds: float) -> Table:
+def _delay_table(
+    difference: HapticDifference, waits_ms: Mapping[str, Percentiles], seconds: float
+) -> Table:
     table = _table(f"delays on virtual time, {seconds:g} s", "", "p50", "p99", "max", "unit")
-    difference = delays.haptic_difference
     table.add_row(
         f"haptic sample: saturated link less idle link, {difference.samples} samples",
         *("", "", f"{difference.largest_slots:g}", "slots"),
     )
-    for name, waits in delays.voice_wait_ms.items():
+    for name, waits in waits_ms.items():
         table.add_row(
             f"{name} voice until its first slot, video and files saturated",
             *(f"{value:.2f}" for value in (waits.p50, waits.p99, waits.max)),
@@ -304,22 +231,16 @@ def _header_table(headers: Mapping[str, HeaderOctets]) -> Table:
     return table
 
 
-def _measure_goodputs(seconds: float) -> list[GoodputOf]:
+def _measure_goodputs(seconds: float) -> list[Goodput]:
     return [
-        GoodputOf(
-            profile.name,
-            flow,
-            octets,
-            haptics,
-            goodput(seconds, profile, flow=flow, payload_octets=octets, haptics=haptics),
-        )
+        goodput(seconds, profile, flow=flow, payload_octets=octets, haptics=haptics)
         for profile in (UPLINK, DOWNLINK)
         for flow, octets in _PACKETS
         for haptics in (True, False)
     ]
 
 
-def _goodput_table(goodputs: Sequence[GoodputOf]) -> Table:
+def _goodput_table(goodputs: Sequence[Goodput]) -> Table:
     table = _table(
         "one kind of packet saturates the link; shares of the octets left to it",
         *("direction", "packets", "haptics", "left kbit/s", "payloads kbit/s"),
@@ -330,9 +251,9 @@ def _goodput_table(goodputs: Sequence[GoodputOf]) -> Table:
             of.direction,
             f"{of.flow}, {of.octets}",
             "yes" if of.haptics else "no",
-            f"{of.found.zone_bps / 1000:.1f}",
-            f"{of.found.payload_bps / 1000:.1f}",
-            *(f"{100 * share:.2f}" for share in of.found.shares()),
+            f"{of.zone_bps / 1000:.1f}",
+            f"{of.payload_bps / 1000:.1f}",
+            *(f"{100 * share:.2f}" for share in of.shares()),
         )
     table.caption = (
         "left: all but frame headers, checks and samples; payloads: of UDP, so RTP counts "
@@ -342,46 +263,18 @@ def _goodput_table(goodputs: Sequence[GoodputOf]) -> Table:
     return table
 
 
-def _measure_resumptions(blackouts: int) -> dict[str, Resumption]:
-    found = {}
-    for blackout_s in _BLACKOUTS_S:
-        resumed = resumptions(blackout_s, blackouts=blackouts, delay_ns=_DELAY_NS)
-        times = {"loss noticed (from the last good frame)": resumed.noticed, **resumed.first}
-        found[f"{blackout_s:g} s"] = Resumption(
-            times_ms={name: spread(ns, per_unit=NS_PER_MS) for name, ns in times.items()},
-            counts={name: len(ns) for name, ns in times.items()},
-            packets=resumed.packets,
-            stale=resumed.stale,
-        )
-    return found
-
-
-def _resumption_table(found: Mapping[str, Resumption], blackouts: int) -> Table:
+def _resumption_table(found: Mapping[str, Resumptions], blackouts: int) -> Table:
     table = _table(
         f"{blackouts} blackouts of both directions each; ms from the first good frame",
         *("blackout", "first event", "count", "p50", "p99", "max"),
     )
     for length, of in found.items():
-        for name, times in of.times_ms.items():
-            table.add_row(
-                length,
-                name,
-                str(of.counts[name]),
-                *(f"{value:.1f}" for value in (times.p50, times.p99, times.max)),
-            )
+        counts = (len(of.noticed), *map(len, of.first.values()))
+        for count, (name, times) in zip(counts, of.times_ms.items(), strict=True):
+            values = (f"{value:.1f}" for value in (times.p50, times.p99, times.max))
+            table.add_row(length, name, str(count), *values)
         table.add_row(length, f"packets over 100 ms old, of {of.packets}", str(of.stale))
     return table
-
-
-def _measure_costs(slots: int) -> list[Cost]:
-    found = []
-    for profile in (UPLINK, DOWNLINK):
-        for busy in (False, True):
-            cost = slot_cost(profile, slots=slots, busy=busy)
-            traffic = "saturated" if busy else "samples only"
-            found.append(Cost(profile.name, traffic, "send", cost.send_us))
-            found.append(Cost(profile.name, traffic, "receive", cost.receive_us))
-    return found
 
 
 def _cost_table(costs: Sequence[Cost]) -> Table:

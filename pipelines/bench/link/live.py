@@ -111,14 +111,16 @@ _WARM_UP_SLOTS = 500
 
 
 @dataclass(frozen=True, slots=True)
-class SlotCost:
-    """Time in `LinkSender.poll_transmit` and in `LinkReceiver.handle_frame`, per slot."""
+class Cost:
+    """Time (us) of a slot. what: `send`, which is `poll_transmit`, or `receive`: `handle_frame`."""
 
-    send_us: Percentiles
-    receive_us: Percentiles
+    direction: str
+    traffic: str
+    what: str
+    us: Percentiles
 
 
-def slot_cost(profile: LinkProfile, *, slots: int, busy: bool) -> SlotCost:
+def slot_costs(profile: LinkProfile, *, slots: int, busy: bool) -> list[Cost]:
     """Measure `slots` slots on the real clock, each with a sample.
 
     busy: also a voice packet every 20 slots, and endless video and files.
@@ -147,7 +149,11 @@ def slot_cost(profile: LinkProfile, *, slots: int, busy: bool) -> SlotCost:
         if slot >= _WARM_UP_SLOTS:
             send.add(sent_ns - begun_ns)
             receive.add(read_ns - sent_ns)
-    return SlotCost(_times(send), _times(receive))
+    traffic = "saturated" if busy else "samples only"
+    return [
+        Cost(profile.name, traffic, what, _times(times))
+        for what, times in (("send", send), ("receive", receive))
+    ]
 
 
 def _times(histogram: Histogram) -> Percentiles:

@@ -92,21 +92,21 @@ def headlines(runs: Sequence[PairedRun]) -> list[Headline]:
             for plain, protected in pairs(runs, PLAIN, PROTECTED)
             if plain.delay_us[direction] and protected.delay_us[direction]
         ]
-        found.append(
-            _target(f"added to a sample's way, {direction}, p99", "µs", more, MOST_DELAY_US)
-        )
+        what = f"added to a sample's way, {direction}, p99"
+        found.append(_line(what, "", "µs", more, MOST_DELAY_US))
     for end in ("ground", "space"):
         of_end = [
             (plain.ends[end], protected.ends[end])
             for plain, protected in pairs(runs, PLAIN, PROTECTED)
         ]
         more = [protected.cpu_percent - plain.cpu_percent for plain, protected in of_end]
-        found.append(_target(f"added to the CPU of the {end} gateway", "%", more, MOST_CPU_PERCENT))
+        what = f"added to the CPU of the {end} gateway"
+        found.append(_line(what, "", "%", more, MOST_CPU_PERCENT))
         late = [
             protected.lateness_us["p99"] - plain.lateness_us["p99"] for plain, protected in of_end
         ]
         what = f"added to the lateness of slots of the {end} gateway, p99"
-        found.append(_target(what, "µs", late, MOST_LATENESS_US))
+        found.append(_line(what, "", "µs", late, MOST_LATENESS_US))
         # A handshake takes some slots of 2000, so it shows at p99.9 and in slots left out.
         renewed = [
             (kept.ends[end], often.ends[end]) for kept, often in pairs(runs, PROTECTED, REKEYED)
@@ -120,13 +120,13 @@ def headlines(runs: Sequence[PairedRun]) -> list[Headline]:
     return found
 
 
-def _line(what: str, who: str, unit: str, values: Sequence[float]) -> Headline:
+def _line(
+    what: str, who: str, unit: str, values: Sequence[float], most: float | None = None
+) -> Headline:
+    """The median. most: a target for what protection adds."""
     value = median(values) if values else None
-    return Headline(group="protection, medians", what=what, who=who, unit=unit, value=value)
-
-
-def _target(what: str, unit: str, values: Sequence[float], most: float) -> Headline:
-    value = median(values) if values else None
+    if most is None:
+        return Headline(group="protection, medians", what=what, who=who, unit=unit, value=value)
     return Headline(
         group="what protection adds, median of pairs",
         what=what,

@@ -19,7 +19,7 @@ from pipelines.bench.link.paired import PLAIN, REKEYED, EndFigures, PairedRun, d
 from pipelines.link.key_files import make_key, trust
 from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all, ended_alike
-from pipelines.session.process import LOOPBACK
+from pipelines.session.datagrams import LOOPBACK
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.table import topology_of

@@ -6,6 +6,7 @@ from random import Random
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.bench.link.virtual import COMMANDS, FLOWS, VIDEO, VOICE, Talker
+from pipelines.report.result import Percentiles, spread
 from telepresence.link.gateway import Gateway
 from telepresence.link.radio import RadioProfile
 from telepresence.link.radio.profile import Blackout
@@ -46,6 +47,12 @@ class Resumptions:
     packets: int = 0
     stale: int = 0
 
+    @property
+    def times_ms(self) -> dict[str, Percentiles]:
+        """By event."""
+        times = {"loss noticed (from the last good frame)": self.noticed, **self.first}
+        return {name: spread(ns, per_unit=NS_PER_MS) for name, ns in times.items()}
+
 
 class _Offers:
     """Offers packets of every level to one segment, each stamped with its instant."""
@@ -58,7 +65,6 @@ class _Offers:
         }
 
     def handle_slot(self, now_ns: int) -> None:
-        """Offer a sample and the packets that are due by `now_ns`."""
         self._gateway.handle_haptic(bytes(12), now_ns)
         for flow, (period_ns, octets) in _OFFERS.items():
             due_ns = self._due_ns[flow]
@@ -81,13 +87,11 @@ class _Watch:
         self._waiting = {HAPTIC, *_OFFERS, CONNECTED}
 
     def handle_arrival(self, kind: str, now_ns: int, result: Resumptions) -> None:
-        """`kind` came out of the link."""
         if kind in self._waiting and now_ns >= self._back_ns:
             self._waiting.discard(kind)
             result.first[kind].append(now_ns - self._back_ns)
 
     def handle_slot(self, now_ns: int, result: Resumptions) -> None:
-        """A slot has passed."""
         supervisor = self._gateway.supervisor
         if not self._noticed and not supervisor.signal:
             self._noticed = True

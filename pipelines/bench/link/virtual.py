@@ -155,13 +155,18 @@ def voice_waits(seconds: float, profile: LinkProfile, *, seed: int = 1) -> list[
 
 @dataclass(frozen=True)
 class Goodput:
-    """The goodput of one kind of endless traffic.
+    """The goodput of one kind of endless traffic in one direction, with haptic samples or without.
 
-    zone_bps: rate that the frames leave to the levels below haptics. payload_bps: of the UDP
-    payloads that came out; for RTP with its 12 octets of header, which travel compressed. packets
-    (with tags and headers), framing, supervision, idle: shares of the zone.
+    octets: of a payload. zone_bps: rate that the frames leave to the levels below haptics.
+    payload_bps: of the UDP payloads that came out; for RTP with its 12 octets of header, which
+    travel compressed. packets (with tags and headers), framing, supervision, idle: shares of the
+    zone.
     """
 
+    direction: str
+    flow: str
+    octets: int
+    haptics: bool
     zone_bps: int
     payload_bps: int
     packets: float
@@ -170,7 +175,6 @@ class Goodput:
     idle: float
 
     def shares(self) -> tuple[float, float, float, float]:
-        """They sum to 1."""
         return self.packets, self.framing, self.supervision, self.idle
 
 
@@ -202,9 +206,8 @@ def goodput(
     zone = sum(octets.values()) - octets["header"] - octets["fecf"] - octets["haptic"]
     carried = octets[level.name.lower()] + octets["packet_headers"]
     others = (octets[kind] / zone for kind in ("framing", "supervision", "idle"))
-    return Goodput(
-        round(zone * 8 / seconds), round(received * 8 / seconds), carried / zone, *others
-    )
+    rates = round(zone * 8 / seconds), round(received * 8 / seconds)
+    return Goodput(profile.name, flow, payload_octets, haptics, *rates, carried / zone, *others)
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,6 @@ _LONGEST_OFFSET_MS = 3_600_000.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench sync`."""
     session = parser.add_argument_group("a session")
     session.add_argument(
         "--setup", metavar="NAME", help="spacejustin (default), taskboard or FILE.toml"

@@ -42,7 +42,6 @@ FPS = 30
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `kontur-av bench video`."""
     parser.add_argument(
         "--seconds", type=float, default=20.0, metavar="S", help="of each clip (default 20)"
     )

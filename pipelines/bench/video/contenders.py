@@ -74,7 +74,6 @@ class Process:
             raise ContenderError(f"{self.name} has ended: {self.last_words()}")
 
     def last_words(self) -> str:
-        """The end of its output."""
         words = self._log.read_text(errors="replace").strip().splitlines()
         return " / ".join(words[-3:])
 

@@ -69,7 +69,6 @@ def largest_bps(came_ns: Sequence[int], octets: Sequence[int]) -> tuple[float, f
 def mean_bps(
     came_ns: Sequence[int], octets: Sequence[int], *, begin_ns: int, seconds: float
 ) -> float:
-    """The mean rate over `seconds` from `begin_ns` on."""
     end_ns = begin_ns + round(seconds * NS_PER_S)
     of = [size for at, size in zip(came_ns, octets, strict=True) if begin_ns <= at < end_ns]
     return 8 * sum(of) / seconds
@@ -136,7 +135,6 @@ class ContenderFigures:
 
     @property
     def cpu_s(self) -> float:
-        """Of sender and receiver together."""
         return self.sender_cpu_s + self.receiver_cpu_s
 
 

@@ -203,7 +203,6 @@ def _figures(
 
 
 def _numbers(filmed: Filmed, watched: Watched) -> list[int | None]:
-    """The number of each picture that came to the screen."""
     captured = np.flatnonzero(filmed.captured_ns)
     counts = np.searchsorted(filmed.captured_ns[captured], watched.shown_ns)
     numbers = captured.tolist()

@@ -22,7 +22,6 @@ class Segment(Enum):
 
     @property
     def peer(self) -> "Segment":
-        """The other segment."""
         return Segment.SPACE if self is Segment.GROUND else Segment.GROUND
 
 
@@ -39,10 +38,8 @@ class Direction(Enum):
 
     @property
     def receiver(self) -> Segment:
-        """The segment whose gateway receives them."""
         return self.sender.peer
 
     @property
     def opposite(self) -> "Direction":
-        """The other direction."""
         return Direction.DOWNLINK if self is Direction.UPLINK else Direction.UPLINK

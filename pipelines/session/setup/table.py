@@ -95,7 +95,6 @@ class VideoStream:
 
     @property
     def coded_size(self) -> tuple[int, int]:
-        """The width and height in which pictures are coded."""
         return self.coded or coded_size_for(self.width, self.height, self.fps, self.cap_bps)
 
     @property
@@ -378,7 +377,6 @@ class Setup:
 
     @property
     def camera_inputs(self) -> tuple[str, ...]:
-        """The ground's cameras."""
         names: list[str] = []
         for camera in self.cameras:
             names += STEREO_INPUTS if camera == STEREO else (camera,)
@@ -417,11 +415,9 @@ class Setup:
         return self.uplink_video
 
     def profile_of(self, stream: VideoStream | VoiceStream) -> LinkProfile:
-        """The link profile of the direction that a stream takes."""
         return self.profile(self.direction_of(stream))
 
     def profile(self, direction: Direction) -> LinkProfile:
-        """The link profile of a direction."""
         return self.uplink if direction is Direction.UPLINK else self.downlink
 
     def direction_of(self, stream: VideoStream | VoiceStream) -> Direction:
@@ -443,7 +439,6 @@ class Setup:
 
     @property
     def streams(self) -> tuple[VideoStream | VoiceStream, ...]:
-        """The media streams that this setup has."""
         every = (self.uplink_video, self.uplink_voice, self.downlink_video, self.downlink_voice)
         return tuple(stream for stream in every if stream is not None)
 

@@ -43,7 +43,6 @@ class Kind(Enum):
 
 
 def backlog_topic(direction: Direction) -> Topic:
-    """The state of a direction of the link, from its sending gateway."""
     return Topic(f"link/{direction.value}", "what waits in the gateway, state of the radio")
 
 
@@ -131,19 +130,16 @@ class MediaRow(StreamRow):
 
     @property
     def received_topic(self) -> Topic:
-        """Its decoded pictures or sounds."""
         return received_topic(self.name)
 
     @property
     def coded_topic(self) -> Topic:
-        """Every access unit that its receiver got, or every Opus packet in the order of playing."""
         video = self.kind is Kind.VIDEO
         sample = "received access unit" if video else "Opus packet as played"
         return Topic(f"coded/{self.name}", sample)
 
     @property
     def sent_topic(self) -> Topic:
-        """Every access unit or Opus packet that its sender made."""
         kind = "access unit" if self.kind is Kind.VIDEO else "Opus packet"
         return Topic(f"sent/{self.name}", f"{kind} as it was sent")
 
@@ -159,17 +155,14 @@ class VideoRow(MediaRow):
 
     @property
     def displayed_topic(self) -> Topic:
-        """The displayed pictures."""
         return displayed_topic(self.name)
 
     @property
     def lag_topic(self) -> Topic:
-        """How late the pictures were shown."""
         return Topic(f"lag/{self.name}", "how late the newest picture was shown")
 
     @property
     def decoded_topic(self) -> Topic:
-        """The decoded pictures in the size in which they were coded."""
         return Topic(f"decoded/{self.name}", "decoded picture in its coded size")
 
 
@@ -184,18 +177,15 @@ class InputRow:
 
     @property
     def topic(self) -> Topic:
-        """Its pictures or its sound."""
         kind = "picture" if self.kind is Kind.VIDEO else "20 ms of sound"
         return Topic(f"input/{self.name}", f"{kind} as captured")
 
     @property
     def preview_topic(self) -> Topic:
-        """A camera's pictures, small and few."""
         return Topic(f"preview/{self.name}", "small picture, 5 a second")
 
     @property
     def page_topic(self) -> Topic:
-        """What a browser page or a joined program gives in the place of its own source."""
         return page_topic(self.name, "picture" if self.kind is Kind.VIDEO else "20 ms of sound")
 
 
@@ -223,17 +213,14 @@ class LinkRow:
 
     @property
     def backlog_topic(self) -> Topic:
-        """The sending gateway's queue and the state of the radio."""
         return backlog_topic(self.direction)
 
     @property
     def sent_frames_topic(self) -> Topic:
-        """Its frames as they were sent."""
         return Topic(f"frames/{self.direction.value}/sent", "20 ms of frames as sent")
 
     @property
     def received_frames_topic(self) -> Topic:
-        """Its frames as they were received."""
         return Topic(f"frames/{self.direction.value}/received", "20 ms of frames as received")
 
 

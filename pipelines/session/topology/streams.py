@@ -193,7 +193,6 @@ def partner_ports(setup: Setup) -> tuple[int, int]:
 
 
 def leds_port(setup: Setup) -> int:
-    """The UDP port of the built-in LED panel."""
     return setup.base_port + _LEDS_OFFSET
 
 
@@ -203,5 +202,4 @@ def partner_camera(leg: RtcLeg) -> VideoStream:
 
 
 def partner_voice(leg: RtcLeg) -> VoiceStream:
-    """The partner's voice."""
     return VoiceStream(name=RTC_VOICE, cap_bps=leg.voice_bps, stale_after_ms=_STALE_AFTER_MS)

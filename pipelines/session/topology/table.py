@@ -1,6 +1,6 @@
 """The whole table, with lookups of rows."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -77,17 +77,14 @@ class Topology:
 
     @cached_property
     def links(self) -> tuple[LinkRow, ...]:
-        """The directions of the radio link."""
         return tuple(link_row(self.setup, direction) for direction in Direction)
 
     @cached_property
     def inputs(self) -> tuple[InputRow, ...]:
-        """The cameras and microphones."""
         return tuple(input_rows(self.setup))
 
     @cached_property
     def cameras(self) -> tuple[CameraRow, ...]:
-        """What can be selected for the uplink video."""
         return tuple(camera_row(name, self.inputs) for name in self.setup.cameras)
 
     @property
@@ -114,11 +111,9 @@ class Topology:
         return tuple(name for name in self.process(process).reads if name in self._topics)
 
     def sends(self, process: str) -> tuple[str, ...]:
-        """The streams that a process sends."""
         return tuple(row.name for row in self.streams if row.sender == process)
 
     def receives(self, process: str) -> tuple[str, ...]:
-        """The streams that a process receives."""
         return tuple(row.name for row in self.streams if row.receiver == process)
 
     def ports_of(self, process: str) -> tuple[int, ...]:
@@ -139,13 +134,7 @@ class Topology:
         return self.link(segment.peer.transmits).port
 
     def process(self, name: str) -> ProcessRow:
-        """The process `name`."""
         return self._processes[name]
-
-    def processes_of(self, segments: Iterable[Segment]) -> tuple[ProcessRow, ...]:
-        """Return the processes of a machine on which these segments run."""
-        here = {None, *segments}
-        return tuple(row for row in self.processes if row.segment in here)
 
     @property
     def alone(self) -> Segment | None:
@@ -155,7 +144,7 @@ class Topology:
     @property
     def processes_here(self) -> tuple[ProcessRow, ...]:
         """The processes of this machine, in the order in which they are started."""
-        return self.processes_of(self.segments)
+        return tuple(row for row in self.processes if self.runs(row.name))
 
     @property
     def ports_here(self) -> tuple[int, ...]:
@@ -172,7 +161,6 @@ class Topology:
         return (self.launcher_port, *(port for port in taken if port not in radio))
 
     def runs(self, process: str) -> bool:
-        """Whether the process `process` is one of this machine."""
         segment = self._processes[process].segment
         return segment is None or segment in self.segments
 
@@ -183,7 +171,6 @@ class Topology:
         return "sender" if row.direction.sender is self.alone else "receiver"
 
     def stream(self, name: str) -> StreamRow:
-        """The stream `name`, of any kind."""
         return self._streams[name]
 
     def entry_port(self, stream: str) -> int:
@@ -201,11 +188,9 @@ class Topology:
 
     @property
     def video_streams(self) -> tuple[VideoRow, ...]:
-        """The pictures, in the setup's order."""
         return tuple(row for row in self.media_streams if isinstance(row, VideoRow))
 
     def media(self, name: str) -> MediaRow:
-        """The picture or voice `name`."""
         row = self._streams[name]
         if not isinstance(row, MediaRow):
             raise KeyError(name)
@@ -217,7 +202,6 @@ class Topology:
         return tuple(row for row in self.streams if isinstance(row, HapticRow))
 
     def haptic(self, key: str) -> HapticRow:
-        """The haptic samples "up" or "down"."""
         return next(row for row in self.haptics if row.key == key)
 
     def flows(self, direction: Direction) -> tuple[Flow, ...]:
@@ -226,39 +210,21 @@ class Topology:
         return tuple(row.flow for row in rows if row.flow is not None)
 
     def link(self, direction: Direction) -> LinkRow:
-        """A direction of the radio link."""
         return next(row for row in self.links if row.direction is direction)
 
     def gateway(self, segment: Segment) -> ProcessRow:
-        """The gateway of a segment."""
         return self.process(self.link(segment.transmits).sender)
 
-    def sender_of(self, stream: str) -> ProcessRow:
-        """The process that sends a picture or a voice."""
-        return self.process(self.media(stream).sender)
-
-    def receiver_of(self, stream: str) -> ProcessRow:
-        """The process that receives a picture or a voice."""
-        return self.process(self.media(stream).receiver)
-
     def input(self, name: str) -> InputRow:
-        """The input `name`."""
         return next(row for row in self.inputs if row.name == name)
 
-    def input_process(self, name: str) -> ProcessRow:
-        """The process that captures the input `name`."""
-        return self.process(self.input(name).process)
-
     def camera(self, name: str) -> CameraRow:
-        """What can be selected under `name`."""
         return next(row for row in self.cameras if row.name == name)
 
     def topic(self, name: str) -> TopicRow:
-        """The topic `name`."""
         return self._topics[name]
 
     def video(self, name: str) -> VideoRow:
-        """The picture `name`."""
         row = self._streams[name]
         if not isinstance(row, VideoRow):
             raise KeyError(name)

@@ -4,7 +4,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipelines.session.setup.segments import Direction
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.topology.rows import Kind, MediaRow, StreamRow
 from pipelines.session.topology.table import Topology
 
@@ -44,13 +44,11 @@ class Table:
         return lines
 
     def markdown(self) -> str:
-        """A table of Markdown, with a line break at its end."""
         rule = ["---"] * len(self.headings)
         rows = (self.headings, rule, *self.rows)
         return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
     def without(self, heading: str) -> "Table":
-        """The table without a column."""
         gone = self.headings.index(heading)
         every = [
             [cell for column, cell in enumerate(row) if column != gone]
@@ -73,7 +71,6 @@ class Table:
 
 
 def processes_table(topology: Topology) -> Table:
-    """The processes, in the order in which they are started."""
     return Table(
         headings=("process", "segment", "stage", "priority", "reads", "writes", "what"),
         rows=[
@@ -93,7 +90,6 @@ def processes_table(topology: Topology) -> Table:
 
 
 def streams_table(topology: Topology) -> Table:
-    """What the radio link carries, by direction and priority."""
     return Table(
         headings=("stream", "from", "kind", "cap", "in", "out", "sender", "receiver"),
         rows=[
@@ -114,11 +110,33 @@ def streams_table(topology: Topology) -> Table:
 
 
 def topics_table(topology: Topology) -> Table:
-    """The topics in shared memory."""
     return Table(
         headings=("topic", "writer", "sample", "readers"),
         rows=[(row.name, row.writer, row.sample, _listed(row.readers)) for row in topology.topics],
         spare=("sample",),
+    )
+
+
+def ports_table(topology: Topology, ends: Sequence[Segment], bind: str, apps: str) -> Table:
+    """The channels at `ends`, by priority in each direction.
+
+    bind: where programs send to. apps: where the datagrams for them go.
+    """
+
+    def place(host: str, port: int, end: Segment) -> str:
+        return f"{host}:{port}" if end in ends else "the other end"
+
+    return Table(
+        headings=("channel", "send to", "comes out at", "what"),
+        rows=[
+            (
+                row.name,
+                place(bind, row.entry_port, row.direction.sender),
+                place(apps, row.exit_port, row.direction.receiver),
+                travels(row, topology),
+            )
+            for row in topology.streams
+        ],
     )
 
 

@@ -1,4 +1,4 @@
-"""The topics in shared memory: each with what one sample of it is.
+"""The names of processes, and the topics in shared memory: each with what one sample of it is.
 
 Topics of a stream, an input or a link are properties of its row. See `rows.py`.
 """
@@ -6,6 +6,27 @@ Topics of a stream, an input or a link are properties of its row. See `rows.py`.
 from typing import Self
 
 from pipelines.session.setup.segments import Segment
+
+ROBOT, JOYSTICK = "robot", "joystick"
+#: The arm that only a partner drives, and who hands the robot over.
+SECOND_ROBOT, OWNER_DESK = "robot_second", "owner_desk"
+#: Telecommands and telemetry of the ground and of space.
+SELECTOR, CONSOLE = "selector", "console"
+#: TOP kernel and experiment, the LED panel, the mission control panel.
+TASKS, LEDS, PANEL = "tasks", "leds", "panel"
+#: The process that takes a trainer's requests.
+TRAINER = "trainer"
+#: The process that records the session.
+RECORDER = "recorder"
+#: By segment: the process that serves its browser pages.
+PAGES = {segment: f"page_{segment.value}" for segment in Segment}
+#: The process that has the connections to partners, and the one that shows the partner.
+RTC, RTC_DISPLAY = "rtc", "rtc_display"
+
+
+def component_process(name: str) -> str:
+    """The process of a user's component in telemetry."""
+    return f"telemetry_{name}"
 
 
 class Topic(str):
@@ -75,7 +96,6 @@ TMTC_TOPICS = {
 
 
 def packets_topic(stream: str, *, sent: bool) -> Topic:
-    """The space packets of a stream of telecommands or telemetry, at one of its ends."""
     way = "sent" if sent else "received"
     return Topic(f"{stream}/{way}", f"space packet as {way}")
 
@@ -93,17 +113,14 @@ def link_state_topic(segment: Segment) -> Topic:
 
 # Streams of pictures and voices.
 def received_topic(stream: str) -> Topic:
-    """The decoded pictures or sounds of a stream."""
     return Topic(f"received/{stream}", "decoded picture or sound")
 
 
 def page_topic(name: str, kind: str = "picture or sound") -> Topic:
-    """What a browser page or a joined program gives in the place of an input's own source."""
     return Topic(f"page/{name}", f"{kind} of a browser page")
 
 
 def displayed_topic(stream: str) -> Topic:
-    """The displayed pictures of a stream."""
     return Topic(f"displayed/{stream}", "picture, marked where it is stale")
 
 

@@ -233,7 +233,6 @@ class TaskRunFigures:
 
 
 def task_figures(report: JsonReader) -> TaskRunFigures:
-    """What a session's report says of its tasks."""
     return TaskRunFigures(
         runs=[
             Run(

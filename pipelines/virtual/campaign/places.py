@@ -5,28 +5,28 @@ with the same program and libraries would have done: it compares `facts` before 
 are those of this machine, octet by octet.
 """
 
+import argparse
 import asyncio
 import logging
+import os
 import platform
 import re
 import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache, partial
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
 from pipelines.virtual.campaign.figures import Crash
 
 if TYPE_CHECKING:
     from distributed import Client
-import argparse
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 _ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = ("kontur_av", "telepresence", "pipelines")
@@ -69,7 +69,7 @@ _CONNECT_S = 10
 _DASK = ("distributed", "dask")
 
 
-class Cluster:
+class Cluster(Closing):
     """A scheduler and its workers. A context manager, which leaves them.
 
     address: tcp://HOST:PORT of the scheduler. Raises ConfigError if it cannot do runs for us.
@@ -137,10 +137,7 @@ class Cluster:
         finally:
             self._client.cancel(futures)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self._client.close()
 
 
@@ -209,7 +206,6 @@ _MOST_JOBS = 256
 
 
 def processors() -> int:
-    """The number of processors that this process may use."""
     return len(os.sched_getaffinity(0))
 
 

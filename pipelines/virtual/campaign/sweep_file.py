@@ -190,7 +190,6 @@ def _set(table: dict[str, object], name: str, value: object) -> None:
 
 
 def _shown(value: object) -> Value:
-    """A value in a table's cell."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float | str):

@@ -5,10 +5,9 @@ from places import ROOT
 
 from pipelines.cli import main
 from pipelines.commands import link
-from pipelines.commands.link_ports import channels, port_table
-from pipelines.session.datagrams import EndAddresses
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
+from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
 from telepresence.link.protection.identity import MachineKey
 
@@ -101,29 +100,28 @@ def test_another_machine_s_programs_need_an_address_of_this_one(capsys, monkeypa
 @pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
 def test_every_channel_of_a_setup_has_a_line_with_its_ports(setup):
     session = topology_of(setup)
-    lines = port_table(session, list(Segment), EndAddresses())
-    rows = {line.split()[0]: line.split() for line in lines[1:]}
+    table = ports_table(session, list(Segment), "127.0.0.1", "127.0.0.1")
+    rows = {row[0]: row[1:3] for row in table.rows}
     for row in session.streams:
-        places = [f"127.0.0.1:{port}" for port in (row.entry_port, row.exit_port)]
-        assert rows[row.name][1:3] == places
+        ports = (row.entry_port, row.exit_port)
+        assert rows[row.name] == tuple(f"127.0.0.1:{port}" for port in ports)
     # The robot is on the ground and the joystick in space.
     assert session.haptic("up").sender == "robot"
     assert session.haptic("down").sender == "joystick"
 
 
 def test_one_end_shows_and_binds_its_own_ports_only():
-    addresses = EndAddresses(apps="198.51.100.2", apps_bind="198.51.100.1")
-    lines = port_table(topology_of(SPACEJUSTIN), [Segment.GROUND], addresses)
+    table = topology_of(SPACEJUSTIN)
+    lines = ports_table(table, [Segment.GROUND], "198.51.100.1", "198.51.100.2").lines(200)
     video = next(line for line in lines if line.startswith("uplink_video "))
     assert "198.51.100.1:27010" in video
     assert "the other end" in video
     down = next(line for line in lines if line.startswith("downlink_video "))
     assert "198.51.100.2:27020" in down
-    table = topology_of(SPACEJUSTIN)
     both = [set(table.ports_of(table.gateway(end).name)) for end in Segment]
     assert both[0] & both[1] == set()
     for end, bound in zip(Segment, both, strict=True):
-        shown = {channel.in_port for channel in channels(topology_of(SPACEJUSTIN), [end])} - {None}
+        shown = {row.entry_port for row in table.streams if row.direction.sender is end}
         assert len(bound - shown) == 1  # the radio's
 
 
@@ -136,6 +134,5 @@ def test_the_ports_of_the_documentation_are_those_of_the_link(setup):
         (row[1].strip(" `"), int(row[3]), int(row[4])) for row in rows if row[column].strip()
     ]
     assert documented == [
-        (channel.name, channel.in_port, channel.out_port)
-        for channel in channels(topology_of(setup), list(Segment))
+        (row.name, row.entry_port, row.exit_port) for row in topology_of(setup).streams
     ]

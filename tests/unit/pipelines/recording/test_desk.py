@@ -1,15 +1,9 @@
 """What the recorder answers to terminals."""
 
 from kontur_av.clock import NS_PER_S
-from pipelines.recording.desk import HOLD_NS, Ask, DeskReply, RecorderDesk, Start, Stop
-from pipelines.session.recorder_requests import (
-    MAX_LINE_OCTETS,
-    RecordAnswer,
-    RecordingWish,
-    RecordRequest,
-    pack_line,
-    parse_record_answer,
-)
+from pipelines.recording.desk import HOLD_NS, Ask, RecorderDesk, Start, Stop
+from pipelines.session.recorder_requests import RecordAnswer, RecordingWish, RecordRequest
+from pipelines.session.terminal_lines import MAX_LINE_OCTETS, Reply, pack_line, parse_line
 
 WISH = RecordingWish(file="/tmp/a.mcap")
 HELD = RecordingWish(file="/tmp/a.mcap", held=True)
@@ -37,9 +31,9 @@ class Talk:
         while (event := self.desk.next_event()) is not None:
             self.did.append(type(event))
             match event:
-                case DeskReply():
+                case Reply():
                     if event.octets:
-                        self.answers[event.terminal] = parse_record_answer(event.octets)
+                        self.answers[event.terminal] = parse_line(event.octets, RecordAnswer)
                     if event.last:
                         self.closed.add(event.terminal)
                 case Start():

@@ -5,12 +5,17 @@ import socket
 import tempfile
 import threading
 
+import msgspec
 import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.session.asking import ask_desk, desk_path, running_sessions
 
 DESK = "trainer"
+
+
+class Line(msgspec.Struct):
+    text: str = "ask"
 
 
 @pytest.fixture
@@ -55,19 +60,19 @@ def desk(monkeypatch):
 
 
 def ask(session=None):
-    return ask_desk(DESK, b"ask\n", session, missing="nobody trains here")
+    return ask_desk(DESK, Line(), Line, session, missing="nobody trains here")
 
 
 def test_the_only_session_is_asked(desk):
-    asked = desk("one", b"done\n")
-    assert ask() == b"done\n"
-    assert asked == [b"ask\n"]
+    asked = desk("one", b'{"text": "done"}\n')
+    assert ask() == Line("done")
+    assert asked == [b'{"text":"ask"}\n']
 
 
 def test_the_setups_name_selects_its_only_session(desk):
-    desk("taskboard-41", b"done\n")
+    desk("taskboard-41", b'{"text": "done"}\n')
     desk("spacejustin-42", b"")
-    assert ask("taskboard") == b"done\n"
+    assert ask("taskboard") == Line("done")
 
 
 def test_an_unknown_session_name_is_refused_with_the_running_ones(desk):
@@ -80,32 +85,32 @@ def test_an_unknown_session_name_is_refused_with_the_running_ones(desk):
 
 
 def test_with_several_sessions_a_name_is_required(desk):
-    desk("one", b"first\n")
-    desk("two", b"second\n")
+    desk("one", b'{"text": "first"}\n')
+    desk("two", b'{"text": "second"}\n')
     assert sorted(running_sessions(DESK)) == ["one", "two"]
     with pytest.raises(ConfigError, match="--session"):
         ask()
-    assert ask("two") == b"second\n"
+    assert ask("two") == Line("second")
 
 
 def test_without_a_session_the_mend_is_named(desk):
-    desk("one", b"done\n")
+    desk("one", b'{"text": "done"}\n')
     with pytest.raises(ConfigError, match="nobody"):
-        ask_desk("owner", b"ask\n", None, missing="nobody has an owner")
+        ask_desk("owner", Line(), Line, None, missing="nobody has an owner")
 
 
 @pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
 def test_a_killed_session_is_ignored(desk, kind):
-    desk("one", b"done\n")
+    desk("one", b'{"text": "done"}\n')
     desk_path("dead", DESK).parent.mkdir(parents=True)
     with socket.socket(socket.AF_UNIX, kind) as dead:
         dead.bind(str(desk_path("dead", DESK)))
     assert running_sessions(DESK) == ["one"]
-    assert ask() == b"done\n"
+    assert ask() == Line("done")
 
 
 def test_sockets_of_datagrams_are_found(desk):
-    desk("one", b"done\n")
+    desk("one", b'{"text": "done"}\n')
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
         link.bind(str(desk_path("one", "tmtc.space")))
         assert running_sessions("tmtc.space") == ["one"]
@@ -113,4 +118,4 @@ def test_sockets_of_datagrams_are_found(desk):
 
 def test_a_process_that_dies_during_a_request_answers_nothing(desk):
     desk("one", b"")
-    assert ask() == b""
+    assert ask() is None

@@ -40,7 +40,7 @@ def test_nothing_is_captured_and_scripts_replace_what_sends():
     names = {row.name for row in table.processes}
     assert names == {row.name for row in SESSION.processes} - CAPTURES - {"stereo"}
     for name in PICTURES:
-        sender = table.sender_of(name)
+        sender = table.process(table.media(name).sender)
         assert (sender.run, sender.arguments) == SCRIPT
         assert sender.reads == (SESSION.video(name).backlog_topic,)
         assert sender.writes == (SESSION.video(name).sent_topic,)
@@ -57,9 +57,9 @@ def test_recoded_pictures_come_from_one_camera_and_are_coded_by_the_stream_s_own
     cameras = {row.name for row in table.processes} & CAPTURES
     assert cameras == {SESSION.input("left").process, SESSION.input("iss_camera").process}
     for name in PICTURES:
-        media, sender = SESSION.video(name), table.sender_of(name)
+        media, sender = SESSION.video(name), table.process(table.media(name).sender)
         topic = SESSION.input(media.inputs[0]).topic
-        assert sender.run == SESSION.sender_of("downlink_video").run
+        assert sender.run == SESSION.process(SESSION.media("downlink_video").sender).run
         assert sender.arguments == {"stream": media.stream, "topic": topic}
         assert table.topic(topic).readers[0] == sender.name
         assert table.process(table.topic(topic).writer).run == SCRIPT.run

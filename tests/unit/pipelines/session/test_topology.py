@@ -154,11 +154,11 @@ def test_the_ports_are_the_documented_ones():
 
 
 def test_lookups_find_what_belongs_together():
-    assert SPACEJUSTIN.sender_of("uplink_video").name == "uplink_video_send"
-    assert SPACEJUSTIN.receiver_of("downlink_voice").name == "downlink_voice_receive"
+    assert SPACEJUSTIN.media("uplink_video").sender == "uplink_video_send"
+    assert SPACEJUSTIN.media("downlink_voice").receiver == "downlink_voice_receive"
     assert SPACEJUSTIN.gateway(Segment.SPACE).name == "space_gateway"
-    assert SPACEJUSTIN.input_process("head").name == "camera_head"
-    assert SPACEJUSTIN.input_process("iss_camera").name == "iss_camera"
+    assert SPACEJUSTIN.input("head").process == "camera_head"
+    assert SPACEJUSTIN.input("iss_camera").process == "iss_camera"
     assert SPACEJUSTIN.camera("stereo").inputs == ("left", "right")
     assert SPACEJUSTIN.haptic("up").direction is Direction.UPLINK
     picture = SPACEJUSTIN.shown_with("downlink_voice")
@@ -170,7 +170,7 @@ def test_lookups_find_what_belongs_together():
 
 
 def test_each_segment_can_be_started_alone():
-    parts = [SPACEJUSTIN.processes_of([segment]) for segment in Segment]
+    parts = [replace(SPACEJUSTIN, segments=(one,)).processes_here for one in Segment]
     names = [{row.name for row in rows} for rows in parts]
     assert names[0] & names[1] == {"snapshots"}
     assert names[0] | names[1] == {row.name for row in SPACEJUSTIN.processes}

@@ -7,7 +7,7 @@ import aiohttp
 from aiohttp import web
 
 from pipelines.session.access import AccessError
-from pipelines.session.page_listener import PageListener
+from pipelines.session.page_sockets import PageListener
 from pipelines.session.web_site import WebSite, quiet_log
 
 PATIENCE_S = 20

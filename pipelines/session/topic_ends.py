@@ -1,0 +1,82 @@
+"""Writers and readers of topics that carry one kind of sample."""
+
+from collections.abc import Callable
+from itertools import count
+from typing import Generic
+
+from kontur_av.media import CaptureStamp
+from kontur_av.topics.bus import Lease, TopicBus
+from pipelines.session.mission_messages import MISSION_OCTETS, Message, MessageT, pack, unpack
+from pipelines.session.topology import TRAINER_TOPIC
+from pipelines.session.training import Exercises
+
+#: Room for most samples; the topic makes more for a larger one.
+_SAMPLE_OCTETS = 2 << 10
+
+
+class SampleTopic:
+    """A number counts the samples, also those that nobody reads."""
+
+    def __init__(self, bus: TopicBus, topic: str) -> None:
+        self._source, self._numbers = topic, count()
+        self._writer = bus.writer(topic, max_octets=_SAMPLE_OCTETS)
+
+    def handle_sample(self, octets: bytes, capture_ns: int, timestamp: int | None = None) -> None:
+        """Publish a sample of this instant. timestamp: the 32-bit RTP timestamp of media."""
+        number = next(self._numbers)
+        if self._writer.has_readers():
+            stamp = CaptureStamp(capture_ns, number, self._source, rtp_timestamp=timestamp)
+            self._writer.publish_octets(octets, stamp)
+
+
+class MissionWriter:
+    """Publishes messages. wake: readers may wait for them."""
+
+    def __init__(self, bus: TopicBus, topic: str, *, wake: bool = False) -> None:
+        self._writer = bus.writer(topic, max_octets=MISSION_OCTETS, wake=wake)
+        self._topic, self._numbers = topic, count()
+
+    def publish(self, message: Message, now_ns: int) -> None:
+        stamp = CaptureStamp(now_ns, next(self._numbers), self._topic)
+        self._writer.publish_octets(pack(message), stamp)
+
+
+class MissionReader(Generic[MessageT]):
+    """Reads messages. newest: the newest one that was read, and newest_ns when that was sent."""
+
+    def __init__(self, bus: TopicBus, topic: str, kind: type[MessageT], *, depth: int = 1) -> None:
+        self._reader = bus.reader(topic, depth=depth)
+        self._kind: type[MessageT] = kind
+        self.newest: MessageT | None = None
+        self.newest_ns = 0
+
+    def latest(self) -> MessageT | None:
+        """Return the newest message, if it was not read yet."""
+        lease = self._reader.latest()
+        return None if lease is None else self._read(lease)
+
+    def next(self) -> MessageT | None:
+        """Return the oldest message that was not read yet, or None."""
+        lease = self._reader.next()
+        return None if lease is None else self._read(lease)
+
+    def _read(self, lease: Lease) -> MessageT:
+        with lease:
+            self.newest_ns = lease.stamp.capture_ns
+            found: MessageT = unpack(self._kind, lease.octets())
+        self.newest = found
+        return found
+
+
+def new_exercises(bus: TopicBus) -> Callable[[], Exercises | None]:
+    """Return a function that returns the exercises after each change of them, else None."""
+    reader = bus.reader(TRAINER_TOPIC)
+
+    def take() -> Exercises | None:
+        lease = reader.latest()
+        if lease is None:
+            return None
+        with lease:
+            return Exercises.unpack(lease.octets())
+
+    return take
