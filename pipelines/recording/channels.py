@@ -37,7 +37,6 @@ from pipelines.session.topology import (
     Topology,
     VideoRow,
 )
-from pipelines.session.topology.tables import Table
 
 PROTOBUF = "protobuf"
 EVENTS, LOG_LINES, RECORDER_LOSSES = "/events", "/log", "/recorder/losses"
@@ -127,31 +126,3 @@ def _channels(topology: Topology, *, link_frames: bool) -> Iterator[tuple[str, M
 
 def _used(way: str) -> str:
     return "sent" if way == SENT else "acted on"
-
-
-def channels_table(topology: Topology) -> Table:
-    """All channels that a recording of a session can have, for the documents."""
-    rows = channels_of(topology, link_frames=True)
-    return Table(
-        headings=("channel", "schema", "a message"),
-        rows=[(f"`{row.topic}`", f"`{row.schema.full_name}`", row.what) for row in rows],
-    )
-
-
-def fields_table() -> Table:
-    """The fields of all schemas, with their units, for the documents."""
-    return Table(
-        headings=("schema", "field", "type", "what"),
-        rows=[
-            (f"`{name}`", f"`{field.name}`", f"{field.type}{'[]' * field.repeated}", field.what)
-            for schema in SCHEMAS
-            for name, part in _with_nested(schema)
-            for field in part.fields
-        ],
-    )
-
-
-def _with_nested(schema: MessageSchema) -> Iterator[tuple[str, MessageSchema]]:
-    yield schema.full_name, schema
-    for inner in schema.nested:
-        yield f"{schema.full_name}.{inner.name}", inner

@@ -296,7 +296,6 @@ LIBRARIES = {
     ),
     "pipelines/report/": ({"msgspec", "rich"}, "the report as JSON and as text"),
     "pipelines/report/trace.py": ({"zlib"}, "rows as text"),
-    "pipelines/report/keys.py": ({"inspect"}, "reads docstrings"),
     "pipelines/report/live.py": ({"sys"}, "the terminal"),
     "pipelines/report/model.py": ({"json"}, "the report as JSON"),
     "pipelines/partner/description.py": ({"aiortc"}, "session descriptions as text"),
