@@ -21,13 +21,13 @@ from kontur_av.figures import plus
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
+from pipelines.recording.channels import Content, Source, sources_of
 from pipelines.recording.desk import MOST_TERMINALS, Ask, DeskReply, RecorderDesk, Start, Stop
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
 from pipelines.recording.recorder import Recorder
-from pipelines.recording.sources import Content, Source, sources_of
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.recorder_control import read_wish, recorder_path, remove_wish, write_wish
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish

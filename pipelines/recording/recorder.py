@@ -29,6 +29,8 @@ from pipelines.recording.channels import (
     RECORDER_LOSSES,
     SENT,
     SESSION_FIGURES,
+    Content,
+    Source,
     channels_of,
 )
 from pipelines.recording.contacts import ContactWatch
@@ -62,7 +64,6 @@ from pipelines.recording.own_pictures import (
     KeyPictureWanted,
     StreamStart,
 )
-from pipelines.recording.sources import Content, Source
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.topology import Topology
 from telepresence.link.figures import GatewayFigures

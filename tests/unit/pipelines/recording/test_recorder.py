@@ -17,6 +17,7 @@ from pipelines.hand.haptic_trace import CONTACT, ROW
 from pipelines.link.frame_batch import pack_frames
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.local_key import last_key
+from pipelines.recording.channels import Content, sources_of
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.mcap_stream import MAGIC
 from pipelines.recording.messages import (
@@ -35,7 +36,6 @@ from pipelines.recording.messages import (
 from pipelines.recording.own_pictures import KEY_PATIENCE_NS
 from pipelines.recording.recorder import RETRY_NS, Recorder
 from pipelines.recording.scan import FoundMessage, Scan
-from pipelines.recording.sources import Content, sources_of
 from pipelines.session.probe import Probe
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.setup.built_in import BUILT_IN
