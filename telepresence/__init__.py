@@ -41,17 +41,4 @@ __all__ = [
     "voice_flow",
 ]
 
-#: Module -> the names above that it defines.
-_HOMES = {
-    "haptics.bilateral": ("JoystickSide", "RobotSide"),
-    "haptics.sample": ("Command", "Feedback"),
-    "link.flows": ("Flow", "Level", "packet_flow", "video_flow", "voice_flow"),
-    "link.gateway": ("Gateway",),
-    "link.profile": ("LinkProfile",),
-    "link.radio": ("RadioPath", "RadioProfile", "load_radio"),
-    "link.receiver": ("LinkReceiver",),
-    "link.sender": ("LinkSender",),
-    "tmtc.pus.application": ("PusApplication",),
-    "tmtc.pus.user": ("PusUser",),
-}
-__getattr__, __dir__ = lazy_names(__name__, _HOMES)
+__getattr__, __dir__ = lazy_names(__name__)

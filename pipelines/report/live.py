@@ -1,7 +1,6 @@
 """What a running session shows: a live table on a terminal, else one line a second."""
 
 import sys
-from types import TracebackType
 from typing import Self
 
 from rich.columns import Columns
@@ -72,12 +71,7 @@ class LiveView:
             self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live is not None:
             self._live.stop()
 

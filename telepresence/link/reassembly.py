@@ -5,6 +5,7 @@ It never raises because of data from the peer; invalid data is counted by reason
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from telepresence.link.compression.header_compression import RtpDecompressor
 from telepresence.link.compression.rtp_forms import KIND_CONTEXT, KIND_RAW
@@ -28,15 +29,13 @@ from telepresence.link.received import LinkEvent, PacketReceived, SupervisionRec
 _RESUMED = [-1] * TAG_RESUME + [*range(len(Level))]
 
 
+@dataclass(slots=True)
 class _Partial:
     """A packet whose end has not arrived yet."""
 
-    __slots__ = ("body", "count", "tag")
-
-    def __init__(self, tag: int, count: int, body: bytes) -> None:
-        self.tag = tag
-        self.count = count
-        self.body = bytearray(body)
+    tag: int
+    count: int
+    body: bytearray
 
 
 class PacketReassembly:
@@ -186,7 +185,7 @@ class PacketReassembly:
                 if tag & CLOSED:
                     self._deliver(tag & ~CLOSED, count, piece, now_ns)
                 else:
-                    self._partials[level] = _Partial(tag, count, piece)
+                    self._partials[level] = _Partial(tag, count, bytearray(piece))
                     self._on_air = level
                 continue
             self._extend(level, piece)

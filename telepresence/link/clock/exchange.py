@@ -45,8 +45,6 @@ class _WholeClock:
     `handle_message` returns the whole instant in µs, or None until four parts have come.
     """
 
-    __slots__ = ("_newest_ns", "_newest_us", "_pieces", "stepped")
-
     def __init__(self) -> None:
         self.clear()
 
@@ -94,22 +92,6 @@ class ClockExchange:
 
     next_ns: when the next message is due.
     """
-
-    __slots__ = (
-        "_counts_in",
-        "_counts_out",
-        "_estimator",
-        "_first",
-        "_life",
-        "_master",
-        "_peer_life",
-        "_received",
-        "_sent",
-        "_told_offset_ns",
-        "_version",
-        "_whole",
-        "next_ns",
-    )
 
     def __init__(
         self, *, version: int, master: bool, life: int, told_offset_ns: int, now_ns: int

@@ -127,39 +127,6 @@ class Supervisor:
     next_ns: the same as `poll_timeout()`.
     """
 
-    # These attributes are read thousands of times a second; slots are the fastest to read.
-    __slots__ = (
-        "_answered_ns",
-        "_application",
-        "_asked_ns",
-        "_contexts",
-        "_counts",
-        "_events",
-        "_fault",
-        "_frame_ns",
-        "_greet_ns",
-        "_greeted_ns",
-        "_negotiation",
-        "_pacing",
-        "_prompt",
-        "_proof",
-        "_record",
-        "_silence_ns",
-        "_stranger",
-        "_stranger_ns",
-        "_stray_ns",
-        "configuration",
-        "delivering",
-        "life",
-        "master",
-        "next_ns",
-        "peer_hears",
-        "signal",
-        "state",
-        "timing",
-        "why",
-    )
-
     def __init__(
         self,
         *,
@@ -360,8 +327,8 @@ class Supervisor:
             counts=dict(record.counts),
             contact_ns=record.contact_ns(now_ns),
             longest_gap_ns=record.longest_gap_ns,
-            contacts=record.contacts(),
-            history=record.history(),
+            contacts=list(record.contacts),
+            history=list(record.history),
         )
 
     def _hear_stranger(self, data: bytes, now_ns: int) -> SupervisionMessage | None:
