@@ -244,7 +244,6 @@ class _Recording:
         self._pump()
 
     def end(self) -> RecorderFigures:
-        """End the recording, and return its counts."""
         for _, reader in self._readers:
             reader.close()
         wait(self._keys.values(), _CLOSE_S)

@@ -245,7 +245,6 @@ class Recorder:
         self._put(source.channels[0], pack(picture), wall_ns, number, at)
 
     def handle_event(self, event: RecordedEvent, now_ns: int) -> None:
-        """Something happened in the session."""
         at = _Instants(now_ns, now_ns)
         wall_ns = event.session_ns + self._offset_ns
         level = LogLevel.WARNING if event.what in _WARNINGS else LogLevel.INFO

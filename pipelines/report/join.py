@@ -265,7 +265,6 @@ def _both_ran(ground: EndTrace, space: EndTrace, collector: Collector) -> tuple[
 
 
 def _received(report: msgspec.Struct) -> Mapping[str, Any]:
-    """What the receiving end knows."""
     marks = marks_of(type(report))
     return {name: getattr(report, name) for name, one in marks.items() if RECEIVED in one}
 

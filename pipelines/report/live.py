@@ -76,7 +76,6 @@ class LiveView:
             self._live.stop()
 
     def show(self, launcher: Launcher) -> None:
-        """Draw the present state."""
         if self._live is not None:
             self._live.update(
                 Group(

@@ -38,7 +38,6 @@ _COLUMNS = (
 
 
 def task_line(run: TaskRow) -> str:
-    """A run of a task, in one line."""
     took = "" if run.seconds is None else f" after {run.seconds:.1f} s"
     why = f": {run.reason}" if run.reason else ""
     return f"task {run.name}, run {run.run}: {run.result.replace('_', ' ')}{took}{why}"

@@ -139,7 +139,6 @@ def loop_warnings(
 
 
 def restart_warning(process: str, restarts: int, last_error: str) -> Warning:
-    """A process had to be started again."""
     why = f": {last_error}" if last_error else ""
     mend = "mend what its error names; report an error of this software"
     if lacks_room(last_error):

@@ -102,7 +102,6 @@ class PacketReassembly:
         self._on_air = None
 
     def forget_contexts(self) -> None:
-        """Forget all contexts."""
         for decompressor in self._decompressors:
             if decompressor is not None:
                 decompressor.forget()
@@ -119,7 +118,6 @@ class PacketReassembly:
             self._note_contexts()
 
     def drop(self, reason: str) -> None:
-        """Count a dropped packet."""
         self.dropped[reason] = self.dropped.get(reason, 0) + 1
 
     def _malformed(self) -> None:

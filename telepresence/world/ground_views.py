@@ -245,9 +245,3 @@ def _light(still: Image, camera: PinholeCamera, lit: int, margin: int) -> Patch:
     shining = (region + colour * halo[..., None]) * (1 - core)
     shining += (colour * (1 - white) + 255 * white) * core
     return Patch(np.clip(shining, 0, 255).astype(np.uint8), left, top)
-
-
-def targets_px(view: str, width: int, height: int) -> NDArray[np.float64]:
-    """Return the LED targets in pixels, (5, 2), for a camera that does not turn."""
-    points = np.array([(x, y, 0.0) for x, y in LEDS_M])
-    return camera_of(view, width, height).project(points)

@@ -98,7 +98,6 @@ class _Bounds:
 
     @property
     def newest_ns(self) -> int:
-        """The newest bound's offset."""
         return self._points[-1][1]
 
     def clear(self) -> None:

@@ -49,7 +49,6 @@ class _WholeClock:
         self.clear()
 
     def clear(self) -> None:
-        """Forget the peer's clock."""
         self._pieces: dict[int, int] = {}
         self._newest_us = self._newest_ns = 0
         #: The newest message contradicts those before: the peer's clock was stepped.

@@ -34,7 +34,6 @@ class ClockHistory:
 
     @property
     def known(self) -> bool:
-        """Whether there is any estimate."""
         return bool(self._instants)
 
     def add(self, instant_ns: int, offset_ns: int, error_ns: int) -> None:

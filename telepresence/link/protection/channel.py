@@ -144,7 +144,6 @@ class ProtectedChannel:
 
     @property
     def protected(self) -> bool:
-        """Whether there is a session."""
         return self._sealer is not None
 
     def seal(self, frame: bytes, now_ns: int) -> bytes | None:

@@ -87,7 +87,6 @@ class SupervisionRecord:
         return {state.name.lower(): spent_ns for state, spent_ns in present.items()}
 
     def contact_ns(self, now_ns: int) -> int:
-        """The time with signal until `now_ns`."""
         contact_ns = self._contact_ns
         if self.contacts and self.contacts[-1].lost_ns is None:
             contact_ns += now_ns - self.begun_ns - self.contacts[-1].acquired_ns
