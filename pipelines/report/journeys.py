@@ -16,15 +16,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
 from pipelines.report.skew import RECENT_DEPTH, Recent
 from pipelines.report.terms import LONGEST_GAP_NS, DelaySums
-from pipelines.session.rows import (
-    CodingRow,
-    DecodedRow,
-    OutRow,
-    Row,
-    RxRow,
-    ShownRow,
-    TxRow,
-)
+from pipelines.session.rows import CodingRow, DecodedRow, OutRow, Row, RxRow, ShownRow, TxRow
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.sample import SAMPLE_OCTETS
 

@@ -117,12 +117,7 @@ class SeatFigures:
         self.log.handle_look(processes, switch=switch, started_ns=started_ns, now_ns=now_ns)
 
     def message(
-        self,
-        cpu_s: Mapping[str, float],
-        *,
-        launcher_cpu_s: float,
-        running_ns: int,
-        now_ns: int,
+        self, cpu_s: Mapping[str, float], *, launcher_cpu_s: float, running_ns: int, now_ns: int
     ) -> SeatMessage:
         """The message of this instant, without events.
 

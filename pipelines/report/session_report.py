@@ -54,12 +54,7 @@ from pipelines.session.restarts import lacks_room
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import ROBOT, HapticRow
 from telepresence.haptics.envelope import SafetyFigures
-from telepresence.haptics.figures import (
-    JoystickFigures,
-    PortFigures,
-    SamplesReceived,
-    SamplesSent,
-)
+from telepresence.haptics.figures import JoystickFigures, PortFigures, SamplesReceived, SamplesSent
 from telepresence.link.profile import LinkProfile
 
 

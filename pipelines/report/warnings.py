@@ -145,10 +145,7 @@ def restart_warning(process: str, restarts: int, last_error: str) -> Warning:
         mend = "end the program that fills /dev/shm, or give more (--shm-size=256m)"
     times = "once" if restarts == 1 else f"{restarts} times"
     return Warning(
-        what="restarted",
-        where=process,
-        measured=f"it was started again {times}{why}",
-        mend=mend,
+        what="restarted", where=process, measured=f"it was started again {times}{why}", mend=mend
     )
 
 

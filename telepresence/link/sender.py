@@ -20,12 +20,7 @@ from telepresence.link.frame import (
     FrameCodec,
     Pointers,
 )
-from telepresence.link.profile import (
-    FECF_OCTETS,
-    HEADER_OCTETS,
-    SUPERVISION_OCTETS,
-    LinkProfile,
-)
+from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
 from telepresence.tmtc.pus.head import is_packet
 

@@ -54,10 +54,7 @@ class CsvExport:
             file.close()
 
     def lines(self) -> list[str]:
-        return [
-            f"{self._directory}: {len(self._files)} CSV files",
-            *self._columnizer.lines(),
-        ]
+        return [f"{self._directory}: {len(self._files)} CSV files", *self._columnizer.lines()]
 
 
 class CsvFile:

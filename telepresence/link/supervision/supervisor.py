@@ -158,11 +158,7 @@ class Supervisor:
         self._frame_ns = now_ns
         self.next_ns = now_ns
         self._negotiation = Negotiation(
-            master=master,
-            configuration=configuration,
-            life=life,
-            timing=self.timing,
-            now_ns=now_ns,
+            master=master, configuration=configuration, life=life, timing=self.timing, now_ns=now_ns
         )
         self._application = ApplicationWatch(self.timing, now_ns)
         self._pacing = MessagePacing(self.timing, now_ns)
