@@ -221,7 +221,7 @@ class Reader:
         self._subscriber = subscriber
         self._closed = closed
         self._wait_set: WaitSet | None = None
-        #: For a `Waiter`.
+        #: For `TopicBus.waiter`.
         self.listener = listener
         #: Samples that `latest` skipped because a newer one was there.
         self.skipped = 0
@@ -337,9 +337,12 @@ class TopicBus(Closing):
         self._readers.add(reader)
         return reader
 
-    def waiter(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> "Waiter":
-        """Return a waiter for any of several readers and file descriptors."""
-        return Waiter(readers, sockets)
+    def waiter(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> WaitSet:
+        """Return a wait set for any of several readers and file descriptors.
+
+        After a wake-up, read all that is there: only what is published later wakes again.
+        """
+        return WaitSet([reader.listener for reader in readers], sockets)
 
     def close(self) -> None:
         """Close the ports, then the node."""
@@ -354,24 +357,6 @@ class TopicBus(Closing):
     def _no_topic(self, topic: str) -> ConfigError:
         known = ", ".join(self.topics()) or "none"
         return ConfigError(f"session {self._session} has no topic {topic}: it has {known}")
-
-
-class Waiter:
-    """Waits until one of several readers has something new, or a file descriptor is readable.
-
-    After a wake-up, read all that is there: only what is published later wakes again.
-    """
-
-    def __init__(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> None:
-        self._wait_set = WaitSet([reader.listener for reader in readers], sockets)
-
-    def fileno(self) -> int:
-        """Return a descriptor for an event loop. When it is readable, call `wait(0)`, then read."""
-        return self._wait_set.fileno()
-
-    def wait(self, timeout_ns: int) -> bool:
-        """Wait until there may be something to read; return False on timeout."""
-        return self._wait_set.wait(timeout_ns)
 
 
 def topics_are_files(session: str) -> bool:

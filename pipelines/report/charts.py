@@ -105,9 +105,6 @@ def _distribution(
     axes.legend(loc="lower right", fontsize="small")
 
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 #: A segment narrower than this share of the axis gets no number.
 _LABELLED_SHARE = 0.04
 #: Colours on which black text is hard to read.

@@ -48,13 +48,6 @@ class ClockHistory:
         """The instants, offsets and errors of all estimates, in ns."""
         return zip(self._instants, self._offsets, self._errors, strict=True)
 
-    def reversed(self) -> ClockHistory:
-        """The same from the peer's side: instants of its clock, and the own clock minus it."""
-        found = ClockHistory()
-        for instant_ns, offset_ns, error_ns in self.estimates():
-            found.add(instant_ns + offset_ns, -offset_ns, error_ns)
-        return found
-
     def at(self, instants_ns: Integers) -> Offsets:
         """Return the offsets at these instants, shape (n,); ValueError if nothing is known.
 

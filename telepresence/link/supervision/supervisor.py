@@ -53,24 +53,6 @@ from telepresence.link.supervision.pacing import MessagePacing
 from telepresence.link.supervision.proof import Proof
 from telepresence.link.supervision.record import SupervisionRecord
 
-__all__ = [
-    "ApplicationReset",
-    "Configuration",
-    "ContextsHeld",
-    "Encounter",
-    "LinkState",
-    "PeerDeaf",
-    "PeerDoubted",
-    "PeerHears",
-    "PeerMet",
-    "SignalAcquired",
-    "SignalLost",
-    "StateChanged",
-    "SupervisionEvent",
-    "SupervisionTiming",
-    "Supervisor",
-]
-
 _NO_CONTEXTS = (0, 0, 0, 0)
 #: For a gateway that does not fetch events; beyond that the oldest are dropped.
 _EVENTS_DEPTH = 256
