@@ -133,7 +133,7 @@ def test_a_chunk_is_no_larger_than_permitted_unless_one_message_is(lengths):
             assert record.uncompressed_size < max(index) + 2000
 
 
-def test_messages_are_refused_and_counted_while_the_disk_does_not_keep_up():
+def test_messages_are_refused_while_the_disk_does_not_keep_up():
     stream = McapStream(library=LIBRARY, most_waiting_octets=100)
     stream.handle_channel(*channel(0))
     assert say(stream, 0)
