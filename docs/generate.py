@@ -19,14 +19,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import griffe
+from report_keys import counts_table, keys_tables
 
 from pipelines.cli import make_parser
-from pipelines.recording.channels import channels_table, fields_table
-from pipelines.report.keys import counts_table, keys_tables
+from pipelines.recording.channels import channels_of
+from pipelines.recording.messages import SCHEMAS
+from pipelines.recording.schemas import MessageSchema
 from pipelines.report.model import LinkReport, SessionReport
 from pipelines.report.result import Headline
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import tables
+from pipelines.session.topology import Topology, tables
 from pipelines.table import topology_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -297,7 +299,7 @@ def topology_blocks() -> dict[str, str]:
         "commands": commands_text(),
         "processes": joined(tables.in_code(processes, "process")).markdown(),
         "channels": channels.markdown(),
-        "recorded channels": joined(channels_table(session)).markdown(),
+        "recorded channels": joined(recorded_channels(session)).markdown(),
         "recorded fields": recorded_fields(),
         **told_once(
             {
@@ -364,12 +366,28 @@ def joined(table: tables.Table) -> tables.Table:
     return tables.Table(headings=table.headings, rows=rows)
 
 
+def recorded_channels(session: Topology) -> tables.Table:
+    """All channels that a recording of a session can have."""
+    rows = channels_of(session, link_frames=True)
+    return tables.Table(
+        headings=("channel", "schema", "a message"),
+        rows=[(f"`{row.topic}`", f"`{row.schema.full_name}`", row.what) for row in rows],
+    )
+
+
 def recorded_fields() -> str:
-    """A list of fields for each schema."""
-    parts: dict[str, list[str]] = {}
-    for schema, field, kind, what in fields_table().rows:
-        parts.setdefault(schema, []).append(f"- {field} ({kind}): {what}")
-    return "\n\n".join("\n".join([f"{name}\n", *fields]) for name, fields in parts.items()) + "\n"
+    """A list of fields for each schema, and for each one in it."""
+    named: list[tuple[str, MessageSchema]] = []
+    for schema in SCHEMAS:
+        named.append((schema.full_name, schema))
+        named += [(f"{schema.full_name}.{inner.name}", inner) for inner in schema.nested]
+    parts = []
+    for name, schema in named:
+        fields = (
+            f"- `{row.name}` ({row.type}{'[]' * row.repeated}): {row.what}" for row in schema.fields
+        )
+        parts.append("\n".join([f"`{name}`\n", *fields]))
+    return "\n\n".join(parts) + "\n"
 
 
 def filled(document: str, blocks: dict[str, str]) -> str:

@@ -89,36 +89,4 @@ __all__ = [
     "write_sdp",
 ]
 
-#: Module -> the names above that it defines.
-_HOMES = {
-    "clock": ("ManualClock", "MonotonicClock"),
-    "codecs.coding": ("Coding",),
-    "codecs.h264": ("DecodedPicture", "H264Decoder", "H264Encoder"),
-    "codecs.opus": ("OpusDecoder", "OpusEncoder"),
-    "codecs.region": ("Region",),
-    "errors": ("ConfigError", "ProtocolError"),
-    "media": (
-        "AccessUnit",
-        "AudioFrame",
-        "CaptureStamp",
-        "Quality",
-        "VideoFrame",
-        "empty_picture",
-        "planes",
-    ),
-    "rtp.sdp": ("StreamDescription", "parse_sdp", "write_sdp"),
-    "rtp.sender": ("RtpIdentity",),
-    "sources": ("AudioSource", "VideoSource", "open_audio", "open_video"),
-    "streams.encoding_thread": ("EncodingThread",),
-    "streams.ends": ("PictureSender", "Received", "SoundSender", "StreamReceiver"),
-    "streams.lipsync": ("LipSync",),
-    "streams.staleness": ("Staleness",),
-    "streams.udp": ("UdpReceiver", "UdpSender"),
-    "streams.video_receiver": ("VideoReceiver",),
-    "streams.video_sender": ("VideoSender",),
-    "streams.voice_player": ("VoicePlayer",),
-    "streams.voice_receiver": ("VoiceReceiver",),
-    "streams.voice_sender": ("VoiceSender",),
-    "topics.bus": ("TopicBus",),
-}
-__getattr__, __dir__ = lazy_names(__name__, _HOMES)
+__getattr__, __dir__ = lazy_names(__name__)

@@ -1,23 +1,31 @@
 """Names of a package that are imported at their first use (PEP 562)."""
 
+import ast
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from importlib import import_module
+from typing import Any
 
 
-def lazy_names(
-    package: str, homes: Mapping[str, Sequence[str]]
-) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Return `__getattr__` and `__dir__` for the `__init__` of `package`.
 
-    homes: for each module, relative to the package, the names that it defines.
+    The names and their modules are what stands in it below `if TYPE_CHECKING:`.
     """
-    home_of = {name: module for module, names in homes.items() for name in names}
+    loader: Any = sys.modules[package].__loader__
+    home_of = {
+        one.name: str(found.module)
+        for block in ast.parse(loader.get_source(package)).body
+        if isinstance(block, ast.If)
+        for found in block.body
+        if isinstance(found, ast.ImportFrom)
+        for one in found.names
+    }
 
     def find(name: str) -> object:
         if name not in home_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value: object = getattr(import_module(f"{package}.{home_of[name]}"), name)
+        value: object = getattr(import_module(home_of[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 

@@ -24,12 +24,4 @@ __all__ = [
     "topology_of",
 ]
 
-#: Module -> the names above that it defines.
-_HOMES = {
-    "mission.joined_session": ("GivenInput", "JoinedSession", "ShownPicture"),
-    "session.setup.setup_file": ("load_setup", "setup_from_table"),
-    "session.setup.table": ("Setup", "VideoStream", "VoiceStream"),
-    "session.topology": ("Topology",),
-    "table": ("topology_of",),
-}
-__getattr__, __dir__ = lazy_names(__name__, _HOMES)
+__getattr__, __dir__ = lazy_names(__name__)

@@ -67,28 +67,4 @@ __all__ = [
     "voice_flow",
 ]
 
-#: Module -> the names above that it defines.
-_HOMES = {
-    "haptics.bilateral": ("Handle", "JoystickSide", "RobotSide"),
-    "haptics.device.device": ("JoystickDevice", "JoystickFacts", "JoystickReading"),
-    "haptics.robot": ("RobotFacts",),
-    "haptics.robot_device": ("RobotDevice", "RobotReading"),
-    "haptics.sample": ("Command", "Feedback"),
-    "link.flows": ("Flow", "Level", "packet_flow", "video_flow", "voice_flow"),
-    "link.gateway": ("Gateway",),
-    "link.profile": ("LinkProfile",),
-    "link.radio": ("RadioPath", "RadioProfile", "load_radio"),
-    "link.receiver": ("LinkReceiver",),
-    "link.sender": ("LinkSender",),
-    "tmtc.pus.application": ("PusApplication",),
-    "tmtc.pus.user": ("EventReport", "PusUser"),
-    "tmtc.telemetry_source": (
-        "FunctionCall",
-        "TelemetryEvent",
-        "TelemetryFunction",
-        "TelemetryParameter",
-        "TelemetryReading",
-        "TelemetrySource",
-    ),
-}
-__getattr__, __dir__ = lazy_names(__name__, _HOMES)
+__getattr__, __dir__ = lazy_names(__name__)

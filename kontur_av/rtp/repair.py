@@ -32,11 +32,7 @@ class PacketHistory:
     """
 
     def __init__(
-        self,
-        *,
-        most_packets: int = 512,
-        again_ns: int = 20 * NS_PER_MS,
-        share: float = 0.25,
+        self, *, most_packets: int = 512, again_ns: int = 20 * NS_PER_MS, share: float = 0.25
     ) -> None:
         self._most_packets, self._again_ns, self._share = most_packets, again_ns, share
         self._kept: OrderedDict[int, _Kept] = OrderedDict()

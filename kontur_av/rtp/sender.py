@@ -9,13 +9,7 @@ from kontur_av.media import BLOCK_SAMPLES, AccessUnit, CaptureStamp
 from kontur_av.rtp.header_extensions import capture_time_element, extended, header_octets
 from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS, packetize, split_annex_b
 from kontur_av.rtp.report_timer import AVPF_LEAST_NS, ReportTimer
-from kontur_av.rtp.wire import (
-    RtcpByePacket,
-    RtcpSenderInfo,
-    RtcpSrPacket,
-    cname_packet,
-    pack_rtp,
-)
+from kontur_av.rtp.wire import RtcpByePacket, RtcpSenderInfo, RtcpSrPacket, cname_packet, pack_rtp
 
 #: The header of every packet of this sender: no CSRC, no extension (RFC 3550 section 5.1).
 RTP_HEADER_OCTETS = 12

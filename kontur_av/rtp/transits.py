@@ -29,7 +29,6 @@ class Transits:
         return bool(self._ordered)
 
     def handle_arrival(self, now_ns: int, transit_ns: int) -> None:
-        """Handle a packet that came at `now_ns`."""
         arrivals, ordered = self._arrivals, self._ordered
         arrivals.append((now_ns, transit_ns))
         insort(ordered, transit_ns)

@@ -43,7 +43,6 @@ class Pace:
         return due_ns
 
     def handle_taken(self) -> None:
-        """The instant that was due has been used."""
         self._index += 1
 
     def _instant(self, index: int) -> int:

@@ -15,12 +15,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
 from kontur_av.parts import find_part, make_part, names_part
 from kontur_av.sources.page import FILLED_BY_OTHERS, PageAudio, PageVideo
-from kontur_av.sources.source import (
-    AudioSceneFactory,
-    AudioSource,
-    VideoSceneFactory,
-    VideoSource,
-)
+from kontur_av.sources.source import AudioSceneFactory, AudioSource, VideoSceneFactory, VideoSource
 
 # Kinds are imported on demand, so that a process that draws a scene does not load FFmpeg.
 
@@ -79,11 +74,7 @@ def open_video(
 
 
 def open_audio(
-    spec: str,
-    *,
-    name: str,
-    clock: Clock,
-    scenes: Mapping[str, AudioSceneFactory] | None = None,
+    spec: str, *, name: str, clock: Clock, scenes: Mapping[str, AudioSceneFactory] | None = None
 ) -> AudioSource:
     """Open the sound that `spec` names. Arguments and errors are those of `open_video`."""
     kind, rest = _split(spec)

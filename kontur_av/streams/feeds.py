@@ -23,11 +23,7 @@ from kontur_av.rtp.payload_h264 import (
     nal_type,
     split_annex_b,
 )
-from kontur_av.rtp.sdp import (
-    StreamDescription,
-    profile_level_id,
-    session_bandwidth_bps,
-)
+from kontur_av.rtp.sdp import StreamDescription, profile_level_id, session_bandwidth_bps
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.source import AudioSource, VideoSource
 from kontur_av.streams.encoding_thread import EncodingThread

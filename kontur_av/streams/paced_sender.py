@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kontur_av.meters import RateMeter
 from kontur_av.rtp.sender import Packetized, RtpSender
@@ -37,16 +37,14 @@ class SenderCounts:
     rtp_packets_sent: int = 0
 
 
+@dataclass(slots=True)
 class _UnderWay:
     """A coded picture or block of sound with packets that wait in the pacer."""
 
-    __slots__ = ("capture_ns", "encoded_ns", "packets", "timestamp")
-
-    def __init__(self, packets: int, timestamp: int, capture_ns: int, encoded_ns: int) -> None:
-        self.packets = packets
-        self.timestamp = timestamp
-        self.capture_ns = capture_ns
-        self.encoded_ns = encoded_ns
+    packets: int
+    timestamp: int
+    capture_ns: int
+    encoded_ns: int
 
 
 class PacedSender:
@@ -58,6 +56,7 @@ class PacedSender:
         self._under_way: deque[_UnderWay] = deque()
         self._encoded = 0
         self._sent = 0
+        self._events: deque[Any] = deque(maxlen=EVENTS_KEPT)
 
     @property
     def cap_bps(self) -> int:
@@ -103,7 +102,8 @@ class PacedSender:
         if unit.packets == 0:
             self._under_way.popleft()
             self._sent += 1
-            self._note(UnitSent(unit.timestamp, unit.capture_ns, unit.encoded_ns, now_ns))
+            sent = UnitSent(unit.timestamp, unit.capture_ns, unit.encoded_ns, now_ns)
+            self._events.append(sent)
         return packet
 
     def poll_report(self, now_ns: int) -> bytes | None:
@@ -126,6 +126,3 @@ class PacedSender:
         self._encoded += 1
         self._under_way.append(_UnderWay(len(packets), timestamp, capture_ns, encoded_ns))
         self._pacer.handle_access_unit(packets, octets, encoded_ns)
-
-    def _note(self, event: UnitSent) -> None:
-        raise NotImplementedError

@@ -1,6 +1,5 @@
 """The sender of a video stream: which pictures to encode and how, and which packets may leave."""
 
-from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ from kontur_av.rtp.sdp import session_bandwidth_bps
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.streams.budget import Pacer
 from kontur_av.streams.encode_scheduler import EncodeScheduler
-from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, SenderCounts, UnitSent
+from kontur_av.streams.paced_sender import PacedSender, SenderCounts, UnitSent
 
 #: A receiver sends reports at most 6.2 s apart, as a rule of 5 s under RTP/AVP has it
 #: (`ReportTimer`). After this long without, it is gone.
@@ -109,7 +108,6 @@ class VideoSender(PacedSender):
         super().__init__(pacer, rtp)
         self._scheduler = EncodeScheduler(pacer, fps=fps)
         self._losses = PictureLossListener(ssrc=identity.ssrc)
-        self._events: deque[PictureCoded | UnitSent] = deque(maxlen=EVENTS_KEPT)
         #: Pictures that came coded.
         self._coded = 0
         self._adapt_refresh = adapt_refresh
@@ -192,15 +190,7 @@ class VideoSender(PacedSender):
     def handle_access_unit(self, unit: AccessUnit, encoded_ns: int) -> None:
         """The picture of the last `Coding` is encoded, since `encoded_ns`."""
         self._scheduler.handle_encoded(encoded_ns)
-        packetized = self._rtp.video_packets(unit)
-        packets, timestamp, octets = packetized
-        capture_ns = unit.stamp.capture_ns
-        self._events.append(
-            PictureCoded(
-                timestamp, capture_ns, *self._coding_ns, encoded_ns, sum(octets), len(packets)
-            )
-        )
-        self._queue(packetized, capture_ns, encoded_ns)
+        self._take(unit, *self._coding_ns, encoded_ns)
 
     def handle_coded(self, unit: AccessUnit, now_ns: int) -> None:
         """A picture comes that is coded already, such as one of a recording.
@@ -209,13 +199,7 @@ class VideoSender(PacedSender):
         such pictures, or encodes its own.
         """
         self._coded += 1
-        packetized = self._rtp.video_packets(unit)
-        packets, timestamp, octets = packetized
-        capture_ns = unit.stamp.capture_ns
-        self._events.append(
-            PictureCoded(timestamp, capture_ns, now_ns, now_ns, now_ns, sum(octets), len(packets))
-        )
-        self._queue(packetized, capture_ns, now_ns)
+        self._take(unit, now_ns, now_ns, now_ns)
 
     def timestamp(self, capture_ns: int) -> int:
         """Return the 32-bit RTP timestamp of a picture captured at this instant."""
@@ -255,5 +239,12 @@ class VideoSender(PacedSender):
         heard_ns = self._losses.heard_ns
         return heard_ns is not None and now_ns - heard_ns < _FEEDBACK_SILENCE_NS
 
-    def _note(self, event: UnitSent) -> None:
-        self._events.append(event)
+    def _take(self, unit: AccessUnit, came_ns: int, begun_ns: int, encoded_ns: int) -> None:
+        packetized = self._rtp.video_packets(unit)
+        packets, timestamp, octets = packetized
+        capture_ns = unit.stamp.capture_ns
+        size = sum(octets), len(packets)
+        self._events.append(
+            PictureCoded(timestamp, capture_ns, came_ns, begun_ns, encoded_ns, *size)
+        )
+        self._queue(packetized, capture_ns, encoded_ns)

@@ -1,14 +1,12 @@
 """The sender of a voice stream: which blocks of sound to encode, and which packets may leave."""
 
-from collections import deque
-
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.opus import bitrate_under_cap, heard_stamp
 from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, BLOCK_NS, CaptureStamp
 from kontur_av.rtp.sdp import session_bandwidth_bps
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.streams.budget import Pacer
-from kontur_av.streams.paced_sender import EVENTS_KEPT, PacedSender, SenderCounts, UnitSent
+from kontur_av.streams.paced_sender import PacedSender, SenderCounts, UnitSent
 
 #: An older block is not sent, because it would delay those after it.
 _TOO_OLD_NS = 5 * BLOCK_NS
@@ -54,7 +52,6 @@ class VoiceSender(PacedSender):
             capture_time_id=capture_time_id,
         )
         super().__init__(pacer, rtp)
-        self._events: deque[UnitSent] = deque(maxlen=EVENTS_KEPT)
         self._captured = self._refused = 0
 
     def handle_block(self, stamp: CaptureStamp, now_ns: int) -> bool:
@@ -83,6 +80,3 @@ class VoiceSender(PacedSender):
     def counts(self) -> SenderCounts:
         """The blocks so far."""
         return self._counts(captured=self._captured, refused=self._refused)
-
-    def _note(self, event: UnitSent) -> None:
-        self._events.append(event)

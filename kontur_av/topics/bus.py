@@ -31,7 +31,6 @@ import time
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from importlib.util import find_spec
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -206,12 +205,7 @@ class Lease:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
 
@@ -227,7 +221,7 @@ class Reader:
         self._subscriber = subscriber
         self._closed = closed
         self._wait_set: WaitSet | None = None
-        #: For a `Waiter`.
+        #: For `TopicBus.waiter`.
         self.listener = listener
         #: Samples that `latest` skipped because a newer one was there.
         self.skipped = 0
@@ -343,9 +337,12 @@ class TopicBus(Closing):
         self._readers.add(reader)
         return reader
 
-    def waiter(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> "Waiter":
-        """Return a waiter for any of several readers and file descriptors."""
-        return Waiter(readers, sockets)
+    def waiter(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> WaitSet:
+        """Return a wait set for any of several readers and file descriptors.
+
+        After a wake-up, read all that is there: only what is published later wakes again.
+        """
+        return WaitSet([reader.listener for reader in readers], sockets)
 
     def close(self) -> None:
         """Close the ports, then the node."""
@@ -360,24 +357,6 @@ class TopicBus(Closing):
     def _no_topic(self, topic: str) -> ConfigError:
         known = ", ".join(self.topics()) or "none"
         return ConfigError(f"session {self._session} has no topic {topic}: it has {known}")
-
-
-class Waiter:
-    """Waits until one of several readers has something new, or a file descriptor is readable.
-
-    After a wake-up, read all that is there: only what is published later wakes again.
-    """
-
-    def __init__(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> None:
-        self._wait_set = WaitSet([reader.listener for reader in readers], sockets)
-
-    def fileno(self) -> int:
-        """Return a descriptor for an event loop. When it is readable, call `wait(0)`, then read."""
-        return self._wait_set.fileno()
-
-    def wait(self, timeout_ns: int) -> bool:
-        """Wait until there may be something to read; return False on timeout."""
-        return self._wait_set.wait(timeout_ns)
 
 
 def topics_are_files(session: str) -> bool:

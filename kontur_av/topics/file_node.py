@@ -82,7 +82,6 @@ class _TopicFile:
             raise ConfigError(f"{path} is no file of yours: remove it")
 
     def delete(self) -> None:
-        """Close the file; its locks end."""
         os.close(self._fd)
 
     def _state(self) -> tuple[int, int, int, int, bytes]:

@@ -51,7 +51,6 @@ class IceoryxNode:
         self._header: Any = type("_Header", (ctypes.Structure,), {"_fields_": fields})
 
     def topics(self) -> list[str]:
-        """Return the names of the present topics."""
         found: list[Any] = iox2.Service.list(self._config, iox2.ServiceType.Ipc)
         return [service.name().to_string() for service in found]
 

@@ -24,8 +24,11 @@ class GatewayEnd:
     After either, take `next_event` until it is None, and send `poll_transmit` until it is None.
     Call `handle_time` at `poll_timeout`.
 
-    life, secret, seed, epoch_ns, now_ns, told_offset_ns: as of `make_gateway`.
+    life: 1 to 65535; another value tells the peer that this end has restarted.
+    secret: a random number, by which the peer's answers are known; nobody else may know it.
+    seed, epoch_ns: the seed and the start of the radio; the same at both ends.
     first_ns: the first slot.
+    told_offset_ns: as of `Gateway`, for a peer on another machine.
     radio_both_ways: the radio of the way in is here, too; otherwise the peer has it.
     """
 
@@ -44,21 +47,26 @@ class GatewayEnd:
         told_offset_ns: int | None = None,
         radio_both_ways: bool = False,
     ) -> None:
-        self.gateway = gateway = make_gateway(
-            topology,
-            segment,
+        setup = topology.setup
+        out, back = segment.transmits, segment.peer.transmits
+        transmit, receive = topology.link(out).profile, topology.link(back).profile
+        self.gateway = gateway = Gateway(
+            transmit=transmit,
+            transmit_flows=topology.flows(out),
+            receive=receive,
+            receive_flows=topology.flows(back),
+            master=segment is Segment.GROUND,
             life=life,
             secret=secret,
-            seed=seed,
-            epoch_ns=epoch_ns,
             now_ns=now_ns,
+            radio=setup.radio_path(transmit, seed=seed, epoch_ns=epoch_ns),
+            timing=_timing(setup),
             told_offset_ns=told_offset_ns,
         )
         self.slots = GatewaySlots(gateway, first_ns=first_ns)
         self._radio_in = None
         if radio_both_ways:
-            profile = gateway.receiver.profile
-            self._radio_in = topology.setup.radio_path(profile, seed=seed, epoch_ns=epoch_ns)
+            self._radio_in = setup.radio_path(receive, seed=seed, epoch_ns=epoch_ns)
             gateway.radio_in = self._radio_in
         self._probe = probe
         self.next_event = gateway.next_event
@@ -108,49 +116,11 @@ class GatewayEnd:
         return figures
 
 
-def make_gateway(
-    topology: Topology,
-    segment: Segment,
-    *,
-    life: int,
-    secret: int,
-    seed: int,
-    epoch_ns: int,
-    now_ns: int,
-    told_offset_ns: int | None = None,
-) -> Gateway:
-    """The core of one end, with the radio on its way out.
-
-    life: 1 to 65535; another value tells the peer that this end has restarted.
-    secret: a random number, by which the peer's answers are known; nobody else may know it.
-    seed, epoch_ns: the seed and the start of the radio; the same at both ends.
-    told_offset_ns: as of `Gateway`, for a peer on another machine.
-    """
-    setup = topology.setup
-    out, back = segment.transmits, segment.peer.transmits
-    transmit = topology.link(out).profile
-    return Gateway(
-        transmit=transmit,
-        transmit_flows=topology.flows(out),
-        receive=topology.link(back).profile,
-        receive_flows=topology.flows(back),
-        master=segment is Segment.GROUND,
-        life=life,
-        secret=secret,
-        now_ns=now_ns,
-        radio=setup.radio_path(transmit, seed=seed, epoch_ns=epoch_ns),
-        timing=_timing(setup),
-        told_offset_ns=told_offset_ns,
-    )
-
-
 def _timing(setup: Setup) -> SupervisionTiming:
     """Return a timing that allows for the radio's delay."""
     longest_delay_ns = round(setup.radio_profile.longest_delay_ns)
-    default = SupervisionTiming()
-    return SupervisionTiming(
-        round_trip_ns=max(default.round_trip_ns, 2 * longest_delay_ns + _TURNAROUND_NS)
-    )
+    shortest_ns = SupervisionTiming().round_trip_ns
+    return SupervisionTiming(round_trip_ns=max(shortest_ns, 2 * longest_delay_ns + _TURNAROUND_NS))
 
 
 def _note_clock(probe: Probe, link: GatewayFigures) -> None:

@@ -3,37 +3,22 @@
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from pipelines.session.datagrams import Address, listen
 from telepresence.link.peer.figures import PeerFigures
 from telepresence.link.profile import LinkProfile
 
 if TYPE_CHECKING:
+    from telepresence.link.peer.open import OpenPath
+    from telepresence.link.peer.protected import ProtectedPath
     from telepresence.link.protection.identity import MachineIdentity, MachineKey
+
+    PeerPath = OpenPath | ProtectedPath
 
 _SECRET_OCTETS = 32
 #: The largest datagram is one of 1200 octets of a handshake; one octet more tells longer ones.
 _MOST_OCTETS = 1201
-
-
-class PeerPath(Protocol):
-    """What both kinds of path have in common: `telepresence.link.peer`."""
-
-    def handle_datagram(self, datagram: bytes, source: Address, now_ns: int) -> bytes | None:
-        """Return the frame in a datagram, if it has one that is to be taken."""
-
-    def seal(self, frame: bytes, now_ns: int) -> tuple[bytes, Address] | None:
-        """Return the datagram of a frame and where it goes."""
-
-    def handle_rest(self, now_ns: int, until_ns: int) -> bool:
-        """Take one step of what waits for the rest of a slot; whether there was one."""
-
-    def poll_transmit(self) -> tuple[bytes, Address] | None:
-        """Return a datagram other than a frame, and where it goes."""
-
-    def report(self, now_ns: int) -> PeerFigures:
-        """What is known of the path."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +46,7 @@ class PeerPlan:
     protection: Protection | None
 
 
-def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> PeerPath:
+def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> "PeerPath":
     """Return the core of the path. receive: the profile of the way in."""
     protection = plan.protection
     if protection is None:
@@ -87,7 +72,7 @@ class PeerSocket:
     failed: datagrams that the system refused.
     """
 
-    def __init__(self, path: PeerPath, bind: Address, clock_ns: Callable[[], int]) -> None:
+    def __init__(self, path: "PeerPath", bind: Address, clock_ns: Callable[[], int]) -> None:
         self.udp = listen(bind)
         self.failed = 0
         self._path = path

@@ -103,7 +103,6 @@ class _GatewayLoop:
         context.on_flush(self._tell)
 
     def run(self) -> None:
-        """Go on until the process is to end."""
         # Looked up once: what follows runs a thousand times a second.
         context, clock_ns, sleep = self._context, self._clock_ns, select.select
         end, slots = self._end, self._slots

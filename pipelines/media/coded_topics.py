@@ -72,11 +72,7 @@ class SentTopic:
         self._sets = parameter_sets(unit.data) or self._sets
         if self._writer.has_readers():
             coded, stamp = sent_unit(
-                unit,
-                size=size,
-                sequence=number,
-                source=self._source,
-                parameter_sets=self._sets,
+                unit, size=size, sequence=number, source=self._source, parameter_sets=self._sets
             )
             _publish(self._writer, coded, stamp)
 

@@ -46,12 +46,7 @@ def received_unit(
 
 
 def sent_unit(
-    unit: AccessUnit,
-    *,
-    size: tuple[int, int],
-    sequence: int,
-    source: str,
-    parameter_sets: bytes,
+    unit: AccessUnit, *, size: tuple[int, int], sequence: int, source: str, parameter_sets: bytes
 ) -> tuple[CodedUnit, CaptureStamp]:
     """Return an access unit and its stamp as they were sent.
 
@@ -59,10 +54,6 @@ def sent_unit(
     """
     width, height = size
     coded = CodedUnit(
-        data=unit.data,
-        key=unit.keyframe,
-        width=width,
-        height=height,
-        parameter_sets=parameter_sets,
+        data=unit.data, key=unit.keyframe, width=width, height=height, parameter_sets=parameter_sets
     )
     return coded, CaptureStamp(unit.stamp.capture_ns, sequence, source)

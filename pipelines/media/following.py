@@ -28,7 +28,6 @@ class Choice(NamedTuple):
 
     @classmethod
     def unpack(cls, data: bytes) -> "Choice":
-        """The choice that `pack` packed."""
         number: int = _NUMBER.unpack_from(data)[0]
         return cls(number, data[_NUMBER.size :].decode("ascii"))
 
@@ -39,7 +38,6 @@ def pack_confirmed(number: int) -> bytes:
 
 
 def unpack_confirmed(data: bytes) -> int:
-    """The number that `pack_confirmed` packed."""
     number: int = _NUMBER.unpack(data)[0]
     return number
 

@@ -33,7 +33,6 @@ class Previewing:
         return self._due_ns is None or now_ns >= self._due_ns
 
     def handle_preview(self, now_ns: int) -> None:
-        """A picture became a preview."""
         if self._due_ns is None or now_ns - self._due_ns > PREVIEW_PERIOD_NS:
             # The first one, or the first after nobody looked.
             self._due_ns = now_ns

@@ -170,7 +170,6 @@ class _Camera:
         loan.publish(stamp)
 
     def _wanted(self) -> bool:
-        """Whether anybody looks at the next picture."""
         return self._writer.has_readers() or (
             self._preview.has_readers() and self._previewing.due(self._clock.now_ns())
         )

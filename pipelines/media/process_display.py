@@ -54,10 +54,7 @@ class _Picture:
 
 
 def run_display(
-    context: Context,
-    *,
-    streams: Sequence[VideoStream | VoiceStream],
-    for_lip_sync: bool = True,
+    context: Context, *, streams: Sequence[VideoStream | VoiceStream], for_lip_sync: bool = True
 ) -> None:
     """Show the newest picture and every block of sound of `streams`.
 
@@ -70,16 +67,13 @@ def run_display(
     with context.open_bus() as bus:
         readers = [
             bus.reader(
-                received_topic(stream.name),
-                depth=1 if isinstance(stream, VideoStream) else 8,
+                received_topic(stream.name), depth=1 if isinstance(stream, VideoStream) else 8
             )
             for stream in streams
         ]
         pictures = {
             stream.name: _Picture(
-                bus,
-                stream,
-                context.topology.video(stream.name).lag_topic if for_lip_sync else None,
+                bus, stream, context.topology.video(stream.name).lag_topic if for_lip_sync else None
             )
             for stream in streams
             if isinstance(stream, VideoStream)

@@ -156,7 +156,6 @@ class SelectionTopics:
 
     @property
     def topic(self) -> str:
-        """The topic of the selected camera."""
         assert self._follower.camera is not None
         return self._topology.camera(self._follower.camera).topic
 
@@ -186,7 +185,6 @@ class SelectionTopics:
         return changed
 
     def handle_picture(self) -> None:
-        """A picture of the selected camera has come."""
         self._new = False
 
     def handle_sender(self, *, idle: bool, now_ns: int) -> None:

@@ -67,11 +67,7 @@ def _capture(session: Topology, row: InputRow) -> ProcessRow:
         run=f"pipelines.media.process_capture:{'run_camera' if video else 'run_microphone'}",
         arguments={"name": row.name, "stream": media.stream} if video else {"name": row.name},
         priority=0 if video else VOICE_PRIORITY,
-        reads=(
-            ROBOT_TOPIC,
-            row.page_topic,
-            *given(video, TRAINER_TOPIC, MISSION_LEDS_TOPIC),
-        ),
+        reads=(ROBOT_TOPIC, row.page_topic, *given(video, TRAINER_TOPIC, MISSION_LEDS_TOPIC)),
         writes=(row.topic, *given(video, row.preview_topic)),
         what="captures pictures" if video else "captures sound",
     )
@@ -135,9 +131,6 @@ def _displays(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
             arguments={"streams": tuple(row.stream for row in rows)},
             priority=VOICE_PRIORITY,
             reads=tuple(row.received_topic for row in rows),
-            writes=(
-                *(row.displayed_topic for row in videos),
-                *(row.lag_topic for row in videos),
-            ),
+            writes=(*(row.displayed_topic for row in videos), *(row.lag_topic for row in videos)),
             what="shows pictures and plays sounds",
         )

@@ -25,10 +25,7 @@ class LinkedVideoSender:
         """What the gateway reported at `told_ns`."""
         self.handle_freed(backlog.freed_bps, now_ns)
         self.sender.handle_channel(
-            backlog.waiting_octets,
-            told_ns,
-            contacts=backlog.contacts,
-            way_back=backlog.peer_heard,
+            backlog.waiting_octets, told_ns, contacts=backlog.contacts, way_back=backlog.peer_heard
         )
 
     def handle_freed(self, freed_bps: int, now_ns: int) -> None:

@@ -1,11 +1,12 @@
-"""The channels of a recording: what of a session becomes which message. A core.
+"""The channels of a recording: which topics of a session become which messages. A core.
 
 They derive from the topology. A new stream, camera or direction of the link has its channels at
 once.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import Enum
 
 from mcap.records import Channel, Schema
 
@@ -27,22 +28,80 @@ from pipelines.recording.messages import (
 )
 from pipelines.recording.schemas import MessageSchema, descriptor_set
 from pipelines.session.topology import (
+    JOYSTICK_TRACE_TOPIC,
+    ROBOT_TRACE_TOPIC,
     RTC_CAMERA,
+    RTC_CODED_CAMERA_TOPIC,
+    RTC_CODED_VOICE_TOPIC,
     RTC_VIDEO,
+    RTC_VIDEO_TOPIC,
     RTC_VOICE,
     TELECOMMAND,
     TELEMETRY,
-    Direction,
     Kind,
+    Segment,
     Topology,
     VideoRow,
+    gateway_topic,
+    packets_topic,
 )
-from pipelines.session.topology.tables import Table
 
 PROTOBUF = "protobuf"
 EVENTS, LOG_LINES, RECORDER_LOSSES = "/events", "/log", "/recorder/losses"
 SESSION_FIGURES = "/figures"
 SENT, RECEIVED = "sent", "received"
+#: Those of no topic: their schema, and what a message is.
+_TOLD = {
+    EVENTS: (EVENT, "contact, loss of signal, restart, camera switch, refused picture, …"),
+    LOG_LINES: (LOG, "the events as lines, for Foxglove's panel"),
+    SESSION_FIGURES: (FIGURES, "figures of the report that have changed, once a second"),
+    RECORDER_LOSSES: (LOSSES, "what the recorder could not keep"),
+}
+#: By end of the hand: its topic.
+_TRACES = {"joystick": JOYSTICK_TRACE_TOPIC, "robot": ROBOT_TRACE_TOPIC}
+
+
+class Content(Enum):
+    """What a sample of a topic holds."""
+
+    UNIT = "access unit"
+    HAPTICS = "cycles of one end of the hand"
+    SOUND = "Opus packet"
+    PACKET = "space packet"
+    GATEWAY = "figures of a gateway"
+    FRAMES = "frames of the radio link"
+    CAMERA = "captured picture"
+
+
+#: The schemas of its channels.
+_SCHEMAS: Mapping[Content, tuple[MessageSchema, ...]] = {
+    Content.UNIT: (VIDEO, UNIT_FACTS),
+    Content.HAPTICS: (HAPTIC_SAMPLES, HAPTIC_SAMPLES),
+    Content.SOUND: (AUDIO,),
+    Content.PACKET: (SPACE_PACKET,),
+    Content.GATEWAY: (LINK_SENT, LINK_RECEIVED),
+    Content.FRAMES: (TRANSFER_FRAMES,),
+    Content.CAMERA: (VIDEO,),
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """A topic that is recorded.
+
+    name: of what it is about: a stream, an input, an end of the hand. messages: by channel, what
+    becomes of each sample, in words.
+    """
+
+    topic: str
+    content: Content
+    name: str
+    messages: Mapping[str, str]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Where its samples go; each sample becomes one message in each."""
+        return tuple(self.messages)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,80 +137,82 @@ class ChannelRow:
 
 def channels_of(topology: Topology, *, link_frames: bool = False) -> tuple[ChannelRow, ...]:
     """Return the channels of a session. link_frames: with every frame of the radio link."""
-    found = _channels(topology, link_frames=link_frames)
+    found = [
+        (topic, schema, what)
+        for source in _sources(topology, link_frames=link_frames)
+        for (topic, what), schema in zip(
+            source.messages.items(), _SCHEMAS[source.content], strict=True
+        )
+    ]
+    found += [(topic, schema, what) for topic, (schema, what) in _TOLD.items()]
     return tuple(
         ChannelRow(topic=topic, schema=schema, what=what, number=number)
         for number, (topic, schema, what) in enumerate(found, start=1)
     )
 
 
-def _channels(topology: Topology, *, link_frames: bool) -> Iterator[tuple[str, MessageSchema, str]]:
+def sources_of(topology: Topology, *, link_frames: bool = False) -> tuple[Source, ...]:
+    """Return what is read of a session. link_frames: with every frame of the radio link."""
+    # A camera that is alone in its stream is always carried.
+    uplink = topology.setup.uplink_video.name
+    carried = {row.name for row in topology.inputs if row.stream != uplink}
+    return tuple(
+        source
+        for source in _sources(topology, link_frames=link_frames)
+        if not (source.content is Content.CAMERA and source.name in carried)
+        # The other machine records what is there.
+        and (topology.alone is None or topology.runs(topology.topic(source.topic).writer))
+    )
+
+
+def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
     for media in topology.media_streams:
-        video = isinstance(media, VideoRow)
-        schema, unit = (VIDEO, "access unit") if video else (AUDIO, "Opus packet")
-        for way in (SENT, RECEIVED):
-            topic = f"/{media.name}/{way}"
-            yield topic, schema, f"{unit} as {way}"
-            if video:
-                yield f"{topic}/facts", UNIT_FACTS, f"facts about the access unit as {way}"
+        made = _unit if isinstance(media, VideoRow) else _sound
+        yield made(media.name, SENT, media.sent_topic, "as sent")
+        yield made(media.name, RECEIVED, media.coded_topic, "as received")
     if topology.setup.rtc is not None:
-        for name, way, whose in (
-            (RTC_VIDEO, SENT, "for the partner"),
-            (RTC_CAMERA, RECEIVED, "of the partner"),
-        ):
-            yield f"/{name}/{way}", VIDEO, f"access unit {whose}"
-            yield f"/{name}/{way}/facts", UNIT_FACTS, f"facts about the access unit {whose}"
-        yield f"/{RTC_VOICE}/{RECEIVED}", AUDIO, "Opus packet of the partner"
+        yield _unit(RTC_VIDEO, SENT, RTC_VIDEO_TOPIC, "for the partner")
+        yield _unit(RTC_CAMERA, RECEIVED, RTC_CODED_CAMERA_TOPIC, "of the partner")
+        yield _sound(RTC_VOICE, RECEIVED, RTC_CODED_VOICE_TOPIC, "of the partner")
     for row in topology.inputs:
         if topology.media(row.stream).kind is Kind.VIDEO:
-            yield f"/camera/{row.name}", VIDEO, "access unit, while no stream carries the camera"
-    for haptic in topology.haptics:
-        for way, end in ((SENT, haptic.sender), (RECEIVED, haptic.receiver)):
-            what = f"cycles of the {end}, each with the number of the sample that it {_used(way)}"
-            yield f"/haptic/{haptic.key}/{way}", HAPTIC_SAMPLES, what
+            what = "access unit, while no stream carries the camera"
+            yield Source(row.topic, Content.CAMERA, row.name, {f"/camera/{row.name}": what})
     for name in (TELECOMMAND, TELEMETRY):
         for way in (SENT, RECEIVED):
-            yield f"/{name}/{way}", SPACE_PACKET, f"space packet as {way}"
-    yield EVENTS, EVENT, "contact, loss of signal, restart, camera switch, refused picture, …"
-    yield LOG_LINES, LOG, "the events as lines, for Foxglove's panel"
-    for direction in Direction:
-        link = f"/link/{direction.value}"
-        yield f"{link}/{SENT}", LINK_SENT, "figures of its sender, ten times a second"
-        yield f"{link}/{RECEIVED}", LINK_RECEIVED, "figures of its receiver, ten times a second"
-        if link_frames:
-            for way in (SENT, RECEIVED):
-                yield f"{link}/frames/{way}", TRANSFER_FRAMES, f"frames as {way}, if asked for"
-    yield SESSION_FIGURES, FIGURES, "figures of the report that have changed, once a second"
-    yield RECORDER_LOSSES, LOSSES, "what the recorder could not keep"
+            messages = {f"/{name}/{way}": f"space packet as {way}"}
+            yield Source(packets_topic(name, sent=way == SENT), Content.PACKET, name, messages)
+    for segment in Segment:
+        out, back = segment.transmits.value, segment.transmits.opposite.value
+        messages = {
+            f"/link/{out}/{SENT}": "figures of its sender, ten times a second",
+            f"/link/{back}/{RECEIVED}": "figures of its receiver, ten times a second",
+        }
+        yield Source(gateway_topic(segment), Content.GATEWAY, segment.value, messages)
+    for link in topology.links if link_frames else ():
+        name = link.direction.value
+        for way, topic in ((SENT, link.sent_frames_topic), (RECEIVED, link.received_frames_topic)):
+            messages = {f"/link/{name}/frames/{way}": f"frames as {way}, if asked for"}
+            yield Source(topic, Content.FRAMES, name, messages)
+    # Last, because they are opened in this order, and these are the fastest.
+    for haptic in topology.haptics:
+        end = haptic.sender
+        felt = next(row for row in topology.haptics if row.receiver == end)
+        cycles = f"cycles of the {end}, each with the number of the sample that it"
+        messages = {
+            f"/haptic/{haptic.key}/{SENT}": f"{cycles} sent",
+            f"/haptic/{felt.key}/{RECEIVED}": f"{cycles} acted on",
+        }
+        yield Source(_TRACES[end], Content.HAPTICS, end, messages)
 
 
-def _used(way: str) -> str:
-    return "sent" if way == SENT else "acted on"
+def _unit(name: str, way: str, topic: str, which: str) -> Source:
+    messages = {
+        f"/{name}/{way}": f"access unit {which}",
+        f"/{name}/{way}/facts": f"facts about the access unit {which}",
+    }
+    return Source(topic, Content.UNIT, name, messages)
 
 
-def channels_table(topology: Topology) -> Table:
-    """All channels that a recording of a session can have, for the documents."""
-    rows = channels_of(topology, link_frames=True)
-    return Table(
-        headings=("channel", "schema", "a message"),
-        rows=[(f"`{row.topic}`", f"`{row.schema.full_name}`", row.what) for row in rows],
-    )
-
-
-def fields_table() -> Table:
-    """The fields of all schemas, with their units, for the documents."""
-    return Table(
-        headings=("schema", "field", "type", "what"),
-        rows=[
-            (f"`{name}`", f"`{field.name}`", f"{field.type}{'[]' * field.repeated}", field.what)
-            for schema in SCHEMAS
-            for name, part in _with_nested(schema)
-            for field in part.fields
-        ],
-    )
-
-
-def _with_nested(schema: MessageSchema) -> Iterator[tuple[str, MessageSchema]]:
-    yield schema.full_name, schema
-    for inner in schema.nested:
-        yield f"{schema.full_name}.{inner.name}", inner
+def _sound(name: str, way: str, topic: str, which: str) -> Source:
+    return Source(topic, Content.SOUND, name, {f"/{name}/{way}": f"Opus packet {which}"})

@@ -64,7 +64,6 @@ class RecorderDesk:
         return list(self._lines)
 
     def handle_terminal(self, terminal: int) -> None:
-        """A terminal has connected."""
         if len(self._lines) >= MOST_TERMINALS:
             self._events.append(Reply(terminal, b"", last=True))
         else:
@@ -92,14 +91,12 @@ class RecorderDesk:
         self._answer(start.terminal, answer)
 
     def handle_stopped(self, stop: Stop, answer: RecordAnswer) -> None:
-        """The recording has ended."""
         self.wish = None
         for terminal in self._holders | ({stop.terminal} if stop.terminal is not None else set()):
             self._answer(terminal, answer)
         self._holders.clear()
 
     def handle_state(self, ask: Ask, answer: RecordAnswer) -> None:
-        """How it goes."""
         self._answer(ask.terminal, answer)
 
     def handle_time(self, now_ns: int) -> None:

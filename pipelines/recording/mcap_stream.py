@@ -114,13 +114,12 @@ class McapStream:
     last octets the file is closed, and nothing more may be handled.
 
     A message is packed into the open chunk; a chunk that has ended waits until it is fetched. While
-    more than `most_waiting_octets` wait, messages are refused, counted in `refused` by channel.
+    more than `most_waiting_octets` wait, messages are refused.
 
     library: who writes the file, for its header.
     """
 
     def __init__(self, *, library: str, most_waiting_octets: int | None = None) -> None:
-        self.refused: Counter[int] = Counter()
         self.octets = 0
         self.waiting_octets = 0
         self._most_waiting_octets = most_waiting_octets
@@ -138,16 +137,6 @@ class McapStream:
         self._first_ns = self._last_ns = 0
         self._ended = False
         self._emit(MAGIC + octets_of(Header(profile="", library=library)), 0)
-
-    @property
-    def messages(self) -> int:
-        """Messages that were taken."""
-        return self._counts.total()
-
-    @property
-    def counts(self) -> Mapping[int, int]:
-        """Messages that were taken, by channel."""
-        return self._counts
 
     def waiting_since_ns(self) -> int | None:
         """When the oldest octets that wait came to be; None if none wait."""
@@ -180,11 +169,8 @@ class McapStream:
 
         log_ns, publish_ns: wall time, not negative. sequence: 32 bits, the rest is cut off.
         """
-        if (
-            self._most_waiting_octets is not None
-            and self.waiting_octets > self._most_waiting_octets
-        ):
-            self.refused[channel_id] += 1
+        most_octets = self._most_waiting_octets
+        if most_octets is not None and self.waiting_octets > most_octets:
             return False
         head = MESSAGE.pack(channel_id, sequence & 0xFFFFFFFF, log_ns, publish_ns)
         record = HEAD.pack(Opcode.MESSAGE, len(head) + len(data)) + head + data
@@ -325,7 +311,7 @@ class McapStream:
             channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
             chunk_count=len(self._chunk_indexes),
-            message_count=self.messages,
+            message_count=self._counts.total(),
             message_start_time=self._first_ns,
             message_end_time=self._last_ns,
             metadata_count=len(self._metadata_indexes),

@@ -114,8 +114,7 @@ class UnitFacts(Recorded):
     height_px: Annotated[Uint32, "height of its picture, pixels"]
     octets: Annotated[Uint32, "length of the access unit; more in front of it are parameter sets"]
     added: Annotated[
-        Bool,
-        "no unit of the stream: a key picture that the recorder put ahead of it",
+        Bool, "no unit of the stream: a key picture that the recorder put ahead of it"
     ] = False
 
     @classmethod
@@ -148,8 +147,7 @@ class RecordedFrames(Recorded):
     """Transfer frames, and when each was sent or received."""
 
     time_ns: Annotated[
-        Sequence[Sfixed64],
-        "instant at which it was sent or received, session clock",
+        Sequence[Sfixed64], "instant at which it was sent or received, session clock"
     ]
     data: Annotated[Sequence[Octets], "the frame, with its check"]
 

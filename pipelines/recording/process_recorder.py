@@ -21,13 +21,13 @@ from kontur_av.figures import plus
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
+from pipelines.recording.channels import Content, Source, sources_of
 from pipelines.recording.desk import Ask, RecorderDesk, Start, Stop
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
 from pipelines.recording.recorder import Recorder
-from pipelines.recording.sources import Content, Source, sources_of
 from pipelines.session.asking import desk_path
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.recorder_control import RECORDER_DESK, read_wish, remove_wish, write_wish
@@ -246,7 +246,6 @@ class _Recording:
         self._pump()
 
     def end(self) -> RecorderFigures:
-        """End the recording, and return its counts."""
         for _, reader in self._readers:
             reader.close()
         wait(self._keys.values(), _CLOSE_S)

@@ -49,7 +49,6 @@ class ReplayStart:
     speed: float
 
     def time_of(self, context: Context) -> ReplayTime:
-        """The time of this session."""
         # Whole milliseconds, so that samples keep their place between two slots.
         begin_ns = (context.started_ns + self.lead_ns) // NS_PER_MS * NS_PER_MS
         return ReplayTime(
@@ -71,7 +70,6 @@ class ReplayStart:
 
 
 def _wait_ns(now_ns: int, *dues_ns: int | None) -> int:
-    """How long to sleep at most."""
     waits_ns = [due_ns - now_ns for due_ns in dues_ns if due_ns is not None]
     return max(0, min([PATIENCE_NS, *waits_ns]))
 

@@ -29,6 +29,8 @@ from pipelines.recording.channels import (
     RECORDER_LOSSES,
     SENT,
     SESSION_FIGURES,
+    Content,
+    Source,
     channels_of,
 )
 from pipelines.recording.contacts import ContactWatch
@@ -62,7 +64,6 @@ from pipelines.recording.own_pictures import (
     KeyPictureWanted,
     StreamStart,
 )
-from pipelines.recording.sources import Content, Source
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.topology import Topology
 from telepresence.link.figures import GatewayFigures
@@ -244,7 +245,6 @@ class Recorder:
         self._put(source.channels[0], pack(picture), wall_ns, number, at)
 
     def handle_event(self, event: RecordedEvent, now_ns: int) -> None:
-        """Something happened in the session."""
         at = _Instants(now_ns, now_ns)
         wall_ns = event.session_ns + self._offset_ns
         level = LogLevel.WARNING if event.what in _WARNINGS else LogLevel.INFO
@@ -442,14 +442,7 @@ class Recorder:
         self._retry_ns = now_ns + RETRY_NS
         if part is None:
             return
-        for one, messages, _ in self._writing:
-            if one == part:
-                self._dropped.update(messages)
-        self._writing = deque(each for each in self._writing if each[0] != part)
-        for one, piece, _ in self._left:
-            if one == part:
-                self._dropped.update(piece.messages)
-        self._left = deque(each for each in self._left if each[0] != part)
+        self._drop_unwritten(part)
         if part == self._part and self._stream is not None:
             stream, self._stream = self._stream, None
             for held in self._held.values():
@@ -468,12 +461,17 @@ class Recorder:
 
     def handle_abandoned(self) -> None:
         """What was not written until now never will be."""
-        for _, messages, _ in self._writing:
-            self._dropped.update(messages)
-        for _, piece, _ in self._left:
-            self._dropped.update(piece.messages)
-        self._writing.clear()
-        self._left.clear()
+        for part in {each[0] for each in (*self._writing, *self._left)}:
+            self._drop_unwritten(part)
+
+    def _drop_unwritten(self, part: int) -> None:
+        """Drop the pieces of a part that wait, and those that are being written."""
+        for one, messages, _ in self._writing:
+            self._dropped.update(messages if one == part else ())
+        for one, piece, _ in self._left:
+            self._dropped.update(piece.messages if one == part else ())
+        self._writing = deque(each for each in self._writing if each[0] != part)
+        self._left = deque(each for each in self._left if each[0] != part)
 
     def handle_time(self, now_ns: int) -> None:
         """Write the losses if they have changed. Call it at least once a second."""

@@ -81,7 +81,6 @@ class ScanFigures:
 
     @property
     def unread_octets(self) -> int:
-        """How many octets could not be read."""
         return sum(end - begin for begin, end in self.holes)
 
 

@@ -20,16 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: Colours that colour-blind readers can tell apart (Okabe and Ito, 2008).
-COLOURS = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#CC79A7",
-    "#E69F00",
-    "#56B4E9",
-    "#F0E442",
-    "#000000",
-)
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
 _DPI = 150
 _WIDTH_IN = 8.0
 
@@ -86,11 +77,7 @@ def distributions(
 
 
 def _distribution(
-    axes: "Axes",
-    title: str,
-    curves: Mapping[str, Sequence[float]],
-    axis: str,
-    logarithmic: bool,
+    axes: "Axes", title: str, curves: Mapping[str, Sequence[float]], axis: str, logarithmic: bool
 ) -> None:
     axes.set_title(title, fontsize="medium")
     axes.set_xlabel(axis)
@@ -117,9 +104,6 @@ def _distribution(
     axes.grid(alpha=0.4)
     axes.legend(loc="lower right", fontsize="small")
 
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 #: A segment narrower than this share of the axis gets no number.
 _LABELLED_SHARE = 0.04

@@ -68,7 +68,6 @@ class Collector:
         self.trace = None if topology.alone is None else Trace()
 
     def process(self, name: str) -> ProcessFigures:
-        """The figures of the process `name`."""
         figures = self.processes.get(name)
         if figures is None:
             figures = self.processes[name] = ProcessFigures()
@@ -85,7 +84,6 @@ class Collector:
         return ReceiverCounts() if found is None else found.rtp
 
     def handle_message(self, process: str, message: Message, now_ns: int) -> None:
-        """A process has reported."""
         figures = self.process(process)
         figures.handle_message(message, now_ns)
         for series in message.series:

@@ -100,19 +100,18 @@ def join_reports(
     error_ns = _collect(collector, ground.trace, space.trace)
     reports = {segment: end.report for segment, end in ends.items()}
     link = {name: _direction(topology, name, reports) for name in ("uplink", "downlink")}
-    began_ns, ended_ns = _both_ran(ground.trace, space.trace, collector)
+    began_ns, ended_ns = both_ran_ns = _both_ran(ground.trace, space.trace)
     return msgspec.structs.replace(
         ground.report,
         end=None,
         trace=None,
         seconds=round((ended_ns - began_ns) / NS_PER_S, 3),
         streams={
-            stream.name: _stream(stream.name, reports, collector, error_ns, began_ns, ended_ns)
+            stream.name: _stream(stream.name, reports, collector, error_ns, both_ran_ns)
             for stream in setup.streams
         },
         haptic={
-            row.key: _haptic(row.key, reports, collector, began_ns, ended_ns)
-            for row in topology.haptics
+            row.key: _haptic(row.key, reports, collector, both_ran_ns) for row in topology.haptics
         },
         joystick=space.report.joystick,
         link=link,
@@ -253,7 +252,7 @@ def _replay(collector: Collector, timed: list[_Timed]) -> None:
     collector.handle_end()
 
 
-def _both_ran(ground: EndTrace, space: EndTrace, collector: Collector) -> tuple[int, int]:
+def _both_ran(ground: EndTrace, space: EndTrace) -> tuple[int, int]:
     """From when to when both ends ran, on the clock of the ground."""
     history, shift_ns = _clock(ground, space)
     instants_ns = np.array([space.began_ns, space.ended_ns], np.int64)
@@ -265,7 +264,6 @@ def _both_ran(ground: EndTrace, space: EndTrace, collector: Collector) -> tuple[
 
 
 def _received(report: msgspec.Struct) -> Mapping[str, Any]:
-    """What the receiving end knows."""
     marks = marks_of(type(report))
     return {name: getattr(report, name) for name, one in marks.items() if RECEIVED in one}
 
@@ -275,8 +273,7 @@ def _stream(
     reports: Mapping[Segment, SessionReport],
     collector: Collector,
     error_ns: int,
-    began_ns: int,
-    ended_ns: int,
+    both_ran_ns: tuple[int, int],
 ) -> StreamReport:
     direction = collector.topology.media(name).direction
     sent = reports[direction.sender].streams[name]
@@ -288,7 +285,7 @@ def _stream(
         **_received(received),
         latency_ms=stream_latency_ms(figures),
         latency_error_ms=round(error_ns / NS_PER_MS, 3),
-        pauses_s=figures.pauses.within_s(began_ns, ended_ns),
+        pauses_s=figures.pauses.within_s(*both_ran_ns),
         capture_stamp_error_us=round(figures.stamp_error.max / 1000, 1),
     )
 
@@ -297,8 +294,7 @@ def _haptic(
     key: str,
     reports: Mapping[Segment, SessionReport],
     collector: Collector,
-    began_ns: int,
-    ended_ns: int,
+    both_ran_ns: tuple[int, int],
 ) -> HapticReport:
     direction = collector.topology.haptic(key).direction
     sent = reports[direction.sender].haptic[key]
@@ -309,7 +305,7 @@ def _haptic(
         side=None,
         **_received(received),
         latency_ms=spread_ms(figures.latency),
-        pauses_s=figures.pauses.within_s(began_ns, ended_ns),
+        pauses_s=figures.pauses.within_s(*both_ran_ns),
     )
 
 

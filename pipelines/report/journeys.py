@@ -16,15 +16,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram, RateMeter
 from pipelines.report.skew import RECENT_DEPTH, Recent
 from pipelines.report.terms import LONGEST_GAP_NS, DelaySums
-from pipelines.session.rows import (
-    CodingRow,
-    DecodedRow,
-    OutRow,
-    Row,
-    RxRow,
-    ShownRow,
-    TxRow,
-)
+from pipelines.session.rows import CodingRow, DecodedRow, OutRow, Row, RxRow, ShownRow, TxRow
 from telepresence.haptics.latency import LatencyMatcher
 
 #: How long an access unit waits for the report of its other end.
@@ -57,7 +49,6 @@ class Pauses:
         self.last_ns: int | None = None
 
     def add(self, instant_ns: int) -> None:
-        """Something was shown or felt."""
         if self.last_ns is None:
             self.first_ns = instant_ns
         elif instant_ns - self.last_ns > self.least_ns:
@@ -141,17 +132,15 @@ class StreamFigures:
         """Rows of one `kind`, shape (n, columns), from its sender, receiver or display."""
         if kind is OutRow:
             self.handle_out(rows)
-        elif kind is TxRow:
-            self.handle_tx(rows, now_ns)
-        elif kind is CodingRow:
-            self.handle_coding(rows, now_ns)
-        elif kind is DecodedRow:
-            self.handle_decoded(rows, now_ns)
-        elif kind is RxRow:
-            self.handle_rx(rows, now_ns)
-        else:
-            assert kind is ShownRow
-            self.handle_shown(rows, now_ns)
+            return
+        handlers = {
+            TxRow: self.handle_tx,
+            CodingRow: self.handle_coding,
+            DecodedRow: self.handle_decoded,
+            RxRow: self.handle_rx,
+            ShownRow: self.handle_shown,
+        }
+        handlers[kind](rows, now_ns)
 
     def handle_out(self, rows: NDArray[np.int64]) -> None:
         for instant_ns, octets, cap_bps in rows.tolist():

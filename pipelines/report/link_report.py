@@ -18,10 +18,9 @@ from pipelines.report.model import (
     LinkRadio,
     LinkReport,
     NeedReport,
-    ProcessReport,
     Punctuality,
 )
-from pipelines.report.sections import clock_words, cpu_report
+from pipelines.report.sections import clock_words, cpu_report, process_report
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
 from pipelines.session.figures import LoopFigures
 from pipelines.session.setup.table import Setup
@@ -61,14 +60,7 @@ def build_link_report(
         gateways={end.value: gateway_figures(collector, end.value) for end in ends},
         cpu=cpu_report(cpu_s, launcher_cpu_s, seconds),
         processes={
-            name: ProcessReport(
-                cpu_s=round(cpu_s[name], 3),
-                restarts=restarts[name],
-                scheduler=collector.process(name).scheduler,
-                last_error=collector.process(name).last_error,
-                counts=collector.process(name).counts_by_name(),
-                newest=collector.process(name).newest_by_name(),
-            )
+            name: process_report(collector.process(name), cpu_s[name], restarts[name])
             for name in cpu_s
         },
         failures=_failures(collector, ends, restarts),

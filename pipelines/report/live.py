@@ -1,7 +1,6 @@
 """What a running session shows: a live table on a terminal, else one line a second."""
 
 import sys
-from types import TracebackType
 from typing import Self
 
 from rich.columns import Columns
@@ -72,17 +71,11 @@ class LiveView:
             self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live is not None:
             self._live.stop()
 
     def show(self, launcher: Launcher) -> None:
-        """Draw the present state."""
         if self._live is not None:
             self._live.update(
                 Group(
@@ -225,9 +218,7 @@ def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
 
 def _path(collector: Collector) -> list[Text]:
     line = path_line(collector)
-    if not line:
-        return []
-    return [Text(line, "bold red" if "NOT PROTECTED" in line else "dim")]
+    return [Text(line, "bold red" if "NOT PROTECTED" in line else "dim")] if line else []
 
 
 def _recording(collector: Collector) -> list[Text]:
@@ -255,45 +246,34 @@ def _processes(launcher: Launcher, *, verbose: bool) -> Columns:
 
 def _line(launcher: Launcher, collector: Collector) -> str:
     parts = [f"{launcher.seconds:6.1f} s"]
+    topology, now_ns = collector.topology, launcher.clock.now_ns()
     for stream in launcher.setup.streams:
         figures = collector.streams[stream.name]
-        row = collector.topology.media(stream.name)
-        side = collector.topology.side_here(row)
-        sent = (
-            f" {last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}"
-            f"/{stream.cap_bps / 1000:g} kbit/s"
-        )
+        sent = f" {last_bps(figures.rate, now_ns) / 1000:.1f}/{stream.cap_bps / 1000:g} kbit/s"
         lost = collector.received(stream.name).rtp_lost
         came = f" {collector.shown(stream.name).frames_displayed} shown {lost} lost"
         newest = latency_ms(figures)
         late = f" {NO_SAMPLE if newest is None else f'{newest:.0f}'}{_error(figures)} ms"
         known = {None: sent + came + late, "sender": sent, "receiver": came + late}
-        parts.append(stream.name + known[side])
-        now_ns = launcher.clock.now_ns()
+        parts.append(stream.name + known[topology.side_here(topology.media(stream.name))])
         state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
         if state is State.STALE and _runs(launcher):
             parts[-1] += f" STALE {age_words(age_ns)}"
-    for haptic in collector.topology.haptics:
-        side = collector.topology.side_here(haptic)
+    for haptic in topology.haptics:
+        side = topology.side_here(haptic)
         samples = collector.process(haptic.receiver).total(SamplesReceived)
         late_ms = collector.haptics[haptic.key].latency.percentile(50) / 1e6
-        if side is None:
-            parts.append(
-                f"haptic_{haptic.key} {samples.received} received {samples.lost} lost "
-                f"{late_ms:.1f} ms"
-            )
-        elif side == "receiver":
-            parts.append(f"haptic_{haptic.key} {samples.received} received {samples.lost} lost")
+        came = f"haptic_{haptic.key} {samples.received} received {samples.lost} lost"
+        if side != "sender":
+            parts.append(came if side == "receiver" else f"{came} {late_ms:.1f} ms")
     if path := path_line(collector):
         parts.append(path)
     parts += clock_lines(collector)
     if not _runs(launcher):
         return "  ".join([*parts, "stopped from a page"])
-    parts += map(str, silences(launcher.setup, collector, launcher.clock.now_ns()))
-    recording = recording_line(collector)
-    if recording is not None and recording[1]:
+    parts += map(str, silences(launcher.setup, collector, now_ns))
+    if (recording := recording_line(collector)) is not None and recording[1]:
         parts.append(recording[0])
-    down = [child.row.name for child in launcher.children if child.pid is None]
-    if down:
+    if down := [child.row.name for child in launcher.children if child.pid is None]:
         parts.append("down: " + ", ".join(down))
     return "  ".join(parts)

@@ -137,7 +137,6 @@ class StreamReport(Report, frozen=True, kw_only=True):
 
     @property
     def rtp(self) -> ReceiverCounts:
-        """The packets that came."""
         came = self.video or self.voice
         return ReceiverCounts() if came is None else came.rtp
 
@@ -238,12 +237,10 @@ class GatewayReport(Report, frozen=True, kw_only=True):
 
     @property
     def channel(self) -> ChannelFigures | None:
-        """What the radio profile did."""
         return None if self.radio is None else self.radio.channel
 
     @property
     def contact(self) -> ContactWindows | None:
-        """What the orbit predicts."""
         return None if self.channel is None else self.channel.contact
 
 

@@ -46,7 +46,6 @@ class ProcessFigures:
     _ended: dict[tuple[type, str], object] = field(default_factory=dict)
 
     def handle_message(self, message: Message, now_ns: int) -> None:
-        """Take a report of the process."""
         self.told_ns = now_ns
         if self.began_ns is None:
             self.began_ns = now_ns
@@ -101,7 +100,6 @@ class ProcessFigures:
 
     @property
     def source_fault(self) -> str | None:
-        """The last fault of an input's source."""
         return self.total(CaptureFigures).source_fault
 
     @property
@@ -111,7 +109,6 @@ class ProcessFigures:
 
     @property
     def selected(self) -> str | None:
-        """The selected camera; of the selector."""
         return self.total(SelectorFigures).selected
 
     @property

@@ -103,7 +103,6 @@ class JsonReader:
 
     @property
     def json(self) -> Json:
-        """The whole value."""
         return as_json(self.value)
 
     def at(self, *keys: str) -> "JsonReader":
@@ -123,7 +122,6 @@ class JsonReader:
             return False
 
     def number(self, *keys: str) -> float:
-        """The number under `keys`."""
         value = self.at(*keys).value
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ValueError(f"{self._where}.{'.'.join(keys)}: {value!r} is no number")
@@ -138,7 +136,6 @@ class JsonReader:
         return self.number(*keys) if self.has(*keys) else None
 
     def text(self, *keys: str) -> str:
-        """The text under `keys`."""
         value = self.at(*keys).value
         if not isinstance(value, str):
             raise ValueError(f"{self._where}.{'.'.join(keys)}: {value!r} is no text")

@@ -97,7 +97,6 @@ class SeatFeed:
         return pid
 
     def handle_sent(self, process: str) -> None:
-        """The process has got the newest message."""
         self._told[process] = self._newest[process]
 
     def _watched(self, process: str) -> bool:

@@ -27,15 +27,14 @@ from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog, ProcessNow
 from pipelines.report.link_report import gateway_figures, link_figures
 from pipelines.report.model import DirectionReport, GatewayReport, to_builtins
-from pipelines.report.sections import cpu_report, rtc_now, seat_recording
+from pipelines.report.sections import cpu_report, process_report, rtc_now, seat_recording
 from pipelines.report.session_report import (
     haptic_report,
     joystick_report,
-    process_report,
     skew_reports,
     stream_report,
 )
-from pipelines.report.silence import last_bps, shown_now
+from pipelines.report.silence import last_bps, shown_now, silences
 from pipelines.report.sync_figures import LIMITS
 from pipelines.seats.figures import HOLDER, PageFigures
 from pipelines.session.session_events import Event
@@ -118,12 +117,7 @@ class SeatFigures:
         self.log.handle_look(processes, switch=switch, started_ns=started_ns, now_ns=now_ns)
 
     def message(
-        self,
-        cpu_s: Mapping[str, float],
-        *,
-        launcher_cpu_s: float,
-        running_ns: int,
-        now_ns: int,
+        self, cpu_s: Mapping[str, float], *, launcher_cpu_s: float, running_ns: int, now_ns: int
     ) -> SeatMessage:
         """The message of this instant, without events.
 
@@ -141,11 +135,11 @@ class SeatFigures:
         figures = dict(self._figures(directions, ends, seconds, now_ns))
         total = cpu_report(cpu_s, launcher_cpu_s, seconds)
         figures |= _flat("cpu", to_builtins(total))
+        silent = {one.process: one for one in silences(self._setup, self._collector)}
         for process in self._processes:
             spent_s = cpu_s.get(process.name, 0.0)
-            report = process_report(
-                process.name, spent_s, process.restarts, self._setup, self._collector
-            )
+            told = self._collector.process(process.name)
+            report = process_report(told, spent_s, process.restarts, silent.get(process.name))
             figures |= _flat(f"processes.{process.name}", to_builtins(report))
         return SeatMessage(
             at_us=now_ns // NS_PER_US,

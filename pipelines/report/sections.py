@@ -18,12 +18,15 @@ from pipelines.recording.figures import RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.model import (
     CpuReport,
+    ProcessReport,
     RtcReport,
     RtcShownReport,
     SecondArmReport,
     Spread,
     Warning,
 )
+from pipelines.report.process_figures import ProcessFigures
+from pipelines.report.silence import Silence
 from pipelines.session.figures import DatedEvent, TrainerFigures
 from pipelines.session.task_journal import TaskRow
 from pipelines.session.topology import (
@@ -273,4 +276,23 @@ def cpu_report(cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float
         total_s=round(total_s, 2),
         launcher_s=round(launcher_cpu_s, 2),
         cores_used=round(total_s / max(seconds, 1e-9), 3),
+    )
+
+
+def process_report(
+    figures: ProcessFigures, cpu_s: float, restarts: int, silence: Silence | None = None
+) -> ProcessReport:
+    """One process, with the CPU time and restarts that its launcher knows.
+
+    silence: of an input that delivers nothing.
+    """
+    return ProcessReport(
+        cpu_s=round(cpu_s, 3),
+        restarts=restarts,
+        source_fault=figures.source_fault if silence is None else silence.fault or None,
+        scheduler=figures.scheduler,
+        last_error=figures.last_error,
+        silent_s=None if silence is None else round(silence.silent_ns / NS_PER_S, 1),
+        counts=figures.counts_by_name(),
+        newest=figures.newest_by_name(),
     )

@@ -17,7 +17,6 @@ from pipelines.report.journeys import Pauses, StreamFigures
 from pipelines.report.link_report import gateway_figures, link_figures, punctuality_us
 from pipelines.report.model import (
     HapticReport,
-    ProcessReport,
     SessionReport,
     SkewReport,
     Stages,
@@ -29,6 +28,7 @@ from pipelines.report.sections import (
     component_reports,
     cpu_report,
     exercises,
+    process_report,
     recorder_report,
     recorder_warnings,
     rtc_report,
@@ -55,12 +55,7 @@ from pipelines.session.restarts import lacks_room
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import ROBOT, HapticRow
 from telepresence.haptics.envelope import SafetyFigures
-from telepresence.haptics.figures import (
-    JoystickFigures,
-    PortFigures,
-    SamplesReceived,
-    SamplesSent,
-)
+from telepresence.haptics.figures import JoystickFigures, PortFigures, SamplesReceived, SamplesSent
 from telepresence.link.profile import LinkProfile
 
 
@@ -85,6 +80,7 @@ def build_report(
     whole_s, seconds = seconds, seconds - sum(end_s - begin_s for begin_s, end_s in stopped_s)
     uplink = link_figures(setup, collector, "uplink")
     topology, alone = collector.topology, collector.topology.alone
+    silent = {one.process: one for one in silences(setup, collector)}
     return SessionReport(
         setup=setup.name,
         end=None if alone is None else alone.value,
@@ -113,7 +109,9 @@ def build_report(
         lip_sync=collector.lip_sync.summary() if collector.lip_sync.counted_ns else None,
         cpu=cpu_report(cpu_s, launcher_cpu_s, seconds),
         processes={
-            name: process_report(name, cpu_s[name], restarts[name], setup, collector)
+            name: process_report(
+                collector.process(name), cpu_s[name], restarts[name], silent.get(name)
+            )
             for name in cpu_s
         },
         failures=failures(setup, collector, seconds, media=media),
@@ -198,7 +196,6 @@ def stream_report(
 
 
 def stream_latency_ms(figures: StreamFigures) -> StreamLatency:
-    """From capture to display, with its stages."""
     return StreamLatency(
         **msgspec.structs.asdict(spread_ms(figures.latency)),
         stages=Stages(
@@ -212,7 +209,6 @@ def _ms(value_ns: int) -> float:
 
 
 def joystick_report(collector: Collector) -> JoystickFigures | None:
-    """A real joystick, as its process reported it."""
     return collector.process("joystick").find(JoystickFigures)
 
 
@@ -246,26 +242,7 @@ def haptic_cap_bps(profile: LinkProfile) -> int:
 
 
 def haptic_bps(profile: LinkProfile, samples: int, seconds: float) -> int:
-    """The rate of `samples` in `seconds`."""
     return round(samples * profile.insert_octets * 8 / max(seconds, 1e-9))
-
-
-def process_report(
-    name: str, cpu_s: float, restarts: int, setup: Setup, collector: Collector
-) -> ProcessReport:
-    """One process, with the CPU time and restarts that its launcher knows."""
-    figures = collector.process(name)
-    silence = next((one for one in silences(setup, collector) if one.process == name), None)
-    return ProcessReport(
-        cpu_s=round(cpu_s, 3),
-        restarts=restarts,
-        source_fault=figures.source_fault if silence is None else silence.fault or None,
-        scheduler=figures.scheduler,
-        last_error=figures.last_error,
-        silent_s=None if silence is None else round(silence.silent_ns / NS_PER_S, 1),
-        counts=figures.counts_by_name(),
-        newest=figures.newest_by_name(),
-    )
 
 
 def failures(

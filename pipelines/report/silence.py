@@ -9,12 +9,7 @@ from kontur_av.streams.staleness import State
 from pipelines.media.figures import CaptureFigures, DisplayFigures
 from pipelines.report.collector import Collector
 from pipelines.session.probe import FLUSH_NS
-from pipelines.session.setup.table import (
-    VOICE_PACKETS_PER_S,
-    Setup,
-    VideoStream,
-    VoiceStream,
-)
+from pipelines.session.setup.table import VOICE_PACKETS_PER_S, Setup, VideoStream, VoiceStream
 from pipelines.session.topology import Segment
 
 #: A picture or a sound is missed if it does not come for this long and this many periods.

@@ -8,13 +8,7 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_MS
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.link_report import end_line, ledger_line, peer_lines
-from pipelines.report.model import (
-    HapticReport,
-    SessionReport,
-    Spread,
-    StreamReport,
-    SyncReport,
-)
+from pipelines.report.model import HapticReport, SessionReport, Spread, StreamReport, SyncReport
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
 from pipelines.session.task_journal import TaskRow
@@ -38,7 +32,6 @@ _COLUMNS = (
 
 
 def task_line(run: TaskRow) -> str:
-    """A run of a task, in one line."""
     took = "" if run.seconds is None else f" after {run.seconds:.1f} s"
     why = f": {run.reason}" if run.reason else ""
     return f"task {run.name}, run {run.run}: {run.result.replace('_', ' ')}{took}{why}"

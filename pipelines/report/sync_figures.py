@@ -220,7 +220,6 @@ def skew_summary(pair: str, values_ns: Sequence[int]) -> ContentSkew | None:
 
 
 def ranks_ms(values_ns: Sequence[int]) -> Ranks:
-    """The ranks of signed values, in ms."""
     return Ranks(**summary_ms(values_ns))
 
 

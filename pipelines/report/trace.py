@@ -53,7 +53,6 @@ class Trace:
         packed.add(series.values)
 
     def report(self) -> list[TraceSeries]:
-        """Return all rows so far."""
         return [
             TraceSeries(process=process, kind=_NAMES[kind], stream=stream, blocks=packed.blocks())
             for (process, kind, stream), packed in self._series.items()

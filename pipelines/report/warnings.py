@@ -139,17 +139,13 @@ def loop_warnings(
 
 
 def restart_warning(process: str, restarts: int, last_error: str) -> Warning:
-    """A process had to be started again."""
     why = f": {last_error}" if last_error else ""
     mend = "mend what its error names; report an error of this software"
     if lacks_room(last_error):
         mend = "end the program that fills /dev/shm, or give more (--shm-size=256m)"
     times = "once" if restarts == 1 else f"{restarts} times"
     return Warning(
-        what="restarted",
-        where=process,
-        measured=f"it was started again {times}{why}",
-        mend=mend,
+        what="restarted", where=process, measured=f"it was started again {times}{why}", mend=mend
     )
 
 

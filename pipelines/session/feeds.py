@@ -3,7 +3,8 @@
 import asyncio
 from collections.abc import Callable
 
-from kontur_av.topics.bus import Lease, Reader, TopicBus, Waiter
+from kontur_av.topics.bus import Lease, Reader, TopicBus
+from kontur_av.topics.notifier import WaitSet
 
 
 class Feed:
@@ -25,7 +26,7 @@ class Feed:
         self._loop, self._bus = loop, bus
         self._topic, self._handle, self._depth = topic, handle, depth
         self._reader: Reader | None = None
-        self._waiter: Waiter | None = None
+        self._waiter: WaitSet | None = None
 
     def open(self) -> None:
         """Read from now on; a second call does nothing."""

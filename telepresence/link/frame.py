@@ -9,12 +9,7 @@ import struct
 from binascii import crc_hqx
 from functools import lru_cache
 
-from telepresence.link.profile import (
-    FECF_OCTETS,
-    HEADER_OCTETS,
-    MPDU_HEADER_OCTETS,
-    LinkProfile,
-)
+from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, MPDU_HEADER_OCTETS, LinkProfile
 
 COUNT_MODULUS = 1 << 24
 COUNT_MASK = COUNT_MODULUS - 1

@@ -5,6 +5,7 @@ It never raises because of data from the peer; invalid data is counted by reason
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from telepresence.link.compression.header_compression import RtpDecompressor
 from telepresence.link.compression.rtp_forms import KIND_CONTEXT, KIND_RAW
@@ -28,15 +29,13 @@ from telepresence.link.received import LinkEvent, PacketReceived, SupervisionRec
 _RESUMED = [-1] * TAG_RESUME + [*range(len(Level))]
 
 
+@dataclass(slots=True)
 class _Partial:
     """A packet whose end has not arrived yet."""
 
-    __slots__ = ("body", "count", "tag")
-
-    def __init__(self, tag: int, count: int, body: bytes) -> None:
-        self.tag = tag
-        self.count = count
-        self.body = bytearray(body)
+    tag: int
+    count: int
+    body: bytearray
 
 
 class PacketReassembly:
@@ -103,7 +102,6 @@ class PacketReassembly:
         self._on_air = None
 
     def forget_contexts(self) -> None:
-        """Forget all contexts."""
         for decompressor in self._decompressors:
             if decompressor is not None:
                 decompressor.forget()
@@ -120,7 +118,6 @@ class PacketReassembly:
             self._note_contexts()
 
     def drop(self, reason: str) -> None:
-        """Count a dropped packet."""
         self.dropped[reason] = self.dropped.get(reason, 0) + 1
 
     def _malformed(self) -> None:
@@ -186,7 +183,7 @@ class PacketReassembly:
                 if tag & CLOSED:
                     self._deliver(tag & ~CLOSED, count, piece, now_ns)
                 else:
-                    self._partials[level] = _Partial(tag, count, piece)
+                    self._partials[level] = _Partial(tag, count, bytearray(piece))
                     self._on_air = level
                 continue
             self._extend(level, piece)

@@ -1,6 +1,7 @@
 """The sending end: one frame a slot with the newest sample, filled by priority of the levels."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from telepresence.haptics.mediated.wall import is_wall
 from telepresence.link.compression.header_compression import RtpCompressor
@@ -19,12 +20,7 @@ from telepresence.link.frame import (
     FrameCodec,
     Pointers,
 )
-from telepresence.link.profile import (
-    FECF_OCTETS,
-    HEADER_OCTETS,
-    SUPERVISION_OCTETS,
-    LinkProfile,
-)
+from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
 from telepresence.tmtc.pus.head import is_packet
 
@@ -33,18 +29,16 @@ from telepresence.tmtc.pus.head import is_packet
 MOST_PIECES = 64
 
 
+@dataclass(slots=True)
 class _InFlight:
     """A packet of which a part was sent. Its body is header and payload as on the link."""
 
-    __slots__ = ("body", "header_octets", "kind", "level", "offset", "tag")
-
-    def __init__(self, tag: int, body: bytes, header_octets: int, level: int, kind: str) -> None:
-        self.tag = tag
-        self.body = body
-        self.header_octets = header_octets
-        self.level = level
-        self.kind = kind
-        self.offset = 0
+    tag: int
+    body: bytes
+    header_octets: int
+    level: int
+    kind: str
+    offset: int = 0
 
 
 class LinkSender:

@@ -89,11 +89,7 @@ def pose(x_m: float, y_m: float) -> list[Point]:
 
 
 def _between(a: Point, b: Point, part: float) -> Point:
-    return (
-        a[0] + (b[0] - a[0]) * part,
-        a[1] + (b[1] - a[1]) * part,
-        a[2] + (b[2] - a[2]) * part,
-    )
+    return (a[0] + (b[0] - a[0]) * part, a[1] + (b[1] - a[1]) * part, a[2] + (b[2] - a[2]) * part)
 
 
 class Arm:

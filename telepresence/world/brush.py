@@ -151,7 +151,6 @@ class Brush:
 
 
 def disc(centre: complex, radius: float) -> Points:
-    """Return the outline of a circle."""
     return np.asarray(centre + _CIRCLE * radius)
 
 

@@ -164,9 +164,7 @@ class CabinView:
         self._shapes(brush, self._on_face(ovals), _FACE_COLOURS[: len(ovals)])
         ear, boom = (place + complex(x, y - 86) * tilt for x, y in ((-57, 4), (-22, 52)))
         self._bodies(
-            brush,
-            (ear + 10j * tilt, boom, 3, 3, _HEADSET_BODY),
-            (ear, ear, 14, 14, _HEADSET_BODY),
+            brush, (ear + 10j * tilt, boom, 3, 3, _HEADSET_BODY), (ear, ear, 14, 14, _HEADSET_BODY)
         )
 
     def _on_face(self, ovals: Sequence[tuple[float, float, float, float]]) -> Points:

@@ -83,10 +83,7 @@ def looking_at(
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)
     return PinholeCamera(
-        eye,
-        np.stack((right, down, forward)),
-        focal,
-        np.array((width / 2 - 0.5, height / 2 - 0.5)),
+        eye, np.stack((right, down, forward)), focal, np.array((width / 2 - 0.5, height / 2 - 0.5))
     )
 
 

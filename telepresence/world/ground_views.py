@@ -17,14 +17,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
 from telepresence.world.arm import SHOULDER_M, Arm
 from telepresence.world.backdrop import Backdrop, Caption, Patch
-from telepresence.world.board import (
-    LED_COLOURS,
-    LED_RADIUS_M,
-    Image,
-    blend,
-    draw_board,
-    homography,
-)
+from telepresence.world.board import LED_COLOURS, LED_RADIUS_M, Image, blend, draw_board, homography
 from telepresence.world.brush import Brush, yuv
 from telepresence.world.geometry import PinholeCamera, looking_at, looking_down
 from telepresence.world.state import LEDS_M, Lights, WorldState
@@ -245,9 +238,3 @@ def _light(still: Image, camera: PinholeCamera, lit: int, margin: int) -> Patch:
     shining = (region + colour * halo[..., None]) * (1 - core)
     shining += (colour * (1 - white) + 255 * white) * core
     return Patch(np.clip(shining, 0, 255).astype(np.uint8), left, top)
-
-
-def targets_px(view: str, width: int, height: int) -> NDArray[np.float64]:
-    """Return the LED targets in pixels, (5, 2), for a camera that does not turn."""
-    points = np.array([(x, y, 0.0) for x, y in LEDS_M])
-    return camera_of(view, width, height).project(points)

@@ -7,12 +7,7 @@ from kontur_av.clock import Clock
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, check_size
 from kontur_av.sources.scene import SceneAudio, SceneVideo
-from kontur_av.sources.source import (
-    AudioSceneFactory,
-    AudioSource,
-    VideoSceneFactory,
-    VideoSource,
-)
+from kontur_av.sources.source import AudioSceneFactory, AudioSource, VideoSceneFactory, VideoSource
 from telepresence.world.cabin import CabinView
 from telepresence.world.ground_views import GroundView
 from telepresence.world.sound import Room
@@ -21,13 +16,7 @@ from telepresence.world.state import StateAt, WorldState, scripted_state
 
 #: Each camera, and its capture phase within a period. The stereo pair captures together; the
 #: others are staggered, so that they do not need the processor at the same instant.
-VIEWS: dict[str, float] = {
-    "left": 0.0,
-    "right": 0.0,
-    "static": 0.34,
-    "head": 0.67,
-    "cabin": 0.5,
-}
+VIEWS: dict[str, float] = {"left": 0.0, "right": 0.0, "static": 0.34, "head": 0.67, "cabin": 0.5}
 
 #: The scene of each input of a setup, unless the user names another source.
 DEFAULT_SCENES: dict[str, str] = {

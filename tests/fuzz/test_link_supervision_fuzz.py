@@ -14,14 +14,10 @@ from hypothesis import strategies as st
 from telepresence.link.clock.exchange import ClockExchange
 from telepresence.link.flows import tmtc_flow, video_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision.supervisor import (
-    Configuration,
-    ContextsHeld,
-    Encounter,
-    LinkState,
-    StateChanged,
-    Supervisor,
-)
+from telepresence.link.supervision.configuration import Configuration
+from telepresence.link.supervision.events import ContextsHeld, StateChanged
+from telepresence.link.supervision.message import LinkState
+from telepresence.link.supervision.supervisor import Encounter, Supervisor
 
 MS = 1_000_000
 GROUND = Configuration(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.media.screen import REDRAW_NS, Drawing, Screen
+from pipelines.media.showing import REDRAW_NS, Drawing, Screen
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.simulate import simulate
 from telepresence.link.radio import load_radio

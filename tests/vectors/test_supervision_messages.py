@@ -13,14 +13,16 @@ from telepresence.link.clock.message import (
 )
 from telepresence.link.flows import Level, packet_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.supervision.configuration import Configuration
 from telepresence.link.supervision.message import (
+    LinkState,
     MessageKind,
     SupervisionMessage,
     message_version,
     pack_message,
     parse_message,
 )
-from telepresence.link.supervision.supervisor import Configuration, LinkState, Supervisor
+from telepresence.link.supervision.supervisor import Supervisor
 
 ALIVE = SupervisionMessage(
     version=1,

@@ -11,7 +11,7 @@ from telepresence.link.gateway import Gateway
 from telepresence.link.radio import RadioProfile
 from telepresence.link.radio.profile import Blackout
 from telepresence.link.received import HapticReceived, PacketReceived
-from telepresence.link.supervision.supervisor import LinkState
+from telepresence.link.supervision.message import LinkState
 from telepresence.link.virtual import VirtualLink
 
 #: Period and payload octets of each kind of packet. Together they take nine tenths of the uplink,

@@ -39,30 +39,22 @@ class CsvExport:
 
     @property
     def paths(self) -> list[Path]:
-        """All files that will be there."""
         return [*self._topics.values()]
 
     def begin(self, outputs: Outputs) -> None:
-        """Open the files."""
         outputs.make_directory(self._directory)
         for topic, path in self._topics.items():
             self._files[topic] = CsvFile(outputs.unfinished(path), self._columnizer)
 
     def handle_message(self, message: JoinedMessage) -> None:
-        """Write the rows of a message."""
         self._files[message.topic].handle_message(message)
 
     def end(self) -> None:
-        """End the files."""
         for file in self._files.values():
             file.close()
 
     def lines(self) -> list[str]:
-        """What was written, in words."""
-        return [
-            f"{self._directory}: {len(self._files)} CSV files",
-            *self._columnizer.lines(),
-        ]
+        return [f"{self._directory}: {len(self._files)} CSV files", *self._columnizer.lines()]
 
 
 class CsvFile:
@@ -79,7 +71,6 @@ class CsvFile:
         self._waiting: list[Rows] = []
 
     def handle_message(self, message: JoinedMessage) -> None:
-        """Write the rows of a message."""
         rows = self._columnizer.rows(message)
         if rows is None:
             return

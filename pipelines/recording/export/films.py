@@ -56,27 +56,22 @@ class MatroskaExport:
 
     @property
     def paths(self) -> list[Path]:
-        """All files that will be there."""
         return [film.path for film in self._films]
 
     def begin(self, outputs: Outputs) -> None:
-        """Open the files."""
         outputs.make_directory(self._directory)
         for film in self._films:
             film.open(outputs.unfinished(film.path))
 
     def handle_message(self, message: JoinedMessage) -> None:
-        """Write a picture or a packet of sound."""
         for film in self._takers.get(message.topic, ()):
             film.handle_message(message)
 
     def end(self) -> None:
-        """Finish the files."""
         for film in self._films:
             film.close()
 
     def lines(self) -> list[str]:
-        """What was written, in words."""
         return [line for film in self._films for line in film.lines()]
 
 
@@ -111,7 +106,6 @@ class Film:
             self._file.begin_sound()
 
     def handle_message(self, message: JoinedMessage) -> None:
-        """Write what is in a message."""
         try:
             if message.topic == self.sound:
                 self._handle_sound(message)
@@ -134,7 +128,6 @@ class Film:
         self._file.close()
 
     def lines(self) -> list[str]:
-        """What was written, in words."""
         told = [
             f"{self.path}: {self._pictures} pictures"
             + (f", {self._packets} packets of sound" if self.sound else "")

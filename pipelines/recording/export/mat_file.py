@@ -54,7 +54,6 @@ class MatExport:
 
     @property
     def paths(self) -> list[Path]:
-        """The file that will be there."""
         return [self._path]
 
     def begin(self, outputs: Outputs) -> None:
@@ -62,11 +61,9 @@ class MatExport:
         self._unfinished = outputs.unfinished(self._path)
 
     def handle_message(self, message: JoinedMessage) -> None:
-        """Take a message."""
         self._collector.handle_message(message)
 
     def end(self) -> None:
-        """Write the file."""
         tables = self._collector.tables()
         self._rows = {name: len(table["session_ns"]) for name, table in tables.items()}
         self._v73 |= any(variable_octets(table) > MOST_V5_OCTETS for table in tables.values())
@@ -74,7 +71,6 @@ class MatExport:
         write(self._unfinished, {"recording": about(self._recording), **tables})
 
     def lines(self) -> list[str]:
-        """What was written, in words."""
         rows = ", ".join(f"{name} {count}" for name, count in sorted(self._rows.items()))
         return [
             f"{self._path}: {len(self._rows)} tables, MATLAB {'v7.3' if self._v73 else 'v5'}; "

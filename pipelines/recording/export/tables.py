@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from pipelines.recording.channels import EVENTS, RECEIVED, SENT
-from pipelines.recording.export.columns import (
-    Column,
-    Columnizer,
-    Columns,
-    Rows,
-    joined,
-    table_name,
-)
+from pipelines.recording.export.columns import Column, Columnizer, Columns, Rows, joined, table_name
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import (
     HAPTIC_SAMPLES,

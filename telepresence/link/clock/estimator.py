@@ -64,8 +64,6 @@ class _Bounds:
     sign: 1 for the least offset, -1 for the largest.
     """
 
-    __slots__ = ("_points", "_sign", "_window")
-
     def __init__(self, sign: int) -> None:
         self._sign = sign
         self._points: deque[tuple[int, int]] = deque(maxlen=WINDOWS)
@@ -100,7 +98,6 @@ class _Bounds:
 
     @property
     def newest_ns(self) -> int:
-        """The newest bound's offset."""
         return self._points[-1][1]
 
     def clear(self) -> None:

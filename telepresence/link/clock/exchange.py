@@ -45,13 +45,10 @@ class _WholeClock:
     `handle_message` returns the whole instant in µs, or None until four parts have come.
     """
 
-    __slots__ = ("_newest_ns", "_newest_us", "_pieces", "stepped")
-
     def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
-        """Forget the peer's clock."""
         self._pieces: dict[int, int] = {}
         self._newest_us = self._newest_ns = 0
         #: The newest message contradicts those before: the peer's clock was stepped.
@@ -94,22 +91,6 @@ class ClockExchange:
 
     next_ns: when the next message is due.
     """
-
-    __slots__ = (
-        "_counts_in",
-        "_counts_out",
-        "_estimator",
-        "_first",
-        "_life",
-        "_master",
-        "_peer_life",
-        "_received",
-        "_sent",
-        "_told_offset_ns",
-        "_version",
-        "_whole",
-        "next_ns",
-    )
 
     def __init__(
         self, *, version: int, master: bool, life: int, told_offset_ns: int, now_ns: int

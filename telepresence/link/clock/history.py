@@ -34,7 +34,6 @@ class ClockHistory:
 
     @property
     def known(self) -> bool:
-        """Whether there is any estimate."""
         return bool(self._instants)
 
     def add(self, instant_ns: int, offset_ns: int, error_ns: int) -> None:
@@ -48,13 +47,6 @@ class ClockHistory:
     def estimates(self) -> Iterator[tuple[int, int, int]]:
         """The instants, offsets and errors of all estimates, in ns."""
         return zip(self._instants, self._offsets, self._errors, strict=True)
-
-    def reversed(self) -> ClockHistory:
-        """The same from the peer's side: instants of its clock, and the own clock minus it."""
-        found = ClockHistory()
-        for instant_ns, offset_ns, error_ns in self.estimates():
-            found.add(instant_ns + offset_ns, -offset_ns, error_ns)
-        return found
 
     def at(self, instants_ns: Integers) -> Offsets:
         """Return the offsets at these instants, shape (n,); ValueError if nothing is known.

@@ -40,9 +40,9 @@ class PeerFigures:
     #: Since when frames can be sent, from `begun_ns` on; null: they cannot.
     session_ns: Newest[int] | None
     #: Handshakes with both ends proven.
-    sessions: int
+    sessions: int = 0
     #: Handshakes that came to nothing.
-    failed_attempts: int
+    failed_attempts: int = 0
     #: How often the other end's address changed.
     address_changes: int
     #: Datagrams with frames that were sent.
@@ -52,7 +52,7 @@ class PeerFigures:
     #: Datagrams whose frame was taken.
     taken: int
     #: Datagrams of handshakes that were heeded.
-    handshake_datagrams: int
+    handshake_datagrams: int = 0
     #: Dropped datagrams by reason: `stranger`, or those of docs/security.md.
     dropped: Mapping[str, int]
     #: The newest 50.
@@ -77,5 +77,4 @@ class PeerHistory:
             self._events.append(PeerEvent(at_ns=now_ns - self.begun_ns, what=what))
 
     def events(self) -> tuple[PeerEvent, ...]:
-        """Return the events, oldest first."""
         return tuple(self._events)

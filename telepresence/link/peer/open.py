@@ -64,13 +64,10 @@ class OpenPath:
             protected=False,
             address=None if self._address is None else address_text(self._address),
             session_ns=self._session_ns,
-            sessions=0,
-            failed_attempts=0,
             address_changes=self._moves,
             sent=self._sent,
             unsent=self._unsent,
             taken=self._taken,
-            handshake_datagrams=0,
             dropped={"stranger": self._strangers} if self._strangers else {},
             events=self._history.events(),
         )

@@ -17,12 +17,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from kontur_av.clock import NS_PER_S
-from telepresence.link.protection.handshake import (
-    Address,
-    AttemptFailed,
-    Handshake,
-    KeysAgreed,
-)
+from telepresence.link.protection.handshake import Address, AttemptFailed, Handshake, KeysAgreed
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
 from telepresence.link.protection.record import (
     HANDSHAKE,
@@ -144,7 +139,6 @@ class ProtectedChannel:
 
     @property
     def protected(self) -> bool:
-        """Whether there is a session."""
         return self._sealer is not None
 
     def seal(self, frame: bytes, now_ns: int) -> bytes | None:

@@ -59,8 +59,6 @@ class DirectionKeys:
 class RecordSealer:
     """Seals the frames of one direction under one key. sealed: how many, so far."""
 
-    __slots__ = ("_encrypt", "_head", "_vector", "sealed")
-
     def __init__(self, keys: DirectionKeys) -> None:
         self._encrypt = AESGCM(keys.key).encrypt
         self._vector = int.from_bytes(keys.vector, "big")
@@ -86,8 +84,6 @@ class RecordOpener:
 
     newest: the largest sequence number of a genuine record; -1 before the first.
     """
-
-    __slots__ = ("_decrypt", "_seen", "_vector", "newest")
 
     def __init__(self, keys: DirectionKeys) -> None:
         self._decrypt = AESGCM(keys.key).decrypt

@@ -102,7 +102,6 @@ class OutgoingStream:
         return self._acknowledged < len(self._octets)
 
     def add(self, octets: bytes) -> None:
-        """Append `octets`."""
         self._octets += octets
 
     def handle_acknowledged(self, octets: int) -> bool:

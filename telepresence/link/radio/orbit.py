@@ -88,11 +88,7 @@ class Station:
             around * sin(longitude),
             (normal * (1 - squared) + height) * sin(latitude),
         )
-        self._up = (
-            cos(latitude) * cos(longitude),
-            cos(latitude) * sin(longitude),
-            sin(latitude),
-        )
+        self._up = (cos(latitude) * cos(longitude), cos(latitude) * sin(longitude), sin(latitude))
 
     def look(self, position_km: tuple[float, float, float], angle: float) -> tuple[float, float]:
         """Return range (km) and elevation (degrees) of a position in SGP4's frame (TEME).

@@ -13,16 +13,6 @@ class ApplicationWatch:
     a fault: an idle link is reset once, and then waits for data indefinitely.
     """
 
-    __slots__ = (
-        "_patience",
-        "_peer_sends_ns",
-        "_reset_ns",
-        "_timing",
-        "arrived",
-        "arrived_ns",
-        "sent_ns",
-    )
-
     def __init__(self, timing: SupervisionTiming, now_ns: int) -> None:
         self.arrived = False
         self.arrived_ns = now_ns - timing.idle_ns

@@ -23,17 +23,6 @@ class Proof:
     echoed: the number that was echoed last.
     """
 
-    __slots__ = (
-        "_drawn_ns",
-        "_last",
-        "_life_ns",
-        "_number",
-        "_random",
-        "echoed",
-        "proven",
-        "question",
-    )
-
     def __init__(self, seed: int, timing: SupervisionTiming) -> None:
         self.proven = False
         self.question = self.echoed = 0

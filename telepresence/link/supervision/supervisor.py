@@ -53,24 +53,6 @@ from telepresence.link.supervision.pacing import MessagePacing
 from telepresence.link.supervision.proof import Proof
 from telepresence.link.supervision.record import SupervisionRecord
 
-__all__ = [
-    "ApplicationReset",
-    "Configuration",
-    "ContextsHeld",
-    "Encounter",
-    "LinkState",
-    "PeerDeaf",
-    "PeerDoubted",
-    "PeerHears",
-    "PeerMet",
-    "SignalAcquired",
-    "SignalLost",
-    "StateChanged",
-    "SupervisionEvent",
-    "SupervisionTiming",
-    "Supervisor",
-]
-
 _NO_CONTEXTS = (0, 0, 0, 0)
 #: For a gateway that does not fetch events; beyond that the oldest are dropped.
 _EVENTS_DEPTH = 256
@@ -127,39 +109,6 @@ class Supervisor:
     next_ns: the same as `poll_timeout()`.
     """
 
-    # These attributes are read thousands of times a second; slots are the fastest to read.
-    __slots__ = (
-        "_answered_ns",
-        "_application",
-        "_asked_ns",
-        "_contexts",
-        "_counts",
-        "_events",
-        "_fault",
-        "_frame_ns",
-        "_greet_ns",
-        "_greeted_ns",
-        "_negotiation",
-        "_pacing",
-        "_prompt",
-        "_proof",
-        "_record",
-        "_silence_ns",
-        "_stranger",
-        "_stranger_ns",
-        "_stray_ns",
-        "configuration",
-        "delivering",
-        "life",
-        "master",
-        "next_ns",
-        "peer_hears",
-        "signal",
-        "state",
-        "timing",
-        "why",
-    )
-
     def __init__(
         self,
         *,
@@ -191,11 +140,7 @@ class Supervisor:
         self._frame_ns = now_ns
         self.next_ns = now_ns
         self._negotiation = Negotiation(
-            master=master,
-            configuration=configuration,
-            life=life,
-            timing=self.timing,
-            now_ns=now_ns,
+            master=master, configuration=configuration, life=life, timing=self.timing, now_ns=now_ns
         )
         self._application = ApplicationWatch(self.timing, now_ns)
         self._pacing = MessagePacing(self.timing, now_ns)
@@ -360,8 +305,8 @@ class Supervisor:
             counts=dict(record.counts),
             contact_ns=record.contact_ns(now_ns),
             longest_gap_ns=record.longest_gap_ns,
-            contacts=record.contacts(),
-            history=record.history(),
+            contacts=list(record.contacts),
+            history=list(record.history),
         )
 
     def _hear_stranger(self, data: bytes, now_ns: int) -> SupervisionMessage | None:

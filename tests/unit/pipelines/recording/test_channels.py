@@ -4,7 +4,7 @@ import pytest
 from google.protobuf import descriptor_pb2
 
 from kontur_av.recorded_format import FORMAT_KEY
-from pipelines.recording.channels import channels_of, channels_table
+from pipelines.recording.channels import channels_of
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Kind
 from pipelines.table import topology_of
@@ -55,4 +55,3 @@ def test_frames_of_the_link_are_recorded_only_if_asked_for():
     assert {topic for topic in more if "/frames/" in topic} == more - {
         row.topic for row in channels_of(session)
     }
-    assert len(channels_table(session).rows) == len(more)

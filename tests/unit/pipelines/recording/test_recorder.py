@@ -15,8 +15,9 @@ from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, ROW
 from pipelines.link.frame_batch import pack_frames
-from pipelines.link.gateway_end import make_gateway
+from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.local_key import last_key
+from pipelines.recording.channels import Content, sources_of
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.mcap_stream import MAGIC
 from pipelines.recording.messages import (
@@ -35,7 +36,7 @@ from pipelines.recording.messages import (
 from pipelines.recording.own_pictures import KEY_PATIENCE_NS
 from pipelines.recording.recorder import RETRY_NS, Recorder
 from pipelines.recording.scan import FoundMessage, Scan
-from pipelines.recording.sources import Content, sources_of
+from pipelines.session.probe import Probe
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
@@ -475,7 +476,8 @@ def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
     disk = Disk(link_frames=True)
     disk.pump(0)
     sources = {source.topic: source for source in sources_of(TOPOLOGY, link_frames=True)}
-    gateway = make_gateway(TOPOLOGY, Segment.GROUND, life=1, secret=1, seed=1, epoch_ns=0, now_ns=0)
+    numbers = {"life": 1, "secret": 1, "seed": 1, "epoch_ns": 0, "now_ns": 0, "first_ns": 0}
+    gateway = GatewayEnd(TOPOLOGY, Segment.GROUND, Probe(), **numbers).gateway
     gateway.frames_sent = []
     for number in range(3):
         gateway.handle_slot(number * NS_PER_MS)

@@ -6,13 +6,13 @@ from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 
 import pytest
+import report_keys as keys
 from told import message
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.figures import marks_of
 from pipelines.media.figures import CaptureFigures
 from pipelines.recording.messages import RecordedFigure
-from pipelines.report import keys
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
 from pipelines.report.model import SessionReport, to_builtins

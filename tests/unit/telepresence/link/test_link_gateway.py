@@ -12,7 +12,7 @@ from telepresence.link.radio import RadioPath, RadioProfile
 from telepresence.link.radio.profile import Blackout
 from telepresence.link.received import HapticReceived, PacketReceived
 from telepresence.link.sender import LinkSender
-from telepresence.link.supervision.supervisor import LinkState
+from telepresence.link.supervision.message import LinkState
 from telepresence.link.virtual import VirtualLink
 from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet
 

@@ -22,11 +22,16 @@ from telepresence.world import (
     scripted_state,
     video_scenes,
 )
-from telepresence.world.ground_views import GroundView, targets_px
+from telepresence.world.ground_views import GroundView, camera_of
 from telepresence.world.sound import Room
 from telepresence.world.speech_files import media_folder, read_speech
 
 SIZE = (640, 480)
+
+
+def targets_px(view, width, height):
+    """The LED targets in pixels, (5, 2), for a camera that does not turn."""
+    return camera_of(view, width, height).project(np.array([(x, y, 0.0) for x, y in LEDS_M]))
 
 
 def seen(view, state, frame=0, size=SIZE):

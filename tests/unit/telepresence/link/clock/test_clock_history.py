@@ -46,12 +46,6 @@ def test_over_a_step_nothing_is_claimed() -> None:
     assert errors[1] > 7 * S
 
 
-def test_from_the_peers_side_it_is_the_same_line() -> None:
-    made = history((0, 7 * S, MS), (10 * S, 7 * S + 100, MS))
-    offsets, _ = at(made.reversed(), 7 * S, 12 * S, 17 * S + 100)
-    assert offsets == [-7 * S, -7 * S - 50, -7 * S - 100]
-
-
 def test_without_an_estimate_nothing_is_said() -> None:
     assert not ClockHistory().known
     with pytest.raises(ValueError, match="no estimate"):

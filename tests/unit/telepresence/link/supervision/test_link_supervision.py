@@ -5,22 +5,20 @@ from itertools import pairwise
 import pytest
 from link_supervision_pair import CONNECTED, MS, SPACE, Pair, S, connected
 
-from telepresence.link.supervision.message import MessageKind, parse_message
-from telepresence.link.supervision.proof import Proof
-from telepresence.link.supervision.supervisor import (
+from telepresence.link.supervision.configuration import SupervisionTiming
+from telepresence.link.supervision.events import (
     ApplicationReset,
     ContextsHeld,
-    Encounter,
-    LinkState,
     PeerDeaf,
     PeerDoubted,
     PeerHears,
     PeerMet,
     SignalAcquired,
     SignalLost,
-    SupervisionTiming,
-    Supervisor,
 )
+from telepresence.link.supervision.message import LinkState, MessageKind, parse_message
+from telepresence.link.supervision.proof import Proof
+from telepresence.link.supervision.supervisor import Encounter, Supervisor
 
 
 @pytest.mark.parametrize("delay_slots", [0, 5, 15, 400])

@@ -3,12 +3,9 @@
 import pytest
 from link_supervision_pair import CONNECTED, GROUND, MS, SPACE, Pair, S, connected
 
+from telepresence.link.supervision.events import ApplicationReset, StateChanged
 from telepresence.link.supervision.message import MessageKind
-from telepresence.link.supervision.supervisor import (
-    ApplicationReset,
-    StateChanged,
-    Supervisor,
-)
+from telepresence.link.supervision.supervisor import Supervisor
 
 
 def test_a_link_without_programs_idles_for_minutes_and_then_works_at_once():

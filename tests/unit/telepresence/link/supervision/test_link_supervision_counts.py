@@ -3,7 +3,7 @@
 import pytest
 from link_supervision_pair import CONNECTED, MS, Pair, S, connected
 
-from telepresence.link.supervision.supervisor import (
+from telepresence.link.supervision.events import (
     ApplicationReset,
     PeerDeaf,
     PeerHears,

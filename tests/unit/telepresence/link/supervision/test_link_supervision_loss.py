@@ -5,16 +5,16 @@ from random import Random
 import pytest
 from link_supervision_pair import CONNECTED, MS, Pair, S, connected
 
-from telepresence.link.supervision.supervisor import (
+from telepresence.link.supervision.events import (
     ApplicationReset,
     ContextsHeld,
-    LinkState,
     PeerDeaf,
     PeerHears,
     PeerMet,
     SignalLost,
     StateChanged,
 )
+from telepresence.link.supervision.message import LinkState
 
 
 @pytest.mark.parametrize("blackout", [100, 1_000, 10_000])

@@ -4,11 +4,9 @@ import pytest
 from link_supervision_pair import CONNECTED, DOWN, MS, SPACE, UP, Pair, S, connected
 
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision.supervisor import (
-    Configuration,
-    LinkState,
-    StateChanged,
-)
+from telepresence.link.supervision.configuration import Configuration
+from telepresence.link.supervision.events import StateChanged
+from telepresence.link.supervision.message import LinkState
 
 
 def varied(**changes):

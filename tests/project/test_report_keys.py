@@ -1,8 +1,8 @@
 """The tables of a report's keys are made from its types."""
 
 import msgspec
+from report_keys import comments, keys_tables
 
-from pipelines.report.keys import comments, keys_tables
 from pipelines.report.model import Report, SessionReport
 
 
