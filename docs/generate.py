@@ -41,7 +41,8 @@ Import these names from the package: `from kontur_av import ...`. Other modules 
 own and may change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
 `samples/` has short scripts that use these names.
 
-Types of methods' parameters, units, shapes and errors are in the docstrings:
+Of a class with more than ten methods this page has their names. What they do, and types, units,
+shapes and errors are in the docstrings:
 `python -c "import kontur_av; help(kontur_av.VideoSender)"`.
 """
 #: Keys whose unit says that their value is a number.
@@ -49,7 +50,7 @@ NUMBERS = re.compile(
     r"(`(?:p[\d.]+|max|mean|\w+_(?:ms|s|us|mm|km|deg|n|c|percent))`\??) \(number\)"
 )
 #: Of a class with more methods the page has their names only.
-MOST_METHODS = 30
+MOST_METHODS = 10
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
 
 

@@ -55,9 +55,10 @@ def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
     """
     if spec == SIMULATED_ROBOT:
         return Robot(axes=axes)
-    robot = DrivenRobot(load_robot(spec))
+    device = load_robot(spec)
+    robot = DrivenRobot(device)
     try:
-        check_axes(f"robot {spec}", robot.facts.more, axes)
+        check_axes(f"robot {spec}", device.facts.more, axes)
     except ConfigError:
         robot.close()
         raise

@@ -3,7 +3,7 @@
 from math import nan
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import DeviceFacts, Reading
+from telepresence.haptics.device.device import JoystickFacts, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import velocity_towards
 from telepresence.haptics.figures import UdpFigures
@@ -11,7 +11,7 @@ from telepresence.haptics.udp_line import UdpLine
 from telepresence.haptics.udp_protocol import UdpRole
 
 #: Its place is not a number, which is a recoverable error: it is calibrated before it is trusted.
-_SILENT = Reading(nan, nan, 0.0, 0.0, dead_man=False)
+_SILENT = JoystickReading(nan, nan, 0.0, 0.0, dead_man=False)
 _CYCLE_S = NS_PER_MS / NS_PER_S
 
 
@@ -45,7 +45,7 @@ class UdpJoystick:
         self._session = self._line.session
         facts = self._line.connect()
         half_width_m, half_height_m = facts.half_m
-        self._facts = DeviceFacts(
+        self._facts = JoystickFacts(
             name=facts.name,
             half_width_m=half_width_m,
             half_height_m=half_height_m,
@@ -60,11 +60,11 @@ class UdpJoystick:
         self._x, self._y = _FollowedAxis(), _FollowedAxis()
 
     @property
-    def facts(self) -> DeviceFacts:
+    def facts(self) -> JoystickFacts:
         """What the controller said at first."""
         return self._facts
 
-    def read(self) -> Reading:
+    def read(self) -> JoystickReading:
         """Return the newest reading."""
         self._line.receive()
         session = self._session
@@ -72,7 +72,7 @@ class UdpJoystick:
         if reading is None or session.silent:
             return _SILENT
         x, y = self._x, self._y
-        return Reading(
+        return JoystickReading(
             x.place - self._zero_x,
             y.place - self._zero_y,
             x.speed,
