@@ -23,12 +23,12 @@ uplink_video = {cap_kbps = 85, size = "320x240", fps = 10}
 PLAN = 'skill = 1.0\n[[task]]\nname = "handshake"\n'
 #: The joystick of a partner who presses the button, pushes to the right for a while, and lets go.
 HAND = """
-from telepresence.haptics.device.device import DeviceFacts, Reading
+from telepresence.haptics.device.device import JoystickFacts, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 
 
 class Push:
-    facts = DeviceFacts(name="push", half_width_m=0.1, half_height_m=0.08)
+    facts = JoystickFacts(name="push", half_width_m=0.1, half_height_m=0.08)
     application, time_s = False, 0.0
 
     def read(self):
@@ -36,7 +36,7 @@ class Push:
         out, back = now_s - 1.0, 7.5 - now_s
         x_m = 0.06 * max(0.0, min(1.0, out, back))
         vx_m_s = 0.06 * (0.0 < out < 1.0) - 0.06 * (0.0 < back < 1.0)
-        return Reading(x_m, 0.0, vx_m_s, 0.0, dead_man=now_s > 0.5)
+        return JoystickReading(x_m, 0.0, vx_m_s, 0.0, dead_man=now_s > 0.5)
 
     def show_state(self, state):
         self.application = state is JoystickState.APPLICATION
