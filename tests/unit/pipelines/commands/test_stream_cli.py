@@ -54,6 +54,10 @@ SPACE = ["--setup", "spacejustin", "--end", "space", "--peer", "127.0.0.1:27000"
         (["--setup", "missing.toml"], "missing.toml: No such file"),
         (["--setup", "."], "or a file NAME.toml"),
         (["--setup", "taskboard", "--source", "head=scene:head"], "left, right, static"),
+        (
+            ["--setup", "taskboard", "--telemetry", "nowhere:Battery"],
+            "there is no module 'nowhere'",
+        ),
         (["--setup", "taskboard", "--source", "left"], "NAME=SPEC"),
         (["--setup", "taskboard", "--source", "=x"], "NAME=SPEC"),
         (["--setup", "taskboard", "--source", "left=missing.mp4"], "missing.mp4"),
