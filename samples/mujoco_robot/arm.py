@@ -41,6 +41,7 @@ class _Arm:
         self._order = ORDER.pack(BRAKE, 0.0, 0.0)
         self._reading = RobotReading(0.0, 0.0, 0.0, 0.0)
         self._active, self._silent = False, _AGAIN
+        self._process: subprocess.Popen[bytes] | None = None
         until_s = time.monotonic() + _STARTS_WITHIN_S
         while self._silent:
             self.advance(NS_PER_MS)
@@ -72,7 +73,7 @@ class _Arm:
         raise NotImplementedError("it takes forces")
 
     def advance(self, dt_ns: int) -> None:
-        """Say what is ordered; the physics has its own clock."""
+        """Say what is ordered; with that the physics makes its next step."""
         self._send(self._order)
         self._silent += 1
         if self._silent > _AGAIN:
@@ -99,7 +100,9 @@ class _Arm:
 
     def _start(self) -> None:
         """Start the physics; it ends at once if another one is there."""
-        subprocess.Popen(
+        if self._process is not None and self._process.poll() is None:
+            return
+        self._process = subprocess.Popen(
             self._command(),
             env={
                 **os.environ,

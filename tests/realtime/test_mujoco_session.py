@@ -71,7 +71,7 @@ def test_both_hands_shake_and_the_physics_comes_back(start, tmp_path, monkeypatc
     lab.write_text(LAB)
     arms = ("--robot", "mujoco_robot:SpaceJustin", "--second-robot", "mujoco_robot:LeftArm")
     session = start(str(lab), *arms, "--plan", "plan.toml", "--record", "run.mcap")
-    session.wait_for_flow()
+    session.wait_for_flow(["haptic_up"])
     words = ["joystick", "drive", "--device", "hand:Push", "--base-port", str(session.base_port)]
     partner = subprocess.Popen([*COMMAND, *words], cwd=tmp_path, env=session.environment)
     try:
