@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from kontur_av.errors import ConfigError
-from telepresence.haptics.robot_device import RobotFacts, RobotReading
+from telepresence import RobotFacts, RobotReading
 
 PLANE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
 MIDDLE = np.array([1.28, 0.75, 0.6])

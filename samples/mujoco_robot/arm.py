@@ -19,7 +19,7 @@ from mujoco_robot.messages import (
     own_socket,
     session_directory,
 )
-from telepresence.haptics.robot_device import RobotFacts, RobotReading
+from telepresence import RobotFacts, RobotReading
 
 _STARTS_WITHIN_S = 20.0
 #: The physics is lost after so many cycles without news; it is started again after so many.
