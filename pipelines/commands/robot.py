@@ -29,5 +29,5 @@ def run(args: argparse.Namespace) -> int:
     device: RobotDevice = load_robot(args.robot)
     say_unprotected(args.robot)
     console = Console()
-    console.print(f"{device.facts.name}; it moves a few centimetres", highlight=False)
+    console.print(f"{args.robot}; it moves a few centimetres", highlight=False)
     return print_results(console, list(RobotCheck(device, MonotonicClock()).run()))

@@ -25,7 +25,7 @@ from pipelines.session.topology import (
 )
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.ownership import HapticOwnership, Owner
-from telepresence.haptics.robot_device import open_robot
+from telepresence.haptics.robot_spec import open_robot
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
