@@ -9,6 +9,12 @@ import pytest
 from kontur_av.clock import NS_PER_MS, ManualClock
 from pipelines.hand.robot_check import RobotCheck
 from telepresence.haptics.robot_device import RobotReading
+from telepresence.tasks.definitions import Operation
+from telepresence.tasks.kernel import TICK_NS, OperationEnded, OtherHand, TopKernel, View
+from telepresence.tasks.panel_picture import DARK
+from telepresence.tasks.scores import ScoreKeeper
+from telepresence.tasks.task_files import built_in_tasks
+from telepresence.tmtc.k2aci import TaskResult
 
 pytest.importorskip("mujoco")
 sys.path.append(str(Path(__file__).resolve().parents[2] / "samples"))
@@ -145,3 +151,45 @@ def test_an_arm_whose_driver_is_silent_brakes():
         bench.now_ns += NS_PER_MS
         bench.world.step(bench.now_ns)
     assert abs(bench.read("right").vx_m_s) < 0.001
+
+
+def done(elemops, *legs):
+    """Lead both hands while the kernel executes these Elemops; return its end and the scores."""
+    catalogue = built_in_tasks()
+    kernel, keeper, bench = TopKernel(), ScoreKeeper(), Bench()
+    steps = tuple(catalogue.elemops[name] for name in elemops)
+    kernel.start(Operation("both", steps), bench.now_ns)
+    for seconds, places in legs:
+        for _ in range(round(seconds * 1e9 / TICK_NS)):
+            right, left = bench.lead(TICK_NS / 1e9, **places)
+            push_n, other_n = (hypot(one.push_x_n, one.push_y_n) for one in (right, left))
+            keeper.handle_robot(right.x_m, right.y_m, push_n, kernel.elemop, DARK, other_n)
+            other = OtherHand(x_m=left.x_m, y_m=left.y_m, push_n=other_n, holds=left.holds)
+            view = View(x_m=right.x_m, y_m=right.y_m, push_n=push_n, holds=right.holds, other=other)
+            kernel.handle_view(view, bench.now_ns)
+    ends = []
+    while (event := kernel.next_event()) is not None:
+        ends += [event] if isinstance(event, OperationEnded) else []
+    return ends, keeper.report()
+
+
+def test_a_handshake_is_finished_by_both_hands_and_each_ones_force_is_scored():
+    apart = {"right": (0.0, 0.0), "left": (-0.1, 0.0)}
+    ends, _ = done(["meetHands"], (2.0, apart))
+    assert not ends
+    (end,), scores = done(["meetHands"], (1.0, apart), (2.0, {"left": (0.03, 0.0)}))
+    assert end.result is TaskResult.FINISHED
+    assert scores.force_max_n > 3.0
+    assert scores.other_force_max_n == pytest.approx(scores.force_max_n, abs=0.5)
+
+
+def test_the_task_of_the_ball_is_finished_by_both_hands():
+    (end,), _ = done(
+        ["takeBall", "passBall"],
+        (1.0, {"right": (0.1, 0.0)}),
+        (1.0, {"right": (0.1, -0.095)}),
+        (1.5, {"right": (0.0, -0.095)}),
+        (1.5, {"right": (0.03, 0.0)}),
+        (2.5, {"right": (0.0, 0.0), "left": (0.0, 0.0)}),
+    )
+    assert end.result is TaskResult.FINISHED

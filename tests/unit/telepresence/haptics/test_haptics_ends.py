@@ -205,6 +205,8 @@ class Rail:
     force_limit_n, dead_man, buttons, state = 12.0, True, 0, STATE_APPLICATION
     stop = blind = False
 
+    more = ()
+
     def __init__(self) -> None:
         self.felt: list[float] = []
 

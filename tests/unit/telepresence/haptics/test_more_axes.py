@@ -8,7 +8,7 @@ from random import Random
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pipelines.session.setup.built_in.taskboard import TASKBOARD
+from pipelines.session.setup.built_in import TASKBOARD
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
