@@ -8,10 +8,10 @@ from random import Random
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pipelines.session.setup.built_in import TASKBOARD
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.session.setup.built_in import TASKBOARD
 from telepresence.haptics.axes import (
     AXIS_OCTETS,
     MOST_AXIS_ENERGY_UJ,
