@@ -55,7 +55,8 @@ class Fetch:
     def deactivate(self) -> None:
         self.active, self.wanted = False, self.place()
 
-    def power_off(self) -> None: ...
+    def power_off(self) -> None:
+        self.deactivate()
 
     def place(self) -> np.ndarray:
         return PLANE @ (self.data.xpos[self.hand] - MIDDLE)
