@@ -3,51 +3,22 @@
 import os
 import shutil
 import signal
-import subprocess
 from pathlib import Path
 
 import pytest
-from running_session import COMMAND, eventually
+from running_session import eventually
 
-from pipelines.session.mission_messages import ExperimentShown, RobotStatus, unpack
-from pipelines.session.topology import MISSION_GROUND_TOPIC, ROBOT_STATUS_TOPIC
+from pipelines.session.robot_state import unpack_state
+from pipelines.session.topology import ROBOT_TOPIC
 
 pytest.importorskip("mujoco")
 
 SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 LAB = """
 cameras = ["head"]
-partner_arm = "second"
 uplink_video = {cap_kbps = 85, size = "320x240", fps = 10}
-"""
-PLAN = 'skill = 1.0\n[[task]]\nname = "handshake"\n'
-#: The joystick of a partner who presses the button, pushes to the right for a while, and lets go.
-HAND = """
-from telepresence.haptics.device.device import JoystickFacts, JoystickReading
-from telepresence.haptics.device.states import JoystickState
-
-
-class Push:
-    facts = JoystickFacts(name="push", half_width_m=0.1, half_height_m=0.08)
-    application, time_s = False, 0.0
-
-    def read(self):
-        now_s = self.time_s % 8.0
-        out, back = now_s - 1.0, 7.5 - now_s
-        x_m = 0.06 * max(0.0, min(1.0, out, back))
-        vx_m_s = 0.06 * (0.0 < out < 1.0) - 0.06 * (0.0 < back < 1.0)
-        return JoystickReading(x_m, 0.0, vx_m_s, 0.0, dead_man=now_s > 0.5)
-
-    def show_state(self, state):
-        self.application = state is JoystickState.APPLICATION
-
-    def advance(self, dt_ns):
-        self.time_s += dt_ns / 1e9 if self.application else 0.0
-
-    def set_zero(self, x_m, y_m): ...
-    def write_force(self, x_n, y_n): ...
-    def write_leds(self, mask): ...
-    def close(self): ...
+# An old picture holds no robot here: how busy the machine is is another test's.
+safety = {picture_max_age_s = 100, picture_hold_s = 100}
 """
 
 
@@ -63,48 +34,34 @@ def physics_of(session):
     return None
 
 
-def test_both_hands_shake_and_the_physics_comes_back(start, tmp_path, monkeypatch):
+def test_an_arm_is_driven_seen_and_outlives_its_physics(start, tmp_path, monkeypatch):
     shutil.copytree(SAMPLES / "mujoco_robot", tmp_path / "mujoco_robot")
-    (tmp_path / "hand.py").write_text(HAND)
-    (tmp_path / "plan.toml").write_text(PLAN)
     lab = tmp_path / "lab.toml"
     lab.write_text(LAB)
-    arms = ("--robot", "mujoco_robot:SpaceJustin", "--second-robot", "mujoco_robot:LeftArm")
-    session = start(str(lab), *arms, "--plan", "plan.toml", "--record", "run.mcap")
-    session.wait_for_flow(["haptic_up"])
-    words = ["joystick", "drive", "--device", "hand:Push", "--base-port", str(session.base_port)]
-    partner = subprocess.Popen([*COMMAND, *words], cwd=tmp_path, env=session.environment)
-    try:
-        with session.bus(monkeypatch) as bus:
-            readers = {
-                RobotStatus: bus.reader(ROBOT_STATUS_TOPIC),
-                ExperimentShown: bus.reader(MISSION_GROUND_TOPIC),
-            }
+    session = start(str(lab), "--robot", "mujoco_robot:SpaceJustin", "--record", "run.mcap")
+    session.wait_for_flow()
+    with session.bus(monkeypatch) as bus:
+        reader = bus.reader(ROBOT_TOPIC)
 
-            def newest(kind):
-                with eventually(readers[kind].latest, kind.__name__) as lease:
-                    return unpack(kind, lease.octets())
+        def place_m():
+            with eventually(reader.latest, "a state of the robot") as lease:
+                return unpack_state(lease.octets()).x_m
 
-            eventually(lambda: newest(ExperimentShown).runs, "the end of the task", 120.0)
-            killed = physics_of(session)
-            os.kill(killed, signal.SIGKILL)
-            eventually(lambda: physics_of(session) not in (None, killed), "the physics again")
-            # It was off after its task; a robot whose physics is missing says so.
-            session.ask("tc", "robot", "reset_error")
-            eventually(lambda: session.ask("tc", "robot", "power_on").returncode == 0, "power")
-            eventually(lambda: newest(RobotStatus).powered, "a robot that is on")
-    finally:
-        partner.send_signal(signal.SIGINT)
-        partner.wait()
+        began_m = place_m()
+        eventually(lambda: abs(place_m() - began_m) > 0.01, "a motion")
+    killed = physics_of(session)
+    os.kill(killed, signal.SIGKILL)
+    eventually(lambda: physics_of(session) not in (None, killed), "the physics again")
+
+    def powered():
+        session.ask("tc", "robot", "reset_error")
+        return session.ask("tc", "robot", "power_on").returncode == 0
+
+    eventually(powered, "power after the error")
     physics = physics_of(session)
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
-    (run,) = report["tasks"]
-    assert (run["name"], run["result"]) == ("handshake", "finished"), run
-    assert run["force_max_n"] >= 1.0
-    assert run["other_force_max_n"] >= 1.0
-    assert report["second_arm"]["received"] > 0
-    assert report["streams"]["uplink_video"]["displayed"] > 0
+    assert report["streams"]["uplink_video"]["frames_displayed"] > 0
     assert not any(one["restarts"] for one in report["processes"].values())
     eventually(lambda: not Path(f"/proc/{physics}").exists() or None, "the end of the physics")
 
