@@ -20,6 +20,7 @@ from pipelines.mission.tmtc_messages import (
     Values,
     pack_request,
     report_words,
+    unpack_request,
 )
 from pipelines.session.figures import DatedEvent
 from pipelines.session.probe import Probe
@@ -210,7 +211,9 @@ class ComponentDesk:
             self._fault(f"after {news.application} {news.name}: {_words(error)}", now_ns)
 
     def _act(self, call: FunctionCall, now_ns: int) -> None:
-        pack_request(self._command(0, call))  # raises what cannot be sent
+        # Packing raises for what is too long.
+        if unpack_request(pack_request(self._command(0, call))) is None:
+            raise TypeError(f"a call of {call!r}: give texts, and numbers or texts as arguments")
         if self._actions.full or not self._may(self._called, now_ns):
             self._actions_dropped += 1
             return

@@ -31,6 +31,8 @@ radio = "cable"
 radio_delay_ms = 12.5
 deadband = "latency"
 hand = "mediated"
+axes = 2
+gripper = false
 partner_arm = "second"
 tasks = true
 region = "stylus"
@@ -88,6 +90,7 @@ def test_every_field_of_a_file_reaches_the_setup(tmp_path):
     assert (setup.name, setup.cameras) == ("wrist", ("wrist", "stereo"))
     assert (setup.radio, setup.radio_delay_ms, setup.base_port) == ("cable", 12.5, 21_000)
     assert setup.deadband == "latency"
+    assert (setup.axes, setup.gripper) == (2, False)
     assert (setup.hand, setup.partner_arm, setup.tasks) == ("mediated", "second", True)
     corners = ((40, 30), (280, 33.5), (300, 210), (25, 205))
     assert (setup.region, setup.region_points) == ("stylus", {"wrist": corners})
