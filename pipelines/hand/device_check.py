@@ -167,7 +167,10 @@ class DeviceCheck(Generic[R]):
         last = speed(pushed[-1])
         in_a_cycle = (last - speed(pushed[0])) / len(pushed)
         gained = max(map(speed, stopped)) - last
-        return Figure("speed gained", gained, "m/s", most=max(0.0, in_a_cycle) + STILL_M_S)
+        # The answers of one that runs alone are a few cycles late.
+        cycles = 4 if self._runs_alone else 1
+        most = max(0.0, cycles * in_a_cycle) + STILL_M_S
+        return Figure("speed gained", gained, "m/s", most=most)
 
     def _brake(self, lasts_ns: int, force_limit_n: float) -> list[R]:
         """Exert forces against the motion."""

@@ -67,7 +67,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
         """Hearing nothing at all, it comes to rest by itself."""
         known, step_m_s = len(self._readings), self._step_m_s
         with self._activated():
-            self._cycles(SPELL_NS // 6, self._gentle(0))
+            self._cycles(SPELL_NS // 6, self._gentle(1))
             self._clock.sleep_until_ns(self._clock.now_ns() + _ALONE_NS + _STOP_NS)
             after = self._cycles(SPELL_NS // 15, lambda _: (0.0, 0.0))
         # Its first answers were of before, and then a wall may push it: it rested in between.

@@ -24,6 +24,7 @@ class UdpRobot:
         self._session = self._line.session
         #: Why it lost its controller while it was active; until it is deactivated.
         self._lost = ""
+        self._off = False
 
     def configure(self) -> None:
         """Wait for the controller; ConfigError if it does not answer."""
@@ -56,9 +57,12 @@ class UdpRobot:
         """Ask for no power, and leave."""
         self._session.detail = WantedState.OFF
         self._line.close()
+        self._off = True
 
     def read(self) -> RobotReading:
-        """Return the newest measurement."""
+        """Return the newest measurement. RuntimeError after `power_off`: there is none."""
+        if self._off:
+            raise RuntimeError("it was switched off")
         self._line.receive()
         session = self._session
         reading = session.reading

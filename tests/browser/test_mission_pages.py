@@ -19,10 +19,18 @@ NEAR_M = 0.002
 MOST_DRAGS = 20
 
 
+#: Two pages take most of a small machine, so there is one small camera.
+SETUP = """
+cameras = ["static"]
+uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
+"""
+
+
 @pytest.fixture
 def session(tmp_path):
+    (tmp_path / "board.toml").write_text(SETUP)
     options = ("--tasks", "--page", "24140", "--joystick", "page")
-    with RunningSession("spacejustin", *options, directory=tmp_path) as running:
+    with RunningSession(str(tmp_path / "board.toml"), *options, directory=tmp_path) as running:
         yield running
         code, report = running.interrupt()
         assert code == 0, running.errors()
@@ -48,7 +56,8 @@ class Hand:
         ActionChains(self.driver, duration=50).release().perform()
 
     def place_m(self):
-        words = self.page.run("return document.querySelector('.workspace-map').dataset.placeMm")
+        # A page that was kept from its work knows no place for a moment.
+        words = self.page.wait("document.querySelector('.workspace-map').dataset.placeMm")
         return tuple(float(word) / 1000 for word in words.split())
 
     def steers(self):
