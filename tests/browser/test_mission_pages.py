@@ -19,9 +19,9 @@ NEAR_M = 0.002
 MOST_DRAGS = 20
 
 
-#: Two pages take most of a small machine, so there is one small camera.
+#: Two pages take most of a small machine, so the cameras are small.
 SETUP = """
-cameras = ["static"]
+cameras = ["stereo", "static", "head"]
 uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
 """
 
