@@ -20,7 +20,7 @@ import numpy as np
 import running_session
 
 #: Protects against a hang. A browser whose pictures are drawn by the processor needs more of it.
-PATIENCE_S = 90.0
+PATIENCE_S = 150.0
 PROGRAMS = ("chromium", "chromedriver")
 #: Chromium's words for a server that does not answer.
 _NO_ANSWER = "net::ERR_"

@@ -23,7 +23,7 @@ from pipelines.table import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
 #: Protects against a hang; no test result depends on it.
-PATIENCE_S = 40.0
+PATIENCE_S = 90.0
 _LIVE_STREAM = re.compile(r"(\w+) [\d.]+/[\d.]+ kbit/s (\d+) shown")
 _LIVE_HAPTIC = re.compile(r"(haptic_\w+) (\d+) received")
 
