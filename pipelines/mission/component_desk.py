@@ -186,7 +186,7 @@ class ComponentDesk:
         try:
             refusal = str(self._source.call(asked.function, arguments) or "")
         except Exception as error:
-            # The user's own code: whoever called learns what it raised.
+            # The user's own code may raise anything; the caller is told.
             refusal = _words(error)
             self._fault(f"{asked.function}: {refusal}", now_ns)
         # Who asks for values after its completion gets those after the call.

@@ -85,7 +85,7 @@ class UdpSession:
         return pack_hello(self._role, self._nonce, self._key)
 
     def handle_datagram(self, datagram: bytes) -> None:
-        """Take a datagram, whoever sent it. What is garbage is counted."""
+        """Take a datagram of any sender. Garbage is counted."""
         kind, keys = kind_of(datagram), self._keys
         if kind == UdpKind.READING and keys is not None:
             key = keys[1]

@@ -125,7 +125,7 @@ def test_a_joystick_leads_and_after_a_silence_is_calibrated_before_it_leads_agai
     controller.place = [0.0, 0.0]
     now = joystick_cycles(operation, 2000, now)
     assert operation.state is JoystickState.APPLICATION
-    assert operation.force_limit_n == 0.0, "the button is still held: that is no new press"
+    assert operation.force_limit_n == 0.0, "a button that is still held is not a new press"
 
 
 def test_a_place_that_jumps_is_followed_with_a_hands_acceleration(controller):
