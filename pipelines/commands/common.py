@@ -12,7 +12,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, sessions
-from pipelines.report.report_file import discard_output
+from pipelines.session.output import discard_output
 from pipelines.session.sessions import started_here
 from telepresence.haptics.udp_line import unprotected
 

@@ -10,10 +10,14 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
+from typing import TYPE_CHECKING
 
 from kontur_av.errors import ConfigError
-from pipelines.recording.recorder import PartPiece
 from pipelines.recording.recording_file import check_new
+
+if TYPE_CHECKING:
+    # `record` checks a path, for which the codecs need not be loaded.
+    from pipelines.recording.recorder import PartPiece
 
 _SYNC_S = 1.0
 _MOST_PARTS = 100_000
@@ -64,7 +68,7 @@ class PartFiles:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._pieces: SimpleQueue[PartPiece | None] = SimpleQueue()
+        self._pieces: SimpleQueue["PartPiece | None"] = SimpleQueue()
         self._results: deque[tuple[int, str]] = deque()
         self._waiting = 0
         self._lock = threading.Lock()
@@ -108,7 +112,7 @@ class PartFiles:
             return part
         raise OSError(f"{self._path} has too many parts")
 
-    def put(self, piece: PartPiece) -> None:
+    def put(self, piece: "PartPiece") -> None:
         """Write a piece as soon as the disk permits."""
         with self._lock:
             self._waiting += len(piece.octets)
@@ -139,7 +143,7 @@ class PartFiles:
         for part in list(self._files):
             self._forget(part)
 
-    def _write_piece(self, piece: PartPiece) -> None:
+    def _write_piece(self, piece: "PartPiece") -> None:
         part, file = piece.part, self._files[piece.part]
         try:
             if part in self._lost:

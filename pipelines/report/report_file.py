@@ -13,6 +13,7 @@ from rich.console import Console
 from kontur_av.errors import ConfigError
 from pipelines.report.model import to_json
 from pipelines.report.result import Headline, as_json
+from pipelines.session.output import discard_output
 
 #: Linux follows as many links.
 _LINKS = 40
@@ -110,13 +111,6 @@ def write_result(
 
 #: The width in characters when the output is no terminal.
 _WIDTH = 118
-
-
-def discard_output() -> None:
-    """Drop the rest of the output, because writing it at the exit would fail again."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    os.close(nowhere)
 
 
 class TableConsole(Console):

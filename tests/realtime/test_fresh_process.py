@@ -30,6 +30,17 @@ def test_later_output_follows_a_report_on_stdout(tmp_path):
     assert (tmp_path / "out").read_text().endswith("}\n7\n")
 
 
+def test_commands_at_a_running_session_load_no_codec():
+    code = (
+        "import sys\n"
+        "from importlib import import_module\n"
+        "for name in 'select record tc task owner trainer stop info'.split():\n"
+        "    import_module(f'pipelines.commands.{name}')\n"
+        "assert not {'aiortc', 'av', 'opuslib'} & sys.modules.keys()\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
 def test_sgp4_is_imported_for_a_pass_only():
     code = (
         "import sys\n"

@@ -130,7 +130,8 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
         assert "run 2 aiming: aborted: the task's process was restarted" in listed
         eventually(lambda: watched.see(ExperimentShown).run == 3, "run 3")
         assert session.ask("task", "select", "line").returncode == 1
-        assert session.ask("task", "abort").returncode == 0
+        aborted = session.ask("task", "abort")
+        assert aborted.returncode == 0, (aborted.stderr, watched.see(ExperimentShown))
         assert watched.wait_for_result(3).reason == "a telecommand"
     code, report = session.interrupt()
     assert code == 0, report["failures"]
