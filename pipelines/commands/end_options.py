@@ -1,4 +1,4 @@
-"""The options of one end of a link that is split between two machines."""
+"""The options of one end of a link that is split between two machines; whose an option is."""
 
 import argparse
 import ipaddress
@@ -12,7 +12,9 @@ from pipelines.link.key_files import default_key_path, pinned_peer, read_key
 from pipelines.link.peer_socket import PeerPlan, Protection
 from pipelines.session.datagrams import Address, obstacle
 from pipelines.session.launcher import hold_port
+from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
+from telepresence.haptics.device.spec import SIMULATED
 
 _ANY = "0.0.0.0"
 #: What stays visible as long as an end runs with `--insecure`.
@@ -149,3 +151,41 @@ def _protection(args: argparse.Namespace) -> Protection | None:
         raise ConfigError(f"{path} trusts itself: `kontur-av keys trust` the other machine")
     # A bench renews keys often, to see what that costs.
     return Protection(key=key, peer=peer, rekey_ns=getattr(args, "rekey_ns", None))
+
+
+def inputs_here(topology: Topology) -> tuple[str, ...]:
+    """The names of the inputs that are captured on this machine."""
+    return tuple(row.name for row in topology.inputs if topology.runs(row.process))
+
+
+def check_own_options(args: argparse.Namespace, topology: Topology) -> None:
+    """ConfigError for the first option of `stream` that belongs to the other end."""
+    end = topology.alone
+    if end is None:
+        return
+    if end is Segment.GROUND and args.joystick != SIMULATED:
+        raise ConfigError("--joystick: the joystick is in space; give it at --end space")
+    if end is Segment.SPACE:
+        for option in ("rtc", "rtc_token_file", "ice_server"):
+            if getattr(args, option) is not None:
+                name = option.replace("_", "-")
+                raise ConfigError(f"--{name}: a partner joins the ground; give it at --end ground")
+    here = inputs_here(topology)
+    for option in args.source:
+        name = option.partition("=")[0]
+        if name not in here:
+            raise ConfigError(
+                f"--source {option}: {name} is captured at --end {end.peer.value}; "
+                f"this end has {', '.join(here) or 'no input'}"
+            )
+    _check_radio(topology.setup, end, trainer=args.trainer)
+
+
+def _check_radio(setup: Setup, end: Segment, *, trainer: bool) -> None:
+    """ConfigError for a radio that changes with time: two ends would have two times for it."""
+    radio = setup.radio_profile
+    if radio.timed and not (trainer and end is Segment.SPACE):
+        raise ConfigError(
+            f"radio {radio.name} changes with time, and both ends would have a time of their own: "
+            "give it at --end space with --trainer, and none at --end ground"
+        )

@@ -11,8 +11,7 @@ from kontur_av.errors import ConfigError
 from pipelines.commands import drive
 from pipelines.commands.check_results import check_report, print_results
 from pipelines.commands.common import output_that_may_fail, say_unprotected, stopped_by_signals
-from pipelines.hand.joystick_check import JoystickCheck
-from pipelines.hand.joystick_test import run_live, run_virtually
+from pipelines.hand.joystick_check import JoystickCheck, run_live, run_virtually
 from pipelines.report.model import JoystickTestReport, TransitionReport
 from pipelines.report.report_file import check_writable, write_report
 from telepresence.haptics.device.checks import CHECKS, CheckBench

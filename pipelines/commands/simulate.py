@@ -37,7 +37,7 @@ from pipelines.virtual.simulate import replay, simulate
 from telepresence.haptics.device.spec import GAME_CONTROLLER, PAGE, open_device
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.robot_spec import open_robot
-from telepresence.tasks.plan_file import load_plan
+from telepresence.tasks.task_files import load_plan
 
 #: Kinds of robots and joysticks whose time is not ours.
 _REAL_TIME = (PAGE, GAME_CONTROLLER, "udp")

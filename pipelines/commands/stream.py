@@ -11,8 +11,10 @@ from kontur_av.sources.page import PAGE
 from pipelines.commands.common import check_options, output_that_may_fail, say_unprotected
 from pipelines.commands.end_options import (
     add_end_arguments,
+    check_own_options,
     chosen_end,
     hold_listen_port,
+    inputs_here,
     path_line,
 )
 from pipelines.commands.live_session import (
@@ -30,7 +32,6 @@ from pipelines.commands.rtc_leg import (
     bound_rtc,
     with_rtc,
 )
-from pipelines.commands.split_options import check_own_options, inputs_here
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.recording.part_files import check_recordable, clear_parts

@@ -14,8 +14,7 @@ from telepresence.haptics.device.spec import is_simulated
 from telepresence.haptics.robot_spec import facts_of
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
-from telepresence.tasks.plan_file import load_plan
-from telepresence.tasks.task_files import load_tasks
+from telepresence.tasks.task_files import load_plan, load_tasks
 
 _MOST_PORT = 65_535
 

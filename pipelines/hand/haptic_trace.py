@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pipelines.session.watched_topic import WatchedTopic
+from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.axes import AXIS_NAMES, AxisName, lever_of
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 
@@ -96,6 +96,30 @@ def rows_of(block: bytes) -> NDArray[np.void]:
         return np.frombuffer(block, ROW)
     axes = [name for bit, name in enumerate(AXIS_NAMES) if block[-1] >> bit & 1]
     return np.frombuffer(block[:-1], row_type(axes))
+
+
+_ASK_NS = 100 * NS_PER_MS
+
+
+class WatchedTopic:
+    """Whenever `asks` returns True, look for readers and call `handle_watched`.
+
+    watched: the topic had readers when they were last looked for.
+    """
+
+    def __init__(self) -> None:
+        self.watched = False
+        self._ask_ns = 0
+
+    def asks(self, now_ns: int) -> bool:
+        """Whether it is time to look for readers: once in 100 ms."""
+        if now_ns < self._ask_ns:
+            return False
+        self._ask_ns = now_ns + _ASK_NS
+        return True
+
+    def handle_watched(self, watched: bool) -> None:
+        self.watched = watched
 
 
 class HapticTrace(WatchedTopic):

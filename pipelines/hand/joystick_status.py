@@ -8,7 +8,7 @@ from pipelines.hand.hand_topics import (
     pack_status,
     unpack_request,
 )
-from pipelines.session.watched_topic import WatchedTopic
+from pipelines.hand.haptic_trace import WatchedTopic
 from telepresence.haptics.device.handle import OperatedHandle
 
 #: An unchanged state is told at this interval.

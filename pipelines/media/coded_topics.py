@@ -3,11 +3,10 @@
 from itertools import count
 
 from kontur_av.codecs.h264 import DecodedPicture
-from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.media import AccessUnit, CaptureStamp, Quality
 from kontur_av.rtp.payload_h264 import ReceivedUnit, parameter_sets
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.topics.bus import TopicBus, Writer
-from pipelines.media.coded_units import received_unit, sent_unit
 from pipelines.session.setup.table import VideoStream
 
 #: Room for most units; the topic makes more for a larger one.
@@ -80,3 +79,57 @@ class SentTopic:
 def _publish(writer: Writer, coded: CodedUnit, stamp: CaptureStamp) -> None:
     if len(coded.data) <= MOST_UNIT_OCTETS:
         writer.publish_octets(coded.pack(), stamp)
+
+
+def received_unit(
+    unit: ReceivedUnit,
+    *,
+    size: tuple[int, int] | None,
+    shown: CaptureStamp | None,
+    capture_ns: int | None,
+    sequence: int,
+    source: str,
+    parameter_sets: bytes,
+) -> tuple[CodedUnit, CaptureStamp]:
+    """Return a received access unit and its stamp.
+
+    size: width and height of its picture in pixels; None: the decoder returned none.
+    shown: the stamp with which the picture was published; None: it was not.
+    capture_ns: when it was captured; None: not known yet.
+    sequence: number of the unit. source: the stream. parameter_sets: the newest of the stream.
+    """
+    # A dated picture that is not published is too large.
+    refused = size is None or (shown is None and capture_ns is not None)
+    quality = Quality.DAMAGED if unit.damaged else Quality.FRESH
+    width, height = (0, 0) if size is None or refused else size
+    coded = CodedUnit(
+        data=unit.data,
+        key=unit.keyframe,
+        damaged=unit.damaged,
+        refused=refused,
+        dated=capture_ns is not None,
+        width=width,
+        height=height,
+        parameter_sets=parameter_sets,
+    )
+    return coded, CaptureStamp(
+        capture_ns or 0,
+        sequence,
+        source,
+        quality if shown is None else shown.quality,
+        unit.timestamp,
+    )
+
+
+def sent_unit(
+    unit: AccessUnit, *, size: tuple[int, int], sequence: int, source: str, parameter_sets: bytes
+) -> tuple[CodedUnit, CaptureStamp]:
+    """Return an access unit and its stamp as they were sent.
+
+    size: in which it was coded. parameter_sets: the newest of the stream.
+    """
+    width, height = size
+    coded = CodedUnit(
+        data=unit.data, key=unit.keyframe, width=width, height=height, parameter_sets=parameter_sets
+    )
+    return coded, CaptureStamp(unit.stamp.capture_ns, sequence, source)

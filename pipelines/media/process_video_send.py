@@ -12,9 +12,8 @@ from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import SentTopic
 from pipelines.media.following import CONFIRMED_OCTETS, CameraFollower, Choice, pack_confirmed
 from pipelines.media.gain import gain_of
-from pipelines.media.sending import to_gateway
 from pipelines.media.session_streams import video_sender
-from pipelines.media.stream_figures import tell_sender
+from pipelines.media.stream_figures import tell_sender, to_gateway
 from pipelines.media.tip_region import TipRegion, tip_region
 from pipelines.media.video_sending import LinkedVideoSender
 from pipelines.session.datagrams import receive

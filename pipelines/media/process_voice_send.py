@@ -4,9 +4,8 @@ import secrets
 
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.rtp.sender import RtpIdentity
-from pipelines.media.sending import to_gateway
 from pipelines.media.session_streams import voice_sender
-from pipelines.media.stream_figures import tell_sender
+from pipelines.media.stream_figures import tell_sender, to_gateway
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import VoiceStream
 from pipelines.session.topic_ends import SampleTopic

@@ -13,7 +13,9 @@ from kontur_av.streams.voice_sender import VoiceSender
 from pipelines.media.figures import GainFigures
 from pipelines.media.gain import CapGain
 from pipelines.session.probe import Probe
+from pipelines.session.process import Context
 from pipelines.session.rows import CodingRow, OutRow, RxRow, TxRow
+from pipelines.session.setup.table import VideoStream, VoiceStream
 
 
 class Outgoing:
@@ -77,3 +79,18 @@ def note_unit(probe: Probe, unit: ReceivedUnit) -> None:
 def note_arrivals(probe: Probe, receiver: VoiceReceiver) -> None:
     """Packets of a voice may have come."""
     probe.series(RxRow).extend_plain(receiver.take_arrivals())
+
+
+def to_gateway(
+    context: Context, stream: VideoStream | VoiceStream, sender: VideoSender | VoiceSender
+) -> Outgoing:
+    """Return a stream's output, which sends to the gateway."""
+    topology = context.topology
+    send_rtp = context.sender(topology.entry_port(stream.name))
+    send_rtcp = context.sender(topology.entry_port(topology.media(stream.name).rtcp))
+    return Outgoing(
+        sender,
+        context.probe,
+        lambda datagram, _: send_rtp(datagram),
+        lambda datagram, _: send_rtcp(datagram),
+    )

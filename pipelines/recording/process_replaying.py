@@ -18,9 +18,8 @@ from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
 from pipelines.media.capturing import Capturing
 from pipelines.media.coded_topics import SentTopic
 from pipelines.media.gain import gain_of
-from pipelines.media.sending import to_gateway
 from pipelines.media.session_streams import video_sender, voice_sender
-from pipelines.media.stream_figures import tell_sender
+from pipelines.media.stream_figures import tell_sender, to_gateway
 from pipelines.media.video_sending import LinkedVideoSender
 from pipelines.mission.choosing import CameraChoice, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd

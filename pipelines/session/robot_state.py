@@ -6,7 +6,7 @@ from dataclasses import replace
 from kontur_av.topics.bus import TopicBus
 from pipelines.session.mission_messages import LedsShown, unpack
 from pipelines.session.topology import MISSION_LEDS_TOPIC, ROBOT_TOPIC
-from telepresence.tasks.lights import lights_of
+from telepresence.tasks.places import lights_of
 from telepresence.world import StateAt, WorldState, scripted_state
 from telepresence.world.state import Lights
 

@@ -268,7 +268,7 @@ def simulate(
 ) -> SessionReport:
     """Simulate `seconds` of virtual time. The same arguments give the same report.
 
-    plan: of `telepresence.tasks.plan_file.load_plan`; None: the hand taps targets all the time.
+    plan: of `telepresence.tasks.task_files.load_plan`; None: the hand taps targets all the time.
     robot, joystick: as of `Simulation`.
 
     stopped: called again and again; True ends the simulation early.

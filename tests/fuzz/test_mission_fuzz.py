@@ -30,8 +30,8 @@ from pipelines.session.mission_messages import (
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.loop import robot_link
 from telepresence.tasks.definitions import ControlMode, Pattern
-from telepresence.tasks.lights import lights_of
 from telepresence.tasks.panel_picture import PanelPicture
+from telepresence.tasks.places import lights_of
 
 MUTATIONS = int(os.environ.get("KONTUR_FUZZ_MISSION", "4000"))
 MS = 1_000_000

@@ -142,10 +142,9 @@ FILES = {
     "pipelines/session/setup/setup_file.py",
     "telepresence/link/radio/profile_file.py",
     "telepresence/tmtc/pus/dictionary_file.py",
-    "telepresence/tasks/plan_file.py",
     "telepresence/tasks/task_files.py",
     "telepresence/toml_file.py",
-    "telepresence/world/speech_files.py",
+    "telepresence/world/scenes.py",
 }
 
 #: Modules without a door of their own that use shells, and why.
@@ -160,7 +159,6 @@ USERS_OF_SHELLS = {
     "pipelines/hand/device_check.py": "paces a device",
     "pipelines/hand/joystick_check.py": "paces a joystick",
     "pipelines/hand/robot_check.py": "paces a robot",
-    "pipelines/hand/joystick_test.py": "paces a joystick",
     "pipelines/session/options.py": "opens radios that an option names",
     "pipelines/session/setup/sources.py": "tries sources, and compares paths",
     "pipelines/virtual/simulate.py": "starts workers",
@@ -186,7 +184,7 @@ USERS_OF_SHELLS = {
     "pipelines/hand/partner_arm.py": "sockets of a process",
     "pipelines/session/topic_ends.py": "topics",
     "pipelines/session/robot_state.py": "a topic",
-    "pipelines/media/sending.py": "sockets of a process",
+    "pipelines/media/stream_figures.py": "sockets of a process",
     "pipelines/mission/tmtc_socket.py": "a Unix socket",
 }
 
@@ -267,14 +265,13 @@ LIBRARIES = {
     "telepresence/tmtc/pus/packets.py": ({"spacepackets"}, "PUS packets: octets only"),
     "telepresence/tmtc/pus/xtce.py": ({"xml"}, "writes XML as text"),
     "telepresence/tasks/reader.py": ({"xml"}, "parses octets; no document types"),
-    "telepresence/tasks/plan_file.py": ({"pathlib"}, "a file"),
     "telepresence/tasks/task_files.py": ({"pathlib"}, "a file"),
     "telepresence/toml_file.py": ({"msgspec", "pathlib", "tomllib"}, "a file"),
     "telepresence/world/": ({"cv2"}, "draws"),
     "pipelines/report/result.py": ({"pathlib"}, "writes a path as text"),
     "pipelines/bench/video/targets.py": ({"rich"}, "tables as text"),
     "pipelines/bench/video/figures.py": ({"cv2"}, "compares pictures"),
-    "telepresence/world/speech_files.py": ({"av", "pathlib"}, "files"),
+    "telepresence/world/scenes.py": ({"av", "pathlib"}, "files"),
     "pipelines/session/probe.py": ({"pickle"}, "a message as octets"),
     "pipelines/session/setup/setup_file.py": ({"pathlib"}, "a file"),
     "pipelines/media/marking.py": ({"cv2"}, "draws"),
@@ -293,7 +290,7 @@ LIBRARIES = {
     "pipelines/seats/mission_desk.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/seats/seat.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/seats/figures.py": ({"msgspec"}, "texts as JSON"),
-    "pipelines/media/local_key.py": ({"av"}, "codes one picture"),
+    "pipelines/media/key_picture_maker.py": ({"av"}, "codes one picture"),
     "pipelines/seats/texts.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/session/recorder_requests.py": ({"msgspec"}, "requests and answers as JSON"),
     "pipelines/recording/": (

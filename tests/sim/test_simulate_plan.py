@@ -9,7 +9,7 @@ from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.task_journal import STEPS
 from pipelines.virtual.simulate import simulate
 from telepresence.tasks.plan import PlanFollower
-from telepresence.tasks.plan_file import load_plan
+from telepresence.tasks.task_files import load_plan
 
 PLAN = '[[task]]\nname = "aiming"\n[[task]]\nname = "line"\n'
 

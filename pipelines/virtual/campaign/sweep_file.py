@@ -26,7 +26,7 @@ from pipelines.session.setup.table import (
 )
 from pipelines.virtual.campaign.sweep import Case, Sweep, Value
 from telepresence.link.radio.profile_file import radio_from_table
-from telepresence.tasks.plan_file import load_plan
+from telepresence.tasks.task_files import load_plan
 from telepresence.toml_file import read_toml, typed
 
 _MOST_RUNS = 100_000

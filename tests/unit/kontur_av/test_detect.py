@@ -12,8 +12,8 @@ from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusDecoder, OpusEncoder, b
 from kontur_av.detect import ClickDetector, LightDetector, Roi
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from telepresence.world import LEDS_M, WorldState, render
+from telepresence.world.scenes import read_speech
 from telepresence.world.sound import Room
-from telepresence.world.speech_files import read_speech
 
 RATE = 48_000
 

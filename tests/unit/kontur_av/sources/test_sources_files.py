@@ -13,7 +13,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import empty_picture, planes
 from kontur_av.sources import check_spec, open_audio, open_video
 from kontur_av.sources.fit import fitted_size
-from telepresence.world.speech_files import media_folder
+from telepresence.world.scenes import media_folder
 
 
 def write_video(path, *, size=(64, 48), fps=25, pictures=10, codec="libx264", first_level=40):

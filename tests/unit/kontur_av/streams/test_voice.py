@@ -9,7 +9,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.rtp.payload_opus import holds_copy
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.streams.voice_player import VoicePlayer
-from telepresence.world.speech_files import read_speech
+from telepresence.world.scenes import read_speech
 
 BLOCK = 960
 

@@ -4,7 +4,7 @@ import pytest
 
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.rtp.payload_h264 import ReceivedUnit
-from pipelines.media.coded_units import received_unit
+from pipelines.media.coded_topics import received_unit
 
 
 def received(*, size=(384, 288), quality=None, capture_ns=5, damaged=False):

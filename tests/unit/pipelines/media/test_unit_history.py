@@ -9,7 +9,7 @@ from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, Quality, VideoFrame, empty_picture
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.media.local_key import key_of
+from pipelines.media.key_picture_maker import key_of
 from pipelines.media.unit_history import UnitHistory
 
 WIDTH, HEIGHT, FPS = 128, 96, 30

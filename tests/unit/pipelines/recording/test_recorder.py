@@ -16,7 +16,7 @@ from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, ROW
 from pipelines.link.frame_batch import pack_frames
 from pipelines.link.gateway_end import GatewayEnd
-from pipelines.media.local_key import last_key
+from pipelines.media.key_picture_maker import last_key
 from pipelines.recording.channels import Content, sources_of
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.mcap_stream import MAGIC

@@ -23,8 +23,8 @@ from telepresence.world import (
     video_scenes,
 )
 from telepresence.world.ground_views import GroundView, camera_of
+from telepresence.world.scenes import media_folder, read_speech
 from telepresence.world.sound import Room
-from telepresence.world.speech_files import media_folder, read_speech
 
 SIZE = (640, 480)
 
