@@ -209,6 +209,13 @@ class Lease:
         self.release()
 
 
+def _copied(lease: Lease | None) -> bytes | None:
+    if lease is None:
+        return None
+    with lease:
+        return lease.octets()
+
+
 class Reader:
     """Reads one topic: either the newest sample (`latest`) or each in turn (`next`)."""
 
@@ -254,6 +261,14 @@ class Reader:
         """The oldest sample that was not read yet, or None."""
         sample = self._subscriber.receive()
         return None if sample is None else Lease(sample)
+
+    def next_octets(self) -> bytes | None:
+        """As `next`: a copy of the sample's octets, which needs no release."""
+        return _copied(self.next())
+
+    def latest_octets(self) -> bytes | None:
+        """As `latest`: a copy of the sample's octets, which needs no release."""
+        return _copied(self.latest())
 
     def latest(self) -> Lease | None:
         """The newest sample, or None; older ones are released and counted in `skipped`."""

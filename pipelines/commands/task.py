@@ -69,10 +69,8 @@ def run(args: argparse.Namespace) -> int:
 def _shown(bus: TopicBus, session: str) -> ExperimentShown:
     reader = bus.reader(MISSION_GROUND_TOPIC)
     for _ in range(20):
-        lease = reader.latest()
-        if lease is not None:
-            with lease:
-                return unpack(ExperimentShown, lease.octets())
+        if (octets := reader.latest_octets()) is not None:
+            return unpack(ExperimentShown, octets)
         reader.wait(_PATIENCE_NS // 20)
     raise ConfigError(f"session {session} has no tasks: start it with --tasks or --plan PLAN.toml")
 

@@ -78,9 +78,8 @@ def looking(bus: TopicBus, cosmonaut: Cosmonaut, handle: OperatedHandle) -> Cycl
         due_ns = now_ns + LOOK_NS
         panel.latest()
         leds.latest()
-        if (lease := robot.latest()) is not None:
-            with lease:
-                state = unpack_state(lease.octets())
+        if (octets := robot.latest_octets()) is not None:
+            state = unpack_state(octets)
             tip_m = state.x_m, state.y_m
         picture = seen[0]
         seen.append(DARK if leds.newest is None else leds.newest.picture)
@@ -96,9 +95,8 @@ def seeing(bus: TopicBus, hand: Hand) -> Cycle:
     robot = bus.reader(ROBOT_TOPIC)
 
     def see(_now_ns: int) -> None:
-        if (lease := robot.latest()) is not None:
-            with lease:
-                state = unpack_state(lease.octets())
+        if (octets := robot.latest_octets()) is not None:
+            state = unpack_state(octets)
             hand.see(state.x_m, state.y_m)
 
     return see

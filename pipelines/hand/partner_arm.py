@@ -75,10 +75,8 @@ def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cy
 
     def follow(now_ns: int) -> None:
         nonlocal told
-        lease = reader.latest()
-        if lease is not None:
-            with lease:
-                ownership.handle_order(Owner(lease.octets().decode("ascii")), now_ns)
+        if (order := reader.latest_octets()) is not None:
+            ownership.handle_order(Owner(order.decode("ascii")), now_ns)
         state = ArmState.of(ownership.report(), waiting=end.envelope.waiting).pack()
         if state != told:
             told = state

@@ -217,12 +217,10 @@ def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycl
 
     def tell(now_ns: int) -> None:
         # One at a time, so that each has its own answer.
-        if requests is not None and (lease := requests.next()) is not None:
-            with lease:
-                teller.handle_request(lease.octets())
-        if (lease := commands.next()) is not None:
-            with lease:
-                teller.handle_telecommand(lease.octets())
+        if requests is not None and (request := requests.next_octets()) is not None:
+            teller.handle_request(request)
+        if (command := commands.next_octets()) is not None:
+            teller.handle_telecommand(command)
         status = teller.poll_status(now_ns)
         if status is not None:
             writer.publish_octets(status, CaptureStamp(now_ns, next(numbers), "joystick"))
@@ -237,10 +235,8 @@ def _walls(bus: TopicBus, end: JoystickEnd) -> Cycle:
     reader = bus.reader(WALL_TOPIC)
 
     def take(_now_ns: int) -> None:
-        lease = reader.latest()
-        if lease is not None:
-            with lease:
-                end.handle_wall(lease.octets())
+        if (wall := reader.latest_octets()) is not None:
+            end.handle_wall(wall)
 
     return take
 
@@ -259,14 +255,11 @@ def _exercises(bus: TopicBus, handle: OperatedHandle) -> Cycle:
 
 def _hand(bus: TopicBus, device: PageDevice) -> Cycle:
     """Return what takes the newest input of the page that holds the handle."""
-    latest = bus.reader(HAND_INPUT_TOPIC).latest
+    latest = bus.reader(HAND_INPUT_TOPIC).latest_octets
 
     def take(now_ns: int) -> None:
-        lease = latest()
-        if lease is None:
-            return
-        with lease:
-            hand = unpack_input(lease.octets())
+        octets = latest()
+        hand = None if octets is None else unpack_input(octets)
         if hand is not None:
             device.handle_input(hand, now_ns - hand.received_ns)
 

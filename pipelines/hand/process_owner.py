@@ -28,10 +28,8 @@ def run_owner_desk(context: Context) -> None:
 
         def follow(now_ns: int) -> None:
             nonlocal known
-            lease = reader.latest()
-            if lease is not None:
-                with lease:
-                    desk.handle_state(ArmState.unpack(lease.octets()))
+            if (state := reader.latest_octets()) is not None:
+                desk.handle_state(ArmState.unpack(state))
             order = desk.order.value
             if order != known:
                 known = order

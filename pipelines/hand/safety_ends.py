@@ -106,10 +106,8 @@ def look_at_picture(bus: TopicBus, topology: Topology, handle: OperatedHandle) -
     reader = bus.reader(topology.video(setup.uplink_video.name).lag_topic)
 
     def look(now_ns: int) -> None:
-        lease = reader.latest()
-        if lease is not None:
-            with lease:
-                view.handle_shown(*LAG.unpack(lease.octets()))
+        if (lag := reader.latest_octets()) is not None:
+            view.handle_shown(*LAG.unpack(lag))
         handle.blind = view.is_blind(now_ns)
 
     return look
@@ -124,12 +122,10 @@ def watch_camera(bus: TopicBus, setup: Setup, end: RobotEnd) -> Cycle:
     halves = bus.reader(HALVES_TOPIC) if STEREO in setup.cameras else None
 
     def look(now_ns: int) -> None:
-        if (lease := choices.latest()) is not None:
-            with lease:
-                watch.handle_choice(Choice.unpack(lease.octets()).camera)
-        if halves is not None and (lease := halves.latest()) is not None:
-            with lease:
-                watch.handle_halves(HALF.unpack(lease.octets())[0])
+        if (choice := choices.latest_octets()) is not None:
+            watch.handle_choice(Choice.unpack(choice).camera)
+        if halves is not None and (half := halves.latest_octets()) is not None:
+            watch.handle_halves(HALF.unpack(half)[0])
         envelope.blind = watch.is_blind(now_ns)
 
     return look

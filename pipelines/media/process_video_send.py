@@ -175,11 +175,10 @@ class SelectionTopics:
 
     def handle_choice(self) -> bool:
         """Read the newest choice; True if another camera is selected now."""
-        lease = self.reader.latest()
-        if lease is None:
+        octets = self.reader.latest_octets()
+        if octets is None:
             return False
-        with lease:
-            changed = self._follower.handle_choice(Choice.unpack(lease.octets()))
+        changed = self._follower.handle_choice(Choice.unpack(octets))
         self._new = self._new or changed
         return changed
 
@@ -197,10 +196,8 @@ class SelectionTopics:
 
 def read_tip(robot: Reader, tip: TipRegion) -> None:
     """Tell `tip` the robot's newest state, if there is a new one."""
-    lease = robot.latest()
-    if lease is not None:
-        with lease:
-            state = unpack_state(lease.octets())
+    if (octets := robot.latest_octets()) is not None:
+        state = unpack_state(octets)
         tip.handle_tip(state.x_m, state.y_m, state.time_ns)
 
 

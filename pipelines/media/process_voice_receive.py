@@ -39,7 +39,6 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
                     packets.handle_sample(block.payload, capture_ns or 0, block.timestamp)
                 if stamp is not None:
                     writer.publish_audio(AudioFrame(samples, stamp))
-                lag = None if lag_reader is None else lag_reader.latest()
+                lag = None if lag_reader is None else lag_reader.latest_octets()
                 if lag is not None:
-                    with lag:
-                        receiver.handle_picture_shown(*LAG.unpack(lag.octets()))
+                    receiver.handle_picture_shown(*LAG.unpack(lag))

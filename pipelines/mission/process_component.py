@@ -35,10 +35,8 @@ def run_component(context: Context, component: Component) -> None:
         waiter = bus.waiter([reader])
         while not context.stopping:
             context.tick(clock.now_ns())
-            while (lease := reader.next()) is not None:
-                with lease:
-                    news = unpack_news(lease.octets())
-                desk.handle_news(news, clock.now_ns())
+            while (octets := reader.next_octets()) is not None:
+                desk.handle_news(unpack_news(octets), clock.now_ns())
             desk.handle_time(clock.now_ns())
             if desk.settings != known:
                 known = desk.settings

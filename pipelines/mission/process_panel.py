@@ -35,19 +35,16 @@ def run_panel(context: Context) -> None:
         status, pressed, ticks = None, None, 0
         while not context.stopping:
             now_ns = clock.now_ns()
-            if (lease := links.latest()) is not None:
-                with lease:
-                    state = unpack_link(lease.octets()).get("state")
-                panel.handle_contact(state == CONNECTED, now_ns)
+            if (link := links.latest_octets()) is not None:
+                panel.handle_contact(unpack_link(link).get("state") == CONNECTED, now_ns)
             for came in client.work(now_ns):
                 if isinstance(came, FunctionAsked):
                     panel.handle_button(now_ns)
                     client.answer(came, "")
                 else:
                     panel.handle_message(came, now_ns)
-            while (lease := states.next()) is not None:
-                with lease:
-                    status = unpack_status(lease.octets()) or status
+            while (octets := states.next_octets()) is not None:
+                status = unpack_status(octets) or status
                 # A joystick that was restarted counts anew.
                 if status is not None and pressed is not None and status.pressed > pressed:
                     panel.handle_button(now_ns)

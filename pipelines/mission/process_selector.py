@@ -67,9 +67,8 @@ def run_selector(context: Context) -> None:
             while (datagram := receive(udp)) is not None:
                 desk.handle_packet(datagram, now_ns)
                 received.handle_sample(datagram, now_ns)
-            if wished is not None and (lease := wished.latest()) is not None:
-                with lease:
-                    wish = unpack(CameraWish, lease.octets())
+            if wished is not None and (octets := wished.latest_octets()) is not None:
+                wish = unpack(CameraWish, octets)
                 if wish.number > newest_wish:
                     newest_wish = wish.number
                     changed |= choice.select(wish.camera, now_ns)
@@ -80,10 +79,8 @@ def run_selector(context: Context) -> None:
             if (told := choice.poll_choice(now_ns)) is not None:
                 stamp = CaptureStamp(now_ns, next(numbers), "selector")
                 writer.publish_octets(told.pack(), stamp)
-            confirmed = reader.latest()
-            if confirmed is not None:
-                with confirmed:
-                    choice.handle_confirmed(unpack_confirmed(confirmed.octets()))
+            if (confirmed := reader.latest_octets()) is not None:
+                choice.handle_confirmed(unpack_confirmed(confirmed))
             while (request := choice.next_event()) is not None:
                 desk.end.handle_request(request, now_ns)
             desk.work(now_ns)

@@ -155,12 +155,10 @@ class _Tasks:
                 self._ground.handle_message(came, now_ns)
         while (octets := receive(self._udp, ACKNOWLEDGEMENT_OCTETS + 1)) is not None:
             self._ground.leds.handle_datagram(octets, now_ns)
-        if (lease := self._selected.latest()) is not None:
-            with lease:
-                self._camera = Choice.unpack(lease.octets()).camera
-        if (lease := self._links.latest()) is not None:
-            with lease:
-                values = unpack_link(lease.octets())
+        if (choice := self._selected.latest_octets()) is not None:
+            self._camera = Choice.unpack(choice).camera
+        if (link := self._links.latest_octets()) is not None:
+            values = unpack_link(link)
             self._signal = values.get("state") == CONNECTED
             frames, lost = values.get("frames", 0), values.get("frames_lost", 0)
             self._link = self._link._replace(frames=int(frames), frames_lost=int(lost))
@@ -185,9 +183,8 @@ class _Tasks:
     def _other_hand(self, now_ns: int) -> OtherHand | None:
         if self._other_robot is None:
             return None
-        if (lease := self._other_robot.latest()) is not None:
-            with lease:
-                self._other = unpack_state(lease.octets())
+        if (octets := self._other_robot.latest_octets()) is not None:
+            self._other = unpack_state(octets)
         other = self._other
         if other is None or now_ns - other.time_ns > _SILENT_NS:
             return None

@@ -59,10 +59,8 @@ class Sending:
             if now_ns - begun_ns > (_PATIENCE_NS if self._taken else _TAKEN_NS):
                 return
             self._reader.wait(_LOOK_NS)
-            while (lease := self._reader.next()) is not None:
-                with lease:
-                    news = unpack_news(lease.octets())
-                fresh = self._take(news)
+            while (octets := self._reader.next_octets()) is not None:
+                fresh = self._take(unpack_news(octets))
                 if fresh is not None:
                     yield fresh
             if self.done is not None and end_ns == begun_ns:

@@ -131,9 +131,8 @@ class TmtcDesk:
         """Take requests and parameters over, send packets, publish news."""
         end = self.end
         for reader, take in self._topics:
-            while (lease := reader.next()) is not None:
-                with lease:
-                    take(lease.octets(), now_ns)
+            while (octets := reader.next_octets()) is not None:
+                take(octets, now_ns)
         while (request := self._requests.receive()) is not None:
             end.handle_octets(request, now_ns)
         while (packet := end.poll_transmit(now_ns)) is not None:

@@ -146,9 +146,8 @@ class TmtcClient:
 
     def work(self, now_ns: int) -> Iterator[K2aciMessage | FunctionAsked]:
         """Yield what has come for this application."""
-        while (lease := self._news.next()) is not None:
-            with lease:
-                news = unpack_news(lease.octets())
+        while (octets := self._news.next_octets()) is not None:
+            news = unpack_news(octets)
             if isinstance(news, K2aciArrived):
                 yield k2aci_message(news.kind, news.fields)
             elif isinstance(news, FunctionAsked) and news.application == self._application:

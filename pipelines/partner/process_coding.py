@@ -126,11 +126,8 @@ class _SelectedCamera:
 
     def handle_choice(self) -> bool:
         """Read the newest choice; True if another camera is selected now."""
-        lease = self._choices.latest()
-        if lease is None:
-            return False
-        with lease:
-            chosen = Choice.unpack(lease.octets()).camera
+        octets = self._choices.latest_octets()
+        chosen = self._camera if octets is None else Choice.unpack(octets).camera
         if chosen == self._camera:
             return False
         self._camera = chosen

@@ -71,8 +71,4 @@ class TopicState:
 
     def latest(self) -> bytes | None:
         """Return the newest sample that was not read yet, or None."""
-        lease = None if self._reader is None else self._reader.latest()
-        if lease is None:
-            return None
-        with lease:
-            return lease.octets()
+        return None if self._reader is None else self._reader.latest_octets()

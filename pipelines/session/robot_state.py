@@ -54,16 +54,13 @@ def newest_state(bus: TopicBus, *, leds: bool = False) -> StateAt:
 
     def state_at(now_ns: int) -> WorldState:
         nonlocal known, lights
-        lease = reader.latest()
-        if lease is not None:
-            with lease:
-                known = unpack_state(lease.octets())
+        if (octets := reader.latest_octets()) is not None:
+            known = unpack_state(octets)
         state = scripted_state(now_ns) if known is None else known.at(now_ns)
         if shown is None:
             return state
-        if (lease := shown.latest()) is not None:
-            with lease:
-                lights = lights_of(unpack(LedsShown, lease.octets()).picture)
+        if (octets := shown.latest_octets()) is not None:
+            lights = lights_of(unpack(LedsShown, octets).picture)
         return replace(state, lights=lights)
 
     return state_at

@@ -73,10 +73,7 @@ def new_exercises(bus: TopicBus) -> Callable[[], Exercises | None]:
     reader = bus.reader(TRAINER_TOPIC)
 
     def take() -> Exercises | None:
-        lease = reader.latest()
-        if lease is None:
-            return None
-        with lease:
-            return Exercises.unpack(lease.octets())
+        octets = reader.latest_octets()
+        return None if octets is None else Exercises.unpack(octets)
 
     return take
