@@ -68,8 +68,7 @@ _COMMANDS = {
 def make_parser(only: str | None = None) -> argparse.ArgumentParser:
     """The parser of all commands; with `only`, no other command's module is loaded."""
     parser = CommandParser(
-        prog="kontur-av",
-        description="Video, voice and force feedback through one thin radio link.",
+        prog="kontur-av", description="Video, voice and force feedback through one thin radio link."
     )
     parser.add_argument("--version", action="version", version=f"kontur-av {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")

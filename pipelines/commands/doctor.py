@@ -18,10 +18,7 @@ def run(args: argparse.Namespace) -> int:
     return doctor()
 
 
-def doctor(
-    print: Callable[[str], None] = print,
-    checks: Sequence[Check] | None = None,
-) -> int:
+def doctor(print: Callable[[str], None] = print, checks: Sequence[Check] | None = None) -> int:
     """Print one line a check; 0 when nothing that a session needs is missing, else 1."""
     missing = 0
     for name, check in CHECKS if checks is None else checks:

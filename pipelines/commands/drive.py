@@ -10,11 +10,7 @@ from pathlib import Path
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import sessions
-from pipelines.commands.common import (
-    output_that_may_fail,
-    say_unprotected,
-    stopped_by_signals,
-)
+from pipelines.commands.common import output_that_may_fail, say_unprotected, stopped_by_signals
 from pipelines.commands.drive_far import Far
 from pipelines.commands.rtc_options import (
     add_ice_arguments,

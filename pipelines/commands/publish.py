@@ -47,12 +47,7 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
     token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
 
     def make_peer(found: IceServers) -> RtcPeer:
-        return RtcPeer(
-            clock=clock,
-            sends=sends,
-            want_key=lambda: sources.want_key(),
-            servers=found,
-        )
+        return RtcPeer(clock=clock, sends=sends, want_key=lambda: sources.want_key(), servers=found)
 
     keeper = Keeper(
         args.whip, token=token, make_peer=make_peer, servers=servers, clock=clock, told=say

@@ -98,10 +98,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
         """No button is pressed by itself."""
         held = sum(bool(one.dead_man) for one in self._readings)
         buttons = sum(one.buttons != 0 for one in self._readings)
-        return (
-            Figure("pressed", held, most=0),
-            Figure("other buttons", buttons, most=0),
-        )
+        return (Figure("pressed", held, most=0), Figure("other buttons", buttons, most=0))
 
     def unplugged(self) -> tuple[Figure, ...]:
         """Closed, it has no force, and says that it is gone, as without its plug."""

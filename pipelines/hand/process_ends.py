@@ -6,12 +6,7 @@ from itertools import count
 
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.hand_topics import (
-    STATUS_OCTETS,
-    JoystickOrders,
-    RobotOrders,
-    unpack_input,
-)
+from pipelines.hand.hand_topics import STATUS_OCTETS, JoystickOrders, RobotOrders, unpack_input
 from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd

@@ -13,13 +13,7 @@ from pipelines.hand.robot_desk import RobotDesk
 from pipelines.media.following import Choice
 from pipelines.session.orders import KeptOrders
 from pipelines.session.setup.table import STEREO, Setup
-from pipelines.session.topology import (
-    HALVES_TOPIC,
-    JOYSTICK,
-    ROBOT,
-    SELECTED_TOPIC,
-    Topology,
-)
+from pipelines.session.topology import HALVES_TOPIC, JOYSTICK, ROBOT, SELECTED_TOPIC, Topology
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.envelope import Hold, SafetyLimits
 from telepresence.haptics.robot import RobotFacts

@@ -28,13 +28,7 @@ _REPORTS = {"report": "housekeeping", "parameters": "parameters"}
 class Sending:
     """Sends a request until the end has taken it, then follows what is said of it."""
 
-    def __init__(
-        self,
-        session: str,
-        origin: Segment,
-        request: SendCommand,
-        reader: Reader,
-    ) -> None:
+    def __init__(self, session: str, origin: Segment, request: SendCommand, reader: Reader) -> None:
         self._session, self._origin = session, origin
         self._request = request
         self._reader = reader

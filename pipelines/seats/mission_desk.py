@@ -190,10 +190,7 @@ class MissionDesk:
             "values": lambda: self._telemetry.values_text,
             "events": lambda: self._telemetry.events_text,
             "radio": lambda: radio_text(
-                segment,
-                hears=self._hears,
-                heard=self._heard,
-                unverified=self._commands.unverified,
+                segment, hears=self._hears, heard=self._heard, unverified=self._commands.unverified
             ),
         }
         #: By kind: what does not come from telemetry, as other processes tell it.

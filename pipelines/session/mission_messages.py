@@ -162,10 +162,7 @@ class LedsShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     @classmethod
     def of(cls, picture: PanelPicture) -> "LedsShown":
         return cls(
-            pattern=picture.pattern,
-            leds=picture.leds,
-            spot_m=picture.spot_m,
-            colour=picture.colour,
+            pattern=picture.pattern, leds=picture.leds, spot_m=picture.spot_m, colour=picture.colour
         )
 
     @property

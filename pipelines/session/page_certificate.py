@@ -81,9 +81,7 @@ def make_certificate(path: Path, names: Iterable[str]) -> None:
         .sign(key, hashes.SHA256())
     )
     secret = key.private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     path.touch(0o600, exist_ok=False)
     path.write_bytes(made.public_bytes(serialization.Encoding.PEM) + secret)

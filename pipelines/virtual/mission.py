@@ -55,12 +55,7 @@ class SimulatedTmtc:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        *,
-        robot: RobotDesk | None,
-        handle: Handle | None,
-        silent: bool = False,
+        self, scene: Scene, *, robot: RobotDesk | None, handle: Handle | None, silent: bool = False
     ) -> None:
         setup, now_ns, random = scene.setup, scene.start_ns, scene.random("tmtc")
         self._agenda, self._gateways, self._state_at = scene.agenda, scene.gateways, scene.state_at

@@ -75,10 +75,7 @@ class ContourModel:
 
 def contour_point(t: float) -> tuple[float, float]:
     """Return the point (x, y) of the drawn curve (m) at the angle `t` (rad)."""
-    return (
-        -0.045 + 0.068 * cos(t) - 0.008 * cos(3.0 * t),
-        0.070 * sin(t) + 0.006 * sin(3.0 * t),
-    )
+    return (-0.045 + 0.068 * cos(t) - 0.008 * cos(3.0 * t), 0.070 * sin(t) + 0.006 * sin(3.0 * t))
 
 
 def led_at(x_m: float, y_m: float) -> int | None:

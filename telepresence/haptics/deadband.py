@@ -114,10 +114,7 @@ class Deadband:
 def command_deadband() -> Deadband:
     """Return the deadband for the joystick's positions (m)."""
     return Deadband(
-        share=0.0,
-        lag_ns=POSITION_LAG_NS,
-        floor=POSITION_FLOOR_M,
-        energy_uj=COMMAND_ENERGY_UJ,
+        share=0.0, lag_ns=POSITION_LAG_NS, floor=POSITION_FLOOR_M, energy_uj=COMMAND_ENERGY_UJ
     )
 
 

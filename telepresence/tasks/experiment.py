@@ -293,10 +293,7 @@ class Experiment:
             lasted_ns = 0 if began_ns is None else now_ns - began_ns
             self._messages.append(
                 TaskFinished(
-                    task=task.name,
-                    run=self._run,
-                    result=result,
-                    duration_ms=lasted_ns // NS_PER_MS,
+                    task=task.name, run=self._run, result=result, duration_ms=lasted_ns // NS_PER_MS
                 )
             )
             self._log(RunStep.FINISHED, now_ns)

@@ -39,8 +39,7 @@ def curve_points(curve: Curve) -> list[Place]:
 def distance_m(points: list[Place], x_m: float, y_m: float, *, closed: bool) -> float:
     """The distance of (x_m, y_m) from the polyline through `points`."""
     index = min(
-        range(len(points)),
-        key=lambda k: (points[k][0] - x_m) ** 2 + (points[k][1] - y_m) ** 2,
+        range(len(points)), key=lambda k: (points[k][0] - x_m) ** 2 + (points[k][1] - y_m) ** 2
     )
     least = hypot(points[index][0] - x_m, points[index][1] - y_m)
     for step in (-1, 1):

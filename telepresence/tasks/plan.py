@@ -48,12 +48,7 @@ class SessionPlan:
             raise ConfigError(f"skill is {self.skill:g}: give 0, a beginner, to 1, trained")
 
     def check(
-        self,
-        catalogue: Catalogue,
-        cameras: tuple[str, ...],
-        setup: str,
-        *,
-        two_hands: bool = False,
+        self, catalogue: Catalogue, cameras: tuple[str, ...], setup: str, *, two_hands: bool = False
     ) -> None:
         """ConfigError for a task that is unknown, or needs a camera that the setup lacks, or two
         hands.

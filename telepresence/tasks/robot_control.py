@@ -168,11 +168,7 @@ class RobotControl:
         return ""
 
     def move_to(
-        self,
-        x_m: float,
-        y_m: float,
-        now_ns: int,
-        kind: Interpolation = Interpolation.MINIMUM_JERK,
+        self, x_m: float, y_m: float, now_ns: int, kind: Interpolation = Interpolation.MINIMUM_JERK
     ) -> str:
         """Move the tip to (x_m, y_m); only if it is on, in position or impedance control."""
         if not self.powered or self.mode not in MOVING_MODES:

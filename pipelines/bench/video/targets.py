@@ -88,13 +88,7 @@ ALONE = (
         most=True,
     ),
     P99,
-    Target(
-        what="displayed",
-        unit="/s",
-        value=lambda found: found.per_second,
-        bound=28,
-        most=False,
-    ),
+    Target(what="displayed", unit="/s", value=lambda found: found.per_second, bound=28, most=False),
     Target(
         what="longest gap",
         unit="ms",

@@ -64,8 +64,7 @@ class _File:
     downlink_video: _Video | None = None
     downlink_voice: _Voice | None = None
     sources: Mapping[str, str] = field(
-        default_factory=dict,
-        metadata={"like": 'a table of texts, like left = "v4l2:/dev/video0"'},
+        default_factory=dict, metadata={"like": 'a table of texts, like left = "v4l2:/dev/video0"'}
     )
     uplink: _Link = _Link()
     downlink: _Link = _Link()

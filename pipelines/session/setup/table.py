@@ -29,9 +29,7 @@ from telepresence.link.arithmetic import (
     check_fit,
     freed_need_bps,
 )
-from telepresence.link.flows import (
-    Level,
-)
+from telepresence.link.flows import Level
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.path import RadioPath
 from telepresence.link.radio.profile import RadioProfile, built_in_radio, delayed
@@ -462,10 +460,7 @@ class Setup:
         payload_bps = 8 * WALL_OCTETS * _WALLS_PER_S
         return (
             StreamNeed(
-                name="walls",
-                payload_bps=payload_bps,
-                packets_per_s=_WALLS_PER_S,
-                level=Level.TMTC,
+                name="walls", payload_bps=payload_bps, packets_per_s=_WALLS_PER_S, level=Level.TMTC
             ),
         )
 

@@ -17,12 +17,7 @@ from spacepackets.ecss.tm import InvalidTmCrc16Error, PusTm
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
-from telepresence.tmtc.pus.head import (
-    HEADER_OCTETS,
-    MAX_PACKET_OCTETS,
-    is_packet,
-    is_telecommand,
-)
+from telepresence.tmtc.pus.head import HEADER_OCTETS, MAX_PACKET_OCTETS, is_packet, is_telecommand
 
 MAX_COMMAND_OCTETS = MAX_PACKET_OCTETS - 13
 MAX_REPORT_OCTETS = MAX_PACKET_OCTETS - 21

@@ -235,10 +235,7 @@ def _parameter_type(types: ElementTree.Element, name: str, parameter: Parameter)
         tag = "FloatParameterType" if scaled else "IntegerParameterType"
         kind = ElementTree.SubElement(types, tag, names)
         _units(kind, parameter)
-        coding = {
-            "sizeInBits": bits,
-            "encoding": "twosComplement" if signed else "unsigned",
-        }
+        coding = {"sizeInBits": bits, "encoding": "twosComplement" if signed else "unsigned"}
         encoded = ElementTree.SubElement(kind, "IntegerDataEncoding", coding)
         if scaled:
             calibrator = ElementTree.SubElement(encoded, "DefaultCalibrator")
