@@ -1,6 +1,7 @@
 """The topics of the robot controller, and those that a simulated cosmonaut looks at."""
 
 from collections import deque
+from dataclasses import fields
 
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.haptic_loop import Cycle
@@ -103,13 +104,5 @@ def seeing(bus: TopicBus, hand: Hand) -> Cycle:
 
 
 def _view(shown: PanelShown) -> PanelView:
-    return PanelView(
-        mode=PanelMode(shown.mode),
-        task=shown.task,
-        run=shown.run,
-        text=shown.text,
-        words=shown.words,
-        start_m=shown.start_m,
-        distance_m=shown.distance_m,
-        held_s=shown.held_s,
-    )
+    found = {one.name: getattr(shown, one.name) for one in fields(PanelView)}
+    return PanelView(**found | {"mode": PanelMode(shown.mode)})

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import msgspec
 
@@ -126,11 +126,7 @@ class MissionGround:
         """What the seats see."""
         status = self.experiment.status
         return ExperimentShown(
-            phase=status.phase.value,
-            task=status.task,
-            run=status.run,
-            elemop=status.elemop,
-            panel="" if status.panel is None else status.panel.value,
+            **asdict(status),
             tasks=self._listed,
             steps=tuple(self._steps),
             runs=tuple(self._runs),
@@ -190,7 +186,8 @@ class MissionGround:
         if experiment.status.phase is Phase.RUNNING:
             elemop, picture = experiment.kernel.elemop, self.leds.picture
             other_n = None if seen.other is None else seen.other.push_n
-            self.journal.handle_robot(robot.x_m, robot.y_m, robot.push_n, elemop, picture, other_n)
+            place = robot.x_m, robot.y_m, robot.push_n
+            self.journal.keeper.handle_robot(*place, elemop, picture, other_n)
 
     def poll_order(self) -> Order | None:
         """Return the next order to robot, camera or recorder, or None."""

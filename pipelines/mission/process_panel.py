@@ -1,5 +1,7 @@
 """The process of the mission control panel in space."""
 
+from dataclasses import asdict
+
 from kontur_av.clock import NS_PER_MS
 from pipelines.hand.hand_topics import unpack_status
 from pipelines.link.link_state import CONNECTED, unpack_link
@@ -62,14 +64,7 @@ def run_panel(context: Context) -> None:
                 client.send(message)
             view = panel.view
             shown = PanelShown(
-                mode=view.mode.value,
-                task=view.task,
-                run=view.run,
-                text=view.text,
-                words=view.words,
-                start_m=view.start_m,
-                distance_m=view.distance_m,
-                held_s=view.held_s,
+                **asdict(view),
                 handle_m=(0.0, 0.0) if status is None else (status.x_m, status.y_m),
                 dead_man=status is not None and status.dead_man,
             )

@@ -1,16 +1,15 @@
 """The runs of tasks in a session: their steps, how well they were done, and the link. A core."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import NamedTuple
 
 import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.tasks.definitions import Elemop
 from telepresence.tasks.experiment import Logged, RunStep, TaskRun
 from telepresence.tasks.kernel import KernelEvent
-from telepresence.tasks.panel_picture import PanelPicture
-from telepresence.tasks.scores import ScoreKeeper, Scores
+from telepresence.tasks.scores import ScoreKeeper
 
 
 class TaskStep(msgspec.Struct, frozen=True, kw_only=True):
@@ -71,7 +70,7 @@ class LinkMeanwhile(NamedTuple):
 class TaskJournal:
     """Takes the events of an experiment; `report` has a row for each run.
 
-    earlier: rows of an earlier life.
+    earlier: rows of an earlier life. keeper: of the present run, while the cosmonaut drives.
     """
 
     def __init__(self, earlier: Sequence[TaskRow] = ()) -> None:
@@ -81,23 +80,11 @@ class TaskJournal:
         #: The selection of the run that is not over, and its steps.
         self._open: Logged | None = None
         self._steps: list[TaskStep] = []
-        self._keeper = ScoreKeeper()
+        self.keeper = ScoreKeeper()
 
     def handle_begin(self, link: LinkMeanwhile) -> None:
         self._begin = link
-        self._keeper = ScoreKeeper()
-
-    def handle_robot(
-        self,
-        x_m: float,
-        y_m: float,
-        push_n: float,
-        elemop: Elemop | None,
-        picture: PanelPicture,
-        other_n: float | None = None,
-    ) -> None:
-        """As `ScoreKeeper.handle_robot`, while the cosmonaut drives."""
-        self._keeper.handle_robot(x_m, y_m, push_n, elemop, picture, other_n)
+        self.keeper = ScoreKeeper()
 
     def handle_event(self, event: Logged | TaskRun | KernelEvent, link: LinkMeanwhile) -> None:
         self._newest = link
@@ -108,9 +95,8 @@ class TaskJournal:
         elif isinstance(event, TaskRun):
             began_ns = event.started_ns
             lasted_ns = None if began_ns is None else event.ended_ns - began_ns
-            ending = event.result.value, event.reason, event.selected_ns, lasted_ns
-            figures = self._keeper.report(), self._begin, link
-            self._rows.append(self._row(event.task, event.run, *ending, *figures))
+            ending = event.result.value, event.reason, lasted_ns
+            self._rows.append(self._row(event.task, event.run, event.selected_ns, *ending))
             self._open, self._steps = None, []
 
     def report(self) -> list[TaskRow]:
@@ -120,8 +106,7 @@ class TaskJournal:
     def newest(self, most: int) -> list[TaskRow]:
         if (begun := self._open) is None:
             return self._rows[-most:]
-        figures = self._keeper.report(), self._begin, self._newest
-        row = self._row(begun.task, begun.run, OPEN, "", begun.now_ns, None, *figures)
+        row = self._row(begun.task, begun.run, begun.now_ns, OPEN, "", None)
         return [*self._rows, row][-most:]
 
     @property
@@ -140,17 +125,9 @@ class TaskJournal:
             self._rows[-1] = msgspec.structs.replace(row, steps=[*row.steps, step])
 
     def _row(
-        self,
-        task: str,
-        run: int,
-        result: str,
-        reason: str,
-        selected_ns: int,
-        lasted_ns: int | None,
-        scores: Scores,
-        begin: LinkMeanwhile,
-        end: LinkMeanwhile,
+        self, task: str, run: int, selected_ns: int, result: str, reason: str, lasted_ns: int | None
     ) -> TaskRow:
+        begin, end = self._begin, self._newest
         return TaskRow(
             name=task,
             run=run,
@@ -158,22 +135,12 @@ class TaskJournal:
             reason=reason,
             selected_ns=selected_ns,
             seconds=None if lasted_ns is None else round(lasted_ns / NS_PER_S, 3),
-            path_m=round(scores.path_m, 4),
-            force_max_n=round(scores.force_max_n, 3),
-            force_mean_n=round(scores.force_mean_n, 3),
-            other_force_max_n=_rounded(scores.other_force_max_n, 3),
-            other_force_mean_n=_rounded(scores.other_force_mean_n, 3),
-            error_mean=_rounded(scores.error_mean, 6),
-            error_max=_rounded(scores.error_max, 6),
+            **asdict(self.keeper.report()),
             frames_lost=end.frames_lost - begin.frames_lost,
             frames=end.frames - begin.frames,
             delay_ms=round(end.delay_ns / NS_PER_MS, 3),
             steps=[*self._steps],
         )
-
-
-def _rounded(value: float | None, digits: int) -> float | None:
-    return None if value is None else round(value, digits)
 
 
 #: The result of a run that the end of the session cut off.

@@ -9,6 +9,7 @@ Each step is logged once. However a run ends, the robot is off, the record stopp
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.tasks.definitions import Catalogue, Operation, SetPower, StopLog, Task
@@ -92,13 +93,13 @@ class TaskRun:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExperimentStatus:
-    """What an experimenter sees. elemop: the present one, "" without. panel: None if unknown."""
+    """What an experimenter sees. elemop: the present one, "" without. panel: "" if unknown."""
 
     phase: Phase
     task: str
     run: int
     elemop: str
-    panel: PanelMode | None
+    panel: PanelMode | Literal[""]
 
 
 class Experiment:
@@ -139,7 +140,7 @@ class Experiment:
             task="" if self._task is None or idle else self._task.name,
             run=0 if idle else self._run,
             elemop="" if elemop is None else elemop.name,
-            panel=self._panel,
+            panel=self._panel or "",
         )
 
     @property

@@ -11,7 +11,7 @@ from telepresence.tasks.places import curve_points, distance_m
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Scores:
-    """path_m: of the tip. force_max_n, force_mean_n: of the board on it. samples: of the robot.
+    """path_m: of the tip. force_max_n, force_mean_n: of the board on it.
 
     other_force_max_n, other_force_mean_n: on the hand of the partner's arm; None without one.
     error_mean, error_max: distance from what was to be followed (m), or from the force that was to
@@ -25,7 +25,6 @@ class Scores:
     other_force_mean_n: float | None
     error_mean: float | None
     error_max: float | None
-    samples: int
 
 
 class ScoreKeeper:
@@ -70,17 +69,16 @@ class ScoreKeeper:
             self._error_max = max(self._error_max, error)
 
     def report(self) -> Scores:
-        """Return the scores so far."""
+        """Return the scores so far, rounded."""
         count, errors, others = max(1, self._samples), self._errors, self._others
         return Scores(
-            path_m=self._path_m,
-            force_max_n=self._force_max_n,
-            force_mean_n=self._force_sum_n / count,
-            other_force_max_n=self._other_max_n if others else None,
-            other_force_mean_n=self._other_sum_n / others if others else None,
-            error_mean=self._error_sum / errors if errors else None,
-            error_max=self._error_max if errors else None,
-            samples=self._samples,
+            path_m=round(self._path_m, 4),
+            force_max_n=round(self._force_max_n, 3),
+            force_mean_n=round(self._force_sum_n / count, 3),
+            other_force_max_n=round(self._other_max_n, 3) if others else None,
+            other_force_mean_n=round(self._other_sum_n / others, 3) if others else None,
+            error_mean=round(self._error_sum / errors, 6) if errors else None,
+            error_max=round(self._error_max, 6) if errors else None,
         )
 
     def _error(
