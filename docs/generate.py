@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import griffe
@@ -28,7 +28,7 @@ from pipelines.recording.schemas import MessageSchema
 from pipelines.report.model import LinkReport, SessionReport
 from pipelines.report.result import Headline
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import Topology, tables
+from pipelines.session.topology import Direction, Topology, tables
 from pipelines.table import topology_of
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -289,18 +289,65 @@ def _sentence(text: str | None) -> str:
     return f"{told[:1].upper()}{told[1:]}" + ("" if told.endswith(".") else ".")
 
 
+def _markdown(table: tables.Table) -> str:
+    rows = (table.headings, ["---"] * len(table.headings), *table.rows)
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _channels_table(whole: Topology, *others: Topology) -> tables.Table:
+    """The channels of `whole` with their ports, and which of the setups has which."""
+    sessions = (whole, *others)
+    rows = [
+        (
+            f"`{row.name}`",
+            f"{row.direction.sender.value} → {row.direction.receiver.value}",
+            str(row.entry_port),
+            str(row.exit_port),
+            tables.travels(row, whole),
+            *("●" if row.name in {each.name for each in one.streams} else "" for one in sessions),
+        )
+        for row in whole.streams
+    ]
+    up, down = (whole.link(direction) for direction in Direction)
+    frames = f"transfer frames: ground has {down.port}, space {up.port}"
+    ends = "gateway ↔ gateway"
+    rows.append(("radio", ends, str(down.port), str(up.port), frames, *("●" for _ in sessions)))
+    names = tuple(one.setup.name for one in sessions)
+    return tables.Table(
+        headings=("channel", "from → to", "send to", "comes out at", "what travels", *names),
+        rows=rows,
+    )
+
+
+def _in_code(table: tables.Table, *headings: str) -> tables.Table:
+    """The table with the cells of these columns as code, for Markdown."""
+    columns = [table.headings.index(heading) for heading in headings]
+    rows = [
+        [
+            ", ".join(f"`{name}`" for name in cell.split(", ")) if number in columns else cell
+            for number, cell in enumerate(row)
+        ]
+        for row in table.rows
+    ]
+    return tables.Table(headings=table.headings, rows=[_dashed(row) for row in rows])
+
+
+def _dashed(row: Sequence[str]) -> list[str]:
+    return ["–" if cell == "`–`" else cell for cell in row]
+
+
 def topology_blocks() -> dict[str, str]:
     """By name: what stands between `<!-- generated: NAME -->` and `<!-- /generated -->`."""
     session = topology_of(load_setup("spacejustin"), snapshots=True, pages=True, recorder=True)
     processes = tables.processes_table(session)
     for heading in ("priority", "reads", "writes"):
         processes = processes.without(heading)
-    channels = tables.channels_table(session, topology_of(load_setup("taskboard")))
+    channels = _channels_table(session, topology_of(load_setup("taskboard")))
     return {
         "commands": commands_text(),
-        "processes": joined(tables.in_code(processes, "process")).markdown(),
-        "channels": channels.markdown(),
-        "recorded channels": joined(recorded_channels(session)).markdown(),
+        "processes": _markdown(joined(_in_code(processes, "process"))),
+        "channels": _markdown(channels),
+        "recorded channels": _markdown(joined(recorded_channels(session))),
         "recorded fields": recorded_fields(),
         **told_once(
             {

@@ -14,9 +14,9 @@ from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from kontur_av.streams.voice_player import VoicePlayer
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.media.session_streams import voice_receiver, voice_sender
+from pipelines.report.model import CodingCosts
 from pipelines.session.setup.table import Setup, VoiceStream
 from pipelines.table import topology_of
-from pipelines.virtual.agenda import CodingCosts
 
 
 @dataclass

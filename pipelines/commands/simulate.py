@@ -16,7 +16,7 @@ from pipelines.commands.replay_options import (
     replay_setup,
 )
 from pipelines.commands.stream import parse_sources
-from pipelines.report.model import SessionReport
+from pipelines.report.model import CodingCosts, SessionReport
 from pipelines.report.report_file import check_writable, save_report
 from pipelines.report.summary import print_summary
 from pipelines.session.options import (
@@ -30,7 +30,6 @@ from pipelines.session.options import (
 )
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import replay, simulate

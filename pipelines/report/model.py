@@ -19,7 +19,9 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 
 import msgspec
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.h264 import DecoderCounts
+from kontur_av.errors import ConfigError
 from kontur_av.figures import Flat, is_flat
 from kontur_av.rtp.receiver import ReceiverCounts
 from kontur_av.streams.paced_sender import SenderCounts
@@ -423,14 +425,32 @@ class Warning(Report, frozen=True, kw_only=True):
     mend: str
 
 
-class CostsReport(Report, frozen=True, kw_only=True):
-    """The time of each coding step on virtual time."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CodingCosts:
+    """Durations on virtual time: medians of live sessions on two cores.
 
-    capture_ms: float
-    encode_ms: float
-    decode_ms: float
-    voice_encode_ms: float
-    voice_decode_ms: float
+    capture_ms: from the capture of a picture to its arrival at the encoder: drawing, the stereo
+        merge, the selector, and three wake-ups.
+    encode_ms, decode_ms: of one picture, its wake-up included.
+    voice_encode_ms, voice_decode_ms: of one block of sound.
+    """
+
+    capture_ms: float = 4.0
+    encode_ms: float = 6.0
+    decode_ms: float = 3.0
+    voice_encode_ms: float = 1.7
+    voice_decode_ms: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name, value in dataclasses.asdict(self).items():
+            if not 0 <= value <= 1000:
+                option = f"--{name.replace('_', '-')}"
+                raise ConfigError(f"{option} {value:g}: take 0 to 1000 milliseconds")
+
+    def ns(self, name: str) -> int:
+        """Return the duration `name` in ns, at least 1, so that an effect follows its cause."""
+        cost_ms: float = getattr(self, f"{name}_ms")
+        return max(1, round(cost_ms * NS_PER_MS))
 
 
 class ReplayedStream(Report, frozen=True, kw_only=True):
@@ -484,7 +504,7 @@ class SimulationReport(Report, frozen=True, kw_only=True):
     media: bool
     #: The robot's name; sim for the simulated one.
     robot: str
-    costs: CostsReport
+    costs: CodingCosts
 
 
 class SecondArmReport(Report, frozen=True, kw_only=True):

@@ -7,7 +7,7 @@ machine.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from random import Random
 
@@ -25,14 +25,14 @@ from pipelines.media.following import Choice
 from pipelines.mission.choosing import CAMERA, SELECT, CameraChoice
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, SendCommand, TmtcNews
 from pipelines.report.collector import Collector
-from pipelines.report.model import CostsReport, SessionReport, SimulationReport
+from pipelines.report.model import CodingCosts, SessionReport, SimulationReport
 from pipelines.report.sections import run_since
 from pipelines.report.session_report import build_report
 from pipelines.session.probe import FLUSH_NS
 from pipelines.session.setup.table import STEREO, Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
-from pipelines.virtual.agenda import FAR_NS, Agenda, CodingCosts, Telling, Timer
+from pipelines.virtual.agenda import FAR_NS, Agenda, Telling, Timer
 from pipelines.virtual.media import Consumer, Media
 from pipelines.virtual.mission import SimulatedMission, SimulatedTmtc
 from pipelines.virtual.workers import Scene, Workers
@@ -279,7 +279,7 @@ class Simulation:
             radio=self.setup.radio_profile.name,
             media=self._media is not None,
             robot=self._robot_name(),
-            costs=CostsReport(**asdict(self._costs)),
+            costs=self._costs,
         )
         mission = self.mission
         rows = None if mission is None else mission.journal.report()

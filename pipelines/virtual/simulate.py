@@ -22,10 +22,9 @@ from pipelines.hand.replaying import ReplayedEnd, ReplayTime
 from pipelines.media.following import Choice
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.recorded_session import RecordedSession, SentUnit
-from pipelines.report.model import ReplayedStream, ReplayReport, SessionReport
+from pipelines.report.model import CodingCosts, ReplayedStream, ReplayReport, SessionReport
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY
-from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.media import Camera, Media
 from pipelines.virtual.session import HapticEnd, Selection, Simulation
 from pipelines.virtual.streams import VideoProcess, VideoReceiveProcess, VoiceProcess

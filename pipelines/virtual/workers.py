@@ -21,10 +21,11 @@ from typing import Any
 import cv2
 
 from kontur_av.rtp.sender import RtpIdentity
+from pipelines.report.model import CodingCosts
 from pipelines.session.launcher import keep_memory
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
-from pipelines.virtual.agenda import Agenda, CodingCosts, Telling
+from pipelines.virtual.agenda import Agenda, Telling
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 

@@ -14,13 +14,6 @@ from telepresence.haptics.board import WALL_X_M as WALL_X_M
 from telepresence.haptics.board import Board, led_at
 from telepresence.haptics.sample import MODE_IMPEDANCE, MODE_OFF, MODE_POSITION, MODE_TORQUE
 
-MODE_NAMES = {
-    MODE_OFF: "off",
-    MODE_TORQUE: "torque",
-    MODE_POSITION: "position",
-    MODE_IMPEDANCE: "impedance",
-}
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotModel:

@@ -339,13 +339,6 @@ class K2aciEndpoint:
             return None
         return self._sending.handle_put(message, now_ns)
 
-    def withdraw(self, number: int) -> bool:
-        """Repeat the message `number` no more; False if it is not waiting.
-
-        It may have arrived nevertheless. Later messages no longer wait for it.
-        """
-        return self._sending.pop(number) is not None
-
     def handle_contact(self, now_ns: int) -> None:
         """The signal is acquired: repeat at once what is open."""
         self._sending.handle_contact(now_ns)

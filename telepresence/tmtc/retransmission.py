@@ -7,7 +7,7 @@ its reports sent again.
     handle_put ──> WAITING ──poll_transmit──> OPEN ──poll_transmit, after the wait──> OPEN
                       │                        │ │
                       │                        │ └─poll_transmit, after `patience_ns`──> GIVEN UP
-                      └────────────pop─────────┴──> gone (acknowledged, withdrawn or superseded)
+                      └────────────pop─────────┴──> gone (acknowledged or superseded)
 
 WAITING: it was never sent, or the window is full. OPEN: it is under way. The first wait is
 `timeout_ns`; each is twice the one before, up to eight times as long. A new contact begins anew.

@@ -14,8 +14,8 @@ import pytest
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
+from pipelines.report.model import CodingCosts
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import simulate
 from telepresence.link.radio import load_radio

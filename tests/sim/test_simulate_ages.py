@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from kontur_av.clock import NS_PER_MS
+from pipelines.report.model import CodingCosts
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.virtual.agenda import CodingCosts
 from pipelines.virtual.simulate import simulate
 from telepresence.link.radio import load_radio
 

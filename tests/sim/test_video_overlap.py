@@ -11,8 +11,9 @@ from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.video_sender import VideoSender
+from pipelines.report.model import CodingCosts
 from pipelines.session.setup.table import VIDEO_PAYLOAD_OCTETS, VideoStream
-from pipelines.virtual.agenda import Agenda, CodingCosts
+from pipelines.virtual.agenda import Agenda
 from pipelines.virtual.streams import VideoSendProcess
 from pipelines.virtual.workers import Job
 

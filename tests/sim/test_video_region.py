@@ -18,8 +18,9 @@ from kontur_av.sources.stereo import merge
 from pipelines.media.following import CameraFollower, Choice
 from pipelines.media.session_streams import video_sender
 from pipelines.media.tip_region import tip_region
+from pipelines.report.model import CodingCosts
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.virtual.agenda import Agenda, CodingCosts
+from pipelines.virtual.agenda import Agenda
 from pipelines.virtual.streams import VideoSendProcess
 from pipelines.virtual.studio import Shot, VideoStudio
 from pipelines.virtual.workers import Job

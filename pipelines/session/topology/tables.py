@@ -1,10 +1,10 @@
-"""The rows of a topology as tables: text for a terminal, Markdown for the documents."""
+"""The rows of a topology as tables of text."""
 
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pipelines.session.setup.segments import Direction, Segment
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.rows import Kind, MediaRow, StreamRow
 from pipelines.session.topology.table import Topology
 
@@ -42,11 +42,6 @@ class Table:
             for number, text in enumerate(last or [""]):
                 lines.append(f"{'' if number else left:{len(left)}}{_GAP}{text}".rstrip())
         return lines
-
-    def markdown(self) -> str:
-        rule = ["---"] * len(self.headings)
-        rows = (self.headings, rule, *self.rows)
-        return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
     def without(self, heading: str) -> "Table":
         gone = self.headings.index(heading)
@@ -154,48 +149,6 @@ def travels(row: StreamRow, topology: Topology) -> str:
         Kind.TMTC: "telecommands and telemetry: space packets of up to 256 octets",
         Kind.MAINTENANCE: "anything, when nothing else needs the slots",
     }[row.kind]
-
-
-def channels_table(whole: Topology, *others: Topology) -> Table:
-    """The channels of `whole` with their ports, and which of the setups has which."""
-    sessions = (whole, *others)
-    rows = [
-        (
-            f"`{row.name}`",
-            f"{row.direction.sender.value} → {row.direction.receiver.value}",
-            str(row.entry_port),
-            str(row.exit_port),
-            travels(row, whole),
-            *("●" if row.name in {each.name for each in one.streams} else "" for one in sessions),
-        )
-        for row in whole.streams
-    ]
-    up, down = (whole.link(direction) for direction in Direction)
-    frames = f"transfer frames: ground has {down.port}, space {up.port}"
-    ends = "gateway ↔ gateway"
-    rows.append(("radio", ends, str(down.port), str(up.port), frames, *("●" for _ in sessions)))
-    names = tuple(one.setup.name for one in sessions)
-    return Table(
-        headings=("channel", "from → to", "send to", "comes out at", "what travels", *names),
-        rows=rows,
-    )
-
-
-def in_code(table: Table, *headings: str) -> Table:
-    """The table with the cells of these columns as code, for Markdown."""
-    columns = [table.headings.index(heading) for heading in headings]
-    rows = [
-        [
-            ", ".join(f"`{name}`" for name in cell.split(", ")) if number in columns else cell
-            for number, cell in enumerate(row)
-        ]
-        for row in table.rows
-    ]
-    return Table(headings=table.headings, rows=[_dashed(row) for row in rows])
-
-
-def _dashed(row: Sequence[str]) -> list[str]:
-    return ["–" if cell == "`–`" else cell for cell in row]
 
 
 def _listed(names: Sequence[str]) -> str:

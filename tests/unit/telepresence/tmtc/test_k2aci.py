@@ -103,17 +103,6 @@ def test_a_restarted_receiver_takes_up_where_the_sender_is() -> None:
     assert events(after) == [Arrived(1, 3, chat("d"))]
 
 
-def test_a_withdrawn_message_holds_up_nothing() -> None:
-    ground, space = K2aciEndpoint(life=1), K2aciEndpoint(life=1)
-    first, second = space.send(chat("lost"), 0), space.send(chat("kept"), 0)
-    assert space.poll_transmit(0) is not None
-    assert first is not None
-    assert space.withdraw(first)
-    assert not space.withdraw(first)
-    pass_on(space, ground, 0)
-    assert events(ground) == [Arrived(1, second, chat("kept"))]
-
-
 def test_waiting_messages_and_answers_are_bounded() -> None:
     space, ground = K2aciEndpoint(life=1), K2aciEndpoint(life=1)
     assert [space.send(chat("x"), 0) for _ in range(65)] == [*range(64), None]
