@@ -20,12 +20,12 @@ sys.path.insert(0, str(ROOT))
 
 from pipelines.report import seat_figures  # noqa: E402
 from pipelines.seats import texts  # noqa: E402
+from pipelines.session.figures import Event  # noqa: E402
 from pipelines.session.mission_messages import (  # noqa: E402
     ExperimentShown,
     PanelShown,
     RobotStatus,
 )
-from pipelines.session.session_events import Event  # noqa: E402
 
 FILE = ROOT / "pipelines" / "seats" / "static" / "texts.js"
 HEAD = """/**

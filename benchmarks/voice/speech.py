@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
 from telepresence.world.scenes import read_speech
-from telepresence.world.speech import Speaker
+from telepresence.world.sound import Speaker
 
 #: The sample rate of wide-band PESQ (ITU-T P.862.2).
 _PESQ_HZ = 16_000

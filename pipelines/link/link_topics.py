@@ -13,8 +13,8 @@ import msgspec
 from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus, Writer
+from pipelines.link.figures import LINK_STATE_OCTETS, link_values, pack_link
 from pipelines.link.frame_batch import pack_frames
-from pipelines.link.link_state import LINK_STATE_OCTETS, link_values, pack_link
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import Topology, gateway_topic, link_state_topic
 from telepresence.link.figures import GatewayFigures

@@ -1,4 +1,4 @@
-"""The cap of a video stream rises while slots leave haptic samples out, in steps.
+"""A video stream follows the link: its cap rises while slots leave haptic samples out, in steps.
 
 A new cap costs a key picture, so the cap rises late and in steps. It falls at once, because the
 room is no longer there. docs/experiments/haptics.md has the measured gain.
@@ -7,9 +7,11 @@ room is no longer there. docs/experiments/haptics.md has the measured gain.
 from fractions import Fraction
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.codecs.coding import SLOW_REFRESH_S
+from kontur_av.codecs.coding import SLOW_REFRESH_S, Coding
 from kontur_av.codecs.h264_settings import H264Settings
+from kontur_av.streams.video_sender import VideoSender
 from pipelines.session.setup.table import Setup, VideoStream
+from telepresence.link.backlog import Backlog
 
 #: The cap rises after the room for a step was there for this time without a break.
 STEADY_NS = 2 * NS_PER_S
@@ -129,3 +131,49 @@ def _kilobits(stream: VideoStream, gain_bps: int) -> int:
         preset="superfast",
     )
     return int(settings.options()["bufsize"]) // _KILOBIT
+
+
+class LinkedVideoSender:
+    """Adapts the `VideoSender` to the link: to its queue, and to the room of left-out samples.
+
+    Use `sender` for everything else.
+
+    gain: raises the cap by what left-out samples free; None: the cap stays.
+    """
+
+    def __init__(self, sender: VideoSender, gain: CapGain | None = None) -> None:
+        self.sender = sender
+        self.gain = gain
+        self._cap_bps = sender.cap_bps
+        self._channel_bps = sender.channel_bps
+        self._freed_bps = 0
+
+    def handle_backlog(self, backlog: Backlog, told_ns: int, now_ns: int) -> None:
+        """What the gateway reported at `told_ns`."""
+        self.handle_freed(backlog.freed_bps, now_ns)
+        self.sender.handle_channel(
+            backlog.waiting_octets, told_ns, contacts=backlog.contacts, way_back=backlog.peer_heard
+        )
+
+    def handle_freed(self, freed_bps: int, now_ns: int) -> None:
+        """The rate that slots without a sample left in the last second (`Gateway.freed_bps`)."""
+        self._freed_bps = freed_bps
+        self._follow_freed(now_ns)
+
+    def poll_encode(self, now_ns: int) -> Coding | None:
+        """As that of `VideoSender`: how to encode the newest picture now, or None."""
+        coding = self.sender.poll_encode(now_ns)
+        if coding is None or self.gain is None:
+            return coding
+        keyframe, rate_hz, refresh_s, cap_bps = coding
+        anew = keyframe or rate_hz is not None or refresh_s is not None
+        self._follow_freed(now_ns, key_picture_due=anew)
+        return Coding(keyframe, rate_hz, refresh_s, self.sender.take_cap() or cap_bps)
+
+    def _follow_freed(self, now_ns: int, *, key_picture_due: bool = False) -> None:
+        if self.gain is None:
+            return
+        self.gain.handle_freed(self._freed_bps, now_ns, at_once=key_picture_due)
+        self.sender.follow(
+            cap_bps=self._cap_bps + self.gain.bps, channel_bps=self._channel_bps + self._freed_bps
+        )

@@ -10,9 +10,8 @@ from kontur_av.sources import SceneVideo, open_audio, open_video
 from kontur_av.sources.page import TOPIC, PageAudio, PageVideo
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES
 from kontur_av.topics.bus import Reader, TopicBus
-from pipelines.media.capturing import Capturing
 from pipelines.media.previewing import Previewing, preview_size
-from pipelines.media.taking_over import Takeover
+from pipelines.media.taking_over import Capturing, Takeover
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.robot_state import newest_state
 from pipelines.session.setup.table import VideoStream

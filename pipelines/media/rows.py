@@ -83,8 +83,7 @@ def _sender(session: Topology, row: MediaRow) -> ProcessRow:
         name=row.sender,
         segment=row.direction.sender,
         stage=Stage.SENDER,
-        run=f"pipelines.media.process_{'video' if video else 'voice'}_send:"
-        f"run_{'video' if video else 'voice'}_send",
+        run=f"pipelines.media.process_send:run_{'video' if video else 'voice'}_send",
         arguments={"stream": row.stream, "topic": topic},
         priority=0 if video else VOICE_PRIORITY,
         reads=(
@@ -104,8 +103,7 @@ def _receiver(session: Topology, row: MediaRow) -> ProcessRow:
         name=row.receiver,
         segment=row.direction.receiver,
         stage=Stage.RECEIVER,
-        run=f"pipelines.media.process_{'video' if video else 'voice'}_receive:"
-        f"run_{'video' if video else 'voice'}_receive",
+        run=f"pipelines.media.process_receive:run_{'video' if video else 'voice'}_receive",
         arguments={"stream": row.stream},
         priority=0 if video else VOICE_PRIORITY,
         reads=() if video else tuple(shown),

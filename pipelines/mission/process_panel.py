@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.hand.hand_topics import unpack_status
-from pipelines.link.link_state import CONNECTED, unpack_link
+from pipelines.link.figures import CONNECTED, unpack_link
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.mission_messages import PanelShown

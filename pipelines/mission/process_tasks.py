@@ -17,7 +17,7 @@ import msgspec
 from kontur_av.clock import NS_PER_MS
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root, session_root
-from pipelines.link.link_state import CONNECTED, unpack_link
+from pipelines.link.figures import CONNECTED, unpack_link
 from pipelines.media.following import Choice
 from pipelines.mission.figures import TaskFigures
 from pipelines.mission.mission import MissionGround, MissionMemory, Seen, robot_order

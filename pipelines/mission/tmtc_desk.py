@@ -13,7 +13,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import Reader, TopicBus
 from kontur_av.topics.session_files import make_session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
-from pipelines.link.link_state import unpack_link
+from pipelines.link.figures import unpack_link
 from pipelines.mission.choosing import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, FunctionAsked, pack_news

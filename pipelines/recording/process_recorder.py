@@ -29,10 +29,10 @@ from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
 from pipelines.recording.recorder import Recorder
 from pipelines.session.asking import desk_path
+from pipelines.session.figures import SessionEvents
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.recorder_control import RECORDER_DESK, read_wish, remove_wish, write_wish
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
-from pipelines.session.session_events import SessionEvents
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.terminal_lines import MOST_TERMINALS, Reply
 from pipelines.session.terminals import TerminalSockets

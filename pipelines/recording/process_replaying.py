@@ -15,12 +15,10 @@ from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.fit import Fitter, scaled_aspect
 from pipelines.hand.haptic_loop import new_life, run_loop, session_ports
 from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
-from pipelines.media.capturing import Capturing
 from pipelines.media.coded_topics import SentTopic
-from pipelines.media.gain import gain_of
-from pipelines.media.session_streams import video_sender, voice_sender
-from pipelines.media.stream_figures import tell_sender, to_gateway
-from pipelines.media.video_sending import LinkedVideoSender
+from pipelines.media.gain import LinkedVideoSender, gain_of
+from pipelines.media.stream_figures import tell_sender, to_gateway, video_sender, voice_sender
+from pipelines.media.taking_over import Capturing
 from pipelines.mission.choosing import CameraChoice, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked

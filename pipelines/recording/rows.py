@@ -65,7 +65,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
     )
 
 
-_ENCODING = "pipelines.media.process_video_send:run_video_send"
+_ENCODING = "pipelines.media.process_send:run_video_send"
 
 
 class Script(NamedTuple):

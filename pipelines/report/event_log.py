@@ -14,8 +14,7 @@ from pipelines.media.marking import age_words
 from pipelines.mission.figures import ComponentFigures, TaskFigures
 from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
-from pipelines.session.figures import TrainerFigures
-from pipelines.session.session_events import Event
+from pipelines.session.figures import Event, TrainerFigures
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.setup.table import Setup
 from pipelines.session.task_journal import KEPT, OPEN

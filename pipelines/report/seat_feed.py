@@ -8,8 +8,8 @@ from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.seats.figures import PageFigures
+from pipelines.session.figures import Event, SessionEvents
 from pipelines.session.launcher import Launcher, launcher_cpu_s
-from pipelines.session.session_events import Event, SessionEvents
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import RECORDER
 

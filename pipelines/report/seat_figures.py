@@ -37,7 +37,7 @@ from pipelines.report.session_report import (
 from pipelines.report.silence import last_bps, shown_now, silences
 from pipelines.report.sync_figures import LIMITS
 from pipelines.seats.figures import HOLDER, PageFigures
-from pipelines.session.session_events import Event
+from pipelines.session.figures import Event
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import PAGES, Segment

@@ -6,6 +6,8 @@ from 0; `kontur_av.figures` says how its lives are joined.
 
 from dataclasses import dataclass
 
+import msgspec
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeFigures:
@@ -41,3 +43,27 @@ class TrainerFigures:
 
     #: Oldest first; the newest 200.
     exercises: tuple[DatedEvent, ...] = ()
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True):
+    """One event.
+
+    number: from 1 on. at_us: on the session's clock. what: `link`, `process`, `camera`, `stale`,
+    `joystick`, `input` or `session`.
+    """
+
+    number: int
+    at_us: int
+    what: str
+    text: str
+
+
+class SessionEvents(msgspec.Struct, frozen=True, kw_only=True):
+    """What the recorder gets: events that it was not told yet, and figures at times.
+
+    at_us: on the session's clock. figures: all, by name, as pages get them.
+    """
+
+    at_us: int
+    events: list[Event]
+    figures: dict[str, int | float | str | bool | None] = {}

@@ -12,11 +12,11 @@ from kontur_av.sources.pace import Pace
 from kontur_av.sources.page import FILLED_BY_OTHERS
 from kontur_av.sources.stereo import StereoPairer
 from kontur_av.streams.video_sender import VideoSender
-from pipelines.media.capturing import Capturing
 from pipelines.media.figures import StereoFigures
 from pipelines.media.following import CameraFollower, Choice
-from pipelines.media.session_streams import video_sender
 from pipelines.media.showing import Showing
+from pipelines.media.stream_figures import video_sender
+from pipelines.media.taking_over import Capturing
 from pipelines.media.tip_region import tip_region
 from pipelines.media.watching import OPERATORS
 from pipelines.session.setup.sources import check_sources

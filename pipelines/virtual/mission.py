@@ -8,7 +8,7 @@ from pipelines.hand.hand_topics import JoystickStatus, unpack_status
 from pipelines.hand.haptics import JoystickEnd
 from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.robot_desk import RobotDesk
-from pipelines.link.link_state import link_values
+from pipelines.link.figures import link_values
 from pipelines.mission.choosing import CameraChoice, session_dictionary
 from pipelines.mission.mission import MissionGround, Seen, robot_order
 from pipelines.mission.tmtc import TmtcEnd

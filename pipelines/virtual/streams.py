@@ -19,12 +19,18 @@ from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
 from pipelines.media.following import CameraFollower, Choice
-from pipelines.media.gain import gain_of
-from pipelines.media.session_streams import video_receiver, voice_receiver, voice_sender
+from pipelines.media.gain import LinkedVideoSender, gain_of
 from pipelines.media.showing import Showing
-from pipelines.media.stream_figures import Outgoing, note_arrivals, note_unit, tell_sender
+from pipelines.media.stream_figures import (
+    Outgoing,
+    note_arrivals,
+    note_unit,
+    tell_sender,
+    video_receiver,
+    voice_receiver,
+    voice_sender,
+)
 from pipelines.media.tip_region import TipRegion
-from pipelines.media.video_sending import LinkedVideoSender
 from pipelines.media.watching import OPERATORS, Recall, tell_click, tell_light
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.virtual.agenda import WALL_OFFSET_NS, Timer

@@ -16,7 +16,7 @@ from kontur_av.media import I420, empty_picture
 from telepresence.world.backdrop import Backdrop, Caption
 from telepresence.world.board import blend
 from telepresence.world.brush import Body, Brush, Points, Yuv, capsule, disc, finish, yuv
-from telepresence.world.speech import Speech
+from telepresence.world.sound import Speech
 from telepresence.world.state import WorldState
 
 Image = NDArray[np.uint8]

@@ -14,8 +14,7 @@ from kontur_av.sources.scene import SceneAudio, SceneVideo
 from kontur_av.sources.source import AudioSceneFactory, AudioSource, VideoSceneFactory, VideoSource
 from telepresence.world.cabin import CabinView
 from telepresence.world.ground_views import GroundView
-from telepresence.world.sound import Room
-from telepresence.world.speech import Speaker, Speech
+from telepresence.world.sound import Room, Speaker, Speech
 from telepresence.world.state import StateAt, WorldState, scripted_state
 
 

@@ -34,9 +34,8 @@ from kontur_av.topics.session_files import remove_session
 from pipelines.media.figures import CaptureFigures, DisplayFigures
 from pipelines.media.process_capture import run_microphone
 from pipelines.media.process_display import run_display
-from pipelines.media.process_video_receive import run_video_receive
-from pipelines.media.process_video_send import run_video_send
-from pipelines.media.process_voice_receive import run_voice_receive
+from pipelines.media.process_receive import run_video_receive, run_voice_receive
+from pipelines.media.process_send import run_video_send
 from pipelines.session.process import Context
 from pipelines.session.rows import ShownRow
 from pipelines.session.topology import SELECTED_TOPIC

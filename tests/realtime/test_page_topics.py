@@ -22,8 +22,8 @@ from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
 from pipelines.media.figures import CaptureFigures
 from pipelines.media.process_capture import run_camera, run_microphone
-from pipelines.media.process_video_receive import run_video_receive
-from pipelines.media.process_video_send import run_video_send
+from pipelines.media.process_receive import run_video_receive
+from pipelines.media.process_send import run_video_send
 from pipelines.session.datagrams import LOOPBACK
 from pipelines.table import topology_of
 

@@ -10,10 +10,8 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
-from pipelines.media.gain import STEADY_NS, gain_of
-from pipelines.media.session_streams import video_sender
-from pipelines.media.stream_figures import Outgoing
-from pipelines.media.video_sending import LinkedVideoSender
+from pipelines.media.gain import STEADY_NS, LinkedVideoSender, gain_of
+from pipelines.media.stream_figures import Outgoing, video_sender
 from pipelines.session.probe import Probe
 from pipelines.session.rows import OutRow
 from pipelines.session.setup.built_in import BUILT_IN

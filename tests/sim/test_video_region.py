@@ -16,7 +16,7 @@ from kontur_av.media import CaptureStamp, empty_picture, planes
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.stereo import merge
 from pipelines.media.following import CameraFollower, Choice
-from pipelines.media.session_streams import video_sender
+from pipelines.media.stream_figures import video_sender
 from pipelines.media.tip_region import tip_region
 from pipelines.report.model import CodingCosts
 from pipelines.session.setup.built_in import BUILT_IN

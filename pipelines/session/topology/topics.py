@@ -107,7 +107,7 @@ def gateway_topic(segment: Segment) -> Topic:
 
 
 def link_state_topic(segment: Segment) -> Topic:
-    """What telemetry says of a segment's gateway: `pipelines.link.link_state.link_values`."""
+    """What telemetry says of a segment's gateway: `pipelines.link.figures.link_values`."""
     return Topic(f"link_state/{segment.value}", "what telemetry says of the gateway")
 
 

@@ -45,11 +45,11 @@ from telepresence.link.supervision.events import (
 from telepresence.link.supervision.message import (
     LinkState,
     MessageKind,
+    MessagePacing,
     SupervisionMessage,
     pack_message,
 )
 from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation
-from telepresence.link.supervision.pacing import MessagePacing
 from telepresence.link.supervision.proof import Proof
 from telepresence.link.supervision.record import SupervisionRecord
 

@@ -7,7 +7,7 @@ from rtp_packets import PromptSender
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
-from pipelines.media.session_streams import REPORT_INTERVAL_NS
+from pipelines.media.stream_figures import REPORT_INTERVAL_NS
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup

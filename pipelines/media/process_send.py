@@ -1,25 +1,25 @@
-"""A video stream's sending process: topic -> encoder -> pacer -> RTP to the gateway."""
+"""A stream's sending process: topic -> encoder -> pacer -> RTP to the gateway."""
 
 import secrets
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import SentTopic
 from pipelines.media.following import CONFIRMED_OCTETS, CameraFollower, Choice, pack_confirmed
-from pipelines.media.gain import gain_of
-from pipelines.media.session_streams import video_sender
-from pipelines.media.stream_figures import tell_sender, to_gateway
+from pipelines.media.gain import LinkedVideoSender, gain_of
+from pipelines.media.stream_figures import tell_sender, to_gateway, video_sender, voice_sender
 from pipelines.media.tip_region import TipRegion, tip_region
-from pipelines.media.video_sending import LinkedVideoSender
 from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.robot_state import unpack_state
-from pipelines.session.setup.table import VideoStream
+from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import FOLLOWED_TOPIC, ROBOT_TOPIC, SELECTED_TOPIC
 from telepresence.link.backlog import Backlog
 
@@ -205,3 +205,33 @@ def _wakers(reader: Reader | None, selection: SelectionTopics | None) -> list[Re
     """The readers whose new samples wake the sender."""
     wakers = [] if reader is None else [reader]
     return wakers if selection is None else [*wakers, selection.reader]
+
+
+def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None:
+    """Send every block of sound of `topic` as it comes, at a constant rate within the cap."""
+    clock, probe = context.clock, context.probe
+    identity = RtpIdentity.draw(secrets.randbits)
+    sender = voice_sender(
+        context.setup, stream, identity, wall_offset_ns=context.clock.wall_offset_ns
+    )
+    encoder = OpusEncoder(bitrate_bps=sender.bitrate_bps)
+    outgoing = to_gateway(context, stream, sender)
+    context.on_flush(lambda: tell_sender(probe, sender))
+    with context.open_bus() as bus:
+        reader = bus.reader(topic, depth=8)
+        packets = SampleTopic(bus, context.topology.media(stream.name).sent_topic)
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            due_ns = sender.poll_timeout()
+            reader.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
+            while (lease := reader.next()) is not None:
+                with lease:
+                    if not sender.handle_block(lease.stamp, clock.now_ns()):
+                        continue
+                    frame = lease.audio()
+                    data = encoder.encode(frame.samples)
+                sender.handle_packet(data, frame.stamp, clock.now_ns())
+                packets.handle_sample(data, frame.stamp.capture_ns)
+            outgoing.handle_time(clock.now_ns())
+        outgoing.close(clock.now_ns())
