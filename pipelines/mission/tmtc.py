@@ -1,6 +1,7 @@
 """One end of telecommands and telemetry after PUS: its applications, its user and its K2ACI."""
 
 from collections import OrderedDict, deque
+from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
@@ -39,6 +40,7 @@ from telepresence.tmtc.pus.user import (
     CommandUnanswered,
     EventReport,
     HousekeepingReport,
+    ParameterReport,
     PusUser,
     UserEvent,
 )
@@ -311,54 +313,37 @@ class TmtcEnd:
         self._answer(asked, K2aciUpdate(*asked, "waiting"))
 
     def _add_heard(self, event: UserEvent) -> None:
-        if isinstance(event, CommandProgress):
-            asked = self._commands.get(event.number)
-            if asked is not None:
-                stage = "accepted" if event.stage is VerificationStage.ACCEPTED else "started"
-                self._answer(asked, CommandUpdate(*asked, event.application, stage, verified=True))
-        elif isinstance(event, CommandUnanswered):
-            asked = self._commands.get(event.number)
-            if asked is not None:
-                self._answer(
-                    asked,
-                    CommandUpdate(*asked, event.application, "unacknowledged", tries=event.tries),
+        match event:
+            case CommandProgress(number=number, application=name, stage=stage):
+                word = "accepted" if stage is VerificationStage.ACCEPTED else "started"
+                self._update(number, name, word, verified=True)
+            case CommandUnanswered(number=number, application=name, tries=tries):
+                self._update(number, name, "unacknowledged", tries=tries)
+            case CommandResult():
+                self._update(
+                    event.number,
+                    event.application,
+                    "completed" if event.ok else "failed",
+                    done=True,
+                    ok=event.ok,
+                    verified=event.verified,
+                    reason=event.reason,
+                    round_trip_ms=event.round_trip_ns / NS_PER_MS,
+                    tries=event.tries,
                 )
-        elif isinstance(event, CommandResult):
-            asked = self._commands.pop(event.number, None)
-            if asked is not None:
-                self._answer(
-                    asked,
-                    CommandUpdate(
-                        *asked,
-                        event.application,
-                        "completed" if event.ok else "failed",
-                        done=True,
-                        ok=event.ok,
-                        verified=event.verified,
-                        reason=event.reason,
-                        round_trip_ms=event.round_trip_ns / NS_PER_MS,
-                        tries=event.tries,
-                    ),
-                )
-        elif isinstance(event, HousekeepingReport):
-            values = dict(event.values)
-            self._add(
-                Reported(
-                    "housekeeping", event.application, event.unix_ns, event.structure, "", values
-                )
-            )
-        elif isinstance(event, EventReport):
-            values = dict(event.values)
-            self._add(
-                Reported(
-                    "event", event.application, event.unix_ns, event.event, event.severity, values
-                )
-            )
-        elif isinstance(event, Alive):
-            self._add(Reported("alive", event.application, event.unix_ns))
-        else:
-            values = dict(event.values)
-            self._add(Reported("parameters", event.application, event.unix_ns, values=values))
+                self._commands.pop(event.number, None)
+            case HousekeepingReport(name, structure, values, unix_ns):
+                self._add(Reported("housekeeping", name, unix_ns, structure, "", dict(values)))
+            case EventReport(name, what, severity, values, unix_ns):
+                self._add(Reported("event", name, unix_ns, what, severity, dict(values)))
+            case ParameterReport(name, values, unix_ns):
+                self._add(Reported("parameters", name, unix_ns, values=dict(values)))
+            case Alive(name, unix_ns):
+                self._add(Reported("alive", name, unix_ns))
+
+    def _update(self, number: int, application: str, stage: str, **more: Any) -> None:
+        if (asked := self._commands.get(number)) is not None:
+            self._answer(asked, CommandUpdate(*asked, application, stage, **more))
 
     def _answer(self, asked: _Request, news: CommandUpdate | K2aciUpdate) -> None:
         if asked not in self._known and len(self._known) == _KNOWN_DEPTH:

@@ -159,24 +159,6 @@ class Feedback(NamedTuple):
     more: tuple[tuple[float, int, bool], ...] = ()
 
 
-class CommandSample(NamedTuple):
-    """A received command with session number, sequence number (0 to 65535) and flags octet."""
-
-    session: int
-    sequence: int
-    flags: int
-    value: Command
-
-
-class FeedbackSample(NamedTuple):
-    """A received feedback with session number, sequence number (0 to 65535) and flags octet."""
-
-    session: int
-    sequence: int
-    flags: int
-    value: Feedback
-
-
 class Greeting(NamedTuple):
     """Sent in the place of a sample, to begin a session.
 
@@ -273,18 +255,11 @@ def pack_greeting(greeting: Greeting, *, feedback: bool, holding: bool) -> bytes
     return _GREETING.pack(0, session, flags, 0, number, answers)
 
 
-def unpack_command(data: bytes) -> CommandSample:
-    """Parse `data`; ProtocolError unless it is exactly one command sample."""
-    return CommandSample(*read_command(data))
-
-
-def unpack_feedback(data: bytes) -> FeedbackSample:
-    """Parse `data`; ProtocolError unless it is exactly one feedback sample."""
-    return FeedbackSample(*read_feedback(data))
-
-
 def read_command(data: bytes) -> tuple[int, int, int, Command]:
-    """Like `unpack_command`, but returns a plain tuple for the loop at 1 kHz."""
+    """Return session number, sequence number, flags octet and command.
+
+    ProtocolError unless `data` is exactly one command sample. Plain, for the loop at 1 kHz.
+    """
     if len(data) != SAMPLE_OCTETS:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
     sequence, flags, octet, x, y, energy = _unpack(data)
@@ -312,7 +287,7 @@ def read_command(data: bytes) -> tuple[int, int, int, Command]:
 
 
 def read_feedback(data: bytes) -> tuple[int, int, int, Feedback]:
-    """Like `unpack_feedback`, but returns a plain tuple for the loop at 1 kHz."""
+    """As `read_command`, of one feedback sample."""
     if len(data) != SAMPLE_OCTETS:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
     sequence, flags, octet, fx, fy, energy = _unpack(data)

@@ -1,5 +1,6 @@
 """Any datagrams in any order: each is counted once, and nothing raises."""
 
+from haptic_samples import unpack_command, unpack_feedback
 from haptic_session import begin_session
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,8 +14,6 @@ from telepresence.haptics.sample import (
     Feedback,
     pack_command,
     pack_feedback,
-    unpack_command,
-    unpack_feedback,
 )
 
 counts = st.integers(-32767, 32767)

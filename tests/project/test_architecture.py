@@ -112,7 +112,6 @@ SHELLS = {
     "pipelines/link/peer_socket.py": "the socket between two machines",
     "pipelines/mission/tmtc_socket.py": "a Unix socket",
     "pipelines/session/asking.py": "a Unix socket",
-    "pipelines/session/output.py": "the standard output",
     "pipelines/session/page_certificate.py": "files, and random numbers of a key",
     "pipelines/session/page_sockets.py": "the sockets of pages",
     "pipelines/session/terminals.py": "a Unix socket",

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from haptic_samples import unpack_command, unpack_feedback
 
 from kontur_av.errors import ProtocolError
 from telepresence.haptics.axes import pack_axes, read_axes
@@ -27,8 +28,6 @@ from telepresence.haptics.sample import (
     pack_feedback,
     pack_greeting,
     read_greeting,
-    unpack_command,
-    unpack_feedback,
 )
 
 # Dead-man button 0x10; state 3 with the buttons 0 and 2 (0b0101): 0x53.

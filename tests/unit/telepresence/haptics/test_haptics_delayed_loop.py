@@ -5,6 +5,7 @@ from itertools import pairwise
 from math import hypot
 
 import pytest
+from haptic_samples import unpack_command, unpack_feedback
 from haptic_session import begin_session
 
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
@@ -18,8 +19,6 @@ from telepresence.haptics.sample import (
     Command,
     Feedback,
     pack_command,
-    unpack_command,
-    unpack_feedback,
 )
 
 MS = 1_000_000

@@ -1,6 +1,7 @@
 """The ends of the haptic exchange: newest sample wins, restarts, silence, and the schedule."""
 
 import pytest
+from haptic_samples import unpack_command, unpack_feedback
 from haptic_session import begin_session
 
 from telepresence.haptics.figures import SamplesReceived
@@ -14,8 +15,6 @@ from telepresence.haptics.sample import (
     pack_command,
     pack_feedback,
     pack_greeting,
-    unpack_command,
-    unpack_feedback,
 )
 from telepresence.haptics.schedule import PeriodicSchedule
 

@@ -4,6 +4,7 @@ from copy import deepcopy
 from math import hypot, inf, nan
 
 import pytest
+from haptic_samples import unpack_command
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +17,7 @@ from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
 from telepresence.haptics.device.states import REQUESTS, JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.sample import Feedback, is_greeting, unpack_command
+from telepresence.haptics.sample import Feedback, is_greeting
 
 QUIET = Feedback(0.0, 0.0, 0, False)
 
