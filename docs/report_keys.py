@@ -15,7 +15,6 @@ from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.hand.figures import WallFigures
 from pipelines.link.figures import SocketFigures, WayInFigures
 from pipelines.media.figures import (
     CaptureFigures,
@@ -38,6 +37,7 @@ from telepresence.haptics.figures import (
     SamplesReceived,
     SamplesSent,
     UdpFigures,
+    WallFigures,
 )
 from telepresence.haptics.ownership import OwnershipFigures
 from telepresence.link.figures import GatewayFigures

@@ -116,7 +116,7 @@ NEAR: dict[str, tuple[str, ...]] = {
     "pipelines/report/collector.py": (f"{UNIT}/pipelines/report",),
     "pipelines/report/journeys.py": (f"{UNIT}/pipelines/report",),
     "pipelines/report/process_figures.py": (f"{UNIT}/pipelines/report",),
-    "pipelines/session/restarts.py": (f"{UNIT}/pipelines/session/test_restarts.py",),
+    "pipelines/session/session_switch.py": (f"{UNIT}/pipelines/session/test_restarts.py",),
 }
 
 #: A run may take this many times as long as without a fault, and these seconds more.

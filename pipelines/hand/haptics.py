@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.hand.figures import WallFigures
 from pipelines.hand.haptic_trace import HapticTrace, flags_of
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.envelope import SafetyEnvelope
+from telepresence.haptics.figures import WallFigures
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.ownership import HapticOwnership, Owner

@@ -24,7 +24,7 @@ from pipelines.session.topic_ends import new_exercises
 from pipelines.session.topology import TRAINER_TOPIC, Segment
 from pipelines.session.training import Exercises
 from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
-from telepresence.link.received import HapticReceived, PacketReceived
+from telepresence.link.flows import HapticReceived, PacketReceived
 
 _ON_THIS_MACHINE = EndAddresses()
 

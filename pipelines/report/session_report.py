@@ -51,7 +51,7 @@ from pipelines.report.sync_figures import disagreements, sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
 from pipelines.session.figures import LoopFigures, ProbeFigures
-from pipelines.session.restarts import lacks_room
+from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import ROBOT, HapticRow
 from telepresence.haptics.envelope import SafetyFigures

@@ -13,7 +13,7 @@ from pipelines.media.figures import CaptureFigures
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
 from pipelines.session.figures import LoopFigures
-from pipelines.session.restarts import lacks_room
+from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import Setup, VideoStream
 from pipelines.session.topology import LOOP_PRIORITY, Segment
 from telepresence.link.peer.figures import PeerFigures

@@ -28,11 +28,12 @@ from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
 from pipelines.session.process import Context, become
-from pipelines.session.restarts import NO_ROOM, RestartPolicy
 from pipelines.session.session_switch import (
+    NO_ROOM,
     PATIENCE_NS,
     Activity,
     Order,
+    RestartPolicy,
     SessionSwitch,
     SwitchAction,
 )

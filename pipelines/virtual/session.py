@@ -46,8 +46,8 @@ from telepresence.haptics.mediated.wall import is_wall
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.session import LIVES
+from telepresence.link.flows import HapticReceived, PacketReceived
 from telepresence.link.gateway import Gateway
-from telepresence.link.received import HapticReceived, PacketReceived
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan

@@ -126,3 +126,15 @@ class UdpFigures:
     #: Of another key or session.
     udp_foreign: int = 0
     udp_malformed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WallFigures:
+    """A joystick that renders the wall of the robot's side (`--hand mediated`)."""
+
+    #: Messages with a wall, or with none, that were taken.
+    walls: int = 0
+    #: Messages that were not newer than one before.
+    walls_stale: int = 0
+    #: Datagrams that are not such a message.
+    walls_garbage: int = 0

@@ -1,8 +1,9 @@
-"""Flows: the sources of packets on the link, with their level and their kind of headers."""
+"""Flows: the sources of packets on the link, and what a receiver hands on of them, as it came."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
+from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, VIDEO_CLOCK_HZ
@@ -103,3 +104,28 @@ def check_flows(flows: Sequence[Flow]) -> tuple[Flow, ...]:
         if names.count(name) > 1:
             raise ConfigError(f"flow {name} appears twice in the table: give each its own name")
     return tuple(flows)
+
+
+class HapticReceived(NamedTuple):
+    """One sample from an insert zone."""
+
+    sample: bytes
+    now_ns: int
+
+
+class PacketReceived(NamedTuple):
+    """One packet: exactly the UDP payload that entered at the other end of `flow`."""
+
+    flow: Flow
+    data: bytes
+    now_ns: int
+
+
+class SupervisionReceived(NamedTuple):
+    """One supervision message of twelve octets, which the receiver does not parse."""
+
+    message: bytes
+    now_ns: int
+
+
+LinkEvent = HapticReceived | PacketReceived | SupervisionReceived

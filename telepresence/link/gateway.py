@@ -23,11 +23,10 @@ from telepresence.link.clock.exchange import ClockExchange
 from telepresence.link.clock.message import is_clock
 from telepresence.link.clock.reports import ReportClock
 from telepresence.link.figures import GatewayFigures
-from telepresence.link.flows import Flow, FlowKind, Level
+from telepresence.link.flows import Flow, FlowKind, HapticReceived, Level, LinkEvent, PacketReceived
 from telepresence.link.profile import LinkProfile
 from telepresence.link.queues import QueueLimits
 from telepresence.link.radio import RadioPath
-from telepresence.link.received import HapticReceived, LinkEvent, PacketReceived
 from telepresence.link.receiver import LinkReceiver, StrangerFrame
 from telepresence.link.sender import LinkSender
 from telepresence.link.supervision.configuration import Configuration, SupervisionTiming

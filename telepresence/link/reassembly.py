@@ -9,7 +9,15 @@ from dataclasses import dataclass
 
 from telepresence.link.compression.header_compression import RtpDecompressor
 from telepresence.link.compression.rtp_forms import KIND_CONTEXT, KIND_RAW
-from telepresence.link.flows import MAX_FLOWS, Flow, FlowKind, Level
+from telepresence.link.flows import (
+    MAX_FLOWS,
+    Flow,
+    FlowKind,
+    Level,
+    LinkEvent,
+    PacketReceived,
+    SupervisionReceived,
+)
 from telepresence.link.frame import (
     CLOSED,
     KIND_BITS,
@@ -23,7 +31,6 @@ from telepresence.link.frame import (
     Pointers,
 )
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
-from telepresence.link.received import LinkEvent, PacketReceived, SupervisionReceived
 
 #: The level that each control code resumes; -1 for undefined codes.
 _RESUMED = [-1] * TAG_RESUME + [*range(len(Level))]

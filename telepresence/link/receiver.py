@@ -6,16 +6,17 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.figures import ReceiverFigures
-from telepresence.link.flows import Flow, check_flows
-from telepresence.link.frame import COUNT_MASK, COUNT_MODULUS, FrameCodec, Pointers
-from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
-from telepresence.link.reassembly import PacketReassembly
-from telepresence.link.received import (
+from telepresence.link.flows import (
+    Flow,
     HapticReceived,
     LinkEvent,
     PacketReceived,
     SupervisionReceived,
+    check_flows,
 )
+from telepresence.link.frame import COUNT_MASK, COUNT_MODULUS, FrameCodec, Pointers
+from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
+from telepresence.link.reassembly import PacketReassembly
 
 #: A frame at most this far behind is late or repeated; farther behind it is of another stream.
 _LATE_FRAMES = 32

@@ -6,12 +6,11 @@ the ones of a live session, not models of them.
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from telepresence.link.flows import Flow, Level
+from telepresence.link.flows import Flow, Level, LinkEvent
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.queues import QueueLimits
 from telepresence.link.radio import RadioPath
-from telepresence.link.received import LinkEvent
 
 
 class VirtualLink:

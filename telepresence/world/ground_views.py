@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
-from telepresence.world.arm import SHOULDER_M, Arm
+from telepresence.world.arm import SHOULDER_M, Arm, PinholeCamera, looking_at, looking_down
 from telepresence.world.backdrop import Backdrop, Caption, Patch
 from telepresence.world.board import LED_COLOURS, LED_RADIUS_M, Image, blend, draw_board, homography
 from telepresence.world.brush import Brush, yuv
-from telepresence.world.geometry import PinholeCamera, looking_at, looking_down
 from telepresence.world.state import LEDS_M, Lights, WorldState
 
 #: Half the distance between the two eyes of the stereo pair, and their position over the board.

@@ -14,10 +14,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow, voice_flow
+from telepresence.link.flows import (
+    Level,
+    PacketReceived,
+    packet_flow,
+    rtcp_flow,
+    video_flow,
+    voice_flow,
+)
 from telepresence.link.frame import MAX_PACKET_OCTETS, FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.received import PacketReceived
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import LinkSender
 

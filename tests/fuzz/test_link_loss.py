@@ -14,9 +14,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from telepresence.link.flows import Level, packet_flow, video_flow, voice_flow
+from telepresence.link.flows import (
+    HapticReceived,
+    Level,
+    PacketReceived,
+    SupervisionReceived,
+    packet_flow,
+    video_flow,
+    voice_flow,
+)
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
-from telepresence.link.received import HapticReceived, PacketReceived, SupervisionReceived
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import LinkSender
 

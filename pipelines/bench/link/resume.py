@@ -7,10 +7,10 @@ from random import Random
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.bench.link.virtual import COMMANDS, FLOWS, VIDEO, VOICE, Talker
 from pipelines.report.result import Percentiles, spread
+from telepresence.link.flows import HapticReceived, PacketReceived
 from telepresence.link.gateway import Gateway
 from telepresence.link.radio import RadioProfile
 from telepresence.link.radio.profile import Blackout
-from telepresence.link.received import HapticReceived, PacketReceived
 from telepresence.link.supervision.message import LinkState
 from telepresence.link.virtual import VirtualLink
 

@@ -7,11 +7,18 @@ from random import Random
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import BLOCK_SAMPLES, VIDEO_CLOCK_HZ
-from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_flow
+from telepresence.link.flows import (
+    Flow,
+    HapticReceived,
+    Level,
+    PacketReceived,
+    packet_flow,
+    video_flow,
+    voice_flow,
+)
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import LinkProfile
 from telepresence.link.radio import RadioPath
-from telepresence.link.received import HapticReceived, PacketReceived
 from telepresence.link.virtual import VirtualLink
 
 COMMANDS, VOICE, VIDEO, FILE = "commands", "voice", "video", "file"

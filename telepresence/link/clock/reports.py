@@ -10,7 +10,7 @@ from collections import deque
 
 from kontur_av.clock import NS_PER_S
 from telepresence.link.clock.exchange import ClockExchange
-from telepresence.link.received import PacketReceived
+from telepresence.link.flows import PacketReceived
 
 #: Sender report: its RTCP packet type; where its NTP timestamp is.
 _SENDER_REPORT = 200

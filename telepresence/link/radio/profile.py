@@ -8,10 +8,9 @@ from typing import Literal
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from telepresence.link.figures import ContactWindows
-from telepresence.link.radio.channel import RadioChannel
+from telepresence.link.radio.channel import BlackoutClock, BurstClock, RadioChannel, random_windows
 from telepresence.link.radio.contact import Contact, ContactFading
 from telepresence.link.radio.orbit import Overflight, parse_elements, parse_utc
-from telepresence.link.radio.outages import BlackoutClock, BurstClock, random_windows
 from telepresence.link.radio.path import RadioPath
 
 Direction = Literal["uplink", "downlink"]

@@ -8,7 +8,7 @@ from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.session.training import Exercises
 from pipelines.table import topology_of
-from telepresence.link.received import HapticReceived
+from telepresence.link.flows import HapticReceived
 
 MS = 1_000_000
 TABLE = topology_of(BUILT_IN["spacejustin"])

@@ -7,7 +7,7 @@ from pipelines.recording.figures import RecordedChannel, RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.sections import recorder_warnings
 from pipelines.report.warnings import loop_warnings, picture_warnings, restart_warning
-from pipelines.session.restarts import NO_ROOM
+from pipelines.session.session_switch import NO_ROOM
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.table import topology_of
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.session.restarts import SENDER_REST_NS, RestartPolicy
+from pipelines.session.session_switch import SENDER_REST_NS, RestartPolicy
 from pipelines.session.topology import Stage
 
 

@@ -4,10 +4,9 @@ import struct
 
 import pytest
 
-from telepresence.link.flows import Level, packet_flow, rtcp_flow
+from telepresence.link.flows import Level, PacketReceived, packet_flow, rtcp_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.queues import MOST_EXPIRED, DropPolicy, QueueLimits
-from telepresence.link.received import PacketReceived
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import MOST_PIECES, LinkSender
 

@@ -5,9 +5,15 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from telepresence.link.flows import Level, packet_flow, tmtc_flow, video_flow, voice_flow
+from telepresence.link.flows import (
+    HapticReceived,
+    Level,
+    packet_flow,
+    tmtc_flow,
+    video_flow,
+    voice_flow,
+)
 from telepresence.link.radio import RadioPath
-from telepresence.link.received import HapticReceived
 from telepresence.link.virtual import VirtualLink
 from telepresence.tmtc.pus.application import PusApplication
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary

@@ -5,12 +5,18 @@ import struct
 import pytest
 
 from telepresence.haptics.mediated.wall import WallMessage, pack_wall
-from telepresence.link.flows import Level, packet_flow, tmtc_flow, voice_flow
+from telepresence.link.flows import (
+    HapticReceived,
+    Level,
+    PacketReceived,
+    packet_flow,
+    tmtc_flow,
+    voice_flow,
+)
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio import RadioPath, RadioProfile
 from telepresence.link.radio.profile import Blackout
-from telepresence.link.received import HapticReceived, PacketReceived
 from telepresence.link.sender import LinkSender
 from telepresence.link.supervision.message import LinkState
 from telepresence.link.virtual import VirtualLink

@@ -5,10 +5,17 @@ from random import Random
 
 import pytest
 
-from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow, voice_flow
+from telepresence.link.flows import (
+    HapticReceived,
+    Level,
+    SupervisionReceived,
+    packet_flow,
+    rtcp_flow,
+    video_flow,
+    voice_flow,
+)
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.queues import DropPolicy, QueueLimits
-from telepresence.link.received import HapticReceived, SupervisionReceived
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import LinkSender
 

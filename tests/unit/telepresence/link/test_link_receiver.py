@@ -6,11 +6,17 @@ from random import Random
 
 import pytest
 
-from telepresence.link.flows import Level, packet_flow, rtcp_flow, video_flow
+from telepresence.link.flows import (
+    Level,
+    PacketReceived,
+    SupervisionReceived,
+    packet_flow,
+    rtcp_flow,
+    video_flow,
+)
 from telepresence.link.frame import FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.queues import DropPolicy, QueueLimits
-from telepresence.link.received import PacketReceived, SupervisionReceived
 from telepresence.link.receiver import LinkReceiver, StrangerFrame
 from telepresence.link.sender import LinkSender
 

@@ -9,12 +9,11 @@ from random import Random
 
 import pytest
 
-from telepresence.link.flows import Level, packet_flow
+from telepresence.link.flows import HapticReceived, Level, packet_flow
 from telepresence.link.frame import FrameCodec, Pointers
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
-from telepresence.link.received import HapticReceived
 from telepresence.link.virtual import VirtualLink
 
 MS = 1_000_000

@@ -6,11 +6,10 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.clock.reports import earlier
-from telepresence.link.flows import Level, packet_flow, rtcp_flow
+from telepresence.link.flows import Level, LinkEvent, PacketReceived, packet_flow, rtcp_flow
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
-from telepresence.link.received import LinkEvent, PacketReceived
 
 UP = [packet_flow("tc", Level.TMTC)]
 DOWN = [packet_flow("tm", Level.TMTC), rtcp_flow("rtcp")]

@@ -6,7 +6,7 @@ from random import Random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from telepresence.link.radio.outages import BlackoutClock, BurstClock, random_windows
+from telepresence.link.radio.channel import BlackoutClock, BurstClock, random_windows
 from telepresence.link.radio.profile import RadioProfile, RandomBlackouts
 
 MS, S = 1_000_000, 1_000_000_000
