@@ -126,7 +126,6 @@ class StreamReport(Report, frozen=True, kw_only=True):
     decoder: Received[Flat[DecoderCounts]] | None = None
     display: Received[Flat[DisplayFigures]]
     displayed_hz: Received[float]
-    #: Older than this is stale.
     stale_after_ms: Received[float]
     #: From capture to display; of one end alone without its stages.
     latency_ms: StreamLatency
@@ -156,7 +155,7 @@ class Punctuality(Report, frozen=True, kw_only=True):
 class HapticReport(Report, frozen=True, kw_only=True):
     """One direction of the haptic samples: `up` carries forces, `down` carries motion."""
 
-    #: The only side that ran here, `sender` or `receiver`; the other's counts are 0 or empty.
+    #: As in StreamReport.
     side: str | None = None
     #: The rate of the insert zone.
     cap_bps: int
@@ -301,11 +300,8 @@ class Ranks(Report, frozen=True, kw_only=True):
 class SenseReport(Report, frozen=True, kw_only=True):
     """What one sense of the operator perceived of the contacts."""
 
-    #: What carries it.
     stream: str
-    #: Contacts that were perceived.
     perceived: int
-    #: Contacts that were not.
     missed: int
     #: From the contact to its perception.
     latency_ms: Ranks
@@ -498,9 +494,7 @@ class SimulationReport(Report, frozen=True, kw_only=True):
     """The inputs of this simulation."""
 
     seed: int
-    #: The radio profile.
     radio: str
-    #: Whether it had media streams.
     media: bool
     #: The robot's name; sim for the simulated one.
     robot: str
@@ -573,7 +567,6 @@ class EndTrace(Report, frozen=True, kw_only=True):
 class SessionReport(Report, frozen=True, kw_only=True):
     """The report of `stream`, `replay` and `simulate`."""
 
-    #: The setup's name.
     setup: str
     #: The only end that ran here, `ground` or `space`; what the other knows is 0, empty or null.
     end: str | None = None
@@ -645,11 +638,8 @@ class LinkRadio(Report, frozen=True, kw_only=True):
 class LinkReport(Report, frozen=True, kw_only=True):
     """The report of `link`. With one end alone it lacks what the other end counts."""
 
-    #: The setup's name.
     setup: str
-    #: How long the link ran.
     seconds: float
-    #: The ends that ran here.
     ends: list[str]
     radio: LinkRadio
     #: `uplink` and `downlink`.
@@ -658,9 +648,8 @@ class LinkReport(Report, frozen=True, kw_only=True):
     gateways: dict[str, GatewayReport]
     cpu: CpuReport
     processes: dict[str, ProcessReport]
-    #: What broke a promise of the project; any gives exit code 1.
+    #: Any gives exit code 1.
     failures: list[str]
-    #: What made the link worse than need be, and its mend.
     warnings: list[Warning]
 
 

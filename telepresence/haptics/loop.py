@@ -110,6 +110,7 @@ class HapticLink(Generic[Out, In]):
     sessions: sessions begun. restarts: restarts of the peer.
     lost: sequence numbers not received so far; a late arrival reduces it.
 
+    newest_sequence: number of the newest sample received. hearing: samples of the peer arrive.
     peer_holds: the newest sample says that the peer receives nothing from this end.
     """
 
@@ -148,12 +149,12 @@ class HapticLink(Generic[Out, In]):
         self._local: Out | None = None
         self._newest: In | None = None
         self._newest_ns = 0
-        self._newest_sequence = 0
+        self.newest_sequence = 0
         self._seen = 0
         #: The newest number out of range, and since when such numbers follow each other.
         self._strange = 0
         self._strange_ns = 0
-        self._hearing = False
+        self.hearing = False
         self._events: deque[HapticEvent] = deque(maxlen=64)
         # Each kept object would take memory that no cache holds, so keep few: numbers sent follow
         # from `sent`; what was received is stored flat as sequence number, instant, ...
@@ -185,9 +186,9 @@ class HapticLink(Generic[Out, In]):
         if number != self.session.receiving and not self._begin(number, sequence, now_ns):
             self.strays += 1
             return
-        due = (self._newest_sequence + 1) % SEQUENCE_MODULUS
+        due = (self.newest_sequence + 1) % SEQUENCE_MODULUS
         if sequence == due:
-            self._newest_sequence = sequence
+            self.newest_sequence = sequence
             if self._seen != _WINDOW_MASK:
                 self._seen = (self._seen << 1 | 1) & _WINDOW_MASK
             accepted = True
@@ -209,8 +210,8 @@ class HapticLink(Generic[Out, In]):
             stamps = self._received_stamps
             stamps.append(sequence)
             stamps.append(now_ns)
-            if not self._hearing:
-                self._hearing = True
+            if not self.hearing:
+                self.hearing = True
                 self._events.append(PeerFound(now_ns))
 
     def latest(self, now_ns: int) -> In | None:
@@ -224,8 +225,8 @@ class HapticLink(Generic[Out, In]):
 
         None: there is nothing new since the last call, or nothing that the peer would feel.
         """
-        if self._hearing and now_ns - self._newest_ns > self.max_age_ns:
-            self._hearing = False
+        if self.hearing and now_ns - self._newest_ns > self.max_age_ns:
+            self.hearing = False
             self._events.append(PeerLost(now_ns, self._newest_ns))
         local = self._local
         if local is None:
@@ -238,7 +239,7 @@ class HapticLink(Generic[Out, In]):
         greeting = session.poll_greeting(most_uj, now_ns)
         if greeting is not None:
             self._local = None
-            data = pack_greeting(greeting, feedback=self._robot, holding=not self._hearing)
+            data = pack_greeting(greeting, feedback=self._robot, holding=not self.hearing)
             return data if axes is None else data + bytes(axes.octets)
         if session.sending != self._sending:
             # Each joule is granted in one session only.
@@ -248,15 +249,13 @@ class HapticLink(Generic[Out, In]):
                 axes.handle_sending()
         deadband = self.deadband
         if deadband is not None:
-            local = deadband.handle_sample(local, not self._hearing, now_ns)
+            local = deadband.handle_sample(local, not self.hearing, now_ns)
             if local is None:
                 self._local = None
                 return None
         sequence = self.sent % SEQUENCE_MODULUS
         self._granted_uj = local.energy_uj
-        data = self._pack(
-            sequence, local, not self._hearing, self._sending, self._granted_before_uj
-        )
+        data = self._pack(sequence, local, not self.hearing, self._sending, self._granted_before_uj)
         if axes is not None:
             data += axes.pack(local[-1])
         self._local = None
@@ -266,7 +265,7 @@ class HapticLink(Generic[Out, In]):
 
     def poll_timeout(self) -> int | None:
         """When to call `poll_transmit` even without a value to send, or None."""
-        return self._newest_ns + self.max_age_ns + 1 if self._hearing else None
+        return self._newest_ns + self.max_age_ns + 1 if self.hearing else None
 
     def next_event(self) -> HapticEvent | None:
         """The oldest event that was not fetched yet, or None."""
@@ -312,22 +311,12 @@ class HapticLink(Generic[Out, In]):
         )
 
     @property
-    def newest_sequence(self) -> int:
-        """Number of the newest sample received."""
-        return self._newest_sequence
-
-    @property
-    def hearing(self) -> bool:
-        """Whether samples of the peer arrive."""
-        return self._hearing
-
-    @property
     def restarts(self) -> int:
         return self.session.restarts
 
     def _accept(self, sequence: int, now_ns: int) -> bool:
         """Whether to use a sample whose number is not the next one."""
-        ahead = (sequence - self._newest_sequence) % SEQUENCE_MODULUS
+        ahead = (sequence - self.newest_sequence) % SEQUENCE_MODULUS
         if ahead == 0:
             self.repeated += 1
             return False
@@ -338,11 +327,11 @@ class HapticLink(Generic[Out, In]):
             if not self._is_anchor(sequence, now_ns):
                 self.late += 1
                 return False
-            self._newest_sequence = sequence
+            self.newest_sequence = sequence
             self._seen = _WINDOW_MASK
             return True
         self.lost += ahead - 1
-        self._newest_sequence = sequence
+        self.newest_sequence = sequence
         self._seen = ((self._seen << ahead) | 1) & _WINDOW_MASK if ahead < _WINDOW else 1
         return True
 
@@ -355,13 +344,13 @@ class HapticLink(Generic[Out, In]):
         self._heard_before_uj = self._heard_uj
         if self._axes is not None:
             self._axes.handle_receiving()
-        ahead = (sequence - self._newest_sequence) % SEQUENCE_MODULUS
+        ahead = (sequence - self.newest_sequence) % SEQUENCE_MODULUS
         restarted = self.restarts != restarts
         if restarted:
             self._events.append(PeerRestarted(now_ns))
         if self._newest is None or restarted or not 0 < ahead <= self._furthest(now_ns):
             # Numbers begin anew. Nothing before the first sample is missing: it counts as seen.
-            self._newest_sequence = sequence - 1
+            self.newest_sequence = sequence - 1
             self._seen = _WINDOW_MASK
         return True
 

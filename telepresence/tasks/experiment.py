@@ -117,7 +117,8 @@ class Experiment:
     ) -> None:
         self._catalogue = catalogue
         self._patience_ns = patience_ns
-        self._kernel = TopKernel()
+        #: It knows the present Elemop.
+        self.kernel = TopKernel()
         self._next_run = first_run
         self._phase = Phase.IDLE
         self._task: Task | None = None
@@ -134,7 +135,7 @@ class Experiment:
     @property
     def status(self) -> ExperimentStatus:
         """Where the experiment is."""
-        elemop, idle = self._kernel.elemop, self._phase is Phase.IDLE
+        elemop, idle = self.kernel.elemop, self._phase is Phase.IDLE
         return ExperimentStatus(
             phase=self._phase,
             task="" if self._task is None or idle else self._task.name,
@@ -142,11 +143,6 @@ class Experiment:
             elemop="" if elemop is None else elemop.name,
             panel=self._panel or "",
         )
-
-    @property
-    def kernel(self) -> TopKernel:
-        """For who judges how well it is done: the present Elemop."""
-        return self._kernel
 
     def select(self, name: str, now_ns: int) -> str:
         """Prepare the robot for a task; return why not, "" if it is done.
@@ -162,7 +158,7 @@ class Experiment:
         self._selected_ns, self._started_ns = now_ns, None
         self._phase, self._told = Phase.PREPARING, None
         self._log(RunStep.SELECTED, now_ns)
-        self._kernel.start(task.start, now_ns)
+        self.kernel.start(task.start, now_ns)
         self._drain(now_ns)
         return ""
 
@@ -200,16 +196,16 @@ class Experiment:
             self._watch(view, now_ns)
         elif self._phase is Phase.RUNNING and view.telepresent:
             self._log(RunStep.TELEPRESENCE, now_ns)
-        self._kernel.handle_view(view, now_ns)
+        self.kernel.handle_view(view, now_ns)
         self._drain(now_ns)
 
     def poll_timeout(self) -> int | None:
         """When to call `handle_view` next; None: whenever it suits."""
-        return self._kernel.poll_timeout()
+        return self.kernel.poll_timeout()
 
     def poll_transmit(self, now_ns: int) -> Order | None:
         """Return the next order, or None."""
-        return self._kernel.poll_transmit(now_ns)
+        return self.kernel.poll_transmit(now_ns)
 
     def poll_message(self) -> K2aciMessage | None:
         """Return the next message for the panel, or None."""
@@ -223,7 +219,7 @@ class Experiment:
         assert self._task is not None
         self._log(RunStep.STARTED, now_ns)
         self._phase, self._started_ns = Phase.RUNNING, now_ns
-        self._kernel.start(self._task.exec, now_ns)
+        self.kernel.start(self._task.exec, now_ns)
         self._drain(now_ns)
 
     def _handle_forgotten(self, task: Task, now_ns: int) -> None:
@@ -253,16 +249,16 @@ class Experiment:
     def _end(self, result: TaskResult, reason: str, now_ns: int) -> None:
         if self._phase in (Phase.PREPARING, Phase.RUNNING):
             self._ending = result, reason
-            self._kernel.abort(reason, now_ns)
+            self.kernel.abort(reason, now_ns)
             self._drain(now_ns)
         elif self._phase is Phase.OFFERED:
             self._ending = result, reason
             self._phase = Phase.ENDING
-            self._kernel.start(_END, now_ns)
+            self.kernel.start(_END, now_ns)
             self._drain(now_ns)
 
     def _drain(self, now_ns: int) -> None:
-        while (event := self._kernel.next_event()) is not None:
+        while (event := self.kernel.next_event()) is not None:
             self._events.append(event)
             if not isinstance(event, OperationEnded):
                 continue

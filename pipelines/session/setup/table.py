@@ -148,11 +148,16 @@ HAND_MODES: tuple[HandMode, ...] = get_args(HandMode)
 #: What a partner's joystick may drive. `none`: nothing. `shared`: the robot, in the place of the
 #: joystick in space, once an operator has handed it over. `second`: an arm of its own.
 PartnerArm = Literal["none", "shared", "second"]
-PARTNER_ARMS: tuple[PartnerArm, ...] = get_args(PartnerArm)
 
 #: What of the uplink video is coded finer. `off`: nothing. `stylus`: what is around its tip.
 RegionChoice = Literal["off", "stylus"]
-REGION_CHOICES: tuple[RegionChoice, ...] = get_args(RegionChoice)
+#: By field: what it may be.
+_CHOICES: Mapping[str, tuple[str, ...]] = {
+    "deadband": DEADBANDS,
+    "hand": HAND_MODES,
+    "partner_arm": get_args(PartnerArm),
+    "region": get_args(RegionChoice),
+}
 #: The built-in scenes that see the task board.
 _BOARD_SCENES = ("left", "right", "static", "head")
 
@@ -243,10 +248,9 @@ class Setup:
                 raise ConfigError(
                     f"setup {self.name}: camera {camera} has the name of another input; rename it"
                 )
-        if self.deadband not in DEADBANDS:
-            raise ConfigError(f"deadband {self.deadband!r}: take one of {', '.join(DEADBANDS)}")
-        if self.hand not in HAND_MODES:
-            raise ConfigError(f"hand {self.hand!r}: take one of {', '.join(HAND_MODES)}")
+        for name, choices in _CHOICES.items():
+            if (chosen := getattr(self, name)) not in choices:
+                raise ConfigError(f"{name} {chosen!r}: take one of {', '.join(choices)}")
         self._check_partner_arm()
         self._make_room()
         if not 0 <= self.radio_delay_ms <= 10_000:
@@ -315,10 +319,6 @@ class Setup:
             object.__setattr__(self, name, wider)
 
     def _check_partner_arm(self) -> None:
-        if self.partner_arm not in PARTNER_ARMS:
-            raise ConfigError(
-                f"partner_arm {self.partner_arm!r}: take one of {', '.join(PARTNER_ARMS)}"
-            )
         if self.partner_arm == "shared" and self.tasks:
             raise ConfigError(
                 'partner_arm shared: tasks are the cosmonaut\'s, so take partner_arm = "none"'
@@ -330,8 +330,6 @@ class Setup:
             )
 
     def _check_region(self) -> None:
-        if self.region not in REGION_CHOICES:
-            raise ConfigError(f"region {self.region!r}: take one of {', '.join(REGION_CHOICES)}")
         for camera, points in self.region_points.items():
             if camera not in self.cameras:
                 raise ConfigError(
