@@ -9,12 +9,14 @@ from dataclasses import MISSING, fields
 from itertools import groupby
 from math import hypot, isfinite
 from numbers import Integral, Real
-from typing import Any, Generic, Literal, Protocol, TypeVar, get_args, get_origin
+from typing import Any, Generic, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from telepresence.haptics.device.check import CheckResult, Figure
+from telepresence.haptics.device.device import JoystickReading
+from telepresence.haptics.robot_device import RobotReading
 
 #: Of a cycle of 1 ms, the rest is the session's.
 _MOST_CYCLE_MS = 0.5
@@ -29,20 +31,7 @@ _MOST_SAME_MS = 20
 _LEAST_J = -1e-3
 
 
-class Motion(Protocol):
-    """What readings of robots and of joysticks have."""
-
-    @property
-    def x_m(self) -> float: ...
-    @property
-    def y_m(self) -> float: ...
-    @property
-    def vx_m_s(self) -> float: ...
-    @property
-    def vy_m_s(self) -> float: ...
-
-
-R = TypeVar("R", bound=Motion)
+R = TypeVar("R", JoystickReading, RobotReading)
 #: What to write, given the share of the time that has passed.
 Order = Callable[[float], tuple[float, float]]
 #: A check by its name, and why this device cannot be asked; "" if it can.
@@ -213,7 +202,7 @@ class DeviceCheck(Generic[R]):
         return readings
 
 
-def speed(reading: Motion) -> float:
+def speed(reading: JoystickReading | RobotReading) -> float:
     """Return the size of the velocity (m/s)."""
     return hypot(reading.vx_m_s, reading.vy_m_s)
 

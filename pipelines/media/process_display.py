@@ -91,12 +91,15 @@ def run_display(
                 while (lease := take()) is not None:
                     now_ns = clock.now_ns()
                     showing.handle_shown(stream.name, lease.stamp, now_ns)
-                    if stream.name in watched:
-                        watching.handle_sample(stream.name, lease, now_ns)
+                    name, stamp, watches = stream.name, lease.stamp, stream.name in watched
                     if picture is None:
+                        if watches:
+                            watching.handle_sound(name, lease.audio().samples, stamp, now_ns)
                         lease.release()
-                    else:
-                        picture.handle_picture(lease, now_ns)
+                        continue
+                    if watches:
+                        watching.handle_picture(name, lease.video().data, stamp, now_ns)
+                    picture.handle_picture(lease, now_ns)
             showing.handle_time(clock.now_ns())
             while (drawing := showing.next_event()) is not None:
                 pictures[drawing.stream].draw(drawing.stale_ns)

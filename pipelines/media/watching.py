@@ -1,27 +1,15 @@
 """The operator's eye and ear: detectors of lights and clicks in what is shown and played."""
 
 from collections.abc import Mapping
-from typing import Protocol
 
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
-from kontur_av.media import BLOCK_NS, I420, AudioFrame, CaptureStamp, Pcm, VideoFrame
+from kontur_av.media import BLOCK_NS, I420, CaptureStamp, Pcm
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ClickRow, LightRow
 
 #: The stream in which to look for lights, and the one in which to listen for clicks.
 WATCHED = {"light": "uplink_video", "click": "uplink_voice"}
 OPERATORS = frozenset(WATCHED.values())
-
-
-class Sample(Protocol):
-    """A sample in shared memory: a picture or a block of sound."""
-
-    @property
-    def stamp(self) -> CaptureStamp: ...
-
-    def video(self) -> VideoFrame: ...
-
-    def audio(self) -> AudioFrame: ...
 
 
 class Watching:
@@ -31,13 +19,6 @@ class Watching:
         self._probe = probe
         self._eyes: dict[str, LightDetector] = {}
         self._ears: dict[str, ClickDetector] = {}
-
-    def handle_sample(self, stream: str, sample: Sample, now_ns: int) -> None:
-        """A picture or a block of sound of `stream` is shown or heard from `now_ns` on."""
-        if stream == WATCHED["light"]:
-            self.handle_picture(stream, sample.video().data, sample.stamp, now_ns)
-        else:
-            self.handle_sound(stream, sample.audio().samples, sample.stamp, now_ns)
 
     def handle_picture(self, stream: str, picture: I420, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture of `stream`, shape (height * 3 // 2, width), is shown at `now_ns`."""

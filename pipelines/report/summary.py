@@ -1,5 +1,7 @@
 """A report as a table for people."""
 
+from collections.abc import Mapping
+
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -8,7 +10,15 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_MS
 from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.link_report import end_line, ledger_line, peer_lines
-from pipelines.report.model import HapticReport, SessionReport, Spread, StreamReport, SyncReport
+from pipelines.report.model import (
+    ContentSkew,
+    HapticReport,
+    SessionReport,
+    SkewReport,
+    Spread,
+    StreamReport,
+    SyncReport,
+)
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
 from pipelines.session.task_journal import TaskRow
@@ -66,11 +76,7 @@ def print_summary(report: SessionReport) -> None:
     ]
     if errors_ms:
         console.print(f"latencies between the machines may be wrong by {max(errors_ms):.2f} ms")
-    skews = [
-        f"{name.replace('_', ' to ')} {skew.p50:+.1f} (p95 {skew.p95:+.1f})"
-        for name, skew in report.skew_ms.items()
-        if skew is not None
-    ]
+    skews = _skews(report.skew_ms)
     if skews:
         console.print("skew at the operator, ms: " + ", ".join(skews))
     stages = stages_line(report)
@@ -202,15 +208,19 @@ def _print_content(console: Console, sync: SyncReport | None) -> None:
         for sense, figures in sync.senses.items()
         if figures is not None and figures.perceived
     ]
-    skews = [
-        f"{name.replace('_', ' to ')} {skew.p50:+.1f} (p95 {skew.p95:+.1f})"
-        for name, skew in sync.skew_ms.items()
-        if skew is not None
-    ]
+    skews = _skews(sync.skew_ms)
     console.print(
         f"by content, ms after each of {sync.events} contacts: {', '.join(senses)}"
         + (f"; skew: {', '.join(skews)}" if skews else "")
     )
+
+
+def _skews(skews: Mapping[str, SkewReport | ContentSkew | None]) -> list[str]:
+    return [
+        f"{name.replace('_', ' to ')} {skew.p50:+.1f} (p95 {skew.p95:+.1f})"
+        for name, skew in skews.items()
+        if skew is not None
+    ]
 
 
 def _kbps(bps: float) -> str:

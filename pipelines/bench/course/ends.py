@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -280,34 +280,24 @@ class Carried:
     longest_wait_ns: int = 0
 
 
-class _Ports(Protocol):
-    """The first ports at both ends of the channel."""
-
-    @property
-    def entrance(self) -> int: ...
-
-    @property
-    def exit(self) -> int: ...
-
-
-def carry(ports: _Ports, rate_bps: int, *, muxed: bool = False) -> End:
-    """The channel: RTP and RTCP from port `entrance` and the next one to `exit` and the next one.
+def carry(entrance: int, exit_port: int, rate_bps: int, *, muxed: bool = False) -> End:
+    """The channel: RTP and RTCP from `entrance` and the next port to `exit_port` and the next one.
 
     Both share the rate. Answers of the receiver go back to the sender at once, because only the
     forward direction is thin. Runs until `End.end`.
 
     muxed: for WebRTC. Each side has one port and sends to one port of the channel: the sender to
-    `entrance`, the receiver to `exit`. The channel learns theirs from what they send.
+    `entrance`, the receiver to `exit_port`. The channel learns theirs from what they send.
     """
     with ExitStack() as stack:
         count = 1 if muxed else 2
-        entrances = [stack.enter_context(_bound(ports.entrance + index)) for index in range(count)]
-        out = stack.enter_context(_bound(ports.exit if muxed else 0))
+        entrances = [stack.enter_context(_bound(entrance + index)) for index in range(count)]
+        out = stack.enter_context(_bound(exit_port if muxed else 0))
         return End(
             "the channel",
             _CHANNEL_PRIORITY,
             lambda link: _carry(
-                entrances, out, None if muxed else ports.exit, ThinChannel(rate_bps), link
+                entrances, out, None if muxed else exit_port, ThinChannel(rate_bps), link
             ),
         )
 

@@ -105,7 +105,9 @@ def measure(
             exit=exit_port,
             directory=directory,
         )
-        channel = carry(course, round(terms.channel_kbps * 1000), muxed=contender.muxed)
+        channel = carry(
+            entrance, exit_port, round(terms.channel_kbps * 1000), muxed=contender.muxed
+        )
         stack.callback(channel.close)
         screen = watch(str(course.screen), lumas)
         stack.callback(screen.close)
