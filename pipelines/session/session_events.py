@@ -1,4 +1,4 @@
-"""What happened in a session, as its launcher tells the pages and the recorder. A core."""
+"""What a session's launcher tells the recorder, the pages and a monitoring system. A core."""
 
 import msgspec
 
@@ -25,3 +25,13 @@ class SessionEvents(msgspec.Struct, frozen=True, kw_only=True):
     at_us: int
     events: list[Event]
     figures: dict[str, int | float | str | bool | None] = {}
+
+
+class MonitoredSession(msgspec.Struct, frozen=True, kw_only=True):
+    """What a monitoring system gets.
+
+    report: JSON of the session's report so far. problems: what is wrong now, a line each.
+    """
+
+    report: msgspec.Raw
+    problems: list[str]

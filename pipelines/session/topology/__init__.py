@@ -50,6 +50,7 @@ from pipelines.session.topology.topics import (
     JOYSTICK_STATE_TOPIC,
     JOYSTICK_TRACE_TOPIC,
     LEDS,
+    METRICS,
     MISSION_CAMERA_TOPIC,
     MISSION_GROUND_TOPIC,
     MISSION_LEDS_TOPIC,
