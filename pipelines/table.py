@@ -8,6 +8,7 @@ from pipelines.media.rows import process_rows as media
 from pipelines.mission.rows import process_rows as mission
 from pipelines.partner.rows import process_rows as partner
 from pipelines.recording.rows import process_rows as recording
+from pipelines.report.rows import process_rows as report
 from pipelines.seats.rows import process_rows as seats
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
@@ -25,6 +26,7 @@ ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
     media,
     seats,
     partner,
+    report,
 )
 
 
@@ -39,6 +41,7 @@ def topology_of(
     recorder: bool = False,
     trainer: bool = False,
     tasks: bool = False,
+    metrics: bool = False,
     components: tuple[Component, ...] = (),
     segments: tuple[Segment, ...] = tuple(Segment),
 ) -> Topology:
@@ -55,6 +58,7 @@ def topology_of(
         recorder=recorder,
         trainer=trainer,
         tasks=tasks,
+        metrics=metrics,
         components=components,
     )
     streams = Topology(setup=setup, options=options, segments=segments)

@@ -14,11 +14,10 @@ from pipelines.report.collector import Collector
 from pipelines.report.live import LiveView
 from pipelines.report.model import EndTrace, ReplayReport
 from pipelines.report.report_file import save_report
-from pipelines.report.session_report import build_report
+from pipelines.report.seat_feed import session_report
 from pipelines.report.summary import print_summary
-from pipelines.session.launcher import Launcher, launcher_cpu_s
+from pipelines.session.launcher import Launcher
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.setup.table import Setup
 
 
 def add_live_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +56,6 @@ def made_directory(path: Path | None) -> Path | None:
 
 def end_session(
     args: argparse.Namespace,
-    setup: Setup,
     collector: Collector,
     launcher: Launcher,
     *,
@@ -65,15 +63,7 @@ def end_session(
 ) -> int:
     """Write and print the report of a session that has ended; 1 if it names a failure."""
     collector.handle_end()
-    report = build_report(
-        setup,
-        collector,
-        seconds=launcher.seconds,
-        cpu_s=launcher.cpu_s(),
-        restarts={child.row.name: child.restarts for child in launcher.children},
-        launcher_cpu_s=launcher_cpu_s(),
-        stopped_s=launcher.stopped_s,
-    )
+    report = session_report(launcher, collector)
     if collector.trace is not None:
         report = msgspec.structs.replace(report, trace=end_trace(collector, launcher))
     if replay is not None:

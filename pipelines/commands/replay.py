@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
         launcher.run(length_ns / NS_PER_S)
     held.close()
     replay = _replay_report(recorded, setup, args)
-    return end_session(args, setup, collector, launcher, replay=replay)
+    return end_session(args, collector, launcher, replay=replay)
 
 
 def _topology(

@@ -23,6 +23,11 @@ from pipelines.commands.live_session import (
     live_view,
     made_directory,
 )
+from pipelines.commands.metrics_options import (
+    add_metrics_argument,
+    announced_metrics,
+    bound_metrics,
+)
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
 from pipelines.commands.record_options import add_record_arguments, wish_of
 from pipelines.commands.rtc_leg import (
@@ -124,6 +129,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_task_arguments(parser)
     add_page_arguments(parser)
     add_rtc_arguments(parser)
+    add_metrics_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -162,11 +168,13 @@ def run(args: argparse.Namespace) -> int:
         recorder=True,
         trainer=args.trainer,
         tasks=tasks is not None,
+        metrics=args.metrics is not None,
         components=components,
         segments=plan.segments,
     )
     page_wish = bound_pages(args, plan.segments)
     rtc_wish = bound_rtc(args, setup, plan.segments)
+    metrics = bound_metrics(args)
     if one is not None:
         hold_listen_port(one)
     # After all in which an option could be wrong, whatever other sessions have.
@@ -182,6 +190,7 @@ def run(args: argparse.Namespace) -> int:
         hold_session(setup.name, end="" if one is None else one.segment.value) as session,
         announced_pages(page_wish, session, quiet=args.quiet, tasks=tasks is not None) as pages,
         announced_rtc(rtc_wish, session, quiet=args.quiet) as partners,
+        announced_metrics(metrics, quiet=args.quiet),
         live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         if wish is not None:
@@ -197,12 +206,12 @@ def run(args: argparse.Namespace) -> int:
             snapshots=snapshots,
             seed=args.seed,
             show=view.show,
-            pages={**pages, **partners},
+            pages={**pages, **partners, **metrics},
             feed=SeatFeed(setup, collector),
         )
         launcher.run(args.seconds)
     held.close()
-    return end_session(args, setup, collector, launcher)
+    return end_session(args, collector, launcher)
 
 
 def _arguments(

@@ -1,4 +1,4 @@
-"""Hands figures and events of a session from its launcher to the pages and to the recorder."""
+"""Hands figures and events of a session from its launcher to those who show or keep them."""
 
 import msgspec
 
@@ -6,22 +6,39 @@ from kontur_av.clock import NS_PER_S, NS_PER_US
 from pipelines.recording.figures import RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
+from pipelines.report.health import SessionHealth
+from pipelines.report.model import SessionReport, to_json
 from pipelines.report.seat_figures import SeatFigures
+from pipelines.report.session_report import build_report
 from pipelines.seats.figures import PageFigures
-from pipelines.session.figures import Event, SessionEvents
+from pipelines.session.figures import Event, MonitoredSession, SessionEvents
 from pipelines.session.launcher import Launcher, launcher_cpu_s
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import RECORDER
+from pipelines.session.topology import METRICS, RECORDER
 
 #: How often the recorder is sent figures; a message for pages is made twice as often.
 _RECORDED_EVERY_NS = 9 * NS_PER_S // 10
+_MONITORED_EVERY_NS = 2 * NS_PER_S
+
+
+def session_report(launcher: Launcher, collector: Collector) -> SessionReport:
+    """The report of what `launcher` runs or has run, until now."""
+    return build_report(
+        collector.topology.setup,
+        collector,
+        seconds=launcher.seconds,
+        cpu_s=launcher.cpu_s(),
+        restarts={child.row.name: child.restarts for child in launcher.children},
+        launcher_cpu_s=launcher_cpu_s(),
+        stopped_s=launcher.stopped_s,
+    )
 
 
 class SeatFeed:
     """Makes a message for each page process while somebody watches its pages.
 
     Each life of a page process is sent every event once. So is the recorder while it records, with
-    the figures once a second.
+    the figures once a second. A monitoring system gets the report so far every two seconds.
     """
 
     def __init__(self, setup: Setup, collector: Collector) -> None:
@@ -32,6 +49,9 @@ class SeatFeed:
         self._newest: dict[str, tuple[int | None, int]] = {}
         #: When the recorder was sent figures last.
         self._recorded_ns = 0
+        #: When a monitoring system was told last.
+        self._monitored_ns = 0
+        self._health = SessionHealth(setup.radio_profile.start_s)
 
     def poll_messages(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
         """Return the messages of now; none while nobody watches."""
@@ -56,7 +76,7 @@ class SeatFeed:
         }
         recorder = self._recorder(launcher)
         figures_due = recorder is not None and now_ns >= self._recorded_ns + _RECORDED_EVERY_NS
-        messages = {}
+        messages = self._monitored(launcher, now_ns)
         if recorder is not None and not figures_due:
             events = self._events(RECORDER, recorder)
             if events:
@@ -83,6 +103,21 @@ class SeatFeed:
             messages[name] = msgspec.json.encode(msgspec.structs.replace(message, events=events))
         return messages
 
+    def _monitored(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
+        due_ns = self._monitored_ns + _MONITORED_EVERY_NS
+        if not self._collector.topology.options.metrics or now_ns < due_ns:
+            return {}
+        self._monitored_ns = now_ns
+        report = session_report(launcher, self._collector)
+        down = [
+            child.row.name for child in launcher.children if child.pid is None and not child.stopped
+        ]
+        told = MonitoredSession(
+            report=msgspec.Raw(to_json(report)),
+            problems=self._health.problems(report, down, now_ns),
+        )
+        return {METRICS: msgspec.json.encode(told)}
+
     def _events(self, process: str, pid: int | None) -> list[Event]:
         life, number = self._told.get(process, (pid, 0))
         events = self._figures.log.after(number if life == pid else 0)
@@ -97,7 +132,8 @@ class SeatFeed:
         return pid
 
     def handle_sent(self, process: str) -> None:
-        self._told[process] = self._newest[process]
+        if process in self._newest:
+            self._told[process] = self._newest[process]
 
     def _watched(self, process: str) -> bool:
         return self._collector.process(process).total(PageFigures).watching > 0

@@ -67,3 +67,13 @@ class SessionEvents(msgspec.Struct, frozen=True, kw_only=True):
     at_us: int
     events: list[Event]
     figures: dict[str, int | float | str | bool | None] = {}
+
+
+class MonitoredSession(msgspec.Struct, frozen=True, kw_only=True):
+    """What a monitoring system gets.
+
+    report: JSON of the session's report so far. problems: what is wrong now, a line each.
+    """
+
+    report: msgspec.Raw
+    problems: list[str]

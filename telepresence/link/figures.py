@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypedDict
 
-from kontur_av.figures import Flat, Most, Newest
+from kontur_av.figures import Flat, Least, Most, Newest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,11 +126,11 @@ class PathFigures:
     """The radio path from this end (`RadioPath`)."""
 
     #: The delay of the newest frame.
-    delay_ns: int
+    delay_ns: Newest[int]
     #: The shortest delay.
-    delay_min_ns: int
+    delay_min_ns: Least[int]
     #: The longest delay.
-    delay_max_ns: int
+    delay_max_ns: Most[int]
     #: Frames put into the path.
     frames_sent: int
     #: Frames that the path lost.
@@ -139,7 +139,7 @@ class PathFigures:
     frames_hit: int
     bits_flipped: int
     #: Frames that have not arrived yet.
-    frames_under_way: int
+    frames_under_way: Newest[int]
     #: For how long the pass gave no signal.
     no_signal_ns: int | None = None
     channel: Flat[ChannelFigures] | None = None
@@ -150,7 +150,7 @@ class OtherEndFigures:
     """What supervision knows of the other end."""
 
     #: The number of the peer's present life; null before its first message.
-    life: int | None
+    life: Newest[int | None]
     #: Its state, as it said last; null without signal.
     state: str | None
 
@@ -176,7 +176,7 @@ class SupervisionFigures:
     #: `master` or `slave`.
     role: str
     #: The number of this end's present life.
-    life: int
+    life: Newest[int]
     #: The state of the link (docs/link.md).
     state: str
     #: The reason for it.
@@ -189,9 +189,9 @@ class SupervisionFigures:
     delivering: bool
     peer: OtherEndFigures
     #: When this end began, on the session's clock.
-    begun_ns: int
+    begun_ns: Newest[int]
     #: When the present state began, counted from `begun_ns`.
-    since_ns: int
+    since_ns: Newest[int]
     #: Time in each state.
     in_state_ns: dict[str, int]
     #: Messages, signals, restarts, resets and time-outs.
@@ -199,7 +199,7 @@ class SupervisionFigures:
     #: Time with signal.
     contact_ns: int
     #: The longest time without signal between two contacts.
-    longest_gap_ns: int
+    longest_gap_ns: Most[int]
     #: The newest 64 contacts.
     contacts: list[ContactFigures]
     #: The newest 64 transitions: instant since `begun_ns`, states and reason.
@@ -211,14 +211,14 @@ class ClockFigures:
     """What this end knows of the peer's clock (`ClockExchange`)."""
 
     #: The instant for which the estimate holds, on this end's clock.
-    at_ns: int
+    at_ns: Newest[int]
     #: The peer's clock minus this end's, as wall time at their start; null if unknown.
-    offset_ns: int | None
+    offset_ns: Newest[int | None]
     #: The true offset is at most this far from `offset_ns`.
-    error_ns: int | None
+    error_ns: Newest[int | None]
     #: How much faster the peer's clock is, in 10⁻⁹.
-    drift_ppb: int | None
-    drift_error_ppb: int | None
+    drift_ppb: Newest[int | None]
+    drift_error_ppb: Newest[int | None]
     messages_sent: int
     messages_received: int
     #: How often a stepped clock made the estimate begin anew.

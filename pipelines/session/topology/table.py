@@ -42,6 +42,7 @@ class SessionOptions:
     recorder: with the process that can record the session.
     trainer: with the process that takes a trainer's requests.
     tasks: with the processes by which tasks are done.
+    metrics: with the process that serves figures to a monitoring system.
     components: of users, in the telemetry.
     """
 
@@ -53,6 +54,7 @@ class SessionOptions:
     recorder: bool = False
     trainer: bool = False
     tasks: bool = False
+    metrics: bool = False
     components: tuple[Component, ...] = ()
 
 

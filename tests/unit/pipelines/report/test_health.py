@@ -1,0 +1,45 @@
+from types import SimpleNamespace
+
+from kontur_av.clock import NS_PER_S
+from pipelines.report.health import SessionHealth
+
+
+def told(state="connected", since_s=0, windows=None, failures=()):
+    """A report of a session that began at 100 s."""
+    supervision = SimpleNamespace(
+        state=state, begun_ns=100 * NS_PER_S, since_ns=since_s * NS_PER_S, why="no signal"
+    )
+    contact = None
+    if windows is not None:
+        contact = SimpleNamespace(acquisition_s=windows[0], loss_s=windows[1])
+    gateway = SimpleNamespace(supervision=supervision, contact=contact)
+    return SimpleNamespace(failures=list(failures), gateways={"ground": gateway})
+
+
+def at(report, seconds, *, down=(), health=None):
+    health = health or SessionHealth(0.0)
+    return health.problems(report, down, (100 + seconds) * NS_PER_S)
+
+
+def test_failures_of_the_report_are_problems():
+    assert at(told(failures=["uplink_video: above its cap"]), 1) == ["uplink_video: above its cap"]
+
+
+def test_a_process_that_comes_back_in_time_is_no_problem():
+    health = SessionHealth(0.0)
+    assert at(told(), 20, down=["robot"], health=health) == []
+    assert at(told(), 28, down=["robot"], health=health) == []
+    assert at(told(), 30, health=health) == []
+    assert at(told(), 32, down=["robot"], health=health) == []
+    assert at(told(), 44, down=["robot"], health=health) == ["robot does not come back"]
+
+
+def test_contact_is_missed_only_where_it_is_due():
+    assert at(told("search", since_s=30), 38) == []
+    (line,) = at(told("search", since_s=30), 45)
+    assert line == "ground: no contact for 15 s, though it is due: no signal"
+    assert at(told("search", since_s=30, windows=(60, 90)), 45) == []
+    # Since the acquisition, not since the loss before it.
+    assert at(told("search", since_s=30, windows=(60, 90)), 65) == []
+    assert "no contact for 15 s" in at(told("search", since_s=30, windows=(60, 90)), 75)[0]
+    assert at(told("search", since_s=30, windows=(60, 90)), 95) == []
