@@ -5,10 +5,11 @@ import argparse
 from rich.console import Console
 
 from kontur_av.clock import MonotonicClock
+from kontur_av.errors import ConfigError
 from pipelines.commands.check_results import print_results
 from pipelines.commands.common import say_unprotected
 from pipelines.hand.robot_check import RobotCheck
-from telepresence.haptics.robot_device import RobotDevice
+from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_spec import load_robot
 
 
@@ -26,7 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 if all is well; 1 if a check failed."""
-    device: RobotDevice = load_robot(args.robot)
+    device = load_robot(args.robot)
+    if isinstance(device, Robot):
+        raise ConfigError(f"robot {args.robot} has no driver to check: write module:Class or udp:")
     say_unprotected(args.robot)
     console = Console()
     console.print(f"{args.robot}; it moves a few centimetres", highlight=False)

@@ -65,7 +65,7 @@ def find_gamepads(folder: Path = Path("/dev/input")) -> list[FoundGamepad]:
     return found
 
 
-def open_gamepad(path: str = "", folder: Path = Path("/dev/input")) -> "GamepadDevice":
+def open_gamepad(path: str = "", *, folder: Path = Path("/dev/input")) -> "GamepadDevice":
     """Open the controller at `path`, or the first one; ConfigError if there is none."""
     evdev = _library()
     if not path:

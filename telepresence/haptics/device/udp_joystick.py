@@ -40,7 +40,7 @@ class UdpJoystick:
     Raises ConfigError for another spec, or if the controller does not answer.
     """
 
-    def __init__(self, spec: str) -> None:
+    def __init__(self, spec: str = "") -> None:
         self._line = UdpLine(spec, UdpRole.JOYSTICK)
         self._session = self._line.session
         facts = self._line.connect()

@@ -201,7 +201,7 @@ def test_a_missing_controller_is_refused_in_one_line(tmp_path):
     pytest.importorskip("evdev")
     assert find_gamepads(tmp_path) == []
     with pytest.raises(ConfigError, match="no game controller here: plug one in"):
-        open_gamepad("", tmp_path)
+        open_gamepad(folder=tmp_path)
     (tmp_path / "event3").write_bytes(b"")
     assert "cannot be opened" in find_gamepads(tmp_path)[0].problem
     with pytest.raises(ConfigError, match=r"event3 is no input device .*joystick list"):
