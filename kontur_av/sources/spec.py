@@ -2,9 +2,9 @@
 
 A SPEC is a path to a media file, or `mcap:FILE#CHANNEL`, `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`,
 `scene:NAME`, or `page` or `topic` for an input of a session that only browser pages, or a joined
-program, fill. `module:Class`, or the name of an entry point of `kontur_av.sources`, is a user's own. All of
-them are called as a scene's factory is, and then with what the SPEC names. A class that has the
-static method `check_source` is asked by it before anything starts.
+program, fill. `module:Class`, or the name of an entry point of `kontur_av.sources`, is a user's
+own. All of them are called as a scene's factory is, and with what the SPEC names as last argument.
+A class's static method `check_source`, if it has one, refuses what cannot work.
 """
 
 from collections.abc import Iterable, Mapping

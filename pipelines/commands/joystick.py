@@ -71,7 +71,7 @@ def _list(print: Callable[[str], None] = print) -> int:
         print(str(error))
     else:
         for one in found:
-            print(f"evdev:{one.path:<26} {one.problem or one.name}")
+            print(f"evdev:{one.path:<26} {one.problem or ', '.join((one.name, *one.more))}")
         if not found:
             print("no game controller here; the first that is plugged in is called evdev")
     print(
