@@ -181,7 +181,7 @@ class Mechanics:
         """Simulate `dt_ns`, at most 50 ms."""
         self._now_ns += dt_ns
         if self._now_ns - self._written_ns > KEEPS_FORCE_NS:
-            self._force_x_n = self._force_y_n = 0.0
+            self._drop_forces()
         if 0 < dt_ns <= NS_PER_MS:
             self._step(dt_ns)
             return
@@ -192,9 +192,14 @@ class Mechanics:
 
     def close(self) -> None:
         """Switch off force and LEDs; the device is gone."""
-        self.write_force(0.0, 0.0)
+        self._drop_forces()
         self.write_leds(0)
         self._lost_ns = self._now_ns
+
+    def _drop_forces(self) -> None:
+        self._force_x_n = self._force_y_n = 0.0
+        for axis in self._axes:
+            axis.force_n = 0.0
 
     def _step(self, dt_ns: int) -> None:
         """Simulate `dt_ns`, at most 1 ms."""

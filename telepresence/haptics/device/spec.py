@@ -46,12 +46,13 @@ def is_simulated(spec: str) -> bool:
 
 
 def open_device(
-    spec: str, *, hand: Hand | None = None, axes: Sequence[AxisName] = ()
+    spec: str, *, hand: Hand | None = None, axes: Sequence[AxisName] | None = ()
 ) -> JoystickDevice:
     """Open the joystick that `spec` names; ConfigError if there is none, or it has other axes.
 
-    hand: holds a simulated joystick in the application. axes: those behind x and y.
+    hand: holds a simulated joystick in the application. axes: those behind x and y; None: any.
     """
-    device: JoystickDevice = make_part(spec, DOOR, hand=hand, axes=axes)
-    check_axes(f"joystick {spec}", device.facts.more, axes)
+    device: JoystickDevice = make_part(spec, DOOR, hand=hand, axes=axes or ())
+    if axes is not None:
+        check_axes(f"joystick {spec}", device.facts.more, axes)
     return device
