@@ -12,6 +12,7 @@ from kontur_av.lazy import lazy_names
 if TYPE_CHECKING:
     from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
     from telepresence.haptics.device.device import JoystickDevice, JoystickFacts, JoystickReading
+    from telepresence.haptics.device.states import JoystickState
     from telepresence.haptics.robot import RobotFacts
     from telepresence.haptics.robot_device import RobotDevice, RobotReading
     from telepresence.haptics.sample import Command, Feedback
@@ -44,6 +45,7 @@ __all__ = [
     "JoystickFacts",
     "JoystickReading",
     "JoystickSide",
+    "JoystickState",
     "Level",
     "LinkProfile",
     "LinkReceiver",

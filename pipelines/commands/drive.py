@@ -24,7 +24,9 @@ from pipelines.commands.rtc_options import (
 )
 from pipelines.hand.haptics import CYCLE_NS
 from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path, receive
+from pipelines.session.process import take_realtime
 from pipelines.session.setup.table import Setup
+from pipelines.session.topology import LOOP_PRIORITY
 from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.device.device import JoystickDevice
@@ -128,6 +130,7 @@ def _run(
     schedule = PeriodicSchedule(start_ns=now_ns, period_ns=CYCLE_NS)
     answers, look_ns = False, now_ns
     print("joystick: waiting for the robot; Ctrl-C ends", flush=True)
+    take_realtime(LOOP_PRIORITY)
     with stopped_by_signals() as stopped:
         while not stopped() and (end_ns is None or now_ns < end_ns):
             clock.sleep_until_ns(schedule.next_deadline_ns)

@@ -68,7 +68,7 @@ class PartFiles:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._pieces: SimpleQueue["PartPiece | None"] = SimpleQueue()
+        self._pieces: SimpleQueue[PartPiece | None] = SimpleQueue()
         self._results: deque[tuple[int, str]] = deque()
         self._waiting = 0
         self._lock = threading.Lock()

@@ -158,10 +158,12 @@ def become(row: ProcessRow, context: Context) -> None:
     prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])
     if row.priority:
-        context.probe.message.scheduler = _take_realtime(libc, row.priority)
+        context.probe.message.scheduler = take_realtime(row.priority)
 
 
-def _take_realtime(libc: ctypes.CDLL, priority: int) -> str:
+def take_realtime(priority: int) -> str:
+    """Run this process with a real-time priority if that is allowed; "fifo", else "other"."""
+    libc = ctypes.CDLL(None, use_errno=True)
     if priority == LOOP_PRIORITY:
         # No garbage collection during a slot: these loops make no reference cycles.
         gc.collect()

@@ -73,11 +73,18 @@ ALLOWED = {
         "load_libraries",
         "keep_memory",
     },
-    "pipelines/session/process.py": {"become", "_take_realtime"},
+    "pipelines/session/process.py": {"become", "take_realtime"},
     "pipelines/virtual/workers.py": {"Worker.start", "_work"},
 }
 #: Functions among them that others call by these names.
-CALLED = {"switch_threads_often", "load_libraries", "keep_memory", "become", "stopped_by_signals"}
+CALLED = {
+    "switch_threads_often",
+    "load_libraries",
+    "keep_memory",
+    "become",
+    "stopped_by_signals",
+    "take_realtime",
+}
 CONSTRUCTORS = {"__init__", "__new__", "__post_init__"}
 
 
