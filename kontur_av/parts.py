@@ -1,36 +1,66 @@
-"""The door for a user's parts: a class named by `module:Class`, or by an entry point's name."""
+"""The doors by which parts come in, built-in ones and a user's: named by a SPEC, made by a class.
+
+The built-in ones are a table, not entry points: no process reads the metadata of all installed
+packages for them, and they are there in a source tree that is not installed.
+"""
 
 import importlib
 import re
 import sys
+from collections.abc import Mapping
 from importlib.metadata import entry_points
+from inspect import Parameter, signature
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from kontur_av.errors import ConfigError
 
 _NAMED = re.compile(r"(?P<module>[^\W\d][\w.]*):(?P<name>[^\W\d]\w*)(:(?P<argument>.*))?")
 
 
-def names_part(spec: str, group: str) -> bool:
-    """Whether `spec` has the form `module:Class`, or begins with an entry point's name."""
-    return _NAMED.fullmatch(spec) is not None or _registered(spec.partition(":")[0], group)
+class PartDoor(NamedTuple):
+    """Where the parts of one kind come in.
+
+    what, forms: the kind, and how its SPECs are written, for messages.
+    group: the entry points of users' packages.
+    built_in: `module:Class` of each built-in part, loaded on demand, by the name in its SPEC.
+    """
+
+    what: str
+    forms: str
+    group: str
+    built_in: Mapping[str, str] = MappingProxyType({})
 
 
-def find_part(spec: str, group: str) -> tuple[Any, tuple[str, ...]]:
+def names_part(spec: str, door: PartDoor) -> bool:
+    """Whether `spec` begins with a part's name, or has the form `module:Class`."""
+    first = spec.partition(":")[0]
+    return (
+        first in door.built_in
+        or _NAMED.fullmatch(spec) is not None
+        or _registered(first, door.group)
+    )
+
+
+def find_part(spec: str, door: PartDoor) -> tuple[Any, tuple[str, ...]]:
     """Return the class that `spec` names, and its last arguments: what follows as `:TEXT`, if so.
 
-    spec: `module:Class`, or the name of an entry point of `group`. A module is looked for in the
-    working directory, too.
+    spec: the name of a built-in part or of an entry point, or `module:Class`. A module is looked
+    for in the working directory, too.
 
     Raises ConfigError if there is no such class.
     """
     first, _, rest = spec.partition(":")
+    text = (rest,) if rest else ()
+    if (place := door.built_in.get(first)) is not None:
+        module, _, name = place.partition(":")
+        return getattr(importlib.import_module(module), name), text
     named = _NAMED.fullmatch(spec)
     try:
-        if _registered(first, group):
-            (entry,) = entry_points(group=group, name=first)
-            return entry.load(), (rest,) if rest else ()
+        if _registered(first, door.group):
+            (entry,) = entry_points(group=door.group, name=first)
+            return entry.load(), text
         if named is not None:
             argument = named["argument"]
             return _class(named["module"], named["name"]), (argument,) if argument else ()
@@ -43,24 +73,52 @@ def find_part(spec: str, group: str) -> tuple[Any, tuple[str, ...]]:
     except Exception as error:
         # The user's own code: whatever it raises is theirs to mend.
         raise ConfigError(f"{spec!r} cannot be loaded: {_words(error)}") from error
-    known = ", ".join(sorted(one.name for one in entry_points(group=group)))
+    known = ", ".join(sorted(one.name for one in entry_points(group=door.group)))
     raise ConfigError(
-        f"{spec!r} is unknown: write module:Class" + (f", or one of {known}" if known else "")
+        f"{door.what} {spec!r}: write {door.forms}" + (f", or one of {known}" if known else "")
     )
 
 
-def make_part(spec: str, group: str, *arguments: Any) -> Any:
+def make_part(spec: str, door: PartDoor, *arguments: object, **offers: object) -> Any:
     """Return what `spec` names, made with these arguments and the one that stands in it.
+
+    offers: handed to a class that has keyword-only arguments of these names.
 
     Raises ConfigError if there is no such class, or if it cannot be made.
     """
-    made, last = find_part(spec, group)
+    made, text = find_part(spec, door)
+    ours = spec.partition(":")[0] in door.built_in
     try:
-        return made(*arguments, *last)
+        taken = _taken(made, offers) if offers else {}
+        if ours:
+            signature(made).bind(*arguments, *text, **taken)
+    except TypeError as error:
+        raise _refused(spec, error) from error
+    try:
+        return made(*arguments, *text, **taken)
     except ConfigError:
         raise
     except Exception as error:
-        raise ConfigError(f"{spec!r} cannot be made: {_words(error)}") from error
+        if ours:
+            raise
+        raise _refused(spec, error) from error
+
+
+def _taken(made: Any, offers: Mapping[str, object]) -> dict[str, object]:
+    try:
+        parameters = signature(made).parameters
+    except ValueError:
+        # A class that is written in C need not say what it takes.
+        return {}
+    return {
+        name: value
+        for name, value in offers.items()
+        if name in parameters and parameters[name].kind is Parameter.KEYWORD_ONLY
+    }
+
+
+def _refused(spec: str, error: Exception) -> ConfigError:
+    return ConfigError(f"{spec!r} cannot be made: {_words(error)}")
 
 
 def _registered(name: str, group: str) -> bool:

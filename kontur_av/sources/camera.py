@@ -76,15 +76,17 @@ class CameraVideo:
     Raises ConfigError if the camera cannot be opened.
     """
 
+    check_source = staticmethod(check_camera)
+
     def __init__(
         self,
-        device: str,
-        *,
         name: str,
         width: int,
         height: int,
         fps: int,
         clock: Clock,
+        device: str,
+        *,
         demuxer: str = "v4l2",
     ) -> None:
         if demuxer == "v4l2":

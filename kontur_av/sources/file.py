@@ -68,11 +68,16 @@ class FileVideo(LoopedVideo):
     does.
     """
 
-    def __init__(
-        self, path: str, *, name: str, width: int, height: int, fps: int, clock: Clock
-    ) -> None:
+    @staticmethod
+    def check_source(path: str) -> None:
+        """Raise ConfigError as `check_file` does."""
         check_file(path, "video")
-        super().__init__(path, name=name, width=width, height=height, fps=fps, clock=clock)
+
+    def __init__(
+        self, name: str, width: int, height: int, fps: int, clock: Clock, path: str
+    ) -> None:
+        self.check_source(path)
+        super().__init__(name, width, height, fps, clock, path)
 
     def _pass(self) -> Iterator[PlayedPicture]:
         shown, time_ns = False, 0
@@ -99,9 +104,14 @@ class FileVideo(LoopedVideo):
 class FileAudio(LoopedAudio):
     """The sound of a media file (an `AudioSource`): mono, 48 kHz, without a gap at the loop."""
 
-    def __init__(self, path: str, *, name: str, clock: Clock) -> None:
+    @staticmethod
+    def check_source(path: str) -> None:
+        """Raise ConfigError as `check_file` does."""
         check_file(path, "audio")
-        super().__init__(path, name=name, clock=clock)
+
+    def __init__(self, name: str, clock: Clock, path: str) -> None:
+        self.check_source(path)
+        super().__init__(name, clock, path)
 
     def _pass(self) -> Iterator[Pcm]:
         with av.open(self._path) as container:

@@ -37,7 +37,7 @@ class LoopedVideo(ABC):
     """
 
     def __init__(
-        self, path: str, *, name: str, width: int, height: int, fps: int, clock: Clock
+        self, name: str, width: int, height: int, fps: int, clock: Clock, path: str
     ) -> None:
         self.faults = 0
         self.last_fault = ""
@@ -129,7 +129,7 @@ class LoopedVideo(ABC):
 class LoopedAudio(ABC):
     """The sound of a file (an `AudioSource`): mono, 48 kHz, without a gap at the loop."""
 
-    def __init__(self, path: str, *, name: str, clock: Clock) -> None:
+    def __init__(self, name: str, clock: Clock, path: str) -> None:
         self.faults = 0
         self.last_fault = ""
         self._path = path

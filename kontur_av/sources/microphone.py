@@ -82,7 +82,9 @@ class MicrophoneAudio:
     Raises ConfigError as `check_microphone` does.
     """
 
-    def __init__(self, device: str, *, name: str, clock: Clock) -> None:
+    check_source = staticmethod(check_microphone)
+
+    def __init__(self, name: str, clock: Clock, device: str) -> None:
         check_microphone(device)
         self.faults = 0
         self.last_fault = ""

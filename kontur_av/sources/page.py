@@ -11,7 +11,7 @@ FILLED_BY_OTHERS = (PAGE, TOPIC)
 class PageVideo:
     """No pictures (a `VideoSource`). Others give theirs to the process of the input."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, name: str, width: int, height: int, fps: int, clock: Clock) -> None:
         self.faults = 0
         self.last_fault = ""
         self._clock = clock
@@ -27,7 +27,7 @@ class PageVideo:
 class PageAudio:
     """No sound (an `AudioSource`), as `PageVideo`."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, name: str, clock: Clock) -> None:
         self.faults = 0
         self.last_fault = ""
         self._clock = clock

@@ -49,8 +49,10 @@ class PipeVideo:
     Raises ConfigError as `check_fifo` does.
     """
 
+    check_source = staticmethod(check_fifo)
+
     def __init__(
-        self, path: str, *, name: str, width: int, height: int, fps: int, clock: Clock
+        self, name: str, width: int, height: int, fps: int, clock: Clock, path: str
     ) -> None:
         check_fifo(path)
         self.faults = 0

@@ -183,13 +183,18 @@ class RecordedVideo(LoopedVideo):
     ConfigError as `check_recording` does.
     """
 
-    def __init__(
-        self, place: str, *, name: str, width: int, height: int, fps: int, clock: Clock
-    ) -> None:
+    @staticmethod
+    def check_source(place: str) -> None:
+        """Raise ConfigError as `check_recording` does."""
         check_recording(place, "video")
+
+    def __init__(
+        self, name: str, width: int, height: int, fps: int, clock: Clock, place: str
+    ) -> None:
+        self.check_source(place)
         path, self._channel = parse_place(place)
         self._size = width, height
-        super().__init__(path, name=name, width=width, height=height, fps=fps, clock=clock)
+        super().__init__(name, width, height, fps, clock, path)
 
     def _pass(self) -> Iterator[PlayedPicture]:
         decoder = H264Decoder()
@@ -215,10 +220,15 @@ class RecordedAudio(LoopedAudio):
     as `check_recording` does.
     """
 
-    def __init__(self, place: str, *, name: str, clock: Clock) -> None:
+    @staticmethod
+    def check_source(place: str) -> None:
+        """Raise ConfigError as `check_recording` does."""
         check_recording(place, "audio")
+
+    def __init__(self, name: str, clock: Clock, place: str) -> None:
+        self.check_source(place)
         path, self._channel = parse_place(place)
-        super().__init__(path, name=name, clock=clock)
+        super().__init__(name, clock, path)
 
     def _pass(self) -> Iterator[Pcm]:
         decoder = OpusDecoder()

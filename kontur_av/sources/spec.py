@@ -2,8 +2,9 @@
 
 A SPEC is a path to a media file, or `mcap:FILE#CHANNEL`, `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`,
 `scene:NAME`, or `page` or `topic` for an input of a session that only browser pages, or a joined
-program, fill. `module:Class`, or the name of an entry point of `GROUP`, is a user's own: called as
-a scene's factory is.
+program, fill. `module:Class`, or the name of an entry point of `kontur_av.sources`, is a user's
+own. All of them are called as a scene's factory is, and with what the SPEC names as last argument.
+A class's static method `check_source`, if it has one, refuses what cannot work.
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,17 +14,43 @@ from typing import Literal
 from kontur_av.clock import Clock
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
-from kontur_av.parts import find_part, make_part, names_part
-from kontur_av.sources.page import FILLED_BY_OTHERS, PageAudio, PageVideo
+from kontur_av.parts import PartDoor, find_part, make_part, names_part
+from kontur_av.sources.page import FILLED_BY_OTHERS, PAGE, TOPIC
 from kontur_av.sources.source import AudioSceneFactory, AudioSource, VideoSceneFactory, VideoSource
 
-# Kinds are imported on demand, so that a process that draws a scene does not load FFmpeg.
-
-_KINDS = ("mcap", "pipe", "v4l2", "alsa", "scene")
+_SCENE, _FILE = "scene", "file"
 #: The package's own clip of two seconds, where there is no such file.
 CLIP = "clip.mp4"
-#: A user's class, and the entry points of such classes.
-_PART, GROUP = "part", "kontur_av.sources"
+_GROUP = "kontur_av.sources"
+_FORMS = (
+    "a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, alsa:DEVICE, scene:NAME, "
+    "module:Class, page or topic"
+)
+_VIDEO = PartDoor(
+    "source",
+    _FORMS,
+    _GROUP,
+    {
+        "mcap": "kontur_av.sources.recording:RecordedVideo",
+        "pipe": "kontur_av.sources.pipe:PipeVideo",
+        "v4l2": "kontur_av.sources.camera:CameraVideo",
+        PAGE: "kontur_av.sources.page:PageVideo",
+        TOPIC: "kontur_av.sources.page:PageVideo",
+        _FILE: "kontur_av.sources.file:FileVideo",
+    },
+)
+_AUDIO = PartDoor(
+    "source",
+    _FORMS,
+    _GROUP,
+    {
+        "mcap": "kontur_av.sources.recording:RecordedAudio",
+        "alsa": "kontur_av.sources.microphone:MicrophoneAudio",
+        PAGE: "kontur_av.sources.page:PageAudio",
+        TOPIC: "kontur_av.sources.page:PageAudio",
+        _FILE: "kontur_av.sources.file:FileAudio",
+    },
+)
 
 
 def open_video(
@@ -44,62 +71,21 @@ def open_video(
     Raises ConfigError as `check_spec` does.
     """
     check_size(width, height)
-    kind, rest = _split(spec)
-    if kind == "scene":
-        known = scenes or {}
-        _check_scene(rest, known)
-        return known[rest](name, width, height, fps, clock)
-    if kind == "pipe":
-        from kontur_av.sources.pipe import PipeVideo
-
-        return PipeVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
-    if kind == "v4l2":
-        from kontur_av.sources.camera import CameraVideo
-
-        return CameraVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
-    if kind in FILLED_BY_OTHERS:
-        return PageVideo(clock)
-    if kind == "mcap":
-        from kontur_av.sources.recording import RecordedVideo
-
-        return RecordedVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
-    if kind == "alsa":
-        raise _no_pictures(spec)
-    if kind == _PART:
-        pictures: VideoSource = make_part(spec, GROUP, name, width, height, fps, clock)
-        return pictures
-    from kontur_av.sources.file import FileVideo
-
-    return FileVideo(rest, name=name, width=width, height=height, fps=fps, clock=clock)
+    if (scene := _scene(spec, scenes or {})) is not None:
+        return (scenes or {})[scene](name, width, height, fps, clock)
+    spec = _with_kind(spec, _VIDEO)
+    pictures: VideoSource = make_part(spec, _VIDEO, name, width, height, fps, clock)
+    return pictures
 
 
 def open_audio(
     spec: str, *, name: str, clock: Clock, scenes: Mapping[str, AudioSceneFactory] | None = None
 ) -> AudioSource:
     """Open the sound that `spec` names. Arguments and errors are those of `open_video`."""
-    kind, rest = _split(spec)
-    if kind == "scene":
-        known = scenes or {}
-        _check_scene(rest, known)
-        return known[rest](name, clock)
-    if kind == "alsa":
-        from kontur_av.sources.microphone import MicrophoneAudio
-
-        return MicrophoneAudio(rest, name=name, clock=clock)
-    if kind in FILLED_BY_OTHERS:
-        return PageAudio(clock)
-    if kind == "mcap":
-        from kontur_av.sources.recording import RecordedAudio
-
-        return RecordedAudio(rest, name=name, clock=clock)
-    if kind in ("pipe", "v4l2"):
-        raise _no_sound(spec)
-    if kind == _PART:
-        sound: AudioSource = make_part(spec, GROUP, name, clock)
-        return sound
-    from kontur_av.sources.file import FileAudio
-
-    return FileAudio(rest, name=name, clock=clock)
+    if (scene := _scene(spec, scenes or {})) is not None:
+        return (scenes or {})[scene](name, clock)
+    sound: AudioSource = make_part(_with_kind(spec, _AUDIO), _AUDIO, name, clock)
+    return sound
 
 
 def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str] = ()) -> None:
@@ -109,55 +95,52 @@ def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str]
     Raises ConfigError with the mend. Causes: an unreadable file, one without pictures (or sound), a
     path that is not a FIFO, a device that cannot be opened, or an unknown scene.
     """
-    family, rest = _split(spec)
-    if family in FILLED_BY_OTHERS:
-        return
-    if family == "scene":
-        _check_scene(rest, scenes)
-    elif kind == "video" and family == "alsa":
-        raise _no_pictures(spec)
-    elif kind == "audio" and family in ("pipe", "v4l2"):
-        raise _no_sound(spec)
-    elif family == "mcap":
-        from kontur_av.sources.recording import check_recording
-
-        check_recording(rest, kind)
-    elif family == "pipe":
-        from kontur_av.sources.pipe import check_fifo
-
-        check_fifo(rest)
-    elif family == "v4l2":
-        from kontur_av.sources.camera import check_camera
-
-        check_camera(rest)
-    elif family == "alsa":
-        from kontur_av.sources.microphone import check_microphone
-
-        check_microphone(rest)
-    elif family == _PART:
-        find_part(spec, GROUP)
-    else:
-        from kontur_av.sources.file import check_file
-
-        check_file(rest, kind)
+    if _scene(spec, scenes) is None:
+        door = _VIDEO if kind == "video" else _AUDIO
+        made, text = find_part(_with_kind(spec, door), door)
+        if (check := getattr(made, "check_source", None)) is not None:
+            check(*text)
 
 
-def _split(spec: str) -> tuple[str, str]:
-    kind, colon, rest = spec.partition(":")
-    if colon and kind in _KINDS:
-        if not rest:
-            raise ConfigError(f"source {spec!r} names nothing: write {kind}: and what to open")
-        return kind, rest
-    if spec in FILLED_BY_OTHERS:
-        return spec, ""
+def _scene(spec: str, scenes: Iterable[str]) -> str | None:
+    """Return the name in `scene:NAME`; None for another SPEC. ConfigError for an unknown one."""
+    kind, colon, name = spec.partition(":")
+    if not (colon and kind == _SCENE):
+        return None
+    _check_text(spec)
+    known = sorted(scenes)
+    if name not in known:
+        raise ConfigError(f"no scene {name!r} for this input: choose one of {', '.join(known)}")
+    return name
+
+
+def _with_kind(spec: str, door: PartDoor) -> str:
+    """Return `spec`, of a path with the name of its kind. ConfigError for another kind of input."""
+    kind, colon, _ = spec.partition(":")
     if not spec:
-        raise ConfigError(
-            "a source is empty: give a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, "
-            "alsa:DEVICE, scene:NAME, module:Class, page or topic"
-        )
-    if names_part(spec, GROUP) and not Path(spec).exists():
-        return _PART, spec
-    return "file", spec if Path(spec).exists() else _sample(spec)
+        raise ConfigError(f"a source is empty: give {door.forms}")
+    if kind in FILLED_BY_OTHERS:
+        if colon:
+            raise ConfigError(f"source {spec!r}: write {kind}")
+        return spec
+    if colon and kind in {*_VIDEO.built_in, *_AUDIO.built_in} - {_FILE}:
+        _check_text(spec)
+        if kind not in door.built_in:
+            raise ConfigError(
+                f"{spec!r} is sound, this input wants pictures: give a file, pipe: or v4l2:"
+                if door is _VIDEO
+                else f"{spec!r} is pictures, this input wants sound: give a file or alsa:DEVICE"
+            )
+        return spec
+    if names_part(spec, door) and not Path(spec).exists():
+        return spec
+    return f"{_FILE}:{spec if Path(spec).exists() else _sample(spec)}"
+
+
+def _check_text(spec: str) -> None:
+    kind, _, text = spec.partition(":")
+    if not text:
+        raise ConfigError(f"source {spec!r} names nothing: write {kind}: and what to open")
 
 
 def _sample(path: str) -> str:
@@ -167,17 +150,3 @@ def _sample(path: str) -> str:
         if path == CLIP and (folder / CLIP).is_file():
             return str(folder / CLIP)
     return path
-
-
-def _check_scene(name: str, scenes: Iterable[str]) -> None:
-    known = sorted(scenes)
-    if name not in known:
-        raise ConfigError(f"no scene {name!r} for this input: choose one of {', '.join(known)}")
-
-
-def _no_pictures(spec: str) -> ConfigError:
-    return ConfigError(f"{spec!r} is sound, this input wants pictures: give a file, pipe: or v4l2:")
-
-
-def _no_sound(spec: str) -> ConfigError:
-    return ConfigError(f"{spec!r} is pictures, this input wants sound: give a file or alsa:DEVICE")

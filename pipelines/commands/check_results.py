@@ -1,5 +1,6 @@
 """The results of checks: as a table in a terminal, and as rows of a report."""
 
+import argparse
 from collections.abc import Sequence
 
 from rich.console import Console
@@ -7,7 +8,18 @@ from rich.table import Table
 from rich.text import Text
 
 from pipelines.report.model import CheckReport, FigureReport
+from pipelines.session.setup.setup_file import load_setup
+from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.check import CheckResult
+
+
+def add_setup_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--setup", metavar="NAME", help="it has the axes of this one, or FILE.toml")
+
+
+def axes_of(setup: str | None) -> Sequence[AxisName] | None:
+    """Return the axes behind x and y of this setup; None without one. ConfigError."""
+    return None if setup is None else load_setup(setup).more_axes
 
 
 def print_results(console: Console, results: Sequence[CheckResult]) -> int:

@@ -1,7 +1,7 @@
 """`kontur-av joystick`: list the joysticks here, check or test one, or drive a robot with one."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -9,11 +9,17 @@ from rich.console import Console
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands import drive
-from pipelines.commands.check_results import check_report, print_results
+from pipelines.commands.check_results import (
+    add_setup_argument,
+    axes_of,
+    check_report,
+    print_results,
+)
 from pipelines.commands.common import output_that_may_fail, say_unprotected, stopped_by_signals
 from pipelines.hand.joystick_check import JoystickCheck, run_live, run_virtually
 from pipelines.report.model import JoystickTestReport, TransitionReport
 from pipelines.report.report_file import check_writable, write_report
+from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.gamepad import find_gamepads
@@ -31,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "do with a joystick what a session will do, and say what it does wrong; IT MOVES"
     check = actions.add_parser("check", help=text, description=text)
     check.add_argument("joystick", metavar="SPEC", help="as of `stream --joystick`")
+    add_setup_argument(check)
     text = "calibrate a joystick and do its functional checks, each against its limits"
     test = actions.add_parser("test", help=text, description=text)
     test.add_argument("check", nargs="?", default=_ALL, choices=[*CHECKS, _ALL])
@@ -53,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "drive":
         return drive.drive(args)
     if args.action == "check":
-        return _check(args.joystick)
+        return _check(args.joystick, axes_of(args.setup))
     return _test(args.device, args.check, args.report)
 
 
@@ -70,7 +77,7 @@ def _list(print: Callable[[str], None] = print) -> int:
         print(str(error))
     else:
         for one in found:
-            print(f"evdev:{one.path:<26} {one.problem or one.name}")
+            print(f"evdev:{one.path:<26} {one.problem or ', '.join((one.name, *one.more))}")
         if not found:
             print("no game controller here; the first that is plugged in is called evdev")
     print(
@@ -80,18 +87,18 @@ def _list(print: Callable[[str], None] = print) -> int:
     return 0
 
 
-def _open(spec: str) -> JoystickDevice:
+def _open(spec: str, axes: Sequence[AxisName] | None = None) -> JoystickDevice:
     if spec == PAGE:
         raise ConfigError(
             "page: a page moves it in a session only, with `kontur-av stream --joystick page`; "
             "its mechanics are those of sim: take that"
         )
     say_unprotected(spec)
-    return open_device(spec)
+    return open_device(spec, axes=axes)
 
 
-def _check(spec: str) -> int:
-    device, console = _open(spec), Console()
+def _check(spec: str, axes: Sequence[AxisName] | None) -> int:
+    device, console = _open(spec, axes), Console()
     console.print(f"{device.facts.name}; it moves a few centimetres: hands off", highlight=False)
     return print_results(console, list(JoystickCheck(device, MonotonicClock()).run()))
 

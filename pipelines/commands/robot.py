@@ -5,11 +5,12 @@ import argparse
 from rich.console import Console
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.check_results import print_results
+from kontur_av.errors import ConfigError
+from pipelines.commands.check_results import add_setup_argument, axes_of, print_results
 from pipelines.commands.common import say_unprotected
 from pipelines.hand.robot_check import RobotCheck
-from telepresence.haptics.robot_device import RobotDevice
-from telepresence.haptics.robot_spec import load_robot
+from telepresence.haptics.robot import Robot
+from telepresence.haptics.robot_spec import check_robot, load_robot
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,11 +23,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SPEC",
         help="udp:HOST:PORT[:KEYFILE] or module:Class, as of `stream --robot`",
     )
+    add_setup_argument(check)
 
 
 def run(args: argparse.Namespace) -> int:
     """0 if all is well; 1 if a check failed."""
-    device: RobotDevice = load_robot(args.robot)
+    axes = axes_of(args.setup)
+    if axes is not None:
+        check_robot(args.robot, axes)
+    device = load_robot(args.robot, axes or ())
+    if isinstance(device, Robot):
+        raise ConfigError(f"robot {args.robot} has no driver to check: write module:Class or udp:")
     say_unprotected(args.robot)
     console = Console()
     console.print(f"{args.robot}; it moves a few centimetres", highlight=False)

@@ -14,6 +14,7 @@ from typing import Any, Generic, Literal, TypeVar, get_args, get_origin
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
+from telepresence.haptics.axes import AxisFacts, AxisReading, MoreAxis
 from telepresence.haptics.device.check import CheckResult, Figure
 from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.robot_device import RobotReading
@@ -32,6 +33,8 @@ _LEAST_J = -1e-3
 
 
 R = TypeVar("R", JoystickReading, RobotReading)
+#: These are checked of the whole device only.
+_WHOLE = {"zero", "dead-man button", "cycle time", "power off", "unplugged"}
 #: What to write, given the share of the time that has passed.
 Order = Callable[[float], tuple[float, float]]
 #: A check by its name, and why this device cannot be asked; "" if it can.
@@ -58,6 +61,8 @@ class DeviceCheck(Generic[R]):
         self._metered = False
         #: It goes on between cycles, and an answer may be of the cycle before.
         self._runs_alone = False
+        #: The axis behind x and y that is checked; None: x and y are.
+        self._axis: MoreAxis | None = None
 
     def run(self) -> Iterator[CheckResult]:
         """Switch on, check, switch off; yield a result for each check."""
@@ -70,9 +75,9 @@ class DeviceCheck(Generic[R]):
             self._switch_off()
 
     def moves(self) -> tuple[Figure, ...]:
-        """It moves along either axis where it is pushed, or led, and not aside."""
+        """It moves along each axis where it is pushed, or led, and not aside."""
         figures: list[Figure] = []
-        for axis in (0, 1):
+        for axis in (0, 1) if self._axis is None else (0,):
             began = self._read()
             self._metered = True
             pushed = self._push(axis)
@@ -80,6 +85,9 @@ class DeviceCheck(Generic[R]):
             self._pushed += pushed
             ways = [(one.x_m - began.x_m, one.y_m - began.y_m) for one in pushed]
             way_m = max(way[axis] for way in ways)
+            if self._axis is not None:
+                figures.append(Figure("way", way_m * 1e3, "mm", least=0.5))
+                continue
             aside_m = max(abs(way[1 - axis]) for way in ways)
             name = "xy"[axis]
             figures += (
@@ -134,7 +142,24 @@ class DeviceCheck(Generic[R]):
         return (
             Figure("not numbers", wrong, most=0),
             Figure("same in motion", max(runs, default=0), "ms", most=_MOST_SAME_MS),
+            *(() if self._axis is None else (self._beyond_limits(self._axis),)),
         )
+
+    def _beyond_limits(self, axis: MoreAxis) -> Figure:
+        """A session takes each of these readings as an error."""
+        lever_m = axis.lever_m
+        readings = [AxisReading(one.x_m / lever_m, one.vx_m_s / lever_m) for one in self._readings]
+        return Figure("beyond its limits", sum(bool(axis.take(one)) for one in readings), most=0)
+
+    def _of_axis(self, check: "DeviceCheck[R]", axis: MoreAxis) -> Sequence[Check]:
+        """Return the checks of an axis behind x and y, which `check` sees as a device."""
+        check._axis, check._calls_ns = axis, self._calls_ns
+        check._switch_on()
+        return [
+            (f"{axis.facts.name} {name}", each, lacks)
+            for name, each, lacks in check._checks()
+            if name not in _WHOLE
+        ]
 
     def _check(self, name: str, check: Callable[[], tuple[Figure, ...]]) -> CheckResult:
         try:
@@ -212,6 +237,11 @@ def along(axis: int, size: float) -> tuple[float, float]:
     return (0.0, size) if axis else (size, 0.0)
 
 
+def more_axes_of(facts: Any) -> Sequence[int]:
+    """Return the numbers of the axes behind x and y; none of facts that describe them wrongly."""
+    return [at for at, one in enumerate(facts.more) if isinstance(one, AxisFacts)]
+
+
 def wrong_facts(facts: Any, known: type) -> str:
     """Return what is wrong with a device's facts, in one line; "" if they can be."""
     if not isinstance(facts, known):
@@ -225,6 +255,8 @@ def wrong_facts(facts: Any, known: type) -> str:
             if not number or value < 0 or (positive and value == 0):
                 least = "above 0" if positive else "of at least 0"
                 return f"{field.name} is {value!r}: give a number {least}"
+        elif field.name == "more" and not all(isinstance(one, AxisFacts) for one in value):
+            return f"more is {value!r}: give AxisFacts"
         elif kind is str and not (isinstance(value, str) and value):
             return f"{field.name} is {value!r}: give a text"
         elif get_origin(kind) is Literal and value not in get_args(kind):

@@ -37,7 +37,7 @@ def pack_input(hand: PageInput) -> bytes:
 def unpack_input(data: bytes) -> PageInput | None:
     """Return what `pack_input` packed, or None for octets of another size."""
     axes, rest = divmod(len(data) - _INPUT.size, _SHARE_OCTETS)
-    if rest or axes < 0:
+    if rest or not 0 <= axes <= len(AXIS_NAMES):
         return None
     more = struct.unpack_from(f"<{axes}d", data, _INPUT.size)
     return PageInput._make((*_INPUT.unpack_from(data), more))

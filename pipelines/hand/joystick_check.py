@@ -1,8 +1,10 @@
 """Whether a user's joystick does what a session will ask of it: `kontur-av joystick check`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
+from pipelines.hand.axis_views import JoystickAxis
 from pipelines.hand.device_check import (
     GENTLE,
     SPELL_NS,
@@ -12,8 +14,10 @@ from pipelines.hand.device_check import (
     DeviceCheck,
     Order,
     along,
+    more_axes_of,
     speed,
 )
+from telepresence.haptics.axes import MoreAxes
 from telepresence.haptics.device.check import Figure
 from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.device import (
@@ -133,10 +137,16 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
             ("halt", self.halt, no_motors),
             ("missed cycles", self.missed_cycles, no_motors),
             ("readings", self.readings, ""),
+            *self._axes_checks(),
             ("dead-man button", self.dead_man, ""),
             ("cycle time", self.cycle_time, ""),
             ("unplugged", self.unplugged, ""),
         )
+
+    def _axes_checks(self) -> Iterator[Check]:
+        for index in more_axes_of(self._device.facts):
+            view = JoystickAxis(self._device, index)
+            yield from self._of_axis(JoystickCheck(view, self._clock), view.axis)
 
     def _force(self, axis: int, size: float) -> Order:
         """A share of its force along an axis, to and fro from one call to the next."""
@@ -157,6 +167,8 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
         device = self._device
         if wanted is not None:
             device.write_force(*wanted)
+            if more := device.facts.more:
+                cast(MoreAxes, device).write_more_forces([0.0] * len(more))
         device.advance(NS_PER_MS)
         return device.read()
 

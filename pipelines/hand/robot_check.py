@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import cast
 
 from kontur_av.clock import NS_PER_MS, Clock
+from pipelines.hand.axis_views import RobotAxis
 from pipelines.hand.device_check import (
     GENTLE,
     SPELL_NS,
@@ -12,8 +14,10 @@ from pipelines.hand.device_check import (
     DeviceCheck,
     Order,
     along,
+    more_axes_of,
     speed,
 )
+from telepresence.haptics.axes import MoreAxes
 from telepresence.haptics.device.check import Figure
 from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.robot_device import RobotDevice, RobotReading
@@ -34,6 +38,8 @@ class RobotCheck(DeviceCheck[RobotReading]):
         self._device = device
         self._takes_force = self._powered = False
         self._deactivations_ns: list[int] = []
+        #: Where the axes behind x and y were when it was activated, and stay.
+        self._places: list[float] = []
 
     def power_on(self) -> tuple[Figure, ...]:
         """It stands still though it has power."""
@@ -122,12 +128,20 @@ class RobotCheck(DeviceCheck[RobotReading]):
             ("missed cycles", self.missed_cycles, ""),
             ("silence", self.silence, "" if self._runs_alone else "it moves in its cycles only"),
             ("readings", self.readings, ""),
+            *self._axes_checks(),
             ("cycle time", self.cycle_time, ""),
             ("power off", self.power_off, ""),
         )
 
+    def _axes_checks(self) -> Iterator[Check]:
+        for index in more_axes_of(self._device.facts):
+            view = RobotAxis(self._device, index)
+            yield from self._of_axis(RobotCheck(view, self._clock), view.axis)
+
     @contextmanager
     def _activated(self) -> Iterator[None]:
+        if self._device.facts.more:
+            self._places = [one.place for one in cast(MoreAxes, self._device).read_more()]
         self._device.activate()
         try:
             yield
@@ -160,6 +174,12 @@ class RobotCheck(DeviceCheck[RobotReading]):
             device.write_force(*wanted)
         elif wanted is not None:
             device.write_position(began.x_m + wanted[0], began.y_m + wanted[1], 0.0, 0.0)
+        if wanted is not None and device.facts.more:
+            axes, none = cast(MoreAxes, device), [0.0] * len(device.facts.more)
+            if self._takes_force:
+                axes.write_more_forces(none)
+            else:
+                axes.write_more_positions(self._places, none)
         device.advance(NS_PER_MS)
         return device.read()
 

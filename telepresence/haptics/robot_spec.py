@@ -4,33 +4,38 @@
 |---|---|
 | `sim` | the simulated robot |
 | `udp:HOST:PORT` | a controller in any language on this machine; with `:KEYFILE`, on any |
-| `module:Class` | a user's `RobotDevice`; so is the name of an entry point of `GROUP` |
+| `module:Class` | a user's `RobotDevice`; so is the name of an entry point of `DOOR` |
 """
 
 from collections.abc import Sequence
 
 from kontur_av.errors import ConfigError
-from kontur_av.parts import make_part
+from kontur_av.parts import PartDoor, make_part
 from telepresence.haptics.axes import AxisName, check_axes
 from telepresence.haptics.robot import Robot, RobotFacts
 from telepresence.haptics.robot_device import SIMULATED_ROBOT, DrivenRobot, RobotDevice
 from telepresence.haptics.udp_line import UDP
-from telepresence.haptics.udp_robot import UdpRobot
 
-#: The entry points of robots.
-GROUP = "kontur_av.robots"
+DOOR = PartDoor(
+    "robot",
+    "sim, udp:HOST:PORT or module:Class",
+    "kontur_av.robots",
+    {
+        SIMULATED_ROBOT: "telepresence.haptics.robot:Robot",
+        UDP: "telepresence.haptics.udp_robot:UdpRobot",
+    },
+)
 
 
-def load_robot(spec: str) -> RobotDevice:
-    """Return the driver that `spec` names, all but `sim`. Nothing is switched on.
+def load_robot(spec: str, axes: Sequence[AxisName] = ()) -> RobotDevice | Robot:
+    """Return the driver that `spec` names, or a robot without one. Nothing is switched on.
+
+    axes: those behind x and y, for one that has what it is asked for.
 
     Raises ConfigError if there is none.
     """
-    kind, _, rest = spec.partition(":")
-    if kind == UDP:
-        return UdpRobot(rest)
-    device: RobotDevice = make_part(spec, GROUP)
-    return device
+    made: RobotDevice | Robot = make_part(spec, DOOR, axes=axes)
+    return made
 
 
 def facts_of(spec: str) -> RobotFacts | None:
@@ -38,12 +43,12 @@ def facts_of(spec: str) -> RobotFacts | None:
 
     Raises ConfigError if there is none. Nothing is switched on.
     """
-    return None if spec == SIMULATED_ROBOT else getattr(load_robot(spec), "facts", None)
+    return getattr(load_robot(spec), "facts", None)
 
 
 def check_robot(spec: str, axes: Sequence[AxisName] = ()) -> None:
     """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
-    facts = facts_of(spec)
+    facts = getattr(load_robot(spec, axes), "facts", None)
     if facts is not None:
         check_axes(f"robot {spec}", facts.more, axes)
 
@@ -53,12 +58,10 @@ def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
 
     axes: those behind x and y; ConfigError for a robot that has others.
     """
-    if spec == SIMULATED_ROBOT:
-        return Robot(axes=axes)
-    device = load_robot(spec)
-    robot = DrivenRobot(device)
+    made = load_robot(spec, axes)
+    robot = made if isinstance(made, Robot) else DrivenRobot(made)
     try:
-        check_axes(f"robot {spec}", device.facts.more, axes)
+        check_axes(f"robot {spec}", [axis.facts for axis in robot.more], axes)
     except ConfigError:
         robot.close()
         raise

@@ -19,7 +19,7 @@ class UdpRobot:
 
     facts: RobotFacts
 
-    def __init__(self, spec: str) -> None:
+    def __init__(self, spec: str = "") -> None:
         self._line = UdpLine(spec, UdpRole.ROBOT)
         self._session = self._line.session
         #: Why it lost its controller while it was active; until it is deactivated.

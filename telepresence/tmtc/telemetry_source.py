@@ -1,6 +1,6 @@
 """A user's component in the telemetry of a session: what it has, and its table in the dictionary.
 
-A component is a class of its own, named by `module:Class` or by an entry point of `GROUP`. It
+A component is a class of its own, named by `module:Class` or by an entry point of `DOOR`. It
 names parameters, events and functions. Housekeeping reports, limits, telecommands with their
 verification, and XTCE derive from the table that `application_of` makes.
 """
@@ -11,7 +11,7 @@ from itertools import chain
 from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
-from kontur_av.parts import make_part
+from kontur_av.parts import PartDoor, make_part
 from telepresence.tmtc.pus.dictionary import (
     Application,
     Dictionary,
@@ -25,8 +25,7 @@ from telepresence.tmtc.pus.packets import MAX_REPORT_OCTETS
 from telepresence.tmtc.pus.user import EventReport
 from telepresence.tmtc.pus.values import Parameter, Value
 
-#: The entry points of components.
-GROUP = "kontur_av.telemetry"
+DOOR = PartDoor("component", "module:Class", "kontur_av.telemetry")
 #: APIDs of components, in the order in which a session names them.
 _APIDS = range(0x140, 0x148)
 #: What the housekeeping of all components may take: a quarter of what PUS may.
@@ -152,11 +151,11 @@ class Component(NamedTuple):
 
 
 def load_telemetry(spec: str) -> TelemetrySource:
-    """Return the component that `spec` names: `module:Class` or an entry point of `GROUP`.
+    """Return the component that `spec` names: `module:Class` or an entry point of `DOOR`.
 
     Raises ConfigError if there is none. It is not connected to anything.
     """
-    made = make_part(spec, GROUP)
+    made = make_part(spec, DOOR)
     if not isinstance(made, TelemetrySource):
         raise ConfigError(f"{spec!r} is no component: inherit from telepresence.TelemetrySource")
     return made

@@ -259,7 +259,7 @@ LIBRARIES = {
     "telepresence/link/protection/segment.py": ({"hmac"}, "codes, compared in constant time"),
     "telepresence/link/radio/orbit.py": ({"sgp4"}, "the model of orbits"),
     "telepresence/haptics/udp_protocol.py": ({"hmac"}, "codes, compared in constant time"),
-    "kontur_av/parts.py": ({"pathlib", "sys"}, "a user's module"),
+    "kontur_av/parts.py": ({"inspect", "pathlib", "sys"}, "a user's module"),
     "telepresence/link/radio/profile_file.py": ({"pathlib"}, "a file"),
     "telepresence/tmtc/k2aci.py": ({"cbor2"}, "CBOR: octets only"),
     "telepresence/tmtc/pus/dictionary_file.py": ({"pathlib"}, "a file"),

@@ -26,7 +26,7 @@ def talkative(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("talkative")
 def test_messages_of_the_recorder_never_stop_the_sound():
-    source = MicrophoneAudio("default", name="ground_mic", clock=CLOCK)
+    source = MicrophoneAudio("ground_mic", CLOCK, "default")
     blocks = []
     for _ in range(200):
         block = source.read(50 * NS_PER_MS)

@@ -186,8 +186,8 @@ def test_pictures_piped_by_ffmpeg_are_shown(fifo):
 
 def test_a_camera_gives_its_newest_picture_and_ends_in_time():
     # A build machine has no camera, so FFmpeg's test picture takes the same path.
-    camera = CameraVideo("testsrc=size=128x48:rate=30,realtime", name="head", width=64, height=48,
-                         fps=30, clock=CLOCK, demuxer="lavfi")  # fmt: skip
+    picture = "testsrc=size=128x48:rate=30,realtime"
+    camera = CameraVideo("head", 64, 48, 30, CLOCK, picture, demuxer="lavfi")
     picture = empty_picture(*SIZE)
     stamps = [camera.read(picture, 2 * NS_PER_S) for _ in range(5)]
     assert [s.sequence for s in stamps] == list(range(5))

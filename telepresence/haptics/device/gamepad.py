@@ -5,6 +5,7 @@ back to its middle by itself.
 """
 
 import os
+from collections.abc import Sequence
 from contextlib import suppress
 from math import hypot
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
+from telepresence.haptics.axes import AxisName, AxisReading
 from telepresence.haptics.device.device import JoystickFacts, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import (
@@ -27,6 +29,7 @@ from telepresence.haptics.device.stick import (
     RumbleMeter,
     Stick,
     dead_man_of,
+    stick_axes,
 )
 
 #: The force at which the rumble is strongest (N). Chosen.
@@ -36,11 +39,15 @@ _FIRST_BUTTON, _LAST_BUTTON = 0x120, 0x13F
 
 
 class FoundGamepad(NamedTuple):
-    """A controller at `path`; problem: one line that says why it cannot be used, or ""."""
+    """A controller at `path`.
+
+    problem: one line that says why it cannot be used, or "". more: its axes behind x and y.
+    """
 
     path: str
     name: str
     problem: str = ""
+    more: tuple[AxisName, ...] = ()
 
 
 def find_gamepads(folder: Path = Path("/dev/input")) -> list[FoundGamepad]:
@@ -60,13 +67,20 @@ def find_gamepads(folder: Path = Path("/dev/input")) -> list[FoundGamepad]:
             continue
         with suppress(OSError):
             if _is_stick(device):
-                found.append(FoundGamepad(str(node), device.name))
+                capabilities = device.capabilities(absinfo=False)
+                more = stick_axes(capabilities[EV_ABS], capabilities[EV_KEY])
+                found.append(FoundGamepad(str(node), device.name, more=more))
         device.close()
     return found
 
 
-def open_gamepad(path: str = "", folder: Path = Path("/dev/input")) -> "GamepadDevice":
-    """Open the controller at `path`, or the first one; ConfigError if there is none."""
+def open_gamepad(
+    path: str = "", *, axes: Sequence[AxisName] = (), folder: Path = Path("/dev/input")
+) -> "GamepadDevice":
+    """Open the controller at `path`, or the first one; ConfigError if there is none.
+
+    axes: those behind x and y, as far as it has them.
+    """
     evdev = _library()
     if not path:
         usable = [one for one in find_gamepads(folder) if not one.problem]
@@ -97,25 +111,28 @@ def open_gamepad(path: str = "", folder: Path = Path("/dev/input")) -> "GamepadD
         raise ConfigError(
             f"evdev:{path} has no button to be the dead-man switch: take a controller with one"
         )
-    return GamepadDevice(device)
+    return GamepadDevice(device, axes)
 
 
 class GamepadDevice:
-    """One open controller. `device` is an `evdev.InputDevice`, which `close` closes."""
+    """One open controller. `device` is an `evdev.InputDevice`, which `close` closes.
 
-    def __init__(self, device: Any) -> None:
+    axes: those behind x and y, as far as it has them.
+    """
+
+    def __init__(self, device: Any, axes: Sequence[AxisName] = ()) -> None:
         capabilities = device.capabilities(absinfo=True)
-        axes = dict(capabilities.get(EV_ABS, ()))
         self._device = device
         self._stick = Stick(
             device.name,
-            (_axis(axes[ABS_X]), _axis(axes[ABS_Y])),
+            {code: _axis(info) for code, info in capabilities[EV_ABS]},
             frozenset(capabilities.get(EV_KEY, ())),
             rumble=FF_RUMBLE in capabilities.get(EV_FF, ()),
+            more=axes,
         )
         self._meter = RumbleMeter(_FULL_RUMBLE_N)
         self._effect = -1
-        self._force_n = 0.0
+        self._force_n = self._more_n = 0.0
         self._ask_state()
 
     @property
@@ -138,6 +155,15 @@ class GamepadDevice:
         """Show the size of the force as rumble, on a controller that has it."""
         self._force_n = hypot(x_n, y_n)
 
+    def read_more(self) -> list[AxisReading]:
+        """Return the places behind x and y, as of the last `read`."""
+        return self._stick.more_readings()
+
+    def write_more_forces(self, forces: Sequence[float]) -> None:
+        """Show their size (N; N m), too."""
+        more = zip(forces, self.facts.more, strict=True)
+        self._more_n = hypot(*(force / facts.lever_m for force, facts in more))
+
     def write_leds(self, mask: int) -> None:
         """Do nothing: the kernel uses a controller's LEDs for the player number."""
 
@@ -148,7 +174,7 @@ class GamepadDevice:
         """`dt_ns` pass; update the filter and the rumble."""
         self._stick.advance(dt_ns)
         if self._stick.facts.rumble:
-            magnitude = self._meter.handle_force(self._force_n, dt_ns)
+            magnitude = self._meter.handle_force(hypot(self._force_n, self._more_n), dt_ns)
             if magnitude is not None:
                 self._rumble(magnitude)
 
@@ -160,8 +186,8 @@ class GamepadDevice:
 
     def _ask_state(self) -> None:
         try:
-            x, y = self._device.absinfo(ABS_X).value, self._device.absinfo(ABS_Y).value
-            self._stick.handle_state(x, y, frozenset(self._device.active_keys()))
+            raw = {code: self._device.absinfo(code).value for code in self._stick.codes}
+            self._stick.handle_state(raw, self._device.active_keys())
         except OSError:
             self._stick.handle_gone()
 

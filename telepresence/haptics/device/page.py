@@ -86,8 +86,8 @@ class PageDevice(Mechanics):
 
     def __init__(
         self,
-        model: PageHandModel | None = None,
         *,
+        model: PageHandModel | None = None,
         start_m: tuple[float, float] = START_M,
         axes: Sequence[AxisName] = (),
     ) -> None:

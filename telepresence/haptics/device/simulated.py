@@ -11,6 +11,7 @@ from math import pi, sin
 from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.errors import ConfigError
 from telepresence.haptics.axes import AxisName, AxisReading, built_in_axes
 from telepresence.haptics.device.device import KEEPS_FORCE_NS, JoystickFacts, JoystickReading
 from telepresence.haptics.device.states import JoystickState
@@ -66,6 +67,16 @@ FAULTS: Mapping[str, Faults] = MappingProxyType(
         "unplugged": Faults(lost_ns=8 * NS_PER_S),
     }
 )
+
+
+def open_simulated(
+    fault: str = "", *, hand: Hand | None = None, axes: Sequence[AxisName] = ()
+) -> "SimulatedDevice":
+    """Return the simulated joystick, broken by a fault of `FAULTS` if one is named; ConfigError."""
+    if fault and fault not in FAULTS:
+        raise ConfigError(f"joystick 'sim:{fault}': the faults are {', '.join(FAULTS)}")
+    return SimulatedDevice(FAULTS.get(fault), hand=hand, axes=axes)
+
 
 #: Time that a person takes to see an LED and press: simple reactions take 0.2 to 0.3 s
 #: (R. D. Luce, "Response Times", 1986).
@@ -170,7 +181,7 @@ class Mechanics:
         """Simulate `dt_ns`, at most 50 ms."""
         self._now_ns += dt_ns
         if self._now_ns - self._written_ns > KEEPS_FORCE_NS:
-            self._force_x_n = self._force_y_n = 0.0
+            self._drop_forces()
         if 0 < dt_ns <= NS_PER_MS:
             self._step(dt_ns)
             return
@@ -181,9 +192,14 @@ class Mechanics:
 
     def close(self) -> None:
         """Switch off force and LEDs; the device is gone."""
-        self.write_force(0.0, 0.0)
+        self._drop_forces()
         self.write_leds(0)
         self._lost_ns = self._now_ns
+
+    def _drop_forces(self) -> None:
+        self._force_x_n = self._force_y_n = 0.0
+        for axis in self._axes:
+            axis.force_n = 0.0
 
     def _step(self, dt_ns: int) -> None:
         """Simulate `dt_ns`, at most 1 ms."""

@@ -8,15 +8,20 @@ released. Such a jump would hit the robot hard and break the bilateral controlle
 next cycle. A filter with a hand's speed and acceleration therefore follows the stick.
 """
 
+from collections.abc import Collection, Mapping, Sequence
 from math import sqrt
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.axes import AXIS_NAMES, BUILT_IN_AXES, AxisFacts, AxisName, AxisReading
 from telepresence.haptics.device.device import JoystickFacts, JoystickReading
 
 EV_SYN, EV_KEY, EV_ABS, EV_FF = 0x00, 0x01, 0x03, 0x15
 SYN_DROPPED = 3
 ABS_X, ABS_Y = 0x00, 0x01
+_ABS_Z, _ABS_RX, _ABS_RY, _ABS_RZ, _ABS_THROTTLE = 0x02, 0x03, 0x04, 0x05, 0x06
+_ABS_HAT0X, _ABS_HAT0Y = 0x10, 0x11
+_BTN_TL2, _BTN_TR2 = 0x138, 0x139
 FF_RUMBLE = 0x50
 #: Gamepad: south, east, west, north. Joystick: the buttons under the thumb.
 _PAD_BUTTONS = (0x130, 0x131, 0x134, 0x133)
@@ -35,6 +40,8 @@ SPEED_M_S = 2.0
 #: Deceleration for planning; it leaves room for rounding within a cycle, so nothing overshoots.
 _BRAKING_M_S2 = 0.8 * ACCELERATION_M_S2
 _CYCLE_S = NS_PER_MS / NS_PER_S
+#: The hat, or a trigger pulled fully, leads over half of a range in this time. Chosen.
+_HALF_RANGE_NS = NS_PER_S
 
 
 class Axis(NamedTuple):
@@ -55,63 +62,155 @@ def dead_man_of(keys: frozenset[int]) -> int | None:
     return usual if usual in keys else min(keys, default=None)
 
 
-class Stick:
-    """The left stick and the buttons of one controller, from its events.
+class _Lead(NamedTuple):
+    """What leads one more axis.
 
-    axes: the kernel's description of ABS_X and ABS_Y. keys: codes of all buttons.
+    code: the axis of the controller, or with `less` the right one of two triggers, of which the
+    left one counts less. sign: -1 where the kernel counts against the axis.
+    stays: a deflection is a speed, so that the axis stays when released; else it is a place.
+    """
+
+    code: int
+    sign: float = 1.0
+    less: int | None = None
+    stays: bool = False
+
+
+def _leads(axes: Collection[int], keys: Collection[int]) -> dict[AxisName, _Lead]:
+    """Return what leads each further axis that a controller with these axes and keys has."""
+    leads: dict[AxisName, _Lead] = {
+        "roll": _Lead(_ABS_HAT0X, stays=True),
+        "pitch": _Lead(_ABS_HAT0Y, -1.0, stays=True),
+    }
+    if _PAD_BUTTONS[0] not in keys:
+        # A joystick has a throttle, and is twisted.
+        throttle = _ABS_THROTTLE if _ABS_THROTTLE in axes else _ABS_Z
+        leads |= {"z": _Lead(throttle, -1.0), "yaw": _Lead(_ABS_RZ)}
+    elif {_ABS_RX, _ABS_RY} <= set(axes):
+        leads |= {"z": _Lead(_ABS_RY, -1.0), "yaw": _Lead(_ABS_RX)}
+        leads["gripper"] = _Lead(_ABS_RZ, less=_ABS_Z, stays=True)
+    else:
+        # The right stick of older pads; their triggers are buttons.
+        leads |= {"z": _Lead(_ABS_RZ, -1.0), "yaw": _Lead(_ABS_Z)}
+    known = {
+        name: lead for name, lead in leads.items() if {lead.code, lead.less} - {None} <= {*axes}
+    }
+    if _PAD_BUTTONS[0] in keys and "gripper" not in known and {_BTN_TL2, _BTN_TR2} <= set(keys):
+        known["gripper"] = _Lead(_BTN_TR2, less=_BTN_TL2, stays=True)
+    return known
+
+
+def stick_axes(axes: Collection[int], keys: Collection[int]) -> tuple[AxisName, ...]:
+    """Return the axes behind x and y of a controller with these axes and keys."""
+    known = _leads(axes, keys)
+    return tuple(name for name in AXIS_NAMES if name in known)
+
+
+class FollowedAxis:
+    """Follows a place with a hand's speed and acceleration, as `velocity_towards` has them."""
+
+    def __init__(self, tau_s: float, place_m: float = 0.0, speed_m_s: float = SPEED_M_S) -> None:
+        self.place, self.speed = place_m, 0.0
+        self._tau_s, self._most_m_s = tau_s, speed_m_s
+
+    def advance(self, to_m: float, dt_ns: int) -> None:
+        """`dt_ns` pass, on the way to `to_m`."""
+        left_s = dt_ns / NS_PER_S
+        while left_s > 0.0:
+            dt_s = min(left_s, _CYCLE_S)
+            self.speed = velocity_towards(
+                self.speed, to_m - self.place, dt_s, self._tau_s, self._most_m_s
+            )
+            self.place += self.speed * dt_s
+            left_s -= dt_s
+
+
+class _LedAxis:
+    """One more axis. Lengths are those at its lever."""
+
+    def __init__(self, facts: AxisFacts, lead: _Lead) -> None:
+        self.facts, self.lead = facts, lead
+        self._half_m = facts.half_range * facts.lever_m
+        self._to_m = 0.0
+        self._followed = FollowedAxis(TAU_S, speed_m_s=facts.speed * facts.lever_m)
+
+    def advance(self, share: float, dt_ns: int, *, held: bool) -> None:
+        """Take the deflection, -1 to 1; `dt_ns` pass. held: the dead-man button is pressed."""
+        half_m = self._half_m
+        if not self.lead.stays:
+            self._to_m = share * half_m
+        elif held:
+            way_m = share * half_m * dt_ns / _HALF_RANGE_NS
+            self._to_m = max(-half_m, min(half_m, self._to_m + way_m))
+        self._followed.advance(self._to_m, dt_ns)
+
+    def reading(self) -> AxisReading:
+        lever_m, followed = self.facts.lever_m, self._followed
+        return AxisReading(followed.place / lever_m, followed.speed / lever_m)
+
+
+class Stick:
+    """The sticks, triggers and buttons of one controller, from its events.
+
+    axes: the kernel's description of each, by its code; ABS_X and ABS_Y are among them. keys: codes
+    of all buttons. more: those axes behind x and y that the facts shall have, as far as the
+    controller has them (`stick_axes`).
 
     Full travel is ±0.1 m along x and ±0.08 m along y, with +y up. The dead-man button is the left
-    shoulder (on a joystick: the trigger). A controller without one counts as always held.
+    shoulder (on a joystick: the trigger).
 
     needs_state: events were lost; query the kernel and call `handle_state`.
     """
 
     def __init__(
-        self, name: str, axes: tuple[Axis, Axis], keys: frozenset[int], *, rumble: bool = False
+        self,
+        name: str,
+        axes: Mapping[int, Axis],
+        keys: frozenset[int],
+        *,
+        rumble: bool = False,
+        more: Sequence[AxisName] = (),
     ) -> None:
         buttons = _PAD_BUTTONS if _PAD_BUTTONS[0] in keys else _STICK_BUTTONS
         self._dead_man_code = dead_man_of(keys)
         kept = [code for code in buttons if code in keys and code != self._dead_man_code]
         self._bits = {code: 1 << index for index, code in enumerate(kept)}
+        leads = _leads(axes, keys)
+        self._more = [_LedAxis(BUILT_IN_AXES[one], leads[one]) for one in more if one in leads]
         self.facts = JoystickFacts(
             name=name,
             half_width_m=HALF_WIDTH_M,
             half_height_m=HALF_HEIGHT_M,
             buttons=len(self._bits),
             rumble=rumble,
+            more=tuple(axis.facts for axis in self._more),
         )
         self.needs_state = False
         self.present = True
         self._axes = axes
-        self._raw = [axes[0].value, axes[1].value]
-        self._buttons = 0
-        self._dead_man = False
-        self._to_x, self._to_y = self._x, self._y = self._places()
-        self._vx = self._vy = 0.0
+        self._raw = {code: axis.value for code, axis in axes.items()}
+        self._pressed: set[int] = set()
+        self._to = self._places()
+        self._x, self._y = (FollowedAxis(TAU_S, place_m) for place_m in self._to)
         self._zero_x = self._zero_y = 0.0
 
     def handle_event(self, kind: int, code: int, value: int) -> None:
         """Take one event of the controller; unknown events are ignored."""
         if kind == EV_ABS:
-            if code in (ABS_X, ABS_Y):
+            if code in self._raw:
                 self._raw[code] = value
-                self._to_x, self._to_y = self._places()
+                self._to = self._places()
         elif kind == EV_KEY:
-            bit = self._bits.get(code)
-            if bit is not None:
-                self._buttons = self._buttons | bit if value else self._buttons & ~bit
-            elif code == self._dead_man_code:
-                self._dead_man = bool(value)
+            (self._pressed.add if value else self._pressed.discard)(code)
         elif kind == EV_SYN and code == SYN_DROPPED:
             self.needs_state = True
 
-    def handle_state(self, x: int, y: int, pressed: frozenset[int]) -> None:
+    def handle_state(self, raw: Mapping[int, int], pressed: Collection[int]) -> None:
         """Set the axes' raw values and the codes of the pressed buttons, as the kernel has them."""
         self.needs_state = False
-        self._raw = [x, y]
-        self._to_x, self._to_y = self._places()
-        self._buttons = sum(bit for code, bit in self._bits.items() if code in pressed)
-        self._dead_man = self._dead_man_code in pressed
+        self._raw.update(raw)
+        self._to = self._places()
+        self._pressed = set(pressed)
 
     def handle_zero(self, x_m: float, y_m: float) -> None:
         """Make the present position (x_m, y_m) the middle."""
@@ -122,49 +221,70 @@ class Stick:
         """The controller was unplugged."""
         self.present = False
 
+    @property
+    def codes(self) -> Collection[int]:
+        """Codes of the axes that `handle_state` wants."""
+        return self._raw.keys()
+
     def reading(self) -> JoystickReading:
         """Return the filtered position and the buttons."""
+        x, y, pressed = self._x, self._y, self._pressed
         return JoystickReading(
-            self._x - self._zero_x,
-            self._y - self._zero_y,
-            self._vx,
-            self._vy,
-            self._buttons,
-            self._dead_man,
+            x.place - self._zero_x,
+            y.place - self._zero_y,
+            x.speed,
+            y.speed,
+            sum(bit for code, bit in self._bits.items() if code in pressed),
+            self._dead_man_code in pressed,
             None,
             self.present,
         )
 
+    def more_readings(self) -> list[AxisReading]:
+        """Return the filtered places behind x and y."""
+        return [axis.reading() for axis in self._more]
+
     def advance(self, dt_ns: int) -> None:
         """Advance the filter by `dt_ns`."""
-        if dt_ns <= 0:
-            return
-        left_s = dt_ns / NS_PER_S
-        while left_s > 0.0:
-            dt_s = min(left_s, _CYCLE_S)
-            self._vx = velocity_towards(self._vx, self._to_x - self._x, dt_s, TAU_S)
-            self._vy = velocity_towards(self._vy, self._to_y - self._y, dt_s, TAU_S)
-            self._x += self._vx * dt_s
-            self._y += self._vy * dt_s
-            left_s -= dt_s
+        self._x.advance(self._to[0], dt_ns)
+        self._y.advance(self._to[1], dt_ns)
+        held = self._dead_man_code in self._pressed
+        for axis in self._more:
+            axis.advance(self._deflection(axis.lead), dt_ns, held=held)
 
     def _places(self) -> tuple[float, float]:
-        x, y = (_share(axis, raw) for axis, raw in zip(self._axes, self._raw, strict=True))
+        x, y = (_share(self._axes[code], self._raw[code]) for code in (ABS_X, ABS_Y))
         # The kernel counts down as positive, the workspace up.
         return x * HALF_WIDTH_M, -y * HALF_HEIGHT_M
 
+    def _deflection(self, lead: _Lead) -> float:
+        """Return from -1 to 1 how far what leads an axis is deflected."""
+        if lead.less is None:
+            return lead.sign * _share(self._axes[lead.code], self._raw[lead.code])
+        return self._pulled(lead.code) - self._pulled(lead.less)
 
-def velocity_towards(velocity: float, way: float, dt_s: float, tau_s: float) -> float:
+    def _pulled(self, code: int) -> float:
+        """Return from 0 to 1 how far a trigger is pulled."""
+        axis = self._axes.get(code)
+        if axis is None:
+            return float(code in self._pressed)
+        least = axis.least + max(axis.flat, 0)
+        return max(0.0, min(1.0, (self._raw[code] - least) / max(axis.most - least, 1)))
+
+
+def velocity_towards(
+    velocity: float, way: float, dt_s: float, tau_s: float, most_m_s: float = SPEED_M_S
+) -> float:
     """Return the velocity (m/s) after `dt_s`, with `way` (m) left to the target.
 
-    It is that of a hand: at most `SPEED_M_S`, with at most `ACCELERATION_M_S2`.
+    It is that of a hand: at most `most_m_s`, with at most `ACCELERATION_M_S2`.
     tau_s: time constant of the last part of the way, at least `dt_s`.
     """
     # Within `near`, the time constant brakes less than the limit allows; beyond, the limit rules.
     near = _BRAKING_M_S2 * tau_s * tau_s
     size = abs(way)
     wanted = size / tau_s if size <= near else sqrt(_BRAKING_M_S2 * (2.0 * size - near))
-    wanted = min(wanted, SPEED_M_S)
+    wanted = min(wanted, most_m_s)
     change = (wanted if way > 0.0 else -wanted) - velocity
     most = ACCELERATION_M_S2 * dt_s
     return velocity + max(-most, min(most, change))

@@ -5,7 +5,7 @@ from math import nan
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import JoystickFacts, JoystickReading
 from telepresence.haptics.device.states import JoystickState
-from telepresence.haptics.device.stick import velocity_towards
+from telepresence.haptics.device.stick import FollowedAxis
 from telepresence.haptics.figures import UdpFigures
 from telepresence.haptics.udp_line import UdpLine
 from telepresence.haptics.udp_protocol import UdpRole
@@ -15,32 +15,13 @@ _SILENT = JoystickReading(nan, nan, 0.0, 0.0, dead_man=False)
 _CYCLE_S = NS_PER_MS / NS_PER_S
 
 
-class _FollowedAxis:
-    """Follows the place that an axis reads with a hand's acceleration.
-
-    Where readings come late the place jumps, which would break the controller's bound for the next
-    cycle. A motion without jumps is followed at once.
-    """
-
-    def __init__(self) -> None:
-        self.place = self.speed = 0.0
-
-    def advance(self, to_m: float, dt_ns: int) -> None:
-        left_s = dt_ns / NS_PER_S
-        while left_s > 0.0:
-            dt_s = min(left_s, _CYCLE_S)
-            self.speed = velocity_towards(self.speed, to_m - self.place, dt_s, _CYCLE_S)
-            self.place += self.speed * dt_s
-            left_s -= dt_s
-
-
 class UdpJoystick:
     """The joystick at `spec`: HOST:PORT or HOST:PORT:KEYFILE. Waits for its controller.
 
     Raises ConfigError for another spec, or if the controller does not answer.
     """
 
-    def __init__(self, spec: str) -> None:
+    def __init__(self, spec: str = "") -> None:
         self._line = UdpLine(spec, UdpRole.JOYSTICK)
         self._session = self._line.session
         facts = self._line.connect()
@@ -57,7 +38,8 @@ class UdpJoystick:
             leds=facts.leds,
         )
         self._zero_x = self._zero_y = 0.0
-        self._x, self._y = _FollowedAxis(), _FollowedAxis()
+        # With late readings the place jumps; a motion without jumps is followed at once.
+        self._x, self._y = FollowedAxis(_CYCLE_S), FollowedAxis(_CYCLE_S)
 
     @property
     def facts(self) -> JoystickFacts:

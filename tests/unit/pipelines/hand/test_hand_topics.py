@@ -1,6 +1,6 @@
 """What the operator's page and the joystick tell each other, and what becomes of a command."""
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
@@ -16,6 +16,7 @@ from pipelines.hand.hand_topics import (
     unpack_status,
 )
 from pipelines.hand.joystick_status import JoystickStatusTeller
+from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.simulated import SimulatedDevice
@@ -48,13 +49,16 @@ def test_a_request_is_read_back(number, event):
     assert unpack_request(data) == HandRequest(number, event)
 
 
-@given(st.binary(max_size=64))
+@given(st.binary(max_size=96))
+@example(bytes(INPUT_OCTETS))
+@example(bytes(INPUT_OCTETS + 8))
 def test_other_octets_are_nothing(data):
     request, status = unpack_request(data), unpack_status(data)
     assert request is None or request.event in REQUESTS
     assert status is None or len(data) > 20
-    # The largest has five axes behind x and y, of eight octets each.
-    assert (unpack_input(data) is None) == (INPUT_OCTETS - len(data) not in range(0, 41, 8))
+    assert (unpack_input(data) is None) == (
+        len(data) not in range(INPUT_OCTETS - 8 * len(AXIS_NAMES), INPUT_OCTETS + 1, 8)
+    )
 
 
 class Desk:

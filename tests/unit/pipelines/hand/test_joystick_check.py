@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import pytest
-from user_parts import load
+from places import ROOT
+from user_parts import Guided, load
 
 from kontur_av.clock import ManualClock
 from pipelines.cli import main
@@ -11,7 +12,7 @@ from pipelines.hand.joystick_check import JoystickCheck
 from telepresence.haptics.device.simulated import SimulatedDevice
 
 Lever = load("own_joystick.py").Lever
-CLOCK = ManualClock()
+CLOCK, SAMPLES = ManualClock(), ROOT / "samples"
 
 
 class Boastful(Lever):
@@ -169,13 +170,107 @@ class Raising(Lever):
         self.read = lambda: 1 // 0
 
 
+class Arm(Guided, Lever):
+    """It has z and yaw, too."""
+
+    def advance(self, dt_ns):
+        super().advance(dt_ns)
+        if self.age_s > 0.05:
+            self.release_axes()
+        self.advance_axes(dt_ns)
+
+    def close(self):
+        super().close()
+        self.release_axes()
+
+
+class DriftingArm(Arm):
+    """A motor of z is on without an order."""
+
+    def advance(self, dt_ns):
+        super().advance(dt_ns)
+        z = self.axes[0]
+        if z.force_n == 0.0:
+            z.speed_m_s = max(z.speed_m_s, 0.006)
+
+
+class DeafArm(Arm):
+    """Yaw has no motor."""
+
+    def write_more_forces(self, forces):
+        super().write_more_forces([forces[0], 0.0])
+
+
+class LivelyArm(Arm):
+    """Yaw brakes with less than it is told."""
+
+    def write_more_forces(self, forces):
+        z, yaw = forces
+        super().write_more_forces([z, 0.3 * yaw if yaw * self.axes[1].speed_m_s < 0 else yaw])
+
+
+class StrongArm(Arm):
+    """z exerts whatever it is told."""
+
+    def advance_axes(self, dt_ns):
+        z, yaw = self.axes
+        z.step(z.force_n, dt_ns)
+        yaw.step(yaw.cut_n, dt_ns)
+
+
+class LateArm(Arm):
+    """No force of z comes 20 ms late."""
+
+    zeros = 0
+
+    def write_more_forces(self, forces):
+        self.zeros = 0 if forces[0] else self.zeros + 1
+        kept_n = self.axes[0].force_n
+        super().write_more_forces(forces)
+        if 0 < self.zeros <= 20:
+            self.axes[0].force_n = kept_n
+
+
+class StubbornArm(Arm):
+    """Yaw keeps its force until the next."""
+
+    def release_axes(self):
+        self.axes[0].force_n = 0.0
+
+
+class LostArm(Arm):
+    """A measurement of z is missing at times."""
+
+    reads = 0
+
+    def read_more(self):
+        self.reads += 1
+        z, yaw = super().read_more()
+        return [z._replace(place=float("nan")) if self.reads % 100 == 0 else z, yaw]
+
+
+class SpeedyArm(Arm):
+    """Yaw says once that it moves beyond its speed."""
+
+    reads = 0
+
+    def read_more(self):
+        self.reads += 1
+        z, yaw = super().read_more()
+        return [z, yaw._replace(speed=7.0) if self.reads == 3200 else yaw]
+
+
 def failed(joystick):
     results = list(JoystickCheck(joystick, CLOCK).run())
-    assert len(results) == 12
+    assert len(results) == 12 + 7 * len(joystick.facts.more)
     return {one.name for one in results if one.failed}
 
 
-@pytest.mark.parametrize("joystick", [SimulatedDevice, Lever])
+def simulated():
+    return SimulatedDevice(axes=("z", "roll", "gripper"))
+
+
+@pytest.mark.parametrize("joystick", [SimulatedDevice, simulated, Lever, Arm])
 def test_a_sound_joystick_passes(joystick):
     assert failed(joystick()) == set()
 
@@ -201,6 +296,14 @@ def test_a_sound_joystick_passes(joystick):
         (Deceiving, "unplugged"),
         (Open, "unplugged"),
         (Raising, "unplugged"),
+        (DriftingArm, "z rest"),
+        (DeafArm, "yaw moves"),
+        (LivelyArm, "yaw passivity"),
+        (StrongArm, "z limits"),
+        (LateArm, "z halt"),
+        (StubbornArm, "yaw missed cycles"),
+        (LostArm, "z readings"),
+        (SpeedyArm, "yaw readings"),
     ],
 )
 def test_each_fault_fails_its_check_alone(joystick, check):
@@ -213,6 +316,20 @@ def test_without_motors_only_the_sensors_are_checked():
     results = list(JoystickCheck(stick, CLOCK).run())
     assert [one.name for one in results if one.failed] == []
     assert {one.name for one in results if one.skipped} >= {"moves", "halt", "missed cycles"}
+
+
+def test_the_command_checks_the_axes_of_a_setup(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.toml").write_text(
+        'cameras = ["static"]\naxes = 3\n[uplink_video]\ncap_kbps = 90\n'
+        "[uplink]\nframe_octets = 48\n"
+    )
+    monkeypatch.syspath_prepend(SAMPLES)
+    monkeypatch.setattr("pipelines.commands.joystick.MonotonicClock", lambda: CLOCK)
+    assert main(["joystick", "check", "sim", "--setup", "arm.toml"]) == 0
+    assert "z halt" in capsys.readouterr().out
+    assert main(["robot", "check", "own_robot:Mass", "--setup", "arm.toml"]) == 2
+    assert "but the setup has x, y, z" in capsys.readouterr().err
 
 
 def test_the_command_says_what_is_wrong_and_ends_with_1(tmp_path, monkeypatch, capsys):

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from user_parts import load
+from user_parts import Guided, load
 
 from kontur_av.clock import ManualClock
 from pipelines.hand.robot_check import RobotCheck
@@ -186,11 +186,174 @@ class Broken(own_robot.Mass):
         raise OSError("the bus is gone")
 
 
-@pytest.mark.parametrize("robot", [own_robot.Mass, Placed, Alone])
-def test_a_sound_robot_passes(robot):
+class Wrist(Guided, own_robot.Mass):
+    """It has z and yaw, too."""
+
+    def activate(self):
+        super().activate()
+        for axis in self.axes:
+            axis.speed_m_s = 0.0
+
+    def deactivate(self):
+        super().deactivate()
+        self.release_axes()
+        for axis in self.axes:
+            axis.speed_m_s = 0.0
+
+    def advance(self, dt_ns):
+        super().advance(dt_ns)
+        if self.active:
+            self.advance_axes(dt_ns)
+
+
+class LedWrist(Wrist):
+    """It takes places."""
+
+    def __init__(self):
+        super().__init__()
+        self.facts = replace(self.facts, takes="position")
+
+    write_position = Placed.write_position
+
+    def write_more_positions(self, places, speeds):
+        if self.active:
+            for axis, place in zip(self.axes, places, strict=True):
+                axis.speed_m_s = (place * axis.lever_m - axis.place_m) * 50
+
+    def advance(self, dt_ns):
+        Placed.advance(self, dt_ns)
+        for axis in self.axes:
+            axis.place_m += axis.speed_m_s * dt_ns / 1e9
+
+
+class DeafWrist(Wrist):
+    """z has no motor."""
+
+    def write_more_forces(self, forces):
+        super().write_more_forces([0.0, *forces[1:]])
+
+
+class EagerWrist(Wrist):
+    """Yaw turns though it is not active."""
+
+    def advance(self, dt_ns):
+        super().advance(dt_ns)
+        if not self.active:
+            self.axes[1].place_m += 1e-5
+
+
+class LivelyWrist(Wrist):
+    """A controller with a wrong sign adds to the motion of z."""
+
+    def advance(self, dt_ns):
+        super().advance(dt_ns)
+        self.axes[0].speed_m_s *= 1.004
+
+
+class SlidingWrist(Wrist):
+    """z goes on when it is switched off."""
+
+    def deactivate(self):
+        speed_m_s = 0.1 * self.axes[0].speed_m_s
+        super().deactivate()
+        self.axes[0].speed_m_s = speed_m_s
+
+    def advance(self, dt_ns):
+        super().advance(dt_ns)
+        if not self.active:
+            self.axes[0].place_m += self.axes[0].speed_m_s * dt_ns / 1e9
+
+
+class LateWrist(Wrist):
+    """z is switched off 20 ms late."""
+
+    left = 0
+
+    def deactivate(self):
+        if self.active:
+            z = self.axes[0]
+            kept = z.force_n, z.speed_m_s
+            super().deactivate()
+            z.force_n, z.speed_m_s = kept
+            self.left = 20
+
+    def advance(self, dt_ns):
+        super().advance(dt_ns)
+        if self.left:
+            self.left -= 1
+            self.axes[0].step(self.axes[0].force_n, dt_ns)
+            if not self.left:
+                super().deactivate()
+
+
+class RunawayWrist(Wrist):
+    """Without orders yaw accelerates."""
+
+    wrote = True
+
+    def write_more_forces(self, forces):
+        super().write_more_forces(forces)
+        self.wrote = True
+
+    def advance(self, dt_ns):
+        if not self.wrote:
+            self.axes[1].speed_m_s += 0.008 * self.active
+        self.wrote = False
+        super().advance(dt_ns)
+
+
+class LostWrist(Wrist):
+    """A measurement of yaw is missing at times."""
+
+    reads = 0
+
+    def read_more(self):
+        self.reads += 1
+        z, yaw = super().read_more()
+        return [z, yaw._replace(speed=float("nan")) if self.reads % 100 == 0 else yaw]
+
+
+class FarWrist(Wrist):
+    """z says once that it is beyond its range."""
+
+    reads = 0
+
+    def read_more(self):
+        self.reads += 1
+        z, yaw = super().read_more()
+        return [z._replace(place=0.2) if self.reads == 700 else z, yaw]
+
+
+class StaleWrist(Wrist):
+    """While it is moved, z once measures nothing new for 25 ms."""
+
+    left, last = 25, None
+
+    def read_more(self):
+        z, yaw = super().read_more()
+        if self.left and z.speed > 0.01:
+            self.left -= 1
+            self.last = self.last or z
+            return [self.last, yaw]
+        return [z, yaw]
+
+
+class Shapeless(Wrist):
+    """Its facts name axes that they do not describe."""
+
+    def __init__(self):
+        super().__init__()
+        self.facts = replace(self.facts, more=("z",))
+
+
+@pytest.mark.parametrize(
+    ("robot", "checks"),
+    [(own_robot.Mass, 11), (Placed, 11), (Alone, 11), (Wrist, 27), (LedWrist, 27)],
+)
+def test_a_sound_robot_passes(robot, checks):
     results = list(RobotCheck(robot(), CLOCK).run())
     assert [one.name for one in results if one.failed] == [], results
-    assert len(results) == 11
+    assert len(results) == checks
 
 
 def failed(robot):
@@ -211,6 +374,14 @@ def failed(robot):
         (Stale, "readings"),
         (Slow, "cycle time"),
         (Ghost, "power off"),
+        (DeafWrist, "z moves"),
+        (LivelyWrist, "z passivity"),
+        (SlidingWrist, "z stops"),
+        (LateWrist, "z emergency stop"),
+        (RunawayWrist, "yaw missed cycles"),
+        (LostWrist, "yaw readings"),
+        (FarWrist, "z readings"),
+        (StaleWrist, "z readings"),
     ],
 )
 def test_each_fault_fails_its_check_alone(robot, check):
@@ -219,7 +390,18 @@ def test_each_fault_fails_its_check_alone(robot, check):
 
 @pytest.mark.parametrize(
     ("robot", "check"),
-    [(Eager, "power on"), (Deaf, "moves"), (Crossed, "moves"), (Broken, "moves")],
+    [
+        (Eager, "power on"),
+        (EagerWrist, "yaw power on"),
+        (Deaf, "moves"),
+        (Crossed, "moves"),
+        (Broken, "moves"),
+    ],
 )
 def test_a_fault_of_much_fails_its_check(robot, check):
     assert check in failed(robot)
+
+
+def test_axes_that_are_not_described_are_said():
+    facts, *_ = RobotCheck(Shapeless(), CLOCK).run()
+    assert "more is ('z',): give AxisFacts" in facts.trouble

@@ -225,6 +225,21 @@ def test_a_press_at_the_page_holds_the_axes_where_they_are():
         assert abs(place) < 1e-4 if number < 3 else place > 1e-4
 
 
+@pytest.mark.parametrize("ends", ["silence", "close"])
+def test_motors_that_are_told_nothing_more_fall_silent(ends):
+    device = SimulatedDevice(axes=("z",))
+    device.write_force(0.0, 0.0)
+    device.write_more_forces([5.0])
+    for _ in range(40):
+        device.advance(NS_PER_MS)
+    assert device.read_more()[0].speed > 0.05
+    if ends == "close":
+        device.close()
+    for _ in range(20 if ends == "close" else 150):
+        device.advance(NS_PER_MS)
+    assert device.read_more()[0].speed < 0.03
+
+
 def test_a_setup_says_what_more_axes_cost():
     with pytest.raises(
         ConfigError, match=r"17 octets of each frame, 136 kbit/s in place of 96.*39"

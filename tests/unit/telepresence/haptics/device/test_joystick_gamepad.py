@@ -4,6 +4,7 @@ import os
 import struct
 from itertools import pairwise
 from math import hypot
+from types import SimpleNamespace
 
 import pytest
 from haptic_pair import each_cycle
@@ -12,17 +13,25 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
+from telepresence.haptics.axes import AXIS_NAMES, MoreAxis, check_axes
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
-from telepresence.haptics.device.gamepad import feed, find_gamepads, open_gamepad
+from telepresence.haptics.device.gamepad import GamepadDevice, feed, find_gamepads, open_gamepad
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, JoystickOperation
 from telepresence.haptics.device.spec import check_joystick
 from telepresence.haptics.device.states import JoystickState
-from telepresence.haptics.device.stick import RUMBLE_NS, Axis, RumbleMeter, Stick, dead_man_of
+from telepresence.haptics.device.stick import (
+    RUMBLE_NS,
+    Axis,
+    RumbleMeter,
+    Stick,
+    dead_man_of,
+    stick_axes,
+)
 from telepresence.haptics.joystick_controller import JoystickControllerModel
 
 KEYS = frozenset({0x130, 0x131, 0x133, 0x134, 0x136})
-AXES = (Axis(128, 0, 255, 15), Axis(0, -32768, 32767, 128))
+AXES = {0: Axis(128, 0, 255, 15), 1: Axis(0, -32768, 32767, 128)}
 
 
 class Pad:
@@ -123,7 +132,7 @@ def test_after_lost_events_the_state_is_requested():
     stick.handle_event(1, 0x130, 1)
     stick.handle_event(0, 3, 0)
     assert stick.needs_state
-    stick.handle_state(255, 0, frozenset({0x131, 0x136}))
+    stick.handle_state({0: 255, 1: 0}, {0x131, 0x136})
     assert not stick.needs_state
     reading = settled(stick)
     assert reading.buttons == 0b10 and reading.dead_man and reading.x_m > 0.09
@@ -132,7 +141,7 @@ def test_after_lost_events_the_state_is_requested():
 EVENTS = st.tuples(st.integers(0, 31), st.integers(0, 0x2FF), st.integers(-(2**31), 2**31 - 1))
 
 
-@given(st.lists(EVENTS), st.sampled_from([AXES, (Axis(0, 0, 0), Axis(7, 5, 3, 2))]))
+@given(st.lists(EVENTS), st.sampled_from([AXES, {0: Axis(0, 0, 0), 1: Axis(7, 5, 3, 2)}]))
 def test_no_event_leads_outside_the_workspace(events, axes):
     stick = Stick("pad", axes, KEYS)
     for kind, code, value in events:
@@ -141,6 +150,122 @@ def test_no_event_leads_outside_the_workspace(events, axes):
     reading = settled(stick)
     assert abs(reading.x_m) <= 0.1 and abs(reading.y_m) <= 0.08
     assert 0 <= reading.buttons < 16
+
+
+SIDE = Axis(0, -32768, 32767, 128)
+TRIGGER, HAT = Axis(0, 0, 255), Axis(0, -1, 1)
+STICKS = {0: SIDE, 1: SIDE}
+HATS = {0x10: HAT, 0x11: HAT}
+#: What controllers have: their axes and buttons by code, and the axes that these lead.
+CONTROLLERS = {
+    "pad": (STICKS | HATS | {2: TRIGGER, 3: SIDE, 4: SIDE, 5: TRIGGER}, KEYS, AXIS_NAMES),
+    "old pad": (STICKS | HATS | {2: SIDE, 5: SIDE}, KEYS | {0x138, 0x139}, AXIS_NAMES),
+    "small pad": (STICKS, KEYS | {0x138, 0x139}, ("gripper",)),
+    "joystick": (STICKS | {5: SIDE, 6: SIDE}, frozenset({0x120, 0x121}), ("z", "yaw")),
+    "plain": (STICKS, frozenset({0x120}), ()),
+}
+
+
+def controller(kind, more=AXIS_NAMES):
+    axes, keys, _ = CONTROLLERS[kind]
+    return Stick(kind, axes, keys, more=more)
+
+
+def names_of(stick):
+    return tuple(facts.name for facts in stick.facts.more)
+
+
+def places(stick, milliseconds=500):
+    for _ in range(milliseconds):
+        stick.advance(NS_PER_MS)
+    return dict(zip(names_of(stick), [one.place for one in stick.more_readings()], strict=True))
+
+
+@pytest.mark.parametrize("kind", CONTROLLERS)
+def test_a_controller_has_the_axes_that_it_can_lead(kind):
+    axes, keys, names = CONTROLLERS[kind]
+    assert stick_axes(axes, keys) == names_of(controller(kind)) == names
+    assert names_of(controller(kind, ("z",))) == (("z",) if "z" in names else ())
+
+
+def test_the_right_stick_leads_places_and_hat_and_triggers_lead_on():
+    pad = controller("pad")
+    # The kernel counts down as positive.
+    for code, value in ((4, -32768), (3, 32767), (0x10, 1), (0x11, -1), (5, 255)):
+        pad.handle_event(3, code, value)
+    reached = places(pad)
+    assert (reached["z"], reached["yaw"]) == pytest.approx((0.1, 1.0), abs=1e-4)
+    # Nothing is led on without the dead-man button.
+    assert (reached["roll"], reached["pitch"], reached["gripper"]) == (0.0, 0.0, 0.0)
+    pad.handle_event(1, 0x136, 1)
+    reached = places(pad)
+    assert (reached["roll"], reached["pitch"]) == pytest.approx((0.5, 0.5), abs=0.05)
+    assert reached["gripper"] == pytest.approx(0.02, abs=0.002)
+    for code in (4, 3, 0x10, 0x11, 5):
+        pad.handle_event(3, code, 0)
+    released = places(pad)
+    assert (released["z"], released["yaw"]) == pytest.approx((0.0, 0.0), abs=1e-3)
+    assert released["roll"] == pytest.approx(reached["roll"], abs=0.05)
+    pad.handle_event(3, 2, 255)
+    assert places(pad, 3000)["gripper"] == pytest.approx(-0.04, abs=1e-4)
+
+
+def test_triggers_that_are_buttons_close_and_open_the_gripper():
+    pad = controller("small pad")
+    pad.handle_event(1, 0x136, 1)
+    pad.handle_event(1, 0x139, 1)
+    assert places(pad)["gripper"] > 0.015
+    pad.handle_event(1, 0x139, 0)
+    pad.handle_event(1, 0x138, 1)
+    assert places(pad, 3000)["gripper"] == pytest.approx(-0.04, abs=1e-4)
+
+
+RANGES = st.builds(Axis, *[st.integers(-(2**15), 2**15)] * 3, st.integers(-10, 300))
+
+
+@given(
+    st.dictionaries(st.sampled_from([2, 3, 4, 5, 6, 0x10, 0x11]), RANGES),
+    st.frozensets(st.sampled_from([0x120, 0x130, 0x136, 0x138, 0x139])),
+    st.lists(st.tuples(EVENTS, st.integers(1, 40)), max_size=12),
+)
+def test_whatever_a_controller_has_no_axis_leaves_its_limits(axes, keys, events):
+    stick = Stick("any", STICKS | axes, keys, more=AXIS_NAMES)
+    limits = [MoreAxis(facts) for facts in stick.facts.more]
+    for (kind, code, value), cycles in events:
+        stick.handle_event(kind, code, value)
+        for _ in range(cycles):
+            stick.advance(NS_PER_MS)
+            for axis, reading in zip(limits, stick.more_readings(), strict=True):
+                assert axis.take(reading) == ""
+                assert abs(reading.speed) <= axis.facts.speed * 1.001
+
+
+class Kernel:
+    """An `evdev.InputDevice` of a pad."""
+
+    name = "a pad"
+
+    def __init__(self):
+        axes = {
+            code: SimpleNamespace(value=axis.value, min=axis.least, max=axis.most, flat=axis.flat)
+            for code, axis in CONTROLLERS["pad"][0].items()
+        }
+        self.capabilities = lambda absinfo: {1: list(KEYS), 3: list(axes.items())}
+        self.absinfo = axes.get
+        self.read, self.active_keys = list, lambda: [0x136]
+
+
+def test_the_device_reads_its_further_axes_from_the_kernel():
+    kernel = Kernel()
+    device = GamepadDevice(kernel, ("z", "gripper"))
+    kernel.read = lambda: [SimpleNamespace(type=3, code=4, value=-32768)]
+    device.read()
+    for _ in range(500):
+        device.write_more_forces([3.0, 1.0])
+        device.advance(NS_PER_MS)
+    z, gripper = device.read_more()
+    assert z.place == pytest.approx(0.1, abs=1e-4) and gripper.place == 0.0
+    check_axes("joystick evdev", device.facts.more, ("z", "gripper"))
 
 
 def test_rumble_changes_in_steps_and_stops_at_once():
@@ -201,7 +326,7 @@ def test_a_missing_controller_is_refused_in_one_line(tmp_path):
     pytest.importorskip("evdev")
     assert find_gamepads(tmp_path) == []
     with pytest.raises(ConfigError, match="no game controller here: plug one in"):
-        open_gamepad("", tmp_path)
+        open_gamepad(folder=tmp_path)
     (tmp_path / "event3").write_bytes(b"")
     assert "cannot be opened" in find_gamepads(tmp_path)[0].problem
     with pytest.raises(ConfigError, match=r"event3 is no input device .*joystick list"):
