@@ -58,6 +58,12 @@ class PartnerOutput:
         if self._raw is not None:
             self._raw.close()
 
+    def finish(self) -> list[str]:
+        """Close, and say which files could not be written."""
+        self.close()
+        written = [*self._files, *([] if self._raw is None else [self._raw])]
+        return [one.fault for one in written if one.fault]
+
     def pictures(self) -> ReceivedKind:
         return _kind(self._pictures, self._picture_ns)
 
