@@ -18,10 +18,10 @@ import numpy as np
 from av.codec.context import Flags
 from av.video.codeccontext import VideoCodecContext
 from av.video.frame import PictureType
-from av.video.reformatter import ColorPrimaries, ColorRange, ColorTrc, VideoReformatter
+from av.video.reformatter import VideoReformatter
 
 from kontur_av.codecs.coding import REFRESH_S, Coding
-from kontur_av.codecs.colours import BT601, as_i420, like_i420
+from kontur_av.codecs.colours import as_i420, like_i420, tell_bt601
 from kontur_av.codecs.cuts import Cuts
 from kontur_av.codecs.h264_settings import (
     H264Settings,
@@ -333,9 +333,7 @@ def _open_encoder(settings: H264Settings) -> VideoCodecContext:
     codec.width, codec.height, codec.pix_fmt = settings.width, settings.height, "yuv420p"
     codec.framerate, codec.time_base = settings.rate, Fraction(1, VIDEO_CLOCK_HZ)
     codec.gop_size = settings.refresh_pictures
-    # Said in the SPS (clause E.2.1), as players take large pictures for BT.709.
-    codec.color_primaries, codec.color_trc = ColorPrimaries.SMPTE170M, ColorTrc.SMPTE170M
-    codec.colorspace, codec.color_range = BT601, ColorRange.MPEG
+    tell_bt601(codec)
     codec.thread_count = 1
     codec.flags |= Flags.psnr  # for `_quantiser_and_error`
     codec.options = settings.options()
