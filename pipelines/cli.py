@@ -11,6 +11,12 @@ from importlib import import_module
 
 from kontur_av import __version__
 from kontur_av.errors import ConfigError
+from pipelines.session.output import (
+    discard_output,
+    keep_words_apart,
+    prepare_output,
+    reader_gone,
+)
 
 WELL, FAILED, MISTAKE = 0, 1, 2
 #: What the system can refuse to any program, and the mend.
@@ -113,15 +119,26 @@ def exit_code(work: Callable[[], int], name: str) -> int:
     """
     # Before NumPy is loaded: its library's threads would not survive the launcher's forks.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    prepare_output()
     try:
-        return work()
+        code = work()
+        sys.stdout.flush()
+        return code
     except ConfigError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return MISTAKE
     except OSError as error:
+        if isinstance(error, BrokenPipeError) and reader_gone():
+            discard_output()
+            return WELL
+        if error.errno == errno.ENAMETOOLONG:
+            print(f"{name}: {error.filename!r}: {error.strerror}: shorten it", file=sys.stderr)
+            return MISTAKE
         mend = _SYSTEM.get(error.errno or 0)
         if mend is None:
             raise
+        if not error.filename:
+            discard_output()  # perhaps it was full
         at = f" {error.filename}:" if error.filename else ""
         print(f"{name}:{at} {error.strerror}: {mend}", file=sys.stderr)
         return FAILED
@@ -137,6 +154,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _check_system(words[0] if words else "")
         parser = _loaded(words[0] if words else "", alone=arguments is None)
         args = parser.parse_args(words)
+        keep_words_apart(args)
         result: int = args.run(args)
         return result
 

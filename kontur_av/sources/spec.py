@@ -7,6 +7,7 @@ own. All of them are called as a scene's factory is, and with what the SPEC name
 A class's static method `check_source`, if it has one, refuses what cannot work.
 """
 
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Literal
@@ -117,8 +118,8 @@ def _scene(spec: str, scenes: Iterable[str]) -> str | None:
 def _with_kind(spec: str, door: PartDoor) -> str:
     """Return `spec`, of a path with the name of its kind. ConfigError for another kind of input."""
     kind, colon, _ = spec.partition(":")
-    if not spec:
-        raise ConfigError(f"a source is empty: give {door.forms}")
+    if not spec or "\0" in spec:
+        raise ConfigError(f"source {spec!r} names nothing: give {door.forms}")
     if kind in FILLED_BY_OTHERS:
         if colon:
             raise ConfigError(f"source {spec!r}: write {kind}")
@@ -132,14 +133,16 @@ def _with_kind(spec: str, door: PartDoor) -> str:
                 else f"{spec!r} is pictures, this input wants sound: give a file or alsa:DEVICE"
             )
         return spec
-    if names_part(spec, door) and not Path(spec).exists():
+    # Unlike Path.exists, it raises nothing for a name that is too long.
+    exists = os.path.exists(spec)  # noqa: PTH110
+    if names_part(spec, door) and not exists:
         return spec
-    return f"{_FILE}:{spec if Path(spec).exists() else _sample(spec)}"
+    return f"{_FILE}:{spec if exists else _sample(spec)}"
 
 
 def _check_text(spec: str) -> None:
     kind, _, text = spec.partition(":")
-    if not text:
+    if not text or "\0" in text:
         raise ConfigError(f"source {spec!r} names nothing: write {kind}: and what to open")
 
 

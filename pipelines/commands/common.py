@@ -12,6 +12,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, sessions
+from pipelines.report.report_file import save_report
 from pipelines.session.output import discard_output
 from pipelines.session.sessions import started_here
 from telepresence.haptics.udp_line import unprotected
@@ -67,21 +68,12 @@ def check_reachable(address: tuple[str, int]) -> None:
             ) from None
 
 
-def write_text(path: str, text: str, option: str) -> None:
-    """Write a file that the user asked for; ConfigError if it cannot be written."""
-    try:
-        Path(path).write_text(text, newline="")
-    except OSError as error:
-        raise ConfigError(f"{option} {path!r} cannot be written: {error.strerror}") from None
-
-
-def end_with(report_file: str | None, report: str, failed: Sequence[str]) -> int:
+def end_with(report_file: Path | None, report: object, failed: Sequence[str]) -> int:
     """Write the report, if a file is given, and say what failed; the exit code."""
-    if report_file:
-        write_text(report_file, report, "--report")
+    saved = save_report(report_file, report)
     for failure in failed:
         print(f"failed: {failure}", file=sys.stderr)
-    return 1 if failed else 0
+    return 1 if failed or not saved else 0
 
 
 @contextmanager

@@ -5,7 +5,6 @@ import shutil
 from pathlib import Path
 
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.commands.common import output_that_may_fail
 from pipelines.recording.inventory import inventory_lines, take_inventory
 from pipelines.recording.recording_file import octets_of_file
 
@@ -20,6 +19,5 @@ def run(args: argparse.Namespace) -> int:
     except ProtocolError as error:
         raise ConfigError(f"{args.file}: {error}") from None
     width = shutil.get_terminal_size().columns
-    with output_that_may_fail():
-        print("\n".join(inventory_lines(inventory, str(args.file), width)))
+    print("\n".join(inventory_lines(inventory, str(args.file), width)))
     return 0

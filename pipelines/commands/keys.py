@@ -4,7 +4,6 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from pipelines.commands.common import output_that_may_fail
 from pipelines.link.key_files import (
     default_key_path,
     forget,
@@ -63,6 +62,5 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(lines: Sequence[str]) -> None:
-    with output_that_may_fail():
-        for line in lines:
-            print(line)
+    for line in lines:
+        print(line)

@@ -19,7 +19,6 @@ from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, s
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
-from pipelines.report.model import to_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     if args.video is None and args.audio is None:
         raise ConfigError("nothing to publish: give --video SPEC, --audio SPEC or both")
     report = asyncio.run(_publish(args))
-    return end_with(args.report, to_json(report), report.failed)
+    return end_with(args.report, report, report.failed)
 
 
 async def _publish(args: argparse.Namespace) -> RtcCommandReport:

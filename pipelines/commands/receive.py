@@ -13,7 +13,12 @@ from kontur_av.media import parse_size
 from kontur_av.meters import RateMeter
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
-from pipelines.commands.common import check_options, end_with, stopped_by_signals, write_text
+from pipelines.commands.common import (
+    check_options,
+    end_with,
+    output_that_may_fail,
+    stopped_by_signals,
+)
 from pipelines.commands.media_reports import (
     ReceivedLatency,
     ReceivedStages,
@@ -25,7 +30,9 @@ from pipelines.commands.media_reports import (
 from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.receive_media import PictureOutput, SoundOutput
 from pipelines.commands.remux import MatroskaWriter
-from pipelines.report.model import to_builtins, to_json
+from pipelines.report.model import to_builtins
+from pipelines.report.report_file import check_writable
+from pipelines.session.output import reader_gone
 
 _SILENCE_NS = 5 * NS_PER_S
 _SILENCE_AFTER_GOODBYE_NS = NS_PER_S
@@ -39,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--size", metavar="WxH", help="of the pictures of --raw (default: that of the first one)"
     )
-    parser.add_argument("--report", metavar="FILE", help="write a JSON report")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write a JSON report")
     parser.add_argument(
         "--seconds",
         metavar="S",
@@ -59,8 +66,7 @@ def run(args: argparse.Namespace) -> int:
         udp = stack.enter_context(
             closing(UdpReceiver(stream.host, stream.port, stream.control_port))
         )
-        if args.report:
-            write_text(args.report, "", "--report")
+        check_writable(args.report)
         writer: MatroskaWriter | None = None
         if args.save:
             writer = MatroskaWriter(args.save)
@@ -78,13 +84,13 @@ def run(args: argparse.Namespace) -> int:
     end = ReceiveEnd(
         latency_ms=latency,
         cpu_s=time.process_time(),
-        failed=failed + ([raw.fault] if raw is not None and raw.fault else []),
+        failed=failed + [one.fault for one in (writer, raw) if one is not None and one.fault],
         saved=None if writer is None else SavedReport(file=args.save, packets=writer.written),
         raw=None if raw is None else raw.report(),
     )
     # One object with the keys of all parts.
     report = to_builtins(rtp) | to_builtins(output.report()) | to_builtins(end)
-    return end_with(args.report, to_json(report), end.failed)
+    return end_with(args.report, report, end.failed)
 
 
 def _open_raw(args: argparse.Namespace, stream: StreamDescription) -> RawPictures | None:
@@ -103,6 +109,11 @@ def _read_text(path: str) -> str:
         return Path(path).read_text(encoding="utf-8", errors="replace")
     except OSError as error:
         raise ConfigError(f"--sdp {path!r} cannot be read: {error.strerror}") from None
+
+
+def _say(line: str) -> None:
+    with output_that_may_fail():
+        print(line, flush=True)
 
 
 class _ReceiveShell:
@@ -132,11 +143,11 @@ class _ReceiveShell:
         start_ns = self._clock.now_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
         next_line_ns = start_ns + NS_PER_S
-        print(f"waiting for {self._stream.kind} on UDP port {self._stream.port}", flush=True)
+        _say(f"waiting for {self._stream.kind} on UDP port {self._stream.port}")
         with stopped_by_signals() as stopped, selectors.DefaultSelector() as selector:
             for one in self._udp.sockets:
                 selector.register(one, selectors.EVENT_READ)
-            while not stopped():
+            while not (stopped() or reader_gone()):
                 now_ns = self._clock.now_ns()
                 if (end_ns is not None and now_ns >= end_ns) or self._has_ended(now_ns):
                     break
@@ -154,6 +165,7 @@ class _ReceiveShell:
                 self._output.drain()
                 if self._raw is not None and self._raw.pending() is not None:
                     self._raw.handle_writable()
+            self._output.finish()
         return self._report(start_ns)
 
     def _watch(self, selector: selectors.BaseSelector, wanted: int | None) -> None:
@@ -184,15 +196,14 @@ class _ReceiveShell:
     def _line(self, passed_ns: int) -> None:
         counts = self._receiver.counts.rtp
         latency = self._output.decoded_ns
-        print(
+        _say(
             f"{passed_ns / NS_PER_S:6.0f} s  {counts.rtp_packets} packets, {counts.rtp_lost} lost, "
             f"{self._output.decoded} decoded, {self._rate.mean_bps() / 1000:.1f} kbit/s"
             + (
                 f", latency {latency.percentile(95) / NS_PER_MS:.1f} ms (95 %)"
                 if latency.count
                 else ""
-            ),
-            flush=True,
+            )
         )
 
     def _report(self, start_ns: int) -> tuple[RtpReport, ReceivedLatency | None, list[str]]:

@@ -1,5 +1,7 @@
 """Writes a received stream into a Matroska file as it came, without coding it again."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from heapq import heappop, heappush
 from pathlib import Path
 
@@ -25,11 +27,14 @@ class MatroskaWriter:
             raise ConfigError(f"--save {path!r} cannot be written: {error.strerror}") from None
         self._begun = False
         self._display_order: list[int] = []
+        self._path = path
         self.written = 0
+        #: Why the file cannot be written any more; empty if it can.
+        self.fault = ""
 
     def add_unit(self, data: bytes, ticks: int, *, keyframe: bool) -> None:
         """Write an access unit (Annex B), shown at `ticks` of 90 kHz."""
-        if not self._begun and not self._file.begin_video(data):
+        if self.fault or (not self._begun and not self._file.begin_video(data)):
             return
         self._begun = True
         # Sorted display times, delayed by some pictures, serve as decoding times: they never run
@@ -40,16 +45,29 @@ class MatroskaWriter:
         else:
             decode_ticks = self._display_order[0] - _REORDERED_PICTURES + self.written
         # A time runs backwards after a loss in a stream with B pictures.
-        self.written += self._file.write_picture(
-            data, ticks, min(decode_ticks, ticks), VIDEO_CLOCK_HZ, keyframe=keyframe
-        )
+        with self._faults():
+            self.written += self._file.write_picture(
+                data, ticks, min(decode_ticks, ticks), VIDEO_CLOCK_HZ, keyframe=keyframe
+            )
 
     def add_opus(self, payload: bytes, ticks: int, samples: int) -> None:
         """Write an Opus packet of `samples` samples, played at `ticks` of 48 kHz."""
+        if self.fault:
+            return
         if not self._begun:
             self._file.begin_sound()
             self._begun = True
-        self.written += self._file.write_sound(payload, ticks, AUDIO_CLOCK_HZ, samples)
+        with self._faults():
+            self.written += self._file.write_sound(payload, ticks, AUDIO_CLOCK_HZ, samples)
 
     def close(self) -> None:
-        self._file.close()
+        """Finish the file. May be called twice."""
+        with self._faults():
+            self._file.close()
+
+    @contextmanager
+    def _faults(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.fault = self.fault or f"--save {self._path!r}: {error.strerror}"

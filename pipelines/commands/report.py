@@ -1,15 +1,14 @@
 """`kontur-av report join`: one report of a session on two machines."""
 
 import argparse
-import sys
 from pathlib import Path
 
 import msgspec
 
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.commands.common import output_that_may_fail
 from pipelines.report.join import join_reports
 from pipelines.report.model import SessionReport, from_json, to_json
+from pipelines.session.output import print_data
 from pipelines.session.setup.setup_file import setup_from_text
 from pipelines.table import topology_of
 
@@ -35,8 +34,7 @@ def run(args: argparse.Namespace) -> int:
         joined = join_reports(first, second, read_setup=setup_from_text, table_of=topology_of)
     except ProtocolError as error:
         raise ConfigError(f"{args.ground}, {args.space}: damaged: {error}") from None
-    with output_that_may_fail():
-        sys.stdout.write(to_json(joined))
+    print_data(to_json(joined))
     return 0
 
 

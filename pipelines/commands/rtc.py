@@ -25,7 +25,6 @@ from pipelines.commands.rtc_running import add_run_arguments, driven, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
-from pipelines.report.model import to_json
 from pipelines.session.page_certificate import certificate_for, check_certificate
 from pipelines.session.page_sockets import PageListener, bind_pages, listeners
 
@@ -64,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     """
     check_options(args)
     report = asyncio.run(_serve(args))
-    return end_with(args.report, to_json(report), report.failed)
+    return end_with(args.report, report, report.failed)
 
 
 @contextmanager
@@ -122,5 +121,5 @@ async def _serve(args: argparse.Namespace) -> RtcCommandReport:
                 coded=dict(sources.coded),
                 rate_bps=sources.rate.bps if args.video is not None else None,
                 cpu_s=time.process_time(),
-                failed=[sources.fault] if sources.fault else [],
+                failed=[*([sources.fault] if sources.fault else []), *output.finish()],
             )

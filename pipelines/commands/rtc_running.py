@@ -5,6 +5,7 @@ import asyncio
 import signal
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
+from pathlib import Path
 
 from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.rtc_reports import RtcConnection, connection_report
@@ -16,7 +17,7 @@ _LOOK_S = 0.2
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
-    parser.add_argument("--report", metavar="FILE", help="write a JSON report")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write a JSON report")
 
 
 def say(line: str) -> None:

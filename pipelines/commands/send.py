@@ -3,6 +3,7 @@
 import argparse
 import time
 from contextlib import closing
+from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
@@ -18,9 +19,9 @@ from pipelines.commands.common import (
     check_options,
     check_reachable,
     end_with,
+    output_that_may_fail,
     parse_address,
     stopped_by_signals,
-    write_text,
 )
 from pipelines.commands.media_reports import (
     SendReport,
@@ -30,7 +31,8 @@ from pipelines.commands.media_reports import (
     latency_ms,
 )
 from pipelines.commands.send_media import add_picture_arguments, open_feed
-from pipelines.report.model import to_json
+from pipelines.report.report_file import check_writable, write_text
+from pipelines.session.output import reader_gone
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
 
@@ -77,8 +79,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "time and loses 1 dB (default: thorough)",
     )
     parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
-    parser.add_argument("--sdp", metavar="FILE", help="write what receivers need to know")
-    parser.add_argument("--report", metavar="FILE", help="write a JSON report")
+    parser.add_argument(
+        "--sdp", type=Path, metavar="FILE", help="write what receivers need to know"
+    )
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write a JSON report")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -98,13 +102,13 @@ def run(args: argparse.Namespace) -> int:
     with open_feed(args, clock) as feed:
         stream = describe(feed, *address)
         if args.sdp:
-            write_text(args.sdp, write_sdp(stream), "--sdp")
-        if args.report:
-            write_text(args.report, "", "--report")
+            check_writable(args.sdp, "--sdp")
+            write_text(args.sdp, write_sdp(stream))
+        check_writable(args.report)
         check_reachable(address)
         with closing(UdpSender(*address)) as udp:
             report = _SendShell(feed, udp, clock).run(args.seconds)
-    return end_with(args.report, to_json(report), report.failed)
+    return end_with(args.report, report, report.failed)
 
 
 class _SendShell:
@@ -129,7 +133,7 @@ class _SendShell:
         end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
         next_line_ns = start_ns + NS_PER_S
         with stopped_by_signals() as stopped:
-            while not stopped():
+            while not (stopped() or reader_gone()):
                 now_ns = self._clock.now_ns()
                 if end_ns is not None and now_ns >= end_ns:
                     break
@@ -167,13 +171,14 @@ class _SendShell:
 
     def _line(self, now_ns: int, start_ns: int) -> None:
         counts, released = self._sender.counts, self._sender.released
-        print(
+        line = (
             f"{(now_ns - start_ns) / NS_PER_S:6.0f} s  {counts.frames_captured} captured, "
             f"{counts.frames_sent} sent in {released.events} packets, "
             f"{released.mean_bps(now_ns) / 1000:.1f} of {self._sender.cap_bps / 1000:g} kbit/s, "
-            f"capture to sent {self._sent_ns.percentile(95) / NS_PER_MS:.1f} ms (95 %)",
-            flush=True,
+            f"capture to sent {self._sent_ns.percentile(95) / NS_PER_MS:.1f} ms (95 %)"
         )
+        with output_that_may_fail():
+            print(line, flush=True)
 
     def _report(self, start_ns: int) -> SendReport:
         feed, sender, now_ns = self._feed, self._sender, self._clock.now_ns()

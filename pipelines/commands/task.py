@@ -3,11 +3,9 @@
 import argparse
 from random import SystemRandom
 
-from rich.console import Console
-
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from pipelines.commands.common import acting_on, add_session_argument, output_that_may_fail
+from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.commands.tc import follow
 from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import SendCommand
@@ -76,15 +74,12 @@ def _shown(bus: TopicBus, session: str) -> ExperimentShown:
 
 
 def _print(shown: ExperimentShown) -> None:
-    console = Console()
-    with output_that_may_fail():
-        for one in shown.tasks:
-            console.print(f"{one.name:<10} {one.text}", highlight=False, soft_wrap=True)
-        present = f"{shown.task}, run {shown.run}: {shown.phase}" if shown.task else shown.phase
-        elemop = f", {shown.elemop}" if shown.elemop else ""
-        console.print(f"now: {present}{elemop}", highlight=False, soft_wrap=True)
-        for run in shown.runs:
-            took = "" if run.seconds is None else f" after {run.seconds:.1f} s"
-            why = f": {run.reason}" if run.reason else ""
-            line = f"run {run.run} {run.task}: {run.result}{took}{why}"
-            console.print(line, highlight=False, soft_wrap=True)
+    for one in shown.tasks:
+        print(f"{one.name:<10} {one.text}")
+    present = f"{shown.task}, run {shown.run}: {shown.phase}" if shown.task else shown.phase
+    elemop = f", {shown.elemop}" if shown.elemop else ""
+    print(f"now: {present}{elemop}")
+    for run in shown.runs:
+        took = "" if run.seconds is None else f" after {run.seconds:.1f} s"
+        why = f": {run.reason}" if run.reason else ""
+        print(f"run {run.run} {run.task}: {run.result}{took}{why}")

@@ -17,6 +17,7 @@ from pipelines.mission.tmtc_messages import (
 )
 from pipelines.mission.tmtc_socket import read_dictionary, tmtc_socket_name
 from pipelines.session.asking import running_sessions
+from pipelines.session.output import print_data
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import TMTC_TOPICS
 from telepresence.tmtc.pus.dictionary import Application
@@ -87,7 +88,7 @@ def _print_known(args: argparse.Namespace) -> None:
     if running:
         dictionary = read_dictionary(acting_on(args.session, running))
     if args.xtce:
-        print(dictionary_xtce(dictionary), end="")
+        print_data(dictionary_xtce(dictionary))
     elif args.application is not None:
         _list(dictionary.application(args.application))
     else:

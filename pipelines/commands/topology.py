@@ -4,8 +4,8 @@ import argparse
 import shutil
 from dataclasses import replace
 
-from pipelines.commands.common import output_that_may_fail
 from pipelines.session.options import add_setup_argument, port_changes
+from pipelines.session.output import print_data
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology.graph import dot
 from pipelines.session.topology.tables import processes_table, streams_table, topics_table
@@ -32,6 +32,5 @@ def run(args: argparse.Namespace) -> int:
         text = "\n\n".join(
             "\n".join([heading, "", *table.lines(width)]) for heading, table in parts.items()
         )
-    with output_that_may_fail():
-        print(text.rstrip("\n"))
+    print_data(text.rstrip("\n") + "\n")
     return 0

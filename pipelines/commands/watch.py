@@ -19,7 +19,6 @@ from pipelines.commands.rtc_running import add_run_arguments, keep, say
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
-from pipelines.report.model import to_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     """
     check_options(args)
     report = asyncio.run(_watch(args))
-    return end_with(args.report, to_json(report), report.failed)
+    return end_with(args.report, report, report.failed)
 
 
 async def _watch(args: argparse.Namespace) -> RtcCommandReport:
@@ -62,7 +61,7 @@ async def _watch(args: argparse.Namespace) -> RtcCommandReport:
         )
         newest = await keep(args, keeper, output.flush)
         pictures, voice = output.pictures(), output.voice()
-        failed = []
+        failed = output.finish()
         if not keeper.attempts.stood:
             failed.append(f"no connection to {args.whep}: {keeper.fault or 'none was made'}")
         elif not pictures.decoded and not voice.decoded:

@@ -22,7 +22,8 @@ class MatroskaFile:
     def __init__(self, path: Path) -> None:
         # PyAV opens the file with the first packet: too late to refuse.
         path.write_bytes(b"")
-        self._container: OutputContainer = av.open(str(path), "w", format="matroska")
+        # Without file: a name with a colon would be a protocol.
+        self._container: OutputContainer = av.open(f"file:{path}", "w", format="matroska")
         self._video: Stream | None = None
         self._sound: Stream | None = None
         self._template: InputContainer | None = None

@@ -1,6 +1,58 @@
-"""The standard output of a command."""
+"""The standard output of a command: words for people, or data for another program."""
 
+import fcntl
 import os
+import select
+import sys
+from argparse import Namespace
+from contextlib import suppress
+from pathlib import Path
+
+
+def prepare_output() -> None:
+    """Make standard output and standard error fit for any text, even if the caller closed them."""
+    # Else the next file that is opened would get the words.
+    for fd in range(3):
+        try:
+            unfit = fd > 0 and fcntl.fcntl(fd, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDONLY
+        except OSError:
+            unfit = True
+        if unfit:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            if nowhere != fd:
+                os.dup2(nowhere, fd)
+                os.close(nowhere)
+    for name, fd in (("stdout", 1), ("stderr", 2)):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(fd, "w", closefd=False))
+        with suppress(AttributeError):
+            getattr(sys, name).reconfigure(errors="backslashreplace")
+
+
+def keep_words_apart(args: Namespace) -> None:
+    """Print words on standard error if an option names standard output for data."""
+    out = os.fstat(1)
+    for value in vars(args).values():
+        if isinstance(value, str | Path):
+            # A text that is no path, or too long for one.
+            with suppress(OSError, ValueError):
+                if os.path.samestat(Path(value).stat(), out):
+                    sys.stdout = sys.stderr
+                    return
+
+
+def print_data(text: str) -> None:
+    """Write `text` to standard output in UTF-8, whatever the locale."""
+    sys.stdout.flush()
+    sys.stdout.buffer.write(text.encode())
+    sys.stdout.buffer.flush()
+
+
+def reader_gone() -> bool:
+    """Return whether standard output is a pipe whose reader, such as head(1), has ended."""
+    poller = select.poll()
+    poller.register(1, 0)
+    return any(events & select.POLLERR for _, events in poller.poll(0))
 
 
 def discard_output() -> None:

@@ -1,0 +1,60 @@
+"""Standard output that is closed, full, without a reader, of another charset, or meant for data."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMANDS = [("devices",), ("topology", "--setup", "taskboard"), ("doctor",), ("stream", "--help")]
+
+
+def start(*words, **options):
+    return subprocess.Popen(
+        [sys.executable, "-m", "pipelines.cli", *words], stderr=subprocess.PIPE, **options
+    )
+
+
+def ended(process) -> tuple[int, str]:
+    said = process.stderr.read().decode()
+    process.stderr.close()
+    return process.wait(30), said
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words[0])
+def test_a_closed_output_or_a_reader_that_ends_is_no_failure(words):
+    closed = start(*words, preexec_fn=lambda: os.close(1))
+    assert ended(closed) == (0, "")
+    ours, theirs = os.pipe()
+    gone = start(*words, stdout=theirs)
+    os.close(theirs)
+    os.close(ours)
+    assert ended(gone) == (0, "")
+
+
+@pytest.mark.parametrize("words", COMMANDS[:3], ids=lambda words: words[0])
+def test_a_full_output_is_a_failure_with_one_line(words):
+    with Path("/dev/full").open("wb") as full:
+        assert ended(start(*words, stdout=full)) == (
+            1,
+            "kontur-av: No space left on device: free some room\n",
+        )
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words[0])
+@pytest.mark.parametrize("charset", ["latin-1", "ascii"])
+def test_any_charset_takes_the_words(words, charset):
+    environment = os.environ | {"PYTHONIOENCODING": f"{charset}:strict"}
+    process = start(*words, stdout=subprocess.DEVNULL, env=environment)
+    assert ended(process) == (0, "")
+
+
+def test_a_report_on_standard_output_has_no_words_in_it(tmp_path):
+    words = ["simulate", "--setup", "taskboard", "--no-media", "--radio", "clean"]
+    path = tmp_path / "out.json"
+    with path.open("wb") as out:
+        process = start(*words, "--seconds", "0.1", "--report", "/dev/stdout", stdout=out)
+        assert ended(process)[0] == 0
+    text = path.read_text()
+    assert text.startswith("{") and text.rstrip().endswith("}")
