@@ -142,6 +142,14 @@ def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str]
         check_file(rest, kind)
 
 
+def played_file(spec: str) -> Path | None:
+    """Return the file that a source plays; None for one that plays no file."""
+    kind, rest = _split(spec)
+    if kind == "mcap":
+        return Path(rest.rpartition("#")[0] or rest)
+    return Path(rest) if kind == "file" else None
+
+
 def _split(spec: str) -> tuple[str, str]:
     kind, colon, rest = spec.partition(":")
     if colon and kind in _KINDS:

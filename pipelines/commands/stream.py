@@ -148,7 +148,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.report)
     wish = wish_of(args, held=False)
     if wish is not None:
-        check_recordable(Path(wish.file), overwrite=args.overwrite)
+        check_recordable(Path(wish.file), overwrite=args.overwrite, sources=setup.sources.values())
     clear_dead_sessions()
     check_room(setup, inputs, pages=not args.no_page)
     topology = topology_of(

@@ -117,7 +117,11 @@ class _RecorderProcess:
         """Begin to record; why that is not possible, or ""."""
         path = Path(start.wish.file)
         try:
-            check_recordable(path, overwrite=start.overwrite)
+            check_recordable(
+                path,
+                overwrite=start.overwrite,
+                sources=self._context.setup.sources.values(),
+            )
             clear_parts(path)
             write_wish(self._context.session, start.wish)
         except ConfigError as error:

@@ -23,7 +23,7 @@ from mcap.records import Channel, DataEnd, Footer, Header, Message, Metadata, Sc
 
 from kontur_av.errors import ProtocolError
 from kontur_av.recorded_format import FORMAT_KEY
-from pipelines.recording.facts import FACTS, is_sealed, needs_seal
+from pipelines.recording.facts import FACTS, RecordingFacts, is_sealed, needs_seal
 from pipelines.recording.mcap_stream import (
     CHUNK,
     HEAD,
@@ -380,3 +380,13 @@ class Scan:
         crc = data_end.data_section_crc
         self.figures.sound = not crc or crc == crc32(octets[:at])
         return True
+
+
+def first_facts(octets: memoryview) -> RecordingFacts | None:
+    """Return the facts at the beginning of a recording, or None; ProtocolError as `Scan`."""
+    for item in Scan(octets).items():
+        if isinstance(item, FoundMessage):
+            return None
+        if item.name == FACTS:
+            return RecordingFacts.of(item.metadata)
+    return None

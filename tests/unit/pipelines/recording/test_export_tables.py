@@ -6,7 +6,7 @@ from synthetic_recording import BEGIN_NS, LINK_CYCLES, MS, S, write_recording
 
 from pipelines.recording.export.columns import Columnizer, joined
 from pipelines.recording.export.tables import TableCollector, haptic_tables, rows_of_haptics
-from pipelines.recording.joined import JoinedMessage, JoinedRecording, follows, read_part
+from pipelines.recording.joined import JoinedMessage, JoinedRecording, read_part
 from pipelines.recording.messages import EVENT, LINK_SENT, NO_SAMPLE
 
 
@@ -111,10 +111,3 @@ def test_messages_that_are_not_of_their_schema_are_counted():
     assert columnizer.rows(message) is None
     assert columnizer.unreadable == {"/events": 1}
     assert columnizer.rows(message._replace(schema="some.Other")) is None
-
-
-def test_a_part_of_another_recording_does_not_follow(tmp_path, written):
-    first, second = (read_part(memoryview(path.read_bytes())) for path in written.paths)
-    assert follows(second, first)
-    assert not follows(first, second)
-    assert not follows(first, first)
