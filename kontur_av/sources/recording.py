@@ -27,6 +27,7 @@ from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_NS, BLOCK_SAMPLES, Pcm
 from kontur_av.recorded_format import FORMAT, FORMAT_KEY
 from kontur_av.sources.fit import scaled_aspect
+from kontur_av.sources.instants import RisingInstants
 from kontur_av.sources.looped import LoopedAudio, LoopedVideo, PlayedPicture
 
 #: By kind: schema and format of its messages, and what it is called.
@@ -170,10 +171,20 @@ def _read_faults() -> Iterator[None]:
         raise ValueError(str(error) or type(error).__name__) from None
 
 
-def read_units(path: str, channel: str) -> Iterator[_Unit]:
-    """Yield the units of a channel once; ValueError where the file cannot be read (on)."""
+def read_units(path: str, channel: str, instants: RisingInstants) -> Iterator[_Unit]:
+    """Yield the units of a channel once, at rising instants.
+
+    Raises ValueError where the file cannot be read (on).
+    """
     with Path(path).open("rb") as file, _read_faults():
-        yield from _units(make_reader(file, validate_crcs=True), channel)
+        for unit in _units(make_reader(file, validate_crcs=True), channel):
+            yield unit._replace(log_ns=instants.instant_ns(unit.log_ns))
+
+
+def _moved(channel: str, instants: RisingInstants) -> ValueError:
+    return ValueError(
+        f"channel {channel}: {instants.moved} instants were not after the one before, and were moved"
+    )
 
 
 class RecordedVideo(LoopedVideo):
@@ -194,18 +205,18 @@ class RecordedVideo(LoopedVideo):
     def _pass(self) -> Iterator[PlayedPicture]:
         decoder = H264Decoder()
         first_ns: int | None = None
-        time_ns = 0
-        for unit in read_units(self._path, self._channel):
+        instants = RisingInstants(self._period_ns)
+        for unit in read_units(self._path, self._channel, instants):
             corrupt = decoder.counts.frames_corrupt
             for picture in decoder.decode(unit.data, 0):
                 first_ns = unit.log_ns if first_ns is None else first_ns
-                # Instants of capture of a damaged stream can step back.
-                time_ns = max(time_ns, unit.log_ns - first_ns)
                 frame = picture.frame
                 aspect = scaled_aspect(*self._size, frame.width, frame.height)
-                yield PlayedPicture(frame, time_ns, aspect)
+                yield PlayedPicture(frame, unit.log_ns - first_ns, aspect)
             if decoder.counts.frames_corrupt > corrupt:
                 self._fault(ValueError("an access unit cannot be decoded"))
+        if instants.moved:
+            self._fault(_moved(self._channel, instants))
 
 
 class RecordedAudio(LoopedAudio):
@@ -224,7 +235,8 @@ class RecordedAudio(LoopedAudio):
         decoder = OpusDecoder()
         silence = np.zeros(BLOCK_SAMPLES, np.int16)
         due_ns: int | None = None
-        for unit in read_units(self._path, self._channel):
+        instants = RisingInstants(BLOCK_NS)
+        for unit in read_units(self._path, self._channel, instants):
             missing = 0
             if due_ns is not None:
                 missing = max(0, int((unit.log_ns - due_ns) / Fraction(BLOCK_NS) + _LATE))
@@ -238,3 +250,5 @@ class RecordedAudio(LoopedAudio):
             # The true instant, so that rounding does not add up.
             due_ns = unit.log_ns + len(samples) * NS_PER_S // AUDIO_CLOCK_HZ
             yield samples
+        if instants.moved:
+            self._fault(_moved(self._channel, instants))

@@ -167,3 +167,20 @@ def test_a_damaged_access_unit_costs_its_picture_and_is_counted(tmp_path):
     assert seen >= len(data) - 1
     assert source.faults >= 1
     assert "cannot be decoded" in source.last_fault
+
+
+@pytest.mark.parametrize("shift_ms", [0, -3_600_000, -40])
+def test_instants_that_do_not_rise_are_moved_and_told(tmp_path, shift_ms):
+    """The second half begins again: at the same instants, an hour back, or a little."""
+    times = [0, 33, 66, *(at + shift_ms for at in (66, 99, 132))]
+    write(tmp_path / "a.mcap", {"/head": list(zip(times, map(picture, units()), strict=True))})
+    spec = f"mcap:{tmp_path / 'a.mcap'}#/head"
+    source = open_video(spec, name="head", width=64, height=48, fps=30, clock=ManualClock(0))
+    into, seen = empty_picture(*SIZE), []
+    while len(seen) < 7:
+        stamp = source.read(into, NS_PER_S)
+        if stamp is not None:
+            seen.append(stamp.capture_ns)
+    steps = [b - a for a, b in pairwise(seen)]
+    assert min(steps) >= NS_PER_MS and max(steps) < 70 * NS_PER_MS
+    assert "instants were not after the one before" in source.last_fault
