@@ -8,17 +8,18 @@ file, so recordings of other programs play, too.
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import IO, Any, Literal, NamedTuple
 
 import numpy as np
-import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
-from mcap.records import Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.codecs.h264 import H264Decoder
@@ -26,6 +27,7 @@ from kontur_av.codecs.opus import OpusDecoder
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_NS, BLOCK_SAMPLES, Pcm
 from kontur_av.recorded_format import FORMAT, FORMAT_KEY
+from kontur_av.sources.chunks import unpacked_chunk
 from kontur_av.sources.fit import scaled_aspect
 from kontur_av.sources.instants import RisingInstants
 from kontur_av.sources.looped import LoopedAudio, LoopedVideo, PlayedPicture
@@ -46,10 +48,8 @@ _FAULTS = (
     IndexError,
     KeyError,
     OverflowError,
-    RuntimeError,  # of lz4
     TypeError,
     struct.error,
-    zstandard.ZstdError,
 )
 
 
@@ -81,7 +81,7 @@ def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
             found = [topic for topic, schema, messages in known if schema == schema_name]
             if channel not in found:
                 raise ConfigError(_no_channel(path, channel, wanted, found, known))
-            unit = next(_units(reader, channel), None)
+            unit = next(_units(file, channel), None)
     except FileNotFoundError:
         raise ConfigError(f"no file {path!r}: write mcap:FILE#CHANNEL") from None
     except OSError as error:
@@ -138,16 +138,34 @@ def _channels(reader: McapReader) -> list[tuple[str, str, int]]:
     return sorted(found)
 
 
-def _units(reader: McapReader, channel: str) -> Iterator[_Unit]:
+def _units(file: IO[bytes], topic: str) -> Iterator[_Unit]:
     """The messages of a channel in the order in which they were written: that of decoding."""
+    file.seek(0)
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
     read = None
-    for schema, _, message in reader.iter_messages(topics=[channel], log_time_order=False):
-        if schema is None:
-            raise ValueError(f"channel {channel} has no schema")
-        if read is None:
-            read = _parser(schema)
-        value = read(message.data)
-        yield _Unit(message.log_time, bytes(value.data), str(value.format).lower())
+    for record in _records(file):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message) and channels[record.channel_id].topic == topic:
+            if read is None:
+                read = _parser(schemas[channels[record.channel_id].schema_id])
+            value = read(record.data)
+            yield _Unit(record.log_time, bytes(value.data), str(value.format).lower())
+
+
+def _records(file: IO[bytes]) -> Iterator[McapRecord]:
+    """All records in the order of the file, those in chunks, too."""
+    for record in StreamReader(file, emit_chunks=True).records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        plain = unpacked_chunk(record.compression, record.data, record.uncompressed_size)
+        if plain is None:
+            raise ValueError("a chunk is damaged")
+        yield from breakup_chunk(replace(record, compression="", data=plain), validate_crc=True)
 
 
 def _parser(schema: Schema) -> Callable[[bytes], Any]:
@@ -177,13 +195,13 @@ def read_units(path: str, channel: str, instants: RisingInstants) -> Iterator[_U
     Raises ValueError where the file cannot be read (on).
     """
     with Path(path).open("rb") as file, _read_faults():
-        for unit in _units(make_reader(file, validate_crcs=True), channel):
+        for unit in _units(file, channel):
             yield unit._replace(log_ns=instants.instant_ns(unit.log_ns))
 
 
 def _moved(channel: str, instants: RisingInstants) -> ValueError:
     return ValueError(
-        f"channel {channel}: {instants.moved} instants were not after the one before, and were moved"
+        f"channel {channel}: {instants.moved} instants were not after the one before: moved"
     )
 
 
