@@ -3,6 +3,7 @@
 So neither a slow disk nor a full one holds up the reader of the topics.
 """
 
+import fcntl
 import glob
 import os
 import threading
@@ -48,6 +49,9 @@ def check_recordable(path: Path, *, overwrite: bool, sources: Iterable[str] = ()
 
     sources: what the session captures, as SPECs. A file of these is not replaced.
     """
+    for old in _old_parts(path):
+        if _is_being_written(old):
+            raise ConfigError(f"{old} is being recorded: record to another name")
     played = [file for spec in sources if (file := played_file(spec)) and file.exists()]
     for old in _old_parts(path):
         if any(old.samefile(file) for file in played):
@@ -83,6 +87,16 @@ def _old_parts(path: Path) -> Iterator[Path]:
         same = facts is not None and found is not None and found.is_of(facts)
         if old == path or same or not old.stat().st_size:
             yield old
+
+
+def _is_being_written(path: Path) -> bool:
+    """Whether a recorder has it open."""
+    with suppress(OSError), path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 def _facts_of(path: Path) -> RecordingFacts | None:
@@ -137,6 +151,7 @@ class PartFiles:
                 file = os.open(part_path(self._path, part), flags, 0o600)
             except FileExistsError:
                 continue
+            fcntl.flock(file, fcntl.LOCK_EX)
             with self._lock:
                 self._files[part] = file
                 self._last = part
