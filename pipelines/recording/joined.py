@@ -134,7 +134,13 @@ def chosen_parts(found: Mapping[int, Part]) -> tuple[dict[int, Part], dict[int, 
         else:
             numbers.add(facts.part)
             taken[number] = part
-    return dict(sorted(taken.items(), key=lambda each: _first_ns(each[1]))), left_out
+    return dict(sorted(taken.items(), key=lambda each: _begin_ns(each[1]))), left_out
+
+
+def _begin_ns(part: Part) -> int:
+    """When a part was begun; where its facts are lost, its earliest instant."""
+    facts = part.inventory.facts
+    return _first_ns(part) if facts is None else facts.session_ns
 
 
 def _first_ns(part: Part, topics: Sequence[str] | None = None) -> int:

@@ -58,7 +58,7 @@ def test_each_sample_says_when_the_other_end_acted_on_it(written, tables):
 
 def test_events_and_commands_have_the_haptic_row_in_which_they_happened(written, tables):
     events = tables["events"]
-    touches = [text == "contact" for text in events["what"]]
+    touches = [text == "touch" for text in events["what"]]
     rows = events["haptic_up_row"][touches].astype(int)
     cycles = tables["haptic_up"]
     # Counted from 1.
