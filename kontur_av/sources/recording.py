@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import IO, Any, Literal, NamedTuple
 
 import numpy as np
+from av.video.frame import PictureType
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
@@ -37,6 +38,7 @@ _SCHEMAS = {
     "video": ("foxglove.CompressedVideo", "h264", "pictures"),
     "audio": ("foxglove.CompressedAudio", "opus", "sound"),
 }
+_NOT_PROTOBUF = ", which is not read"
 #: Missing sound is concealed for so many blocks. Then there is silence.
 _CONCEALED = 3
 #: Sound that is later than this, as a share of a block, has lost a block before it.
@@ -100,6 +102,11 @@ def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
             f"channel {channel} of {path!r} is {unit.format or 'of no known format'}: "
             f"take one with {format_name}"
         )
+    if kind == "video" and unit.data.lstrip(b"\0")[:1] != b"\1":
+        raise ConfigError(
+            f"channel {channel} of {path!r} has lengths before its NAL units (AVCC): "
+            "write start codes (Annex B), as foxglove.CompressedVideo wants"
+        )
 
 
 def _check_format(path: str, reader: McapReader) -> None:
@@ -118,6 +125,9 @@ def _no_channel(
     path: str, channel: str, wanted: str, found: list[str], known: list[tuple[str, str, int]]
 ) -> str:
     named = f"no channel {channel!r} with {wanted}" if channel else "no channel is named"
+    for topic, schema, _ in known:
+        if topic == channel and schema.endswith(_NOT_PROTOBUF):
+            return f"channel {channel} of {path!r} is {schema}: record it as protobuf"
     if not found:
         others = ", ".join(topic for topic, _, _ in known[:8]) or "none at all"
         return f"{path!r} has no channel with {wanted}: it has {others}"
@@ -133,7 +143,9 @@ def _channels(reader: McapReader) -> list[tuple[str, str, int]]:
     found = []
     for channel in summary.channels.values():
         schema = summary.schemas.get(channel.schema_id)
-        name = schema.name if schema is not None and schema.encoding == "protobuf" else ""
+        name = "" if schema is None else schema.name
+        if schema is not None and schema.encoding != "protobuf":
+            name += f" in {schema.encoding or 'no encoding'}{_NOT_PROTOBUF}"
         found.append((channel.topic, name, counts.get(channel.id, 0)))
     return sorted(found)
 
@@ -223,18 +235,23 @@ class RecordedVideo(LoopedVideo):
     def _pass(self) -> Iterator[PlayedPicture]:
         decoder = H264Decoder()
         first_ns: int | None = None
+        reordered = False
         instants = RisingInstants(self._period_ns)
         for unit in read_units(self._path, self._channel, instants):
             corrupt = decoder.counts.frames_corrupt
             for picture in decoder.decode(unit.data, 0):
                 first_ns = unit.log_ns if first_ns is None else first_ns
                 frame = picture.frame
+                reordered |= frame.pict_type == PictureType.B
                 aspect = scaled_aspect(*self._size, frame.width, frame.height)
                 yield PlayedPicture(frame, unit.log_ns - first_ns, aspect)
             if decoder.counts.frames_corrupt > corrupt:
                 self._fault(ValueError("an access unit cannot be decoded"))
         if instants.moved:
             self._fault(_moved(self._channel, instants))
+        if reordered:
+            words = "has B pictures, so its instants are wrong: record it without"
+            self._fault(ValueError(f"channel {self._channel} {words}"))
 
 
 class RecordedAudio(LoopedAudio):

@@ -1,7 +1,9 @@
 """Channels of recordings as sources, on virtual time: their times, gaps and faults."""
 
+from fractions import Fraction
 from itertools import pairwise
 
+import av
 import numpy as np
 import pytest
 from mcap.writer import Writer
@@ -140,6 +142,41 @@ def test_a_coded_size_that_was_rounded_fills_the_picture(tmp_path):
 def test_a_channel_that_cannot_be_played_is_refused(path, channel, kind, told):
     with pytest.raises(ConfigError, match=told):
         check_spec(f"mcap:{path}{channel}", kind)
+
+
+def test_the_cause_is_named_where_pictures_are_no_annex_b_or_messages_no_protobuf(tmp_path):
+    avcc = [
+        (at, picture(data.replace(b"\0\0\0\1", b"\0\0\0\x20")))
+        for at, data in zip(TIMES_MS, units(), strict=True)
+    ]
+    write(tmp_path / "a.mcap", {"/head": avcc})
+    with pytest.raises(ConfigError, match=r"lengths before its NAL units \(AVCC\): .*Annex B"):
+        check_spec(f"mcap:{tmp_path / 'a.mcap'}#/head", "video")
+    with (tmp_path / "b.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.CompressedVideo", "jsonschema", b"{}")
+        writer.add_message(writer.register_channel("/head", "json", schema), 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(ConfigError, match=r"channel /head of .* in jsonschema, which is not read"):
+        check_spec(f"mcap:{tmp_path / 'b.mcap'}#/head", "video")
+
+
+def test_b_pictures_are_told(tmp_path):
+    coder = av.CodecContext.create("libx264", "w")
+    coder.width, coder.height, coder.pix_fmt = *SIZE, "yuv420p"
+    coder.time_base, coder.options = Fraction(1, 30), {"bf": "2", "b_strategy": "0"}
+    frames = [av.VideoFrame.from_ndarray(empty_picture(*SIZE) + 9 * n, "yuv420p") for n in range(9)]
+    for number, frame in enumerate(frames):
+        frame.pts = number
+    data = [bytes(packet) for frame in [*frames, None] for packet in coder.encode(frame)]
+    write(tmp_path / "a.mcap", {"/head": [(33 * n, picture(each)) for n, each in enumerate(data)]})
+    spec = f"mcap:{tmp_path / 'a.mcap'}#/head"
+    source = open_video(spec, name="head", width=64, height=48, fps=30, clock=ManualClock(0))
+    into = empty_picture(*SIZE)
+    for _ in range(30):
+        source.read(into, NS_PER_S)
+    assert "has B pictures, so its instants are wrong" in source.last_fault
 
 
 def test_a_file_that_is_no_whole_recording_is_refused(tmp_path, path):

@@ -53,7 +53,7 @@ def test_a_matlab_file_has_the_tables_and_where_they_come_from(recording, writte
     cycles = written.haptics["/haptic/up/sent"]
     assert found["haptic_up"]["fx_n"].tolist() == cycles["fx_n"].tolist()
     assert loadmat(out)["haptic_up"]["time_s"][0, 0].shape == (len(cycles), 1)
-    assert list(found["events"]["what"]) == ["link", "contact", "camera", "contact", "contact"]
+    assert list(found["events"]["what"]) == ["link", "touch", "camera", "touch", "touch"]
     assert names(recording.parent) == ["a-2.mcap", "a.mcap", "out.mat"]
 
 
