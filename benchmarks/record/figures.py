@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from mcap.opcode import Opcode
+from mcap.records import Metadata
 
 from kontur_av.clock import NS_PER_S
 from pipelines.recording.facts import FACTS, RecordingFacts
@@ -40,8 +41,9 @@ def scan_part(octets: memoryview) -> ScannedPart:
     scan, facts, first_ns, last_ns, missing = Scan(octets), None, None, None, 0
     numbers: dict[str, int] = {}
     for item in scan.items():
+        if isinstance(item, Metadata) and item.name == FACTS:
+            facts = RecordingFacts.of(item.metadata)
         if not isinstance(item, FoundMessage):
-            facts = RecordingFacts.of(item.metadata) if item.name == FACTS else facts
             continue
         at_ns, topic = item.message.log_time, item.channel.topic
         first_ns = at_ns if first_ns is None else min(first_ns, at_ns)

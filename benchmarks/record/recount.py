@@ -15,7 +15,7 @@ from pipelines.report.result import JsonReader
 def recount(first: Path) -> Recount:
     """Count a recording and its further parts. ConfigError for a file that `mcap` cannot read."""
     found = Recount()
-    for path in [*present_parts(first)] or [first]:
+    for path in [*present_parts(first).values()] or [first]:
         try:
             with path.open("rb") as file:
                 for _, channel, message in make_reader(file).iter_messages(log_time_order=False):

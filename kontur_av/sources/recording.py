@@ -8,17 +8,19 @@ file, so recordings of other programs play, too.
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import IO, Any, Literal, NamedTuple
 
 import numpy as np
-import zstandard
+from av.video.frame import PictureType
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
-from mcap.records import Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.codecs.h264 import H264Decoder
@@ -26,7 +28,9 @@ from kontur_av.codecs.opus import OpusDecoder
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_NS, BLOCK_SAMPLES, Pcm
 from kontur_av.recorded_format import FORMAT, FORMAT_KEY
+from kontur_av.sources.chunks import unpacked_chunk
 from kontur_av.sources.fit import scaled_aspect
+from kontur_av.sources.instants import RisingInstants
 from kontur_av.sources.looped import LoopedAudio, LoopedVideo, PlayedPicture
 
 #: By kind: schema and format of its messages, and what it is called.
@@ -34,6 +38,7 @@ _SCHEMAS = {
     "video": ("foxglove.CompressedVideo", "h264", "pictures"),
     "audio": ("foxglove.CompressedAudio", "opus", "sound"),
 }
+_NOT_PROTOBUF = ", which is not read"
 #: Missing sound is concealed for so many blocks. Then there is silence.
 _CONCEALED = 3
 #: Sound that is later than this, as a share of a block, has lost a block before it.
@@ -45,10 +50,8 @@ _FAULTS = (
     IndexError,
     KeyError,
     OverflowError,
-    RuntimeError,  # of lz4
     TypeError,
     struct.error,
-    zstandard.ZstdError,
 )
 
 
@@ -80,7 +83,7 @@ def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
             found = [topic for topic, schema, messages in known if schema == schema_name]
             if channel not in found:
                 raise ConfigError(_no_channel(path, channel, wanted, found, known))
-            unit = next(_units(reader, channel), None)
+            unit = next(_units(file, channel), None)
     except FileNotFoundError:
         raise ConfigError(f"no file {path!r}: write mcap:FILE#CHANNEL") from None
     except OSError as error:
@@ -98,6 +101,11 @@ def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
         raise ConfigError(
             f"channel {channel} of {path!r} is {unit.format or 'of no known format'}: "
             f"take one with {format_name}"
+        )
+    if kind == "video" and unit.data.lstrip(b"\0")[:1] != b"\1":
+        raise ConfigError(
+            f"channel {channel} of {path!r} has lengths before its NAL units (AVCC): "
+            "write start codes (Annex B), as foxglove.CompressedVideo wants"
         )
 
 
@@ -117,6 +125,9 @@ def _no_channel(
     path: str, channel: str, wanted: str, found: list[str], known: list[tuple[str, str, int]]
 ) -> str:
     named = f"no channel {channel!r} with {wanted}" if channel else "no channel is named"
+    for topic, schema, _ in known:
+        if topic == channel and schema.endswith(_NOT_PROTOBUF):
+            return f"channel {channel} of {path!r} is {schema}: record it as protobuf"
     if not found:
         others = ", ".join(topic for topic, _, _ in known[:8]) or "none at all"
         return f"{path!r} has no channel with {wanted}: it has {others}"
@@ -132,21 +143,41 @@ def _channels(reader: McapReader) -> list[tuple[str, str, int]]:
     found = []
     for channel in summary.channels.values():
         schema = summary.schemas.get(channel.schema_id)
-        name = schema.name if schema is not None and schema.encoding == "protobuf" else ""
+        name = "" if schema is None else schema.name
+        if schema is not None and schema.encoding != "protobuf":
+            name += f" in {schema.encoding or 'no encoding'}{_NOT_PROTOBUF}"
         found.append((channel.topic, name, counts.get(channel.id, 0)))
     return sorted(found)
 
 
-def _units(reader: McapReader, channel: str) -> Iterator[_Unit]:
+def _units(file: IO[bytes], topic: str) -> Iterator[_Unit]:
     """The messages of a channel in the order in which they were written: that of decoding."""
+    file.seek(0)
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
     read = None
-    for schema, _, message in reader.iter_messages(topics=[channel], log_time_order=False):
-        if schema is None:
-            raise ValueError(f"channel {channel} has no schema")
-        if read is None:
-            read = _parser(schema)
-        value = read(message.data)
-        yield _Unit(message.log_time, bytes(value.data), str(value.format).lower())
+    for record in _records(file):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message) and channels[record.channel_id].topic == topic:
+            if read is None:
+                read = _parser(schemas[channels[record.channel_id].schema_id])
+            value = read(record.data)
+            yield _Unit(record.log_time, bytes(value.data), str(value.format).lower())
+
+
+def _records(file: IO[bytes]) -> Iterator[McapRecord]:
+    """All records in the order of the file, those in chunks, too."""
+    for record in StreamReader(file, emit_chunks=True).records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        plain = unpacked_chunk(record.compression, record.data, record.uncompressed_size)
+        if plain is None:
+            raise ValueError("a chunk is damaged")
+        yield from breakup_chunk(replace(record, compression="", data=plain), validate_crc=True)
 
 
 def _parser(schema: Schema) -> Callable[[bytes], Any]:
@@ -170,10 +201,20 @@ def _read_faults() -> Iterator[None]:
         raise ValueError(str(error) or type(error).__name__) from None
 
 
-def read_units(path: str, channel: str) -> Iterator[_Unit]:
-    """Yield the units of a channel once; ValueError where the file cannot be read (on)."""
+def read_units(path: str, channel: str, instants: RisingInstants) -> Iterator[_Unit]:
+    """Yield the units of a channel once, at rising instants.
+
+    Raises ValueError where the file cannot be read (on).
+    """
     with Path(path).open("rb") as file, _read_faults():
-        yield from _units(make_reader(file, validate_crcs=True), channel)
+        for unit in _units(file, channel):
+            yield unit._replace(log_ns=instants.instant_ns(unit.log_ns))
+
+
+def _moved(channel: str, instants: RisingInstants) -> ValueError:
+    return ValueError(
+        f"channel {channel}: {instants.moved} instants were not after the one before: moved"
+    )
 
 
 class RecordedVideo(LoopedVideo):
@@ -199,18 +240,23 @@ class RecordedVideo(LoopedVideo):
     def _pass(self) -> Iterator[PlayedPicture]:
         decoder = H264Decoder()
         first_ns: int | None = None
-        time_ns = 0
-        for unit in read_units(self._path, self._channel):
+        reordered = False
+        instants = RisingInstants(self._period_ns)
+        for unit in read_units(self._path, self._channel, instants):
             corrupt = decoder.counts.frames_corrupt
             for picture in decoder.decode(unit.data, 0):
                 first_ns = unit.log_ns if first_ns is None else first_ns
-                # Instants of capture of a damaged stream can step back.
-                time_ns = max(time_ns, unit.log_ns - first_ns)
                 frame = picture.frame
+                reordered |= frame.pict_type == PictureType.B
                 aspect = scaled_aspect(*self._size, frame.width, frame.height)
-                yield PlayedPicture(frame, time_ns, aspect)
+                yield PlayedPicture(frame, unit.log_ns - first_ns, aspect)
             if decoder.counts.frames_corrupt > corrupt:
                 self._fault(ValueError("an access unit cannot be decoded"))
+        if instants.moved:
+            self._fault(_moved(self._channel, instants))
+        if reordered:
+            words = "has B pictures, so its instants are wrong: record it without"
+            self._fault(ValueError(f"channel {self._channel} {words}"))
 
 
 class RecordedAudio(LoopedAudio):
@@ -234,7 +280,8 @@ class RecordedAudio(LoopedAudio):
         decoder = OpusDecoder()
         silence = np.zeros(BLOCK_SAMPLES, np.int16)
         due_ns: int | None = None
-        for unit in read_units(self._path, self._channel):
+        instants = RisingInstants(BLOCK_NS)
+        for unit in read_units(self._path, self._channel, instants):
             missing = 0
             if due_ns is not None:
                 missing = max(0, int((unit.log_ns - due_ns) / Fraction(BLOCK_NS) + _LATE))
@@ -248,3 +295,5 @@ class RecordedAudio(LoopedAudio):
             # The true instant, so that rounding does not add up.
             due_ns = unit.log_ns + len(samples) * NS_PER_S // AUDIO_CLOCK_HZ
             yield samples
+        if instants.moved:
+            self._fault(_moved(self._channel, instants))

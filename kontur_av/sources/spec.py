@@ -146,6 +146,13 @@ def _check_text(spec: str) -> None:
         raise ConfigError(f"source {spec!r} names nothing: write {kind}: and what to open")
 
 
+def played_file(spec: str) -> Path | None:
+    """Return the file that a source plays; None for one that plays no file."""
+    kind, _, text = spec.partition(":")
+    path = text.rpartition("#")[0] or text if kind == "mcap" else _sample(spec)
+    return Path(path) if path and os.path.exists(path) else None  # noqa: PTH110
+
+
 def _sample(path: str) -> str:
     """Return the package's own clip for the name that the documents' examples have."""
     package = Path(__file__).resolve().parents[1]

@@ -8,11 +8,14 @@ the bit rate of one camera (Kontur-2).
 import struct
 from dataclasses import dataclass
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, CaptureStamp, VideoFrame, planes
 
 #: In a topic: when the older half of a merged picture was captured (ns).
 HALF = struct.Struct("=q")
+#: Pictures that are closer would have the same RTP timestamp.
+_LEAST_STEP_NS = NS_PER_MS
 
 
 def merge(left: I420 | None, right: I420 | None, into: I420, seam: float = 0.5) -> None:
@@ -94,7 +97,7 @@ class StereoPairer:
         self._begun_ns: int | None = None
         self._ready: StereoPair | None = None
         self._sequence = 0
-        self._last_capture_ns = -1
+        self._last_capture_ns = -_LEAST_STEP_NS
         self.paired = 0
         self.single = 0
         self.dropped = 0
@@ -127,9 +130,9 @@ class StereoPairer:
         other = 1 - side
         self.dropped += self._fresh[side]
         self._last[side] = frame
-        self._fresh[side] = frame.stamp.capture_ns > self._last_capture_ns
+        self._fresh[side] = frame.stamp.capture_ns >= self._last_capture_ns + _LEAST_STEP_NS
         if not self._fresh[side]:
-            # A newer picture was used already, so this one only becomes the camera's last one.
+            # One of its instant was used already, so this one only becomes the camera's last one.
             self.dropped += 1
             return
         partner = self._last[other]

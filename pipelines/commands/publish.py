@@ -9,6 +9,7 @@ from kontur_av.errors import ConfigError
 from pipelines.commands.common import check_options, end_with
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
+    add_redirect_argument,
     add_token_arguments,
     ice_servers_of,
     token_of,
@@ -24,6 +25,7 @@ from pipelines.partner.whip import Keeper
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--whip", metavar="URL", required=True, help="the endpoint (RFC 9725)")
     add_token_arguments(parser)
+    add_redirect_argument(parser)
     add_source_arguments(parser)
     add_ice_arguments(parser)
     add_run_arguments(parser)
@@ -49,7 +51,13 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
         return RtcPeer(clock=clock, sends=sends, want_key=lambda: sources.want_key(), servers=found)
 
     keeper = Keeper(
-        args.whip, token=token, make_peer=make_peer, servers=servers, clock=clock, told=say
+        args.whip,
+        token=token,
+        token_origins=args.token_origin,
+        make_peer=make_peer,
+        servers=servers,
+        clock=clock,
+        told=say,
     )
     begin_s = time.monotonic()
 

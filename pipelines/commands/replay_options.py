@@ -1,6 +1,7 @@
 """The options of both kinds of replay: which recording, through which link."""
 
 import argparse
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -53,9 +54,13 @@ def load_recording(path: Path) -> RecordedSession:
     """
     _, recording = read_recording(path)
     try:
-        return read_session(recording)
+        session = read_session(recording)
     except ProtocolError as error:
         raise ConfigError(f"{path}: {error}") from None
+    for topic, count in session.moved.items():
+        line = f"{count} instants were not after the one before, and were moved"
+        print(f"kontur-av: {path}: {topic}: {line}", file=sys.stderr)
+    return session
 
 
 def replay_setup(

@@ -25,6 +25,16 @@ def add_token_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_redirect_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--token-origin",
+        action="append",
+        default=[],
+        metavar="https://HOST",
+        help="where a server may send us that also gets the token; may be given several times",
+    )
+
+
 def token_of(args: argparse.Namespace) -> str:
     """Return the token; "" for none. ConfigError for one that cannot be sent."""
     token: str = args.token or ""

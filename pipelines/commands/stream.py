@@ -65,7 +65,7 @@ from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import STEREO, Setup, VideoStream
-from pipelines.session.topology import RTC, Segment, Topology
+from pipelines.session.topology import RECORDER, RTC, Segment, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
@@ -155,7 +155,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(args.report)
     wish = wish_of(args, held=False)
     if wish is not None:
-        check_recordable(Path(wish.file), overwrite=args.overwrite)
+        check_recordable(Path(wish.file), overwrite=args.overwrite, sources=setup.sources.values())
     clear_dead_sessions()
     check_room(setup, inputs, pages=not args.no_page)
     topology = topology_of(
@@ -200,6 +200,7 @@ def run(args: argparse.Namespace) -> int:
             session=session,
             topology=topology,
             processes=topology.processes_here,
+            awaited=None if wish is None else RECORDER,
             arguments=_arguments(topology, None if one is None else one.plan, rtc_wish, tasks),
             clock=clock,
             listener=collector,

@@ -9,6 +9,7 @@ from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options, end_with
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
+    add_redirect_argument,
     add_token_arguments,
     ice_servers_of,
     token_of,
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--whep", metavar="URL", required=True, help="the endpoint (draft-ietf-wish-whep)"
     )
     add_token_arguments(parser)
+    add_redirect_argument(parser)
     add_output_arguments(parser)
     add_ice_arguments(parser)
     add_run_arguments(parser)
@@ -57,7 +59,13 @@ async def _watch(args: argparse.Namespace) -> RtcCommandReport:
             )
 
         keeper = Keeper(
-            args.whep, token=token, make_peer=make_peer, servers=servers, clock=clock, told=say
+            args.whep,
+            token=token,
+            token_origins=args.token_origin,
+            make_peer=make_peer,
+            servers=servers,
+            clock=clock,
+            told=say,
         )
         newest = await keep(args, keeper, output.flush)
         pictures, voice = output.pictures(), output.voice()

@@ -51,7 +51,8 @@ class LinkTopics:
         self._numbers = {
             writer: count() for writer in (self._figures, self._sent, self._received, self._state)
         }
-        self._batches = 0
+        # The first call looks for readers.
+        self._batches = _SELDOM - 1
 
     def handle_time(self, now_ns: int) -> None:
         """Publish what has readers."""

@@ -72,6 +72,10 @@ MALFORMED = (
 )
 
 
+class NotAcceptableError(ProtocolError):
+    """A description of media that are not taken here, such as VP8."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Transport:
     """One end's part of the transport.
@@ -88,6 +92,14 @@ class Transport:
     fingerprints: tuple[tuple[str, str], ...] = ()
     role: str = "auto"
     lite: bool = False
+
+
+def text_of(body: bytes, charset: str | None) -> str:
+    """Return a body of HTTP as text. Its charset may be wrong or unknown; SDP is UTF-8."""
+    try:
+        return body.decode(charset or "utf-8")
+    except (LookupError, ValueError):
+        return body.decode("utf-8", "replace")
 
 
 def clean_candidates(text: str, *, loopback: bool = True) -> str:
@@ -287,7 +299,7 @@ def _read(parsed: SessionDescription, *, answers: bool, ssrcs: dict[Kind, int]) 
             continue
         lines.append(line)
     if not lines:
-        raise ProtocolError("no bundled H.264 or Opus in the description")
+        raise NotAcceptableError("no bundled H.264 or Opus in the description")
     used = [media for media in parsed.media if media.rtp.muxId in {line.mid for line in lines}]
     # The transport is described in the first section of the bundle, wanted or not (RFC 9143 clause
     # 7.2); others may repeat it. An answer rejects what it does not use.

@@ -14,6 +14,7 @@ from kontur_av.media import AccessUnit, CaptureStamp
 from pipelines.partner.description import (
     Kind,
     MediaLine,
+    NotAcceptableError,
     Offer,
     Transport,
     common_line,
@@ -136,7 +137,7 @@ class RtcPeer:
         )
         lines = [line for line in wanted if line is not None]
         if not lines:
-            raise ProtocolError("an offer of nothing that is wanted here")
+            raise NotAcceptableError("an offer of nothing that is wanted here")
         self._local = await self._transport.gather()
         role = self._begin(lines, said.transport)
         return self._write(lines, replace(self._local, role=role), answers=said)

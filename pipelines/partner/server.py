@@ -22,8 +22,10 @@ from pipelines.partner.decisions import Door, Refusal
 from pipelines.partner.description import (
     MALFORMED,
     MOST_SDP_OCTETS,
+    NotAcceptableError,
     clean_candidates,
     read_candidates,
+    text_of,
     write_candidates,
 )
 from pipelines.partner.ice_servers import IceServers
@@ -39,6 +41,14 @@ _SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
 _PROGRAMMES, _TAKES = "__PROGRAMMES__", "__TAKES__"
 _SESSION = "/session/"
 _HAPTICS = "/haptics"
+#: A page of another origin asks first, without the token (CORS); the token alone lets anybody in.
+_PREFLIGHT = "Access-Control-Request-Method"
+_CROSS_ORIGIN = {
+    "Access-Control-Allow-Origin": "*",
+    "Access-Control-Allow-Methods": "POST, PATCH, DELETE, OPTIONS",
+    "Access-Control-Allow-Headers": "Authorization, Content-Type, If-Match",
+    "Access-Control-Expose-Headers": "Location, ETag, Link, Accept-Patch",
+}
 #: A connection that does not come about is ended; the partner's own patience is as long.
 _PATIENCE_S = 25.0
 _CLOSE_S = 0.5
@@ -121,7 +131,11 @@ class RtcServer:
         path = request.raw_path.partition("?")[0]
         try:
             if path in ("/whip", _HAPTICS) or path.startswith(("/whep/", _SESSION)):
-                return await self._signal(request, path)
+                if request.method == "OPTIONS" and _PREFLIGHT in request.headers:
+                    return web.Response(status=204, headers=_CROSS_ORIGIN)
+                answer = await self._signal(request, path)
+                answer.headers.update(_CROSS_ORIGIN)
+                return answer
             words = {
                 _PROGRAMMES: " ".join(self.programmes),
                 _TAKES: "false" if self._handle is None else "true",
@@ -161,7 +175,8 @@ class RtcServer:
             return web.Response(status=405, headers={"Allow": "POST, OPTIONS"})
         if request.content_type != _SDP:
             return web.Response(status=415, headers={"Accept-Post": _SDP})
-        offer = clean_candidates(await request.text(), loopback=_is_here(request))
+        text = text_of(await request.read(), request.charset)
+        offer = clean_candidates(text, loopback=_is_here(request))
         viewers = None if programme is None else len(programme.peers)
         refusal = self.door.check_offer(viewers=viewers, now_ns=now_ns)
         if refusal is not None:
@@ -238,6 +253,7 @@ class RtcServer:
             await session.peer.close()
             self.garbage += isinstance(error, ProtocolError)
             status = 400 if isinstance(error, ProtocolError) else 503
+            status = 406 if isinstance(error, NotAcceptableError) else status
             return web.Response(status=status, text=f"{error}\n")
         name = secrets.token_urlsafe(16)
         headers = {"Location": _SESSION + name}
@@ -283,7 +299,7 @@ class RtcServer:
         if request.content_type != _FRAGMENT:
             return web.Response(status=415, headers={"Accept-Patch": _FRAGMENT})
         match = request.headers.get("If-Match")
-        text = await request.text()
+        text = text_of(await request.read(), request.charset)
         told = read_candidates(clean_candidates(text, loopback=_is_here(request)))
         if told.ufrag == session.ufrag:
             if match is not None and match not in ("*", session.etag):

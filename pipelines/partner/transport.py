@@ -297,6 +297,8 @@ class RtcTransport:
             raise ConfigError(
                 "no address for WebRTC: look at --ice-server and its credentials, or leave out "
                 "--ice-relay-only"
+                if self._servers.relay_only
+                else "no address for WebRTC: this host has loopback only; connect it to a network"
             )
         return Transport(
             ufrag=connection.local_username,

@@ -5,9 +5,10 @@ session, at which ICE is restarted and the session is deleted. `Keeper` keeps on
 """
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Generic, Self, TypeVar
 from urllib.parse import urljoin, urlsplit
 
@@ -21,6 +22,7 @@ from pipelines.partner.description import (
     MOST_SDP_OCTETS,
     Transport,
     read_candidates,
+    text_of,
     write_candidates,
 )
 from pipelines.partner.ice_servers import IceServer, IceServers, servers_of_links
@@ -30,24 +32,29 @@ from pipelines.partner.samples import SamplePeer
 _SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
 _TIMEOUT = aiohttp.ClientTimeout(total=10, connect=5)
 _MOST_REDIRECTS = 3
-#: The user's mistake: trying again does not help.
-_FINAL = {401: "the token is not taken", 403: "this token may not", 404: "nothing is there"}
+#: A server may refuse for now: too slow, in use, too early, too often.
+_FOR_NOW = (408, 409, 423, 425, 429)
+_MEANINGS = {401: "the token is not taken", 403: "this token may not", 404: "nothing is there"}
+#: Of what a server says with a refusal.
+_MOST_WORDS = 200
 
 
 class WhipClient:
     """One session at a media server. A context manager, which deletes the session in the end.
 
-    url: the endpoint, http or https. token: the bearer token; "" for none.
+    url: the endpoint, http or https. It may send us elsewhere.
+    token: the bearer token; "" for none. Another origin than that of `url` does not get it, unless
+        it is one of `token_origins`.
     Raises ConfigError for a malformed url.
     """
 
-    def __init__(self, url: str, *, token: str = "") -> None:
-        parts = urlsplit(url)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise ConfigError(f"{url!r} is no address of a media server: write https://HOST/PATH")
+    def __init__(self, url: str, *, token: str = "", token_origins: Sequence[str] = ()) -> None:
         self._url, self._token = url, token
+        self._origins = {_origin(one) for one in (url, *token_origins)}
         self._session: aiohttp.ClientSession | None = None
         self._resource: str | None = None
+        #: Where the newest answer came from, after redirects.
+        self._answered = url
         self._etag: str | None = None
 
     async def __aenter__(self) -> Self:
@@ -78,15 +85,15 @@ class WhipClient:
         does not answer or refuses for now, and ProtocolError for one that answers nonsense.
         """
         headers = {"Content-Type": _SDP, "Accept": _SDP}
-        status, told, body = await self._ask("POST", self._url, offer.encode(), headers)
+        status, told, answer = await self._ask("POST", self._url, offer.encode(), headers)
         if status != 201:
             raise ConnectionError(f"the media server answers {status}")
         if told.get("Content-Type", "").partition(";")[0].strip().lower() != _SDP:
             raise ProtocolError("the media server's answer is no session description")
         location = told.get("Location")
-        self._resource = None if location is None else self._own(urljoin(self._url, location))
+        self._resource = None if location is None else urljoin(self._answered, location)
         self._etag = told.get("ETag")
-        return body.decode("utf-8", "replace")
+        return answer
 
     async def restart(self, local: Transport) -> Transport:
         """Restart ICE (RFC 9725 section 4.3.3); the server's new addresses. Raises as `post`."""
@@ -98,7 +105,7 @@ class WhipClient:
         if status != 200:
             raise ConnectionError(f"the media server does not restart ICE: {status}")
         self._etag = told.get("ETag", self._etag)
-        return read_candidates(answer.decode("utf-8", "replace"))
+        return read_candidates(answer)
 
     async def delete(self) -> None:
         """End the session; a server that does not answer is left alone."""
@@ -109,32 +116,25 @@ class WhipClient:
             except (ConnectionError, ProtocolError, ConfigError):
                 return
 
-    def _own(self, url: str) -> str:
-        # The token must not go elsewhere.
-        here, there = urlsplit(self._url), urlsplit(url)
-        if (here.scheme, here.netloc) != (there.scheme, there.netloc):
-            raise ProtocolError("the media server sends us to another host")
-        return url
-
     async def _ask(
         self, method: str, url: str, body: bytes, headers: Mapping[str, str]
-    ) -> tuple[int, CIMultiDictProxy[str], bytes]:
+    ) -> tuple[int, CIMultiDictProxy[str], str]:
         assert self._session is not None
-        sent = dict(headers)
-        if self._token:
-            sent["Authorization"] = f"Bearer {self._token}"
         try:
-            for _ in range(_MOST_REDIRECTS):
+            for _ in range(_MOST_REDIRECTS + 1):
+                sent = dict(headers)
+                if self._token and _origin(url) in self._origins:
+                    sent["Authorization"] = f"Bearer {self._token}"
                 async with self._session.request(
                     method, url, data=body or None, headers=sent, allow_redirects=False
                 ) as answer:
                     if answer.status in (307, 308) and "Location" in answer.headers:
-                        url = self._own(urljoin(url, answer.headers["Location"]))
+                        url = urljoin(url, answer.headers["Location"])
                         continue
-                    if answer.status in _FINAL:
-                        why = _FINAL[answer.status]
-                        raise ConfigError(f"{method} {url}: {why} ({answer.status})")
                     text = await _read(answer)
+                    if answer.status >= 400:
+                        raise _refused(f"{method} {url}", answer.status, text)
+                    self._answered = url
                     return answer.status, answer.headers, text
         except (TimeoutError, aiohttp.ClientError) as error:
             said = str(error) or type(error).__name__
@@ -142,13 +142,33 @@ class WhipClient:
         raise ProtocolError("the media server sends us round in circles")
 
 
-async def _read(answer: aiohttp.ClientResponse) -> bytes:
+def _origin(url: str) -> tuple[str, str, int | None]:
+    """Scheme, host and port; ConfigError if it is no address of a server."""
+    try:
+        parts = urlsplit(url)
+        if parts.scheme in ("http", "https") and parts.hostname:
+            port = parts.port or (443 if parts.scheme == "https" else 80)
+            return parts.scheme, parts.hostname, port
+    except ValueError:
+        pass  # such as a port that is no number
+    raise ConfigError(f"{url!r} is no address of a media server: write https://HOST/PATH")
+
+
+def _refused(asked: str, status: int, said: str) -> ConfigError | ConnectionError:
+    """A refusal of a server, with what it says; ConfigError if trying again does not help."""
+    words = " ".join("".join(sign if sign.isprintable() else " " for sign in said).split())
+    meaning = f"{_MEANINGS[status]} " if status in _MEANINGS else ""
+    line = f"{asked}: {meaning}({status})" + (f": {words[:_MOST_WORDS]}" if words else "")
+    return ConfigError(line) if status < 500 and status not in _FOR_NOW else ConnectionError(line)
+
+
+async def _read(answer: aiohttp.ClientResponse) -> str:
     found = bytearray()
     async for chunk in answer.content.iter_chunked(4096):
         found += chunk
         if len(found) > MOST_SDP_OCTETS:
             raise ProtocolError(f"an answer of more than {MOST_SDP_OCTETS} octets")
-    return bytes(found)
+    return text_of(bytes(found), answer.charset)
 
 
 _LOOK_S = 0.25
@@ -160,7 +180,8 @@ class Keeper(Generic[_Peer]):
 
     A connection for samples ends when nothing comes, and a new one is made.
 
-    url, token: as of `WhipClient`. make_peer: called with the ICE servers of each connection.
+    url, token, token_origins: as of `WhipClient`.
+    make_peer: called with the ICE servers of each connection.
     servers: called for our own ICE servers; without any, the server is asked for some.
     told: called with one line at each change.
     """
@@ -170,14 +191,15 @@ class Keeper(Generic[_Peer]):
         url: str,
         *,
         token: str,
+        token_origins: Sequence[str] = (),
         make_peer: Callable[[IceServers], _Peer],
         servers: Callable[[], IceServers],
         clock: Clock,
         told: Callable[[str], None] = lambda _: None,
     ) -> None:
         # A wrong address is refused here and now.
-        WhipClient(url, token=token)
-        self._url, self._token = url, token
+        self._new_client = partial(WhipClient, url, token=token, token_origins=token_origins)
+        self._new_client()
         self._make_peer: Callable[[IceServers], _Peer] = make_peer
         self._servers = servers
         self._clock, self._told = clock, told
@@ -219,7 +241,7 @@ class Keeper(Generic[_Peer]):
                 self._told(f"no connection: {self.fault or 'it has ended'}")
 
     async def _connection(self) -> None:
-        async with WhipClient(self._url, token=self._token) as client:
+        async with self._new_client() as client:
             servers = self._servers()
             if not servers.servers:
                 servers = replace(servers, servers=await client.ice_servers())

@@ -52,7 +52,7 @@ SESSION_FIGURES = "/figures"
 SENT, RECEIVED = "sent", "received"
 #: Those of no topic: their schema, and what a message is.
 _TOLD = {
-    EVENTS: (EVENT, "contact, loss of signal, restart, camera switch, refused picture, …"),
+    EVENTS: (EVENT, "touch, loss of signal, restart, camera switch, refused picture, …"),
     LOG_LINES: (LOG, "the events as lines, for Foxglove's panel"),
     SESSION_FIGURES: (FIGURES, "figures of the report that have changed, once a second"),
     RECORDER_LOSSES: (LOSSES, "what the recorder could not keep"),

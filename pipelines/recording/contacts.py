@@ -23,13 +23,13 @@ class ContactWatch:
         at_ns = rows["time_ns"][(rows["flags"] & CONTACT) != 0]
         for instant in at_ns.tolist() if len(at_ns) else ():
             if self._touches and instant - self._last_ns > _FREE_NS:
-                found.append((self._last_ns, "contact ends"))
+                found.append((self._last_ns, "touch ends"))
                 self._touches = False
             if not self._touches:
-                found.append((instant, "contact begins"))
+                found.append((instant, "touch begins"))
                 self._touches = True
             self._last_ns = instant
         if self._touches and int(rows["time_ns"][-1]) - self._last_ns > _FREE_NS:
-            found.append((self._last_ns, "contact ends"))
+            found.append((self._last_ns, "touch ends"))
             self._touches = False
         return found

@@ -9,6 +9,7 @@ from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Self
 
 from kontur_av import __version__
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.recorded_format import FORMAT
 
@@ -42,6 +43,14 @@ class RecordingFacts:
     wall_ns: int
     started_ns: int = 0
     radio_start_s: float = 0.0
+
+    def is_of(self, other: Self) -> bool:
+        """Whether both are of one session; its recorder reads the clocks once."""
+        moved_ns = (self.wall_ns - self.session_ns) - (other.wall_ns - other.session_ns)
+        return abs(moved_ns) < NS_PER_S and all(
+            getattr(self, name) == getattr(other, name)
+            for name in ("session", "setup", "seed", "started_ns")
+        )
 
     def items(self) -> dict[str, str]:
         """Return them for a metadata record, with format and check."""

@@ -34,8 +34,10 @@ class RecorderFigures:
     disk_faults: int = 0
     #: Key pictures that came too late; a black one replaces each.
     late_keys: int = 0
-    #: The newest file; null while nothing is recorded.
+    #: The newest file; null before anything was recorded.
     file: Newest[str] | None = None
+    #: Whether the session is being recorded.
+    recording: Newest[bool] = False
     #: Why nothing can be written; null if all is well.
     fault: Newest[str] | None = None
     #: What waits for the disk.

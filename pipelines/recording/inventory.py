@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from mcap.records import Message, Metadata
+from mcap.records import Attachment, Message, Metadata
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
@@ -85,6 +85,8 @@ def take_inventory(octets: memoryview) -> Inventory:
                 facts = _facts(item) or facts
             elif item.name == MENDED:
                 mended = item.metadata
+            continue
+        if isinstance(item, Attachment):
             continue
         channel = item.channel
         if channel.id not in channels:

@@ -1,10 +1,9 @@
 """The parts of a recording as one: messages in their order, on the session's clock. A core."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.inventory import Inventory, take_inventory
@@ -17,9 +16,6 @@ from pipelines.recording.messages import (
 )
 from pipelines.recording.recover import refuse_foreign
 from pipelines.recording.scan import FoundMessage, Scan
-
-#: Clocks of parts of one recording differ by less: the recorder reads them once.
-_MOST_CLOCK_CHANGE_NS = NS_PER_S
 
 
 class JoinedMessage(NamedTuple):
@@ -115,19 +111,36 @@ def read_part(octets: memoryview) -> Part:
     return Part(octets=octets, inventory=inventory, wall_offset_ns=offset_ns)
 
 
-def follows(part: Part, before: Part) -> bool:
-    """Whether a part is of the same recording as `before`, and later. Lost facts do not speak."""
-    newer, older = part.inventory.facts, before.inventory.facts
-    if newer is None or older is None:
-        return True
-    same = (newer.session, newer.setup, newer.seed) == (older.session, older.setup, older.seed)
-    moved_ns = abs(part.wall_offset_ns - before.wall_offset_ns)
-    return (
-        same
-        and newer.part > older.part
-        and moved_ns < _MOST_CLOCK_CHANGE_NS
-        and _first_ns(part) >= _first_ns(before)
-    )
+def chosen_parts(found: Mapping[int, Part]) -> tuple[dict[int, Part], dict[int, str]]:
+    """Choose the parts of one recording among the files with its names.
+
+    found: by the number in the name, in order. Returned: the parts in the order of their instants,
+    and why each other one is left out. The first file with facts says which recording it is; one
+    whose facts are lost is taken as a part of it.
+    """
+    known = [part for part in found.values() if part.inventory.facts is not None]
+    taken: dict[int, Part] = {}
+    left_out: dict[int, str] = {}
+    numbers: set[int] = set()
+    for number, part in found.items():
+        facts = part.inventory.facts
+        if facts is None:
+            offset_ns = known[0].wall_offset_ns if known else part.wall_offset_ns
+            taken[number] = replace(part, wall_offset_ns=offset_ns)
+        elif known[0].inventory.facts and not facts.is_of(known[0].inventory.facts):
+            left_out[number] = "it is of another recording"
+        elif facts.part in numbers:
+            left_out[number] = f"part {facts.part} is there already"
+        else:
+            numbers.add(facts.part)
+            taken[number] = part
+    return dict(sorted(taken.items(), key=lambda each: _begin_ns(each[1]))), left_out
+
+
+def _begin_ns(part: Part) -> int:
+    """When a part was begun; where its facts are lost, its earliest instant."""
+    facts = part.inventory.facts
+    return _first_ns(part) if facts is None else facts.session_ns
 
 
 def _first_ns(part: Part, topics: Sequence[str] | None = None) -> int:

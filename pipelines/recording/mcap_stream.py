@@ -21,6 +21,7 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
     AttachmentIndex,
     Channel,
     Chunk,
@@ -50,7 +51,8 @@ LENGTH_4, LENGTH_8 = struct.Struct("<I"), struct.Struct("<Q")
 MESSAGE: Final = struct.Struct("<HIQQ")
 
 Readable = (
-    AttachmentIndex
+    Attachment
+    | AttachmentIndex
     | Channel
     | ChunkIndex
     | DataEnd
@@ -82,6 +84,9 @@ def parse_record(kind: type[Kind], content: bytes) -> Kind | None:
     try:
         record: Kind = kind.read(ReadDataStream(BytesIO(content)))
         again = octets_of(record)[HEAD.size :]
+        if isinstance(record, Attachment):
+            # Read without its check, which may be 0, and written with it.
+            again = again[: -LENGTH_4.size]
     except (McapError, struct.error, ValueError, OverflowError):
         return None
     return record if content.startswith(again) else None
@@ -133,6 +138,7 @@ class McapStream:
         self._chunk = _OpenChunk()
         self._chunk_indexes: list[ChunkIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
+        self._attachment_indexes: list[AttachmentIndex] = []
         self._counts: Counter[int] = Counter()
         self._first_ns = self._last_ns = 0
         self._ended = False
@@ -198,6 +204,23 @@ class McapStream:
         record = octets_of(Metadata(name=name, metadata=dict(items)))
         self._metadata_indexes.append(
             MetadataIndex(offset=self.octets, length=len(record), name=name)
+        )
+        self._emit(record, now_ns)
+
+    def handle_attachment(self, attachment: Attachment, now_ns: int) -> None:
+        """Write a file that a user has attached, behind what has been handled so far."""
+        self._end_chunk(now_ns)
+        record = octets_of(attachment)
+        self._attachment_indexes.append(
+            AttachmentIndex(
+                offset=self.octets,
+                length=len(record),
+                log_time=attachment.log_time,
+                create_time=attachment.create_time,
+                data_size=len(attachment.data),
+                name=attachment.name,
+                media_type=attachment.media_type,
+            )
         )
         self._emit(record, now_ns)
 
@@ -282,6 +305,7 @@ class McapStream:
             (Opcode.STATISTICS, [self._statistics()]),
             (Opcode.CHUNK_INDEX, [*self._chunk_indexes]),
             (Opcode.METADATA_INDEX, [*self._metadata_indexes]),
+            (Opcode.ATTACHMENT_INDEX, [*self._attachment_indexes]),
         )
         summary, offsets = bytearray(), bytearray()
         for opcode, records in groups:
@@ -307,7 +331,7 @@ class McapStream:
 
     def _statistics(self) -> Statistics:
         return Statistics(
-            attachment_count=0,
+            attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
             chunk_count=len(self._chunk_indexes),

@@ -269,7 +269,7 @@ class RecordedEvent(Recorded):
 
     session_ns: Annotated[Int64, "session clock"]
     number: Annotated[Uint32, "counts the events of the session from 1"]
-    what: Annotated[Text, "`link`, `process`, `camera`, `stale`, `contact`, `recorder`, …"]
+    what: Annotated[Text, "`link`, `process`, `camera`, `stale`, `touch`, `recorder`, …"]
     text: Annotated[Text, "a line for people"]
 
 

@@ -3,17 +3,22 @@
 So neither a slow disk nor a full one holds up the reader of the topics.
 """
 
+import fcntl
+import glob
 import os
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
-from kontur_av.errors import ConfigError
-from pipelines.recording.recording_file import check_new
+from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.sources.spec import played_file
+from pipelines.recording.facts import RecordingFacts
+from pipelines.recording.recording_file import check_new, octets_of_file
+from pipelines.recording.scan import first_facts
 
 if TYPE_CHECKING:
     # `record` checks a path, for which the codecs need not be loaded.
@@ -29,18 +34,29 @@ def part_path(path: Path, part: int) -> Path:
     return path if part == 1 else path.with_name(f"{path.stem}-{part}{path.suffix}")
 
 
-def present_parts(path: Path) -> Iterator[Path]:
-    """The parts of a recording that are there, up to the first that is not."""
-    for part in range(1, _MOST_PARTS):
-        if not part_path(path, part).exists() and part > 1:
-            return
-        if part_path(path, part).exists():
-            yield part_path(path, part)
+def present_parts(path: Path) -> dict[int, Path]:
+    """The files with names of this recording, by part, in order; some may be missing."""
+    found = {1: path} if path.exists() else {}
+    for other in path.parent.glob(f"{glob.escape(path.stem)}-*"):
+        number = other.stem.removeprefix(f"{path.stem}-")
+        if number.isdecimal() and int(number) > 1 and other == part_path(path, int(number)):
+            found[int(number)] = other
+    return dict(sorted(found.items()))
 
 
-def check_recordable(path: Path, *, overwrite: bool) -> None:
-    """Raise ConfigError unless a recording can begin at `path`; nothing is changed."""
-    for present in present_parts(path):
+def check_recordable(path: Path, *, overwrite: bool, sources: Iterable[str] = ()) -> None:
+    """Raise ConfigError unless a recording can begin at `path`; nothing is changed.
+
+    sources: what the session captures, as SPECs. A file of these is not replaced.
+    """
+    for old in _old_parts(path):
+        if _is_being_written(old):
+            raise ConfigError(f"{old} is being recorded: record to another name")
+    played = [file for spec in sources if (file := played_file(spec)) and file.exists()]
+    for old in _old_parts(path):
+        if any(old.samefile(file) for file in played):
+            raise ConfigError(f"{old} is a source of this session: record to another name")
+    for present in present_parts(path).values():
         check_new(present, overwrite=overwrite)
     trial = path.with_name(path.name + _TRIAL)
     try:
@@ -54,10 +70,40 @@ def check_recordable(path: Path, *, overwrite: bool) -> None:
 def clear_parts(path: Path) -> None:
     """Remove an earlier recording of this name, after `check_recordable`; else ConfigError."""
     try:
-        for present in list(present_parts(path)):
-            present.unlink()
+        for old in _old_parts(path):
+            old.unlink()
     except OSError as error:
         raise ConfigError(f"{path} cannot be replaced: {error.strerror}") from None
+
+
+def _old_parts(path: Path) -> Iterator[Path]:
+    """The file of this name, and later parts of the same session or without anything in them."""
+    present = present_parts(path)
+    if 1 not in present:
+        return
+    facts = _facts_of(path)
+    for old in present.values():
+        found = _facts_of(old)
+        same = facts is not None and found is not None and found.is_of(facts)
+        if old == path or same or not old.stat().st_size:
+            yield old
+
+
+def _is_being_written(path: Path) -> bool:
+    """Whether a recorder has it open."""
+    with suppress(OSError), path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def _facts_of(path: Path) -> RecordingFacts | None:
+    try:
+        return first_facts(octets_of_file(path))
+    except (ConfigError, ProtocolError):
+        return None
 
 
 class PartFiles:
@@ -105,6 +151,7 @@ class PartFiles:
                 file = os.open(part_path(self._path, part), flags, 0o600)
             except FileExistsError:
                 continue
+            fcntl.flock(file, fcntl.LOCK_EX)
             with self._lock:
                 self._files[part] = file
                 self._last = part

@@ -27,7 +27,7 @@ from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
-from pipelines.recording.recorder import Recorder
+from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
 from pipelines.session.asking import desk_path
 from pipelines.session.figures import SessionEvents
 from pipelines.session.process import PATIENCE_NS, Context
@@ -72,6 +72,8 @@ class _RecorderProcess:
         context, now_ns = self._context, self._now_ns
         if self._desk.wish is not None:
             self._recording = _Recording(context, self._desk.wish, self._maker)
+            # The launcher waits for it.
+            context.flush(now_ns())
         terminals = TerminalSockets(desk_path(context.session, RECORDER_DESK), most=MOST_TERMINALS)
         while not context.stopping:
             wait_ns = PATIENCE_NS if self._recording is None else _WAKE_NS
@@ -117,7 +119,11 @@ class _RecorderProcess:
         """Begin to record; why that is not possible, or ""."""
         path = Path(start.wish.file)
         try:
-            check_recordable(path, overwrite=start.overwrite)
+            check_recordable(
+                path,
+                overwrite=start.overwrite,
+                sources=self._context.setup.sources.values(),
+            )
             clear_parts(path)
             write_wish(self._context.session, start.wish)
         except ConfigError as error:
@@ -158,7 +164,9 @@ class _Recording:
         self._now_ns = context.clock.now_ns
         topology, setup = context.topology, context.setup
         offset_ns = context.clock.wall_offset_ns
-        self._begun_ns = now_ns = self._now_ns()
+        now_ns = self._now_ns()
+        # Those of a session that is recorded from its start, and those that a killed recorder held.
+        self._since_ns = now_ns if wish.held else now_ns - EVENTS_LATE_NS
         facts = RecordingFacts(
             session=context.session,
             setup=setup.name,
@@ -217,7 +225,7 @@ class _Recording:
         if news.figures:
             self._recorder.handle_figures(news.figures, news.at_us * NS_PER_US, self._now_ns())
         for event in news.events:
-            if event.at_us * NS_PER_US < self._begun_ns:
+            if event.at_us * NS_PER_US < self._since_ns:
                 continue
             recorded = RecordedEvent(
                 session_ns=event.at_us * NS_PER_US,
@@ -256,7 +264,8 @@ class _Recording:
         self._take_results()
         self._recorder.handle_abandoned()
         self._bus.close()
-        return replace(self._recorder.figures(None), fault=None, waiting_octets=0)
+        told = self._recorder.figures(str(self.file))
+        return replace(told, recording=False, fault=None, waiting_octets=0)
 
     def _exchange_keys(self) -> None:
         """Have the key pictures made that are wanted, and hand over those that are there."""

@@ -3,7 +3,7 @@
 All instants are on the clock of the recorded session.
 """
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
+from kontur_av.media import BLOCK_NS
+from kontur_av.sources.instants import RisingInstants
 from kontur_av.streams.budget import Pacer
 from pipelines.recording.channels import RECEIVED, SENT
 from pipelines.recording.facts import RecordingFacts
@@ -33,6 +35,9 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
+
+#: From picture to picture, until a stream has shown its own.
+_PICTURE_NS = NS_PER_S // 15
 
 
 class SentUnit(NamedTuple):
@@ -58,6 +63,7 @@ class RecordedSession:
         got. haptics: by direction (`up`, `down`), the cycles in which its sender sent a sample, in
         order; dtype `SAMPLE`. packets: by stream, telecommands and telemetry as sent.
     missing: by channel, messages of these that are not in its files.
+    moved: by channel, messages whose instant was not after the one before; they got a later one.
     parts: its files.
     """
 
@@ -69,6 +75,7 @@ class RecordedSession:
     haptics: dict[str, NDArray[np.void]] = field(default_factory=dict)
     packets: dict[str, list[SentPacket]] = field(default_factory=dict)
     missing: dict[str, int] = field(default_factory=dict)
+    moved: dict[str, int] = field(default_factory=dict)
 
     @property
     def instants_ns(self) -> tuple[int, int]:
@@ -137,16 +144,18 @@ def _session(facts: RecordingFacts, messages: Mapping[str, list[JoinedMessage]])
     session = RecordedSession(facts=facts)
     for topic, found in messages.items():
         schema = found[0].schema
+        instants = RisingInstants(BLOCK_NS if schema == AUDIO.full_name else _PICTURE_NS)
         name, _, way = topic.strip("/").rpartition("/")
         if schema == VIDEO.full_name:
-            units = _pictures(found, messages.get(f"{topic}/facts", []))
+            units = _pictures(found, messages.get(f"{topic}/facts", []), instants)
             if way == SENT:
                 session.pictures[name] = units
             else:
                 session.received[name] = [unit.data for unit in units]
         elif schema == AUDIO.full_name:
             session.voices[name] = [
-                SentUnit(one.session_ns, unpack(RecordedSound, one.data).data) for one in found
+                SentUnit(instants.instant_ns(one.session_ns), unpack(RecordedSound, one.data).data)
+                for one in found
             ]
         elif schema == HAPTIC_SAMPLES.full_name:
             rows = _sent_rows([unpack_haptics(one.data) for one in found])
@@ -157,25 +166,33 @@ def _session(facts: RecordingFacts, messages: Mapping[str, list[JoinedMessage]])
             session.packets[name] = sorted(SentPacket(one.session_ns, one.data) for one in packets)
         else:
             continue
+        if way == SENT and instants.moved:
+            session.moved[topic] = instants.moved
         if way == SENT and (missing := _missing(found)):
             session.missing[topic] = missing
     return session
 
 
-def _pictures(found: list[JoinedMessage], told: list[JoinedMessage]) -> list[SentUnit]:
+def _pictures(
+    found: list[JoinedMessage], told: list[JoinedMessage], instants: RisingInstants
+) -> list[SentUnit]:
     """The access units of a stream, without what the recorder has added to them."""
-    facts = {(one.part, one.session_ns): unpack(UnitFacts, one.data) for one in told}
+    facts = defaultdict[tuple[int, int], deque[UnitFacts]](deque)
+    for one in told:
+        facts[one.part, one.sequence].append(unpack(UnitFacts, one.data))
     units = []
     for one in found:
         data = unpack(RecordedPicture, one.data).data
-        fact = facts.get((one.part, one.session_ns))
-        if fact is not None:
+        fact = None
+        if its := facts[one.part, one.sequence]:
+            # A key picture that the recorder put ahead has the number of the unit before.
+            fact = its.popleft()
             if fact.added:
                 continue
             # In front of it are parameter sets for a reader that begins here.
             data = data[-fact.octets :]
         key = fact is not None and fact.key
-        units.append(SentUnit(one.session_ns, data, key))
+        units.append(SentUnit(instants.instant_ns(one.session_ns), data, key))
     return units
 
 

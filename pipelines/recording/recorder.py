@@ -70,6 +70,8 @@ from telepresence.link.figures import GatewayFigures
 
 #: After a fault of the disk, a new part is tried this often.
 RETRY_NS: Final = 2 * NS_PER_S
+#: Events come at most so late: the launcher looks for them twice a second.
+EVENTS_LATE_NS: Final = 3 * NS_PER_S
 #: How often the losses are written, while they change.
 _LOSSES_NS = NS_PER_S
 #: Octets that may wait for a slow disk: minutes of a session.
@@ -164,6 +166,8 @@ class Recorder:
         self._coded: Counter[str] = Counter()
         self._contact = ContactWatch()
         self._events = 0
+        #: Events that wait for earlier ones, with the instants at which they came.
+        self._events_due: list[tuple[RecordedEvent, int]] = []
         #: By topic: the sequence number of its newest sample.
         self._sequences: dict[str, int] = {}
         self._stream: McapStream | None = None
@@ -245,6 +249,17 @@ class Recorder:
         self._put(source.channels[0], pack(picture), wall_ns, number, at)
 
     def handle_event(self, event: RecordedEvent, now_ns: int) -> None:
+        """Take an event. It is written when earlier ones have come, so that all are in order."""
+        self._events_due.append((event, now_ns))
+
+    def _write_events(self, until_ns: int | None = None) -> None:
+        """Write the events until this instant, or all."""
+        due = self._events_due
+        due.sort(key=lambda each: each[0].session_ns)
+        while due and (until_ns is None or due[0][0].session_ns <= until_ns):
+            self._write_event(*due.pop(0))
+
+    def _write_event(self, event: RecordedEvent, now_ns: int) -> None:
         at = _Instants(now_ns, now_ns)
         wall_ns = event.session_ns + self._offset_ns
         level = LogLevel.WARNING if event.what in _WARNINGS else LogLevel.INFO
@@ -351,7 +366,7 @@ class Recorder:
             self._put(channel, packed, wall_ns, stamp.sequence, at)
         if source.name == "robot":
             for at_ns, text in self._contact.handle_rows(rows):
-                event = RecordedEvent(session_ns=at_ns, number=0, what="contact", text=text)
+                event = RecordedEvent(session_ns=at_ns, number=0, what="touch", text=text)
                 self.handle_event(event, at.now_ns)
 
     def _handle_sound(
@@ -478,6 +493,7 @@ class Recorder:
         for held in list(self._held.values()):
             if now_ns - held.at.now_ns >= KEY_PATIENCE_NS:
                 self._give_up(held)
+        self._write_events(now_ns - EVENTS_LATE_NS)
         if self._stream is None or now_ns < self._losses_ns:
             return
         self._losses_ns = now_ns + _LOSSES_NS
@@ -504,6 +520,7 @@ class Recorder:
         """The recording ends: its last part is closed with a summary."""
         self._losses_ns = now_ns
         self.handle_time(now_ns)
+        self._write_events()
         self._end_stream(now_ns)
         self._ended = True
 
@@ -538,7 +555,7 @@ class Recorder:
         return self._fault
 
     def figures(self, file: str | None) -> RecorderFigures:
-        """Return what was kept and lost so far. file: the newest; None after the end."""
+        """Return what was kept and lost so far. file: the newest."""
         waiting = 0 if self._stream is None else self._stream.waiting_octets
         waiting += sum(held.octets for held in self._held.values())
         return RecorderFigures(
@@ -547,6 +564,7 @@ class Recorder:
             disk_faults=self._faults,
             late_keys=self._keys_late,
             file=file,
+            recording=file is not None,
             fault=self._fault or None,
             waiting_octets=waiting,
             channels={

@@ -9,7 +9,20 @@ from typing import Self
 
 from kontur_av.errors import ConfigError
 
-_UNFINISHED = ".unfinished"
+
+def _unfinished(path: Path) -> Path:
+    """The name of a file until it is whole. Each program has its own, so that none mixes in."""
+    return path.with_name(f"{path.name}.{os.getpid()}.unfinished")
+
+
+def _finish(path: Path, *, overwrite: bool) -> None:
+    """Give a whole file its name; ConfigError if another program has written it meanwhile."""
+    if not overwrite:
+        try:
+            path.open("xb").close()
+        except FileExistsError:
+            raise ConfigError(f"{path} was written by another program meanwhile") from None
+    _unfinished(path).replace(path)
 
 
 def octets_of_file(path: Path) -> memoryview:
@@ -39,7 +52,7 @@ def write_whole(path: Path, pieces: Iterable[bytes], *, overwrite: bool) -> None
     Raises ConfigError as `check_new`, and if it cannot be written; nothing is left of it then.
     """
     check_new(path, overwrite=overwrite)
-    unfinished = path.with_name(path.name + _UNFINISHED)
+    unfinished = _unfinished(path)
     try:
         try:
             # A recording is for its user alone: it has pictures, voices and the hand.
@@ -48,7 +61,7 @@ def write_whole(path: Path, pieces: Iterable[bytes], *, overwrite: bool) -> None
                 file.writelines(pieces)
                 file.flush()
                 os.fsync(file.fileno())
-            unfinished.replace(path)
+            _finish(path, overwrite=overwrite)
         finally:
             unfinished.unlink(missing_ok=True)
     except OSError as error:
@@ -90,7 +103,7 @@ class Outputs:
 
     def unfinished(self, path: Path) -> Path:
         """Return the name under which to write a file; ConfigError if that is not possible."""
-        unfinished = path.with_name(path.name + _UNFINISHED)
+        unfinished = _unfinished(path)
         try:
             unfinished.open("wb").close()
         except OSError as error:
@@ -105,16 +118,16 @@ class Outputs:
         try:
             if kind is None:
                 for path in self._paths:
-                    _sync(path.with_name(path.name + _UNFINISHED))
+                    _sync(_unfinished(path))
                 for path in self._paths:
-                    path.with_name(path.name + _UNFINISHED).replace(path)
+                    _finish(path, overwrite=self._overwrite)
                 self._made.clear()
         except OSError as failed:
             error = failed
         finally:
             for path in self._paths:
                 with suppress(OSError):
-                    path.with_name(path.name + _UNFINISHED).unlink(missing_ok=True)
+                    _unfinished(path).unlink(missing_ok=True)
             for directory in self._made:
                 with suppress(OSError):
                     directory.rmdir()

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from mcap.records import Metadata
+from mcap.records import Attachment, Metadata
 
 from kontur_av.errors import ProtocolError
 from kontur_av.recorded_format import FORMAT
@@ -35,6 +35,8 @@ class Recovery:
         for item in scan.items():
             if isinstance(item, Metadata):
                 stream.handle_metadata(item.name, item.metadata, 0)
+            elif isinstance(item, Attachment):
+                stream.handle_attachment(item, 0)
             else:
                 schema, channel, message = item
                 if channel.id not in declared:

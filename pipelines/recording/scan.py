@@ -11,19 +11,18 @@ compressed by zstd or lz4.
 import re
 import struct
 from binascii import crc32
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import Final, NamedTuple
 
-import lz4.frame
-import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, Header, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, DataEnd, Footer, Header, Message, Metadata, Schema
 
 from kontur_av.errors import ProtocolError
 from kontur_av.recorded_format import FORMAT_KEY
-from pipelines.recording.facts import FACTS, is_sealed, needs_seal
+from kontur_av.sources.chunks import unpacked_chunk
+from pipelines.recording.facts import FACTS, RecordingFacts, is_sealed, needs_seal
 from pipelines.recording.mcap_stream import (
     CHUNK,
     HEAD,
@@ -36,8 +35,6 @@ from pipelines.recording.mcap_stream import (
     parse_record,
 )
 
-#: A chunk that claims more is not unpacked, so that no file makes this process grow without bound.
-MOST_CHUNK_OCTETS: Final = 1 << 28
 #: A longer record is damage.
 _MOST_RECORD_OCTETS = 1 << 40
 _DATA_END_OCTETS = len(octets_of(DataEnd(data_section_crc=0)))
@@ -87,7 +84,7 @@ class ScanFigures:
 class _Read(NamedTuple):
     """A record that was believed: what it yields, where it ends; checked: by a CRC of its own."""
 
-    items: list[FoundMessage | Metadata]
+    items: Sequence[FoundMessage | Metadata | Attachment]
     end: int
     checked: bool
 
@@ -110,7 +107,6 @@ class Scan:
         self.channels: dict[int, Channel] = {}
         self.formats: set[str] = set()
         self._octets = octets
-        self._zstd = zstandard.ZstdDecompressor()
         #: Schemas and channels outside of chunks, which no check covers.
         self._loose_schemas: dict[int, Schema] = {}
         self._loose_channels: dict[int, Channel] = {}
@@ -124,8 +120,8 @@ class Scan:
         """Whether the file is a recording of this project."""
         return bool(self.formats)
 
-    def items(self) -> Iterator[FoundMessage | Metadata]:
-        """Yield messages and metadata in the order of the file."""
+    def items(self) -> Iterator[FoundMessage | Metadata | Attachment]:
+        """Yield messages, metadata and attachments in the order of the file."""
         at, size = len(MAGIC), len(self._octets)
         while at < size:
             read = self._record(at)
@@ -154,7 +150,7 @@ class Scan:
         opcode, begin, end = head
         if opcode == Opcode.CHUNK:
             messages = self._chunk(begin, end)
-            return None if messages is None else _Read(list(messages), end, True)
+            return None if messages is None else _Read(messages, end, True)
         if opcode == Opcode.METADATA:
             return self._metadata(at, begin, end)
         if opcode == Opcode.ATTACHMENT:
@@ -213,7 +209,8 @@ class Scan:
         checked = needs_seal(record.name, record.metadata)
         if checked and not is_sealed(record.name, record.metadata):
             return None
-        if not checked and (self.ours or not self._is_followed(end)):
+        # A user's own has no check.
+        if not checked and not self._is_followed(end):
             return None
         if record.name == FACTS and (told := record.metadata.get("format")):
             self.formats.add(told)
@@ -221,12 +218,13 @@ class Scan:
         return _Read([record], at + len(octets_of(record)) if checked else end, checked)
 
     def _attachment(self, begin: int, end: int) -> _Read | None:
-        """An attachment is passed over. Other programs may leave its check 0."""
+        """An attachment is a user's. Its check may be 0: none."""
         (told,) = LENGTH_4.unpack_from(self._octets, end - 4)
-        if told == crc32(self._octets[begin : end - 4]):
-            return _Read([], end, True)
-        unchecked = told == 0 and not self.ours and self._is_followed(end)
-        return _Read([], end, False) if unchecked else None
+        checked = told == crc32(self._octets[begin : end - 4])
+        if not checked and (told or not self._is_followed(end)):
+            return None
+        record = self._read(Attachment, begin, end)
+        return None if record is None else _Read([record], end, checked)
 
     def _loose_message(self, begin: int, end: int) -> _Read | None:
         """A message outside of chunks: only in a file of another program, which has no chunks."""
@@ -315,31 +313,16 @@ class Scan:
             at = begin + CHUNK.size
             (length,) = LENGTH_4.unpack_from(octets, at)
             at += LENGTH_4.size
-            compression = bytes(octets[at : at + min(length, 8)])
+            compression = bytes(octets[at : at + min(length, 8)]).decode("ascii", "replace")
             at += length
             (length,) = LENGTH_8.unpack_from(octets, at)
             at += LENGTH_8.size
         except (struct.error, OverflowError):
             return None
-        if at + length != end or size > MOST_CHUNK_OCTETS:
+        if at + length != end:
             return None
-        plain = self._decompressed(compression, octets[at:end], size)
-        if plain is None or len(plain) != size or (crc and crc32(plain) != crc):
-            return None
-        return plain
-
-    def _decompressed(self, compression: bytes, packed: memoryview, size: int) -> bytes | None:
-        try:
-            if compression == b"zstd":
-                known = zstandard.get_frame_parameters(packed).content_size
-                if known not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-                    return None
-                return self._zstd.decompress(packed, max_output_size=size)
-            if compression == b"lz4":
-                return bytes(lz4.frame.decompress(packed))
-        except (zstandard.ZstdError, RuntimeError, MemoryError):
-            return None
-        return bytes(packed) if not compression else None
+        plain = unpacked_chunk(compression, octets[at:end], size)
+        return None if plain is None or (crc and crc32(plain) != crc) else plain
 
     def _next_confirmed(self) -> int | None:
         """Where the next chunk or metadata record begins whose check is right."""
@@ -380,3 +363,13 @@ class Scan:
         crc = data_end.data_section_crc
         self.figures.sound = not crc or crc == crc32(octets[:at])
         return True
+
+
+def first_facts(octets: memoryview) -> RecordingFacts | None:
+    """Return the facts at the beginning of a recording, or None; ProtocolError as `Scan`."""
+    for item in Scan(octets).items():
+        if isinstance(item, FoundMessage):
+            return None
+        if isinstance(item, Metadata) and item.name == FACTS:
+            return RecordingFacts.of(item.metadata)
+    return None

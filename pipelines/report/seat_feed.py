@@ -126,7 +126,7 @@ class SeatFeed:
 
     def _recorder(self, launcher: Launcher) -> int | None:
         """The life of the recorder, while it records."""
-        if self._collector.process(RECORDER).total(RecorderFigures).file is None:
+        if not self._collector.process(RECORDER).total(RecorderFigures).recording:
             return None
         (pid,) = (child.pid for child in launcher.children if child.row.name == RECORDER)
         return pid

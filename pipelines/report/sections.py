@@ -206,7 +206,7 @@ def seat_recording(collector: Collector) -> dict[str, str | int | None]:
         return {}
     figures = _figures(collector)
     return {
-        "file": None if figures.file is None else figures.file.rpartition("/")[2],
+        "file": (figures.file or "").rpartition("/")[2] if figures.recording else None,
         "octets": figures.octets,
         "lost": figures.lost,
         "fault": figures.fault,
@@ -236,7 +236,7 @@ def recorder_warnings(collector: Collector) -> list[Warning]:
 def recording_line(collector: Collector) -> tuple[str, bool] | None:
     """A line for the live view, and whether it is bad news; None while nothing is recorded."""
     figures = _figures(collector)
-    if figures.file is None:
+    if not figures.recording:
         return None
     line = f"recording to {figures.file}, {figures.octets / 1e6:.1f} MB"
     line += f", {figures.lost} messages lost" if figures.lost else ""

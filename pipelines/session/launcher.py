@@ -86,6 +86,8 @@ class Child:
     restarts: int = 0
     ended_cpu_s: float = 0.0
     last_error: str = ""
+    #: Whether it has reported anything.
+    told: bool = False
     #: The error that the present life has reported before its end.
     told_error: str = ""
     #: Whether its present life is to end because the session is stopped.
@@ -113,6 +115,7 @@ class Launcher:
     seed: of the radio's random events.
     show: called about once a second, with this launcher, to show figures to the user.
     pages: by process, where it serves browser pages.
+    awaited: a process that has reported before the next one is started.
     arguments: by process, what its function takes beside the arguments of its row.
     feed: asked every `FEED_NS` for figures for these processes.
     """
@@ -126,6 +129,7 @@ class Launcher:
     seed: int = 0
     show: Callable[["Launcher"], None] | None = None
     pages: Mapping[str, PageListener] = field(default_factory=dict)
+    awaited: str | None = None
     arguments: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     feed: FigureFeed | None = None
     children: list[Child] = field(init=False)
@@ -178,6 +182,8 @@ class Launcher:
             self.started_ns = self.clock.now_ns()
             for child in self.children:
                 self._start(child)
+                if child.row.name == self.awaited:
+                    self._await(child)
             end_ns = None if seconds is None else self.started_ns + round(seconds * NS_PER_S)
             self._watch(end_ns)
             self.ended_ns = self.clock.now_ns()
@@ -295,6 +301,7 @@ class Launcher:
                 return
             now_ns = self.clock.now_ns()
             message = Message.unpack(data)
+            child.told = True
             child.told_error = message.last_error or child.told_error
             self.listener.handle_message(child.row.name, message, now_ns)
             for order in message.orders if child.row.name in self.pages else ():
@@ -387,6 +394,15 @@ class Launcher:
             child.policy.handle_stop(self.clock.now_ns())
         else:
             child.policy.handle_end(self.clock.now_ns())
+
+    def _await(self, child: Child) -> None:
+        """Wait until a process has reported, or does not within its time."""
+        until_ns = self.clock.now_ns() + PATIENCE_NS
+        while child.pid is not None and not child.told and not self._stop:
+            left_ns = until_ns - self.clock.now_ns()
+            if left_ns <= 0:
+                return
+            self._attend(left_ns)
 
     def _end_all(self) -> None:
         """End all processes by SIGTERM, and those that remain by SIGKILL."""

@@ -176,6 +176,6 @@ def scanned(octets: bytes) -> tuple[Scan, list, list[Metadata]]:
             one = item.message
             at = (one.log_time, one.publish_time)
             messages.append((item.channel.topic, one.sequence, *at, one.data))
-        else:
+        elif isinstance(item, Metadata):
             metadata.append(item)
     return scan, messages, metadata

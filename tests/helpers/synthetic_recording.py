@@ -371,7 +371,7 @@ def command_messages(seconds, contacts):
         yield packet("/telemetry/sent", at_ns, number, state)
         yield packet("/telemetry/received", at_ns + LINK_NS, number, state)
     happened = [(BEGIN_NS, "link", "the link is up"), (middle_ns, "camera", "static is selected")]
-    happened += [(first_ns, "contact", "the robot touches the board") for first_ns, _ in contacts]
+    happened += [(first_ns, "touch", "the robot touches the board") for first_ns, _ in contacts]
     for number, (at_ns, what, text) in enumerate(sorted(happened), start=1):
         event = RecordedEvent(session_ns=at_ns, number=number, what=what, text=text)
         line = LogLine(wall_ns=wall_ns(at_ns), level=LogLevel.INFO, message=text, name=what)

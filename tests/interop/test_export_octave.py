@@ -34,7 +34,7 @@ for name = {'haptic_up', 'haptic_down', 'events', 'link_uplink_sent', 'uplink_vi
     end
   end
 end
-touched = tables.events.haptic_up_row(strcmp(tables.events.what, 'contact'));
+touched = tables.events.haptic_up_row(strcmp(tables.events.what, 'touch'));
 printf('%d ', tables.haptic_up.contact(touched), tables.haptic_up.contact(touched - 1));
 """
 CLASSES = {"float64": "double", "float32": "single"}

@@ -246,8 +246,12 @@ LIBRARIES = {
     "kontur_av/sources/file.py": ({"av", "pathlib"}, "a file"),
     "kontur_av/sources/fit.py": ({"av"}, "scales a picture"),
     "kontur_av/sources/looped.py": ({"av"}, "decoded pictures and their faults"),
+    "kontur_av/sources/chunks.py": (
+        {"lz4", "zstandard"},
+        "unpacks chunks of recordings",
+    ),
     "kontur_av/sources/recording.py": (
-        {"google", "mcap", "pathlib", "struct", "zstandard"},
+        {"google", "mcap", "pathlib", "struct"},
         "a file",
     ),
     "kontur_av/topics/bus.py": ({"ctypes"}, "shared memory"),
@@ -296,7 +300,7 @@ LIBRARIES = {
     "pipelines/seats/texts.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/session/recorder_requests.py": ({"msgspec"}, "requests and answers as JSON"),
     "pipelines/recording/": (
-        {"av", "google", "io", "lz4", "mcap", "msgspec", "zstandard"},
+        {"av", "google", "io", "mcap", "msgspec", "zstandard"},
         "protobuf, MCAP and H.264: octets only; requests as JSON",
     ),
     "pipelines/report/": ({"msgspec", "rich"}, "the report as JSON and as text"),

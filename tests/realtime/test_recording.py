@@ -11,6 +11,7 @@ import av
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Metadata
 from running_session import COMMAND, PATIENCE_S, assert_sound, eventually
 from xtce_decoder import decoded
 
@@ -39,7 +40,7 @@ def scanned(path):
     for item in scan.items():
         if isinstance(item, FoundMessage):
             messages.append(item)
-        elif item.name == FACTS:
+        elif isinstance(item, Metadata) and item.name == FACTS:
             facts = RecordingFacts.of(item.metadata)
     return scan, messages, facts
 

@@ -137,6 +137,14 @@ def test_strangers_and_nonsense_are_answered_and_the_partner_still_comes():
                 assert await status("GET", "/rtc") == 403
                 assert await status("POST", "/whep/main", b"v=0", **own) == 415
                 assert await status("POST", "/whep/main", b"nonsense", **own, **sdp) == 400
+                assert await status("POST", "/whep/main", b"v=\xff", **own, **sdp) == 400
+                other = {"Content-Type": "application/sdp; charset=klingon"}
+                assert await status("POST", "/whep/main", b"v=\xff", **own, **other) == 400
+                offer = await receiving([])(IceServers()).offer()
+                vp8 = offer.replace("H264/90000", "VP8/90000").replace("opus/48000", "speex/8000")
+                assert await status("POST", "/whep/main", vp8.encode(), **own, **sdp) == 406
+                asks = {"Access-Control-Request-Method": "POST", "Origin": "https://other"}
+                assert await status("OPTIONS", "/whep/main", **asks) == 204
                 assert await status("POST", "/whep/main", b"v" * 100_000, **own, **sdp) == 413
                 assert await status("POST", "/whep/other", b"v=0", **own, **sdp) == 404
                 # Nothing is taken here.

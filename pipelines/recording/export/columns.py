@@ -207,6 +207,18 @@ def identifier(text: str) -> str:
     return "".join(sign if sign.isascii() and sign.isalnum() else "_" for sign in text).lower()
 
 
-def table_name(topic: str) -> str:
-    """Return the name of a channel's table: `haptic_up_sent` for `/haptic/up/sent`."""
-    return identifier(topic.strip("/"))
+def table_names(topics: Iterable[str], taken: Iterable[str] = ()) -> dict[str, str]:
+    """Return the name of each channel's table: `haptic_up_sent` for `/haptic/up/sent`.
+
+    taken: names of others. Of channels whose names fall together, later ones get a number.
+    """
+    names: dict[str, str] = {}
+    used = {*taken}
+    for topic in sorted(topics):
+        plain = name = identifier(topic.strip("/"))
+        number = 2
+        while name in used:
+            name, number = f"{plain}_{number}", number + 1
+        used.add(name)
+        names[topic] = name
+    return names

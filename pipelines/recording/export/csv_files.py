@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipelines.recording.export.columns import Columnizer, Rows, joined, table_name
+from pipelines.recording.export.columns import Columnizer, Rows, joined, table_names
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.messages import LINK_SENT
 from pipelines.recording.recording_file import Outputs
@@ -30,11 +30,8 @@ class CsvExport:
     def __init__(self, directory: Path, recording: JoinedRecording) -> None:
         self._directory = directory
         self._columnizer = Columnizer(recording.begin_ns)
-        self._topics = {
-            topic: directory / f"{table_name(topic)}.csv"
-            for topic, count in recording.counts.items()
-            if count
-        }
+        names = table_names(topic for topic, count in recording.counts.items() if count)
+        self._topics = {topic: directory / f"{name}.csv" for topic, name in names.items()}
         self._files: dict[str, CsvFile] = {}
 
     @property

@@ -9,6 +9,7 @@ from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.rtp.payload_h264 import NAL_IDR, nal_type, split_annex_b
+from kontur_av.sources.instants import RisingInstants
 from pipelines.recording.channels import SENT
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import RecordedPicture, UnitFacts, unpack
@@ -77,18 +78,19 @@ class FilmUnits:
 class FilmClock:
     """Instants of one stream in ms from `begin_ns` on. They rise with every unit.
 
-    Before a receiver knows the sender's clock, units have the instant of their arrival. Then
-    instants may step back: units follow each other by 1 ms until the right time has come.
+    Before a receiver knows the sender's clock, units have the instant of their arrival. So their
+    instants may step back by the delay of the link.
     """
 
     def __init__(self, begin_ns: int) -> None:
         self._begin_ns = begin_ns
         self._newest_ms = -1
+        self._instants = RisingInstants(NS_PER_MS, most_back_ns=10 * NS_PER_S)
 
     def instant_ms(self, session_ns: int) -> int:
         """Return the instant of the next unit, rounded to the nearest ms."""
-        half = NS_PER_MS // 2
-        exact_ms = (session_ns - self._begin_ns + half) // NS_PER_MS
+        rising_ns = self._instants.instant_ns(max(session_ns, self._begin_ns))
+        exact_ms = (rising_ns - self._begin_ns + NS_PER_MS // 2) // NS_PER_MS
         self._newest_ms = max(exact_ms, self._newest_ms + 1)
         return self._newest_ms
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES
-from pipelines.recording.export.columns import table_name
+from pipelines.recording.export.columns import table_names
 from pipelines.recording.export.film import FilmClock, FilmUnit, FilmUnits, can_begin, heard_ns
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.matroska import MatroskaFile
@@ -36,18 +36,19 @@ class MatroskaExport:
         sounds = [topic for topic, schema in channels.items() if schema == AUDIO.full_name]
         if not pictures and not sounds:
             raise ConfigError("the recording has neither pictures nor sound: leave out --mkv")
+        names = table_names([*pictures, *sounds])
         begin_ns = min(recording.begin_ns, recording.first_ns([*pictures, *sounds]))
         self._films: list[Film] = []
         for topic in pictures:
             voice = topic.replace("_video/", "_voice/")
             sound = voice if voice in sounds else None
             facts = f"{topic}{_FACTS}" in channels
-            name = f"{table_name(topic)}.mkv"
+            name = f"{names[topic]}.mkv"
             self._films.append(Film(directory / name, topic, sound, begin_ns, facts=facts))
         shown = {film.sound for film in self._films}
         for topic in sounds:
             if topic not in shown:
-                name = f"{table_name(topic)}.mka"
+                name = f"{names[topic]}.mka"
                 self._films.append(Film(directory / name, None, topic, begin_ns, facts=False))
         self._takers: dict[str, list[Film]] = {}
         for film in self._films:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from kontur_av.errors import ConfigError
 from pipelines.recording.export.columns import Column, Columns
-from pipelines.recording.export.tables import TableCollector
+from pipelines.recording.export.tables import RECORDING, TableCollector
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.recording_file import Outputs
 
@@ -68,7 +68,7 @@ class MatExport:
         self._rows = {name: len(table["session_ns"]) for name, table in tables.items()}
         self._v73 |= any(variable_octets(table) > MOST_V5_OCTETS for table in tables.values())
         write = write_v73 if self._v73 else write_v5
-        write(self._unfinished, {"recording": about(self._recording), **tables})
+        write(self._unfinished, {RECORDING: about(self._recording), **tables})
 
     def lines(self) -> list[str]:
         rows = ", ".join(f"{name} {count}" for name, count in sorted(self._rows.items()))

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from pipelines.recording.channels import EVENTS, RECEIVED, SENT
-from pipelines.recording.export.columns import Column, Columnizer, Columns, Rows, joined, table_name
+from pipelines.recording.export.columns import (
+    Column,
+    Columnizer,
+    Columns,
+    Rows,
+    joined,
+    table_names,
+)
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import (
     HAPTIC_SAMPLES,
@@ -28,6 +35,8 @@ NEAR_NS = 20 * NS_PER_MS
 _MOST_DELAY_NS = 30 * NS_PER_S
 #: Bits of an instant in µs beside the number of a sample: two years.
 _INSTANT_BITS = 46
+#: The variable that says where the tables come from.
+RECORDING = "recording"
 _HAPTIC, _FACTS = "/haptic/", "/facts"
 _LEFT_OUT = {LOG.full_name, TRANSFER_FRAMES.full_name}
 
@@ -74,10 +83,14 @@ class TableCollector:
         if packets:
             commands = _commands(packets)
             tables["commands"] = commands | rows_of_haptics(commands, haptics)
-        for topic, columns in found.items():
-            if self._schemas[topic] != VIDEO.full_name or f"{topic}{_FACTS}" not in found:
-                tables[table_name(topic.removesuffix(_FACTS))] = columns
-        return tables
+        pictures = {topic for topic in found if self._schemas[topic] == VIDEO.full_name}
+        shown = {
+            base if (base := topic.removesuffix(_FACTS)) in pictures else topic: columns
+            for topic, columns in found.items()
+            if topic not in pictures or f"{topic}{_FACTS}" not in found
+        }
+        names = table_names(shown, taken=[*tables, RECORDING])
+        return tables | {names[topic]: columns for topic, columns in shown.items()}
 
     def _taken(self, found: Tables, schema: str) -> Tables:
         topics = [topic for topic in found if self._schemas[topic] == schema]

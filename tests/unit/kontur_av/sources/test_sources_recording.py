@@ -1,7 +1,9 @@
 """Channels of recordings as sources, on virtual time: their times, gaps and faults."""
 
+from fractions import Fraction
 from itertools import pairwise
 
+import av
 import numpy as np
 import pytest
 from mcap.writer import Writer
@@ -142,6 +144,41 @@ def test_a_channel_that_cannot_be_played_is_refused(path, channel, kind, told):
         check_spec(f"mcap:{path}{channel}", kind)
 
 
+def test_the_cause_is_named_where_pictures_are_no_annex_b_or_messages_no_protobuf(tmp_path):
+    avcc = [
+        (at, picture(data.replace(b"\0\0\0\1", b"\0\0\0\x20")))
+        for at, data in zip(TIMES_MS, units(), strict=True)
+    ]
+    write(tmp_path / "a.mcap", {"/head": avcc})
+    with pytest.raises(ConfigError, match=r"lengths before its NAL units \(AVCC\): .*Annex B"):
+        check_spec(f"mcap:{tmp_path / 'a.mcap'}#/head", "video")
+    with (tmp_path / "b.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.CompressedVideo", "jsonschema", b"{}")
+        writer.add_message(writer.register_channel("/head", "json", schema), 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(ConfigError, match=r"channel /head of .* in jsonschema, which is not read"):
+        check_spec(f"mcap:{tmp_path / 'b.mcap'}#/head", "video")
+
+
+def test_b_pictures_are_told(tmp_path):
+    coder = av.CodecContext.create("libx264", "w")
+    coder.width, coder.height, coder.pix_fmt = *SIZE, "yuv420p"
+    coder.time_base, coder.options = Fraction(1, 30), {"bf": "2", "b_strategy": "0"}
+    frames = [av.VideoFrame.from_ndarray(empty_picture(*SIZE) + 9 * n, "yuv420p") for n in range(9)]
+    for number, frame in enumerate(frames):
+        frame.pts = number
+    data = [bytes(packet) for frame in [*frames, None] for packet in coder.encode(frame)]
+    write(tmp_path / "a.mcap", {"/head": [(33 * n, picture(each)) for n, each in enumerate(data)]})
+    spec = f"mcap:{tmp_path / 'a.mcap'}#/head"
+    source = open_video(spec, name="head", width=64, height=48, fps=30, clock=ManualClock(0))
+    into = empty_picture(*SIZE)
+    for _ in range(30):
+        source.read(into, NS_PER_S)
+    assert "has B pictures, so its instants are wrong" in source.last_fault
+
+
 def test_a_file_that_is_no_whole_recording_is_refused(tmp_path, path):
     torn, text = tmp_path / "torn.mcap", tmp_path / "text.mcap"
     torn.write_bytes(path.read_bytes()[:-300])
@@ -167,3 +204,20 @@ def test_a_damaged_access_unit_costs_its_picture_and_is_counted(tmp_path):
     assert seen >= len(data) - 1
     assert source.faults >= 1
     assert "cannot be decoded" in source.last_fault
+
+
+@pytest.mark.parametrize("shift_ms", [0, -3_600_000, -40])
+def test_instants_that_do_not_rise_are_moved_and_told(tmp_path, shift_ms):
+    """The second half begins again: at the same instants, an hour back, or a little."""
+    times = [0, 33, 66, *(at + shift_ms for at in (66, 99, 132))]
+    write(tmp_path / "a.mcap", {"/head": list(zip(times, map(picture, units()), strict=True))})
+    spec = f"mcap:{tmp_path / 'a.mcap'}#/head"
+    source = open_video(spec, name="head", width=64, height=48, fps=30, clock=ManualClock(0))
+    into, seen = empty_picture(*SIZE), []
+    while len(seen) < 7:
+        stamp = source.read(into, NS_PER_S)
+        if stamp is not None:
+            seen.append(stamp.capture_ns)
+    steps = [b - a for a, b in pairwise(seen)]
+    assert min(steps) >= NS_PER_MS and max(steps) < 70 * NS_PER_MS
+    assert "instants were not after the one before" in source.last_fault

@@ -53,7 +53,7 @@ def test_a_matlab_file_has_the_tables_and_where_they_come_from(recording, writte
     cycles = written.haptics["/haptic/up/sent"]
     assert found["haptic_up"]["fx_n"].tolist() == cycles["fx_n"].tolist()
     assert loadmat(out)["haptic_up"]["time_s"][0, 0].shape == (len(cycles), 1)
-    assert list(found["events"]["what"]) == ["link", "contact", "camera", "contact", "contact"]
+    assert list(found["events"]["what"]) == ["link", "touch", "camera", "touch", "touch"]
     assert names(recording.parent) == ["a-2.mcap", "a.mcap", "out.mat"]
 
 
@@ -118,11 +118,11 @@ def test_a_torn_recording_is_exported_as_far_as_it_can_be_read(recording, capsys
     assert len(loadmat(out, simplify_cells=True)["haptic_up"]["time_s"]) > 500
 
 
-def test_a_part_of_another_recording_is_left_out(recording, capsys):
+def test_a_copy_of_a_part_is_left_out_of_the_export(recording, capsys):
     shutil.copy(recording, recording.with_name("a-2.mcap"))
     out = recording.with_name("out.mat")
     assert main(["export", str(recording), "--mat", str(out)]) == 0
-    assert "a-2.mcap is of another recording: left out" in capsys.readouterr().err
+    assert "a-2.mcap is left out: part 1 is there already" in capsys.readouterr().err
     assert loadmat(out, simplify_cells=True)["recording"]["parts"] == 1
 
 

@@ -2,12 +2,16 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from synthetic_recording import BEGIN_NS, LINK_CYCLES, MS, S, write_recording
 
-from pipelines.recording.export.columns import Columnizer, joined
+from pipelines.recording.export.columns import Columnizer, joined, table_names
+from pipelines.recording.export.csv_files import CsvExport
 from pipelines.recording.export.tables import TableCollector, haptic_tables, rows_of_haptics
-from pipelines.recording.joined import JoinedMessage, JoinedRecording, follows, read_part
+from pipelines.recording.joined import JoinedMessage, JoinedRecording, read_part
 from pipelines.recording.messages import EVENT, LINK_SENT, NO_SAMPLE
+from pipelines.recording.recording_file import Outputs
 
 
 def read(recording):
@@ -54,7 +58,7 @@ def test_each_sample_says_when_the_other_end_acted_on_it(written, tables):
 
 def test_events_and_commands_have_the_haptic_row_in_which_they_happened(written, tables):
     events = tables["events"]
-    touches = [text == "contact" for text in events["what"]]
+    touches = [text == "touch" for text in events["what"]]
     rows = events["haptic_up_row"][touches].astype(int)
     cycles = tables["haptic_up"]
     # Counted from 1.
@@ -113,8 +117,32 @@ def test_messages_that_are_not_of_their_schema_are_counted():
     assert columnizer.rows(message._replace(schema="some.Other")) is None
 
 
-def test_a_part_of_another_recording_does_not_follow(tmp_path, written):
-    first, second = (read_part(memoryview(path.read_bytes())) for path in written.paths)
-    assert follows(second, first)
-    assert not follows(first, second)
-    assert not follows(first, first)
+@given(st.lists(st.text("a_-/. 2é", min_size=1, max_size=4), unique=True, max_size=12))
+def test_no_two_channels_have_one_table(topics):
+    names = table_names(topics, taken=["a", "events"])
+    assert len({*names.values(), "a", "events"}) == len(topics) + 2
+    assert all(name == "" or name.isascii() for name in names.values())
+
+
+def test_channels_whose_names_fall_together_are_all_exported(tmp_path, written):
+    recording = read(written)
+    (part, *_) = recording.parts
+    names = {"/link/uplink/sent": "/a-b", "/link/uplink/received": "/a_b"}
+    for channel in part.inventory.channels:
+        channel.topic = names.get(channel.topic, channel.topic)
+    messages = [
+        message._replace(topic=names[message.topic])
+        for message in part.messages(0)
+        if message.topic in names
+    ]
+    export = CsvExport(tmp_path / "csv", recording)
+    collector = TableCollector(recording.begin_ns)
+    with Outputs(overwrite=False) as outputs:
+        export.begin(outputs)
+        for message in messages:
+            export.handle_message(message)
+            collector.handle_message(message)
+        export.end()
+    assert {"a_b", "a_b_2"} == {*collector.tables()}
+    lengths = [len((tmp_path / f"csv/{name}.csv").read_text()) for name in ("a_b", "a_b_2")]
+    assert min(lengths) > 1000

@@ -6,6 +6,8 @@ from io import BytesIO
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -434,10 +436,27 @@ def test_contacts_are_events():
     (file,) = disk.end(NS_PER_S)
     events = [unpack(RecordedEvent, each.data) for each in file["/events"]]
     assert [(each.session_ns // NS_PER_MS, each.text) for each in events] == [
-        (25, "contact begins"),
-        (40, "contact ends"),
-        (123, "contact begins"),
+        (25, "touch begins"),
+        (40, "touch ends"),
+        (123, "touch begins"),
     ]
+
+
+@given(st.lists(st.tuples(st.integers(0, 900), st.integers(0, 2900)), max_size=12))
+def test_events_are_in_the_order_of_their_instants(told):
+    """Each came up to 3 s after its instant; a part ends meanwhile."""
+    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
+    disk.pump(0)
+    came = sorted((at + late, at) for at, late in told)
+    for now_ms, at_ms in came:
+        disk.pump(now_ms * NS_PER_MS)
+        event = RecordedEvent(session_ns=at_ms * NS_PER_MS, number=0, what="link", text="")
+        disk.recorder.handle_event(event, now_ms * NS_PER_MS)
+        disk.recorder.handle_time(now_ms * NS_PER_MS)
+    files = disk.end(5 * NS_PER_S)
+    for channel in ("/events", "/log"):
+        found = [each.log_time - OFFSET_NS for file in files for each in file.get(channel, ())]
+        assert found == sorted(at * NS_PER_MS for at, _ in told)
 
 
 def test_every_channel_that_is_read_exists_and_cameras_are_coded_cheaply():

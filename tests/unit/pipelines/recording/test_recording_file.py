@@ -1,10 +1,13 @@
-"""Recordings have pictures, voices and the hand, so they are for their user alone."""
+"""Recordings are for their user alone, and of two programs that write one file none is torn."""
 
 import os
 import stat
 
-from pipelines.recording.part_files import PartFiles
-from pipelines.recording.recording_file import write_whole
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.recording.part_files import PartFiles, check_recordable
+from pipelines.recording.recording_file import Outputs, write_whole
 
 
 def test_recordings_are_for_their_user_alone(tmp_path):
@@ -17,3 +20,37 @@ def test_recordings_are_for_their_user_alone(tmp_path):
         os.umask(old)
     modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
     assert len(modes) == 2 and set(modes.values()) == {0o600}, modes
+
+
+def pieces(path, *, overwrite):
+    """Octets of a file that another program writes meanwhile, too."""
+    yield b"one"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(os, "getpid", lambda: 7)
+        write_whole(path, [b"two"], overwrite=overwrite)
+    yield b" whole"
+
+
+def test_of_two_that_write_one_file_the_later_is_refused_or_replaces_it(tmp_path):
+    path = tmp_path / "a.mcap"
+    with pytest.raises(ConfigError, match="was written by another program meanwhile"):
+        write_whole(path, pieces(path, overwrite=False), overwrite=False)
+    assert path.read_bytes() == b"two"
+    write_whole(path, pieces(path, overwrite=True), overwrite=True)
+    assert path.read_bytes() == b"one whole"
+    csv = tmp_path / "a.csv"
+    with pytest.raises(ConfigError, match="meanwhile"), Outputs(overwrite=False) as outputs:
+        unfinished = outputs.unfinished(csv)
+        unfinished.write_bytes(b"one")
+        csv.write_bytes(b"two")
+    assert csv.read_bytes() == b"two"
+    assert {each.name for each in tmp_path.iterdir()} == {"a.mcap", "a.csv"}
+
+
+def test_a_recording_that_goes_on_is_not_overwritten(tmp_path):
+    files = PartFiles(tmp_path / "a.mcap")
+    files.open()
+    with pytest.raises(ConfigError, match=r"a\.mcap is being recorded: record to another name"):
+        check_recordable(tmp_path / "a.mcap", overwrite=True)
+    files.close(1)
+    check_recordable(tmp_path / "a.mcap", overwrite=True)

@@ -6,16 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.records import Channel
+from mcap.records import Attachment, Channel, DataEnd, Footer, Metadata
 from mcap.writer import Writer
-from recordings import FACTS_OF_A_TEST, LIBRARY, channel, scanned, steps, write
+from recordings import FACTS_OF_A_TEST, LIBRARY, Step, channel, scanned, steps, write
 
 from kontur_av.errors import ProtocolError
 from kontur_av.recorded_format import FORMAT_KEY
 from pipelines.recording.facts import FACTS, MENDED, RecordingFacts, sealed
 from pipelines.recording.inventory import take_inventory
-from pipelines.recording.mcap_stream import CHUNK_NS, McapStream
+from pipelines.recording.mcap_stream import CHUNK_NS, MAGIC, McapStream, octets_of
 from pipelines.recording.recover import Recovery
+from pipelines.recording.scan import FoundMessage, Scan
 
 
 @given(steps, st.floats(0.1, 1))
@@ -42,6 +43,35 @@ def test_a_mended_file_has_all_that_could_be_read(script, share):
     reader = make_reader(BytesIO(mended), validate_crcs=True)
     read = [(channel.topic, message.data) for _, channel, message in reader.iter_messages()]
     assert sorted(read) == sorted((topic, data) for topic, *_, data in found)
+
+
+@given(st.data(), st.booleans(), st.booleans())
+def test_what_a_user_has_added_is_whole_and_stays(data, checked, torn):
+    """Metadata and attachments, as `mcap add` writes them, with a check or without."""
+    written = write([Step(300_000_000, count % 2, 0, b"1234") for count in range(9)])
+    note = Metadata(name="notes", metadata={"by": "me"})
+    photo = Attachment(name="a.jpg", media_type="image/jpeg", create_time=1, log_time=2, data=b"x")
+    attached = octets_of(photo) if checked else octets_of(photo)[:-4] + bytes(4)
+    ends = [piece.end for piece in written.pieces[1:-2]]
+    places = data.draw(st.permutations(ends))[:2]
+    added, at = b"", 0
+    for place, octets in sorted(zip(places, (octets_of(note), attached), strict=True)):
+        added, at = added + written.octets[at:place] + octets, place
+    # An end without a summary, as after `mcap add` by a program that writes no checks.
+    if not torn:
+        end = [DataEnd(data_section_crc=0)]
+        end.append(Footer(summary_start=0, summary_offset_start=0, summary_crc=0))
+        rest = written.octets[at : written.pieces[-2].begin]
+        added += rest + b"".join(octets_of(one) for one in end) + MAGIC
+    scan = Scan(memoryview(added))
+    found = [item for item in scan.items() if not isinstance(item, FoundMessage)][1:]
+    assert note in found and photo in found
+    assert not scan.figures.holes and scan.figures.sound == (not torn)
+
+    mended = b"".join(Recovery(memoryview(added)).pieces())
+    reader = make_reader(BytesIO(mended), validate_crcs=True)
+    assert [*reader.iter_attachments()] == [photo]
+    assert note in reader.iter_metadata()
 
 
 def test_channels_without_a_message_stay():

@@ -1,0 +1,119 @@
+"""A WHIP client goes where servers send it, tells its token to few, and shows what they say."""
+
+import asyncio
+from contextlib import asynccontextmanager
+
+import pytest
+from aiohttp import web
+
+from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.partner.whip import WhipClient
+
+ANSWER = "v=0\r\ns=Übung\r\n"
+
+
+@asynccontextmanager
+async def serving(answer):
+    """A server on a port of its own; its address, and what it was asked: (method, path, token)."""
+    asked = []
+
+    async def handle(request):
+        asked.append((request.method, request.path, request.headers.get("Authorization", "")))
+        return answer(request)
+
+    application = web.Application()
+    application.router.add_route("*", "/{path:.*}", handle)
+    runner = web.AppRunner(application)
+    await runner.setup()
+    site = web.TCPSite(runner, "127.0.0.1", 0)
+    await site.start()
+    try:
+        yield f"http://127.0.0.1:{runner.addresses[0][1]}", asked
+    finally:
+        await runner.cleanup()
+
+
+def created(request, *, location="session/1", charset="utf-8"):
+    if request.method != "POST":
+        return web.Response(status=200)
+    return web.Response(
+        status=201,
+        body=ANSWER.encode("latin-1" if charset == "latin-1" else "utf-8"),
+        headers={"Content-Type": f"application/sdp; charset={charset}", "Location": location},
+    )
+
+
+async def posted(url, **options):
+    """Post an offer and return the answer."""
+    async with WhipClient(url, **options) as client:
+        return await client.post("v=0")
+
+
+@pytest.mark.parametrize("allowed", [True, False])
+@pytest.mark.parametrize("location", ["session/1", "/room/session/1"])
+def test_a_redirect_to_another_origin_is_followed_and_the_session_is_there(allowed, location):
+    async def run():
+        async with serving(lambda request: created(request, location=location)) as (there, asked):
+            moved = {"Location": f"{there}/room/whip"}
+            async with serving(lambda _: web.Response(status=307, headers=moved)) as (here, first):
+                origins = [there] if allowed else []
+                async with WhipClient(f"{here}/a", token="T", token_origins=origins) as client:
+                    assert await client.post("v=0") == ANSWER
+        token = "Bearer T" if allowed else ""
+        assert first == [("POST", "/a", "Bearer T")]
+        assert asked == [
+            ("POST", "/room/whip", token),
+            ("DELETE", "/room/session/1", token),
+        ]
+
+    asyncio.run(run())
+
+
+def test_redirects_are_bounded():
+    async def run():
+        moved = {"Location": "again"}
+        async with serving(lambda _: web.Response(status=307, headers=moved)) as (url, asked):
+            with pytest.raises(ProtocolError, match="in circles"):
+                await posted(url, token="T")
+        assert len(asked) < 10 and {token for *_, token in asked} == {"Bearer T"}
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("charset", ["utf-8", "latin-1", "klingon"])
+def test_an_answer_in_any_charset_is_read(charset):
+    async def run():
+        async with serving(lambda request: created(request, charset=charset)) as (url, _):
+            assert await posted(url) == ANSWER
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("status", [400, 406])
+@pytest.mark.parametrize(
+    ("body", "shown"),
+    [
+        (b"only\r\nVP8 here", "only VP8 here"),
+        (b"\xff\x1b[31m" + b"x" * 999, "xxx"),
+        (b"", "406|400"),
+    ],
+)
+def test_what_a_server_says_with_a_refusal_is_shown_in_one_line(status, body, shown):
+    async def run():
+        async with serving(lambda _: web.Response(status=status, body=body)) as (url, _):
+            with pytest.raises(ConfigError, match=shown) as error:
+                await posted(url)
+        line = str(error.value)
+        assert line.isprintable() and str(status) in line and len(line) < 300
+
+    asyncio.run(run())
+
+
+def test_a_refusal_for_now_is_tried_again():
+    async def run():
+        for status in (409, 429, 500, 503):
+            async with serving(lambda _, code=status: web.Response(status=code)) as (url, _):
+                with pytest.raises(ConnectionError, match=str(status)):
+                    await posted(url)
+
+    asyncio.run(run())
