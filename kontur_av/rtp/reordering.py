@@ -4,6 +4,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 
 #: How long to wait for a missing packet, unless told otherwise.
 REORDER_DEPTH_NS = 10 * NS_PER_MS
+#: No picture waits longer than sound in its playout buffer.
+MOST_REORDER_NS = 200 * NS_PER_MS
 #: A path of which nothing is known yet is given the longest wait.
 _UNKNOWN_NS = NS_PER_S
 #: What came late counts for one to two times this long.
