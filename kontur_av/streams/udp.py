@@ -94,6 +94,11 @@ class UdpReceiver:
         """The sockets of RTP and RTCP, for a caller that also waits for others."""
         return {self._rtp, self._rtcp}
 
+    @property
+    def reported(self) -> bool:
+        """Whether a report of the sender has come."""
+        return self._sender is not None
+
     def exchange(
         self, receiver: VideoReceiver | VoiceReceiver, clock: Clock, timeout_ns: int = 0
     ) -> None:
