@@ -335,15 +335,15 @@ class H264Depacketizer:
             self._nal_units.clear()
             self._parts.clear()
         if fragment.is_part and fragment.ends:
-            self._join_parts(packet)
+            self._join_parts()
         if packet.marker:
-            self._handle_marker(packet)
+            self._handle_marker()
 
     def _place(self, unit: bytes | None, packet: "RtpReceived", lost: int) -> None:
         """Prepare for a NAL unit, or its first part; None: for a later part of the present one."""
         if self._parts and unit is not None and not lost:
             # No packet is missing, so the sender forgot to mark the last part.
-            self._join_parts(packet)
+            self._join_parts()
         if self._open and self._is_next(unit, packet.timestamp, lost > 0):
             if self._markers is None and self._has_picture and (self._marked or not lost):
                 self._markers = self._marked
@@ -377,19 +377,16 @@ class H264Depacketizer:
             return not _is_later_slice(unit)
         return kind in _BEGINNERS or later
 
-    def _join_parts(self, packet: "RtpReceived") -> None:
-        if not self._parts:
-            return
-        first, *others = _without_start_codes(b"".join(self._parts)) or [b""]
-        self._parts.clear()
-        if first:
-            self._nal_units.append(first)
-        for unit in others:
-            self._place(unit, packet, 0)
-            self._nal_units.append(unit)
+    def _join_parts(self) -> None:
+        if self._parts:
+            # Start codes of Annex B may have come along, and so more than one.
+            units = _without_start_codes(b"".join(self._parts))
+            self._parts.clear()
+            self._nal_units += units
+            self._has_picture |= any(nal_type(unit) in _SLICES for unit in units)
 
-    def _handle_marker(self, packet: "RtpReceived") -> None:
-        self._join_parts(packet)
+    def _handle_marker(self) -> None:
+        self._join_parts()
         self._marked = True
         if self._markers or not self._has_picture:
             self._ended_at = self._timestamp if self._has_picture else None
@@ -407,6 +404,7 @@ class H264Depacketizer:
             if self._marked and self._markers is None:
                 self._markers = True
                 self._ended_at = self._timestamp
+            self._join_parts()
             self._finish(complete=True)
 
     def poll_timeout(self) -> int | None:

@@ -341,6 +341,11 @@ class RtpReceiver:
         """Accept a jump of this source, or a new one, after probation (see the class)."""
         held = self._candidates
         if held and held[0].packet.ssrc != packet.ssrc:
+            known = self._from is not None and self._candidate_from == self._from
+            if known and source != self._from:
+                # A stranger does not keep a sender that begins anew from being accepted.
+                self.counts.garbage += 1
+                return
             self._drop_candidates()
         while held and (len(held) >= _MOST_CANDIDATES or not _fits(held[0], packet, now_ns)):
             self.counts.garbage += 1
