@@ -4,11 +4,12 @@ A payload is a single NAL unit, a STAP-A (several small NAL units) or an FU-A (o
 NAL unit).
 """
 
+import re
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from struct import pack, unpack_from
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
@@ -26,6 +27,8 @@ _TYPE_BITS, _NRI_BITS, _FORBIDDEN_BIT = 0x1F, 0x60, 0x80
 _FU_START, _FU_END = 0x80, 0x40
 _START_CODE = b"\x00\x00\x00\x01"
 
+#: Found by an expression, because it takes a third of the time of `in`.
+_CODE = re.compile(b"\x00\x00\x01")
 #: Slices that tell their first macroblock; 2 is the first partition of one.
 _SLICES = frozenset((NAL_SLICE, 2, NAL_IDR))
 #: Behind a picture these begin the next access unit (ITU-T H.264 clause 7.4.1.2.3).
@@ -133,8 +136,7 @@ def _fragment(unit: bytes, max_payload_octets: int) -> list[bytes]:
     return payloads
 
 
-@dataclass(frozen=True, slots=True)
-class Fragment:
+class Fragment(NamedTuple):
     """The content of one payload: whole NAL units, or one part of a NAL unit (FU-A).
 
     is_part: `nal_units` has one element, a part of a NAL unit. The first part begins with the
@@ -186,7 +188,7 @@ def parse_payload(payload: bytes) -> Fragment:
 
 def _without_start_codes(unit: bytes) -> list[bytes]:
     """Return the NAL units in what should be one; most often it is. Zeros are none."""
-    if b"\x00\x00\x01" not in unit:
+    if not _CODE.search(unit):
         unit = unit if unit[-1] else unit.rstrip(b"\x00")
         return [unit] if unit and unit[0] & _TYPE_BITS else []
     # What stands before the first start code is a NAL unit, too, unless it is all zeros.
@@ -287,7 +289,7 @@ class H264Depacketizer:
         self._first_received_ns = self._received_ns = received_ns
         self._nal_units, self._ahead = self._ahead, []
         self._parts: list[bytes] = []
-        self._octets = sum(map(len, self._nal_units))
+        self._octets = sum(map(len, self._nal_units)) if self._nal_units else 0
         self._has_picture = self._marked = False
         self._damaged = False
         self._too_large = False
@@ -314,7 +316,8 @@ class H264Depacketizer:
         if not fragment.nal_units:
             self._lost_idle = lost
         elif fragment.is_part and not fragment.starts:
-            self._place(None, packet, lost)
+            if lost or not self._parts or packet.timestamp != self._timestamp:
+                self._place(None, packet, lost)
             if self._parts:
                 self._parts.append(fragment.nal_units[0])
             else:
@@ -341,13 +344,21 @@ class H264Depacketizer:
 
     def _place(self, unit: bytes | None, packet: "RtpReceived", lost: int) -> None:
         """Prepare for a NAL unit, or its first part; None: for a later part of the present one."""
-        if self._parts and unit is not None and not lost:
-            # No packet is missing, so the sender forgot to mark the last part.
-            self._join_parts()
-        if self._open and self._is_next(unit, packet.timestamp, lost > 0):
-            if self._markers is None and self._has_picture and (self._marked or not lost):
-                self._markers = self._marked
-            self._finish(complete=self._marked or not lost)
+        kind = 0 if unit is None else unit[0] & _TYPE_BITS
+        goes_on = unit is None or _is_later_slice(unit)
+        if self._open:
+            if self._parts and unit is not None and not lost:
+                # No packet is missing, so the sender forgot to mark the last part.
+                self._join_parts()
+            later = packet.timestamp != self._timestamp
+            if later and (lost or self._marked or not self._has_picture):
+                self._finish_before(lost)
+            elif (
+                self._has_picture
+                and not goes_on
+                and (later or kind in _SLICES or kind in _BEGINNERS)
+            ):
+                self._finish_before(lost)
         if not self._open:
             self._begin(packet.timestamp, lost, packet.received_ns)
             self._open = True
@@ -355,27 +366,21 @@ class H264Depacketizer:
             self._lost_within += lost
             self._break_part()
             self._damaged = True
-        if unit is None or _is_later_slice(unit):
+        if goes_on:
             if self._ended_at == packet.timestamp:
                 self._markers, self._damaged = False, True
             elif self._marked:
                 self._markers = False
             self._marked = False
         self._ended_at = None
-        if unit is not None and nal_type(unit) in _SLICES:
+        if kind in _SLICES:
             self._has_picture = True
 
-    def _is_next(self, unit: bytes | None, timestamp: int, after_loss: bool) -> bool:
-        """Return whether this NAL unit, or later part of one, is of the next access unit."""
-        later = timestamp != self._timestamp
-        if later and (after_loss or self._marked or not self._has_picture):
-            return True
-        if unit is None or not self._has_picture:
-            return False
-        kind = nal_type(unit)
-        if kind in _SLICES:
-            return not _is_later_slice(unit)
-        return kind in _BEGINNERS or later
+    def _finish_before(self, lost: int) -> None:
+        """The next access unit begins. lost: packets directly before it."""
+        if self._markers is None and self._has_picture and (self._marked or not lost):
+            self._markers = self._marked
+        self._finish(complete=self._marked or not lost)
 
     def _join_parts(self) -> None:
         if self._parts:

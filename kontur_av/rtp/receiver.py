@@ -5,7 +5,7 @@ It follows RFC 3550 appendices A.1 (sequence numbers), A.3 (loss) and A.8 (jitte
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, unix_ns_from_ntp
 from kontur_av.errors import ProtocolError
@@ -38,8 +38,7 @@ _AHEAD_NS, _BEHIND_NS = 200 * NS_PER_MS, 10 * NS_PER_S
 _STEP_BACK_NS, _STEP_NS = NS_PER_S, 10 * NS_PER_S
 
 
-@dataclass(frozen=True, slots=True)
-class RtpReceived:
+class RtpReceived(NamedTuple):
     """One packet in sequence order.
 
     extended_sequence: the sequence number without its wrap-around at 16 bits.
@@ -225,7 +224,9 @@ class RtpReceiver:
 
     def _take(self, packet: RtpPacket, extended: int, now_ns: int) -> None:
         counts = self.counts
-        if extended > self._highest or self._newest_timestamp is None:
+        if packet.timestamp != self._newest_timestamp and (
+            extended > self._highest or self._newest_timestamp is None
+        ):
             self._watch_time(packet.timestamp, now_ns)
         self._last_heard_ns = now_ns
         if self._log is not None:

@@ -130,7 +130,8 @@ class VideoReceiver:
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
         self._receiver.handle_timeout(now_ns)
-        self._pass_on()
+        while (packet := self._receiver.next_event()) is not None:
+            self._depacketizer.handle_packet(packet)
         self._depacketizer.handle_timeout(now_ns)
 
     def poll_timeout(self) -> int | None:
@@ -158,7 +159,8 @@ class VideoReceiver:
 
     def next_event(self) -> ReceivedUnit | None:
         """Return the next access unit to decode, or None."""
-        self._pass_on()
+        while (packet := self._receiver.next_event()) is not None:
+            self._depacketizer.handle_packet(packet)
         unit = self._depacketizer.next_event()
         if unit is not None:
             hurt = self._healing.handle_unit(unit)
@@ -173,10 +175,6 @@ class VideoReceiver:
                 if len(self._hurt) > _REMEMBERED:
                     self._hurt.popitem(last=False)
         return unit
-
-    def _pass_on(self) -> None:
-        while (packet := self._receiver.next_event()) is not None:
-            self._depacketizer.handle_packet(packet)
 
     def capture_ns(self, timestamp: int) -> int | None:
         """Return when the picture of this RTP timestamp was captured, in ns.

@@ -167,9 +167,7 @@ def test_a_sender_that_begins_anew_goes_on_and_a_stranger_stays_out(lives, stran
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 180), st.integers(0, 4), st.integers(0, 65_535))
 def test_a_packet_of_each_picture_that_comes_late_is_waited_for(late_ms, which, first):
-    receiver = RtpReceiver(
-        payload_type=96, clock_rate_hz=90_000, most_reorder_ns=200 * NS_PER_MS
-    )
+    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000, most_reorder_ns=200 * NS_PER_MS)
     arrivals = []
     for picture in range(150):
         for part in range(5):
