@@ -351,13 +351,9 @@ class H264Depacketizer:
                 # No packet is missing, so the sender forgot to mark the last part.
                 self._join_parts()
             later = packet.timestamp != self._timestamp
-            if later and (lost or self._marked or not self._has_picture):
-                self._finish_before(lost)
-            elif (
-                self._has_picture
-                and not goes_on
-                and (later or kind in _SLICES or kind in _BEGINNERS)
-            ):
+            by_time = later and (lost or self._marked or not self._has_picture)
+            by_content = not goes_on and (later or kind in _SLICES or kind in _BEGINNERS)
+            if by_time or (by_content and self._has_picture):
                 self._finish_before(lost)
         if not self._open:
             self._begin(packet.timestamp, lost, packet.received_ns)

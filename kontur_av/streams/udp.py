@@ -144,8 +144,9 @@ def _bound(host: str, port: int) -> socket.socket:
         udp.setblocking(False)
         if address.is_multicast:
             udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        # Another address in the SDP need not be one of this machine.
-        alone = address.is_loopback or address.is_multicast
+        # Another address in the SDP need not be one of this machine. A group of IPv6 may need an
+        # interface, which the SDP does not name.
+        alone = address.is_loopback or (address.is_multicast and address.version == 4)
         udp.bind((host if alone else "", port))
         if address.is_multicast:
             _join(udp, address)

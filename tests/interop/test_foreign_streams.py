@@ -52,8 +52,8 @@ def test_our_pictures_are_those_of_ffmpeg(film, marked, lasting):
 
     def take():
         while (unit := receiver.next_event()) is not None:
-            for one in decoder.decode(unit.data, unit.timestamp):
-                found.append(hashlib.md5(one.to_i420().tobytes()).digest())
+            shown = decoder.decode(unit.data, unit.timestamp)
+            found.extend(hashlib.md5(one.to_i420().tobytes()).digest() for one in shown)
 
     for unit in units:
         kind = nal_type(unit)
