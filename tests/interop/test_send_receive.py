@@ -319,7 +319,7 @@ def test_we_play_what_ffmpeg_sends_by_its_own_sdp(tmp_path):
     # With a global header, SPS and PPS are only in the SDP.
     with started(
         *("ffmpeg", "-v", "error", "-re", "-f", "lavfi"),
-        *("-i", f"testsrc=size={WIDTH}x{HEIGHT}:rate={FPS}", "-t", 4, "-pix_fmt", "yuv420p"),
+        *("-i", f"testsrc=size={WIDTH}x{HEIGHT}:rate={FPS}", "-t", 8, "-pix_fmt", "yuv420p"),
         *("-c:v", "libx264", "-tune", "zerolatency", "-g", 15, "-flags", "+global_header"),
         *("-f", "rtp", "-sdp_file", sdp, f"rtp://127.0.0.1:{port}"),
     ) as player:
