@@ -4,12 +4,14 @@ A payload is a single NAL unit, a STAP-A (several small NAL units) or an FU-A (o
 NAL unit).
 """
 
+import re
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from struct import pack, unpack_from
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 
 if TYPE_CHECKING:
@@ -18,12 +20,23 @@ if TYPE_CHECKING:
 
 DEFAULT_MAX_PAYLOAD_OCTETS = 1200
 
-NAL_SLICE, NAL_IDR, NAL_SEI, NAL_SPS, NAL_PPS = 1, 5, 6, 7, 8  # ITU-T H.264 table 7-1
+NAL_SLICE, NAL_IDR, NAL_SEI, NAL_SPS, NAL_PPS, NAL_AUD = 1, 5, 6, 7, 8, 9  # H.264 table 7-1
 STAP_A, FU_A = 24, 28  # RFC 6184 table 3
 
 _TYPE_BITS, _NRI_BITS, _FORBIDDEN_BIT = 0x1F, 0x60, 0x80
 _FU_START, _FU_END = 0x80, 0x40
 _START_CODE = b"\x00\x00\x00\x01"
+
+#: Found by an expression, because it takes a third of the time of `in`.
+_CODE = re.compile(b"\x00\x00\x01")
+#: Slices that tell their first macroblock; 2 is the first partition of one.
+_SLICES = frozenset((NAL_SLICE, 2, NAL_IDR))
+#: Behind a picture these begin the next access unit (ITU-T H.264 clause 7.4.1.2.3).
+_BEGINNERS = frozenset((NAL_SEI, NAL_SPS, NAL_PPS, NAL_AUD))
+#: How long the first marked picture waits for a sign that it goes on behind its marker.
+_MARKER_TRIED_NS = 40 * NS_PER_MS
+#: How long a picture that no marker ends waits for its successor.
+_UNMARKED_NS = 500 * NS_PER_MS
 
 
 def split_annex_b(stream: bytes) -> list[bytes]:
@@ -123,8 +136,7 @@ def _fragment(unit: bytes, max_payload_octets: int) -> list[bytes]:
     return payloads
 
 
-@dataclass(frozen=True, slots=True)
-class Fragment:
+class Fragment(NamedTuple):
     """The content of one payload: whole NAL units, or one part of a NAL unit (FU-A).
 
     is_part: `nal_units` has one element, a part of a NAL unit. The first part begins with the
@@ -138,46 +150,64 @@ class Fragment:
     ends: bool = True
 
 
+#: A packet without content, such as padding that keeps a path open.
+_NOTHING = Fragment(())
+
+
 def parse_payload(payload: bytes) -> Fragment:
     """Parse one RTP payload (RFC 6184 sections 5.6 to 5.8).
 
-    Raises ProtocolError if it is no single NAL unit, STAP-A or FU-A.
+    What FFmpeg takes is taken, too: an FU-A that starts and ends, start codes of Annex B and zeros
+    around NAL units. Raises ProtocolError if it is no single NAL unit, STAP-A or FU-A.
     """
     if not payload:
         raise ProtocolError("an empty H.264 payload")
     kind = payload[0] & _TYPE_BITS
-    if 1 <= kind <= 23:
-        return Fragment((payload,))
+    if kind <= 23:
+        units = _without_start_codes(payload)
+        if not units and any(payload):
+            raise ProtocolError("a NAL unit of type 0")
+        return Fragment(tuple(units))
     if kind == STAP_A:
         return Fragment(tuple(_disaggregate(payload)))
     if kind != FU_A:
         raise ProtocolError(f"H.264 payload type {kind} is no part of packetization-mode 1")
-    if len(payload) < 3:
-        raise ProtocolError("an FU-A without content")
+    if len(payload) < 2:
+        raise ProtocolError("an FU-A without its header")
     starts, ends = bool(payload[1] & _FU_START), bool(payload[1] & _FU_END)
     original = payload[1] & _TYPE_BITS
-    # RFC 6184 section 5.8 forbids start and end in one FU, and nested types.
-    if (starts and ends) or not 1 <= original <= 23:
+    if original > 23:
         raise ProtocolError(f"an FU-A with the header {payload[1]:#04x}")
     body = payload[2:]
     if starts:
         body = bytes(((payload[0] & (_FORBIDDEN_BIT | _NRI_BITS)) | original,)) + body
+    if starts and ends:
+        return Fragment(tuple(_without_start_codes(body)))
     return Fragment((body,), is_part=True, starts=starts, ends=ends)
 
 
+def _without_start_codes(unit: bytes) -> list[bytes]:
+    """Return the NAL units in what should be one; most often it is. Zeros are none."""
+    if not _CODE.search(unit):
+        unit = unit if unit[-1] else unit.rstrip(b"\x00")
+        return [unit] if unit and unit[0] & _TYPE_BITS else []
+    # What stands before the first start code is a NAL unit, too, unless it is all zeros.
+    return [one for one in split_annex_b(_START_CODE + unit) if one[0] & _TYPE_BITS]
+
+
 def _disaggregate(payload: bytes) -> list[bytes]:
-    units = []
+    units: list[bytes] = []
     position = 1
-    while position < len(payload):
-        if position + 2 > len(payload):
-            raise ProtocolError("a STAP-A that ends inside a length field")
+    # One or two octets at the end are no NAL unit, nor is one without octets.
+    while position + 2 < len(payload):
         (size,) = unpack_from("!H", payload, position)
         position += 2
         unit = payload[position : position + size]
         position += size
-        if not unit or len(unit) < size or not 1 <= nal_type(unit) <= 23:
-            raise ProtocolError("a STAP-A with an empty, cut or nested NAL unit")
-        units.append(unit)
+        if len(unit) < size or (unit and unit[0] & _TYPE_BITS > 23):
+            raise ProtocolError("a STAP-A with a cut or nested NAL unit")
+        if unit:
+            units += _without_start_codes(unit)
     if not units:
         raise ProtocolError("a STAP-A without content")
     return units
@@ -210,13 +240,18 @@ class ReceivedUnit:
 
 
 class H264Depacketizer:
-    """Packets in sequence order in, access units out (RFC 6184). It needs no time.
+    """Packets in sequence order in, access units out (RFC 6184).
 
-    Pass each packet of an RtpReceiver to `handle_packet`, then call `next_event` until None. An
-    access unit ends with the marker bit or, for senders without it, when the timestamp changes.
+    Pass each packet of an RtpReceiver to `handle_packet`, and call `handle_timeout` at
+    `poll_timeout`. Then call `next_event` until None.
+
+    An access unit ends where the next one begins: before a first slice, or before what goes ahead
+    of one (ITU-T H.264 clause 7.4.1.2.3). After a loss it ends where the timestamp changes. The
+    marker ends it sooner, once the first picture has shown that no more of it follows. A sender
+    that marks each slice is so found out. SPS, PPS and SEI without a picture go with the next one.
 
     parameter_sets: SPS and PPS NAL units of the SDP (sprop-parameter-sets). They go before the
-        first access unit and before each IDR picture, if the stream has none there.
+        first access unit and before each IDR picture, until the stream has brought its own.
     max_unit_octets: a larger access unit is dropped as garbage, so that no peer fills the memory.
     """
 
@@ -230,8 +265,14 @@ class H264Depacketizer:
         self._parameters_seen = False
         self._joining = True
         self._open = False
-        #: Packets lost in units that were dropped whole: the next unit has them before it.
-        self._lost_whole = 0
+        #: Whether the marker ends pictures; None: not known yet.
+        self._markers: bool | None = None
+        #: The timestamp of a picture that has just been ended by its marker.
+        self._ended_at: int | None = None
+        #: Packets lost in units that were dropped whole, and before packets without content.
+        self._lost_whole = self._lost_idle = 0
+        #: NAL units that wait for their picture.
+        self._ahead: list[bytes] = []
         self._begin(0, 0, 0)
         #: Payloads that were not H.264, and access units of more than `max_unit_octets`.
         self.garbage = 0
@@ -246,9 +287,10 @@ class H264Depacketizer:
         self._lost_before = lost_before + self._lost_whole
         self._lost_within = self._lost_whole = 0
         self._first_received_ns = self._received_ns = received_ns
-        self._nal_units: list[bytes] = []
+        self._nal_units, self._ahead = self._ahead, []
         self._parts: list[bytes] = []
-        self._octets = 0
+        self._octets = sum(map(len, self._nal_units)) if self._nal_units else 0
+        self._has_picture = self._marked = False
         self._damaged = False
         self._too_large = False
 
@@ -256,58 +298,122 @@ class H264Depacketizer:
         """Handle the next packet in sequence. Garbage is counted and never raises."""
         if packet.ssrc != self._source or packet.restart:
             if self._open:
-                self._finish(complete=False)
+                self._finish(complete=self._marked or self._markers is False)
             self._source = packet.ssrc
-            self._parameters_seen = False
             self._joining = True
-        if self._open and packet.timestamp != self._timestamp:
-            self._finish(complete=packet.lost_before == 0)
-        if not packet.payload:
-            return
-        if not self._open:
-            self._begin(packet.timestamp, packet.lost_before, packet.received_ns)
-            self._open = True
-        elif packet.lost_before:
-            self._lost_within += packet.lost_before
-            self._break_part()
-            self._damaged = True
-        self._received_ns = packet.received_ns
-        self._take(packet.payload)
-        if packet.marker:
-            self._finish(complete=True)
-
-    def _take(self, payload: bytes) -> None:
+            self._markers = self._ended_at = None
+            self._ahead.clear()
+        lost = packet.lost_before + self._lost_idle
+        self._lost_idle = 0
         try:
-            fragment = parse_payload(payload)
+            fragment = parse_payload(packet.payload) if packet.payload else _NOTHING
         except ProtocolError:
             self.garbage += 1
-            self._break_part()
-            self._damaged = True
+            if self._open:
+                self._break_part()
+                self._damaged = True
             return
-        self._octets += len(payload)
+        if not fragment.nal_units:
+            self._lost_idle = lost
+        elif fragment.is_part and not fragment.starts:
+            if lost or not self._parts or packet.timestamp != self._timestamp:
+                self._place(None, packet, lost)
+            if self._parts:
+                self._parts.append(fragment.nal_units[0])
+            else:
+                self._damaged = True
+        elif fragment.is_part:
+            self._place(_head(fragment.nal_units[0]), packet, lost)
+            self._parts.append(fragment.nal_units[0])
+        for unit in () if fragment.is_part else fragment.nal_units:
+            self._place(unit, packet, lost)
+            self._nal_units.append(unit)
+            lost = 0
+        if not self._open:
+            return
+        self._received_ns = packet.received_ns
+        self._octets += len(packet.payload)
         if self._octets > self._max_unit_octets:
             self._too_large = True
             self._nal_units.clear()
             self._parts.clear()
-            return
-        if not fragment.is_part:
+        if fragment.is_part and fragment.ends:
+            self._join_parts()
+        if packet.marker:
+            self._handle_marker()
+
+    def _place(self, unit: bytes | None, packet: "RtpReceived", lost: int) -> None:
+        """Prepare for a NAL unit, or its first part; None: for a later part of the present one."""
+        kind = 0 if unit is None else unit[0] & _TYPE_BITS
+        goes_on = unit is None or _is_later_slice(unit)
+        if self._open:
+            if self._parts and unit is not None and not lost:
+                # No packet is missing, so the sender forgot to mark the last part.
+                self._join_parts()
+            later = packet.timestamp != self._timestamp
+            by_time = later and (lost or self._marked or not self._has_picture)
+            by_content = not goes_on and (later or kind in _SLICES or kind in _BEGINNERS)
+            if by_time or (by_content and self._has_picture):
+                self._finish_before(lost)
+        if not self._open:
+            self._begin(packet.timestamp, lost, packet.received_ns)
+            self._open = True
+        elif lost:
+            self._lost_within += lost
             self._break_part()
-            self._nal_units.extend(fragment.nal_units)
-            return
-        if fragment.starts:
-            self._break_part()
-        elif not self._parts:
             self._damaged = True
-            return
-        self._parts.append(fragment.nal_units[0])
-        if fragment.ends:
-            self._nal_units.append(b"".join(self._parts))
+        if goes_on:
+            if self._ended_at == packet.timestamp:
+                self._markers, self._damaged = False, True
+            elif self._marked:
+                self._markers = False
+            self._marked = False
+        self._ended_at = None
+        if kind in _SLICES:
+            self._has_picture = True
+
+    def _finish_before(self, lost: int) -> None:
+        """The next access unit begins. lost: packets directly before it."""
+        if self._markers is None and self._has_picture and (self._marked or not lost):
+            self._markers = self._marked
+        self._finish(complete=self._marked or not lost)
+
+    def _join_parts(self) -> None:
+        if self._parts:
+            # Start codes of Annex B may have come along, and so more than one.
+            units = _without_start_codes(b"".join(self._parts))
             self._parts.clear()
+            self._nal_units += units
+            self._has_picture |= any(nal_type(unit) in _SLICES for unit in units)
+
+    def _handle_marker(self) -> None:
+        self._join_parts()
+        self._marked = True
+        if self._markers or not self._has_picture:
+            self._ended_at = self._timestamp if self._has_picture else None
+            self._finish(complete=True)
 
     def _break_part(self) -> None:
         if self._parts:
             self._damaged = True
             self._parts.clear()
+
+    def handle_timeout(self, now_ns: int) -> None:
+        """End a picture that has waited long enough. Drain `next_event` afterwards."""
+        due_ns = self.poll_timeout()
+        if due_ns is not None and now_ns >= due_ns:
+            if self._marked and self._markers is None:
+                self._markers = True
+                self._ended_at = self._timestamp
+            self._join_parts()
+            self._finish(complete=True)
+
+    def poll_timeout(self) -> int | None:
+        """Return when to call `handle_timeout`; None: not yet."""
+        if not self._open or not self._has_picture or self._markers:
+            return None
+        tried = self._marked and self._markers is None
+        return self._received_ns + (_MARKER_TRIED_NS if tried else _UNMARKED_NS)
 
     def _finish(self, *, complete: bool) -> None:
         self._open = False
@@ -317,12 +423,13 @@ class H264Depacketizer:
             self._lost_whole = max(self._lost_before + self._lost_within, 1)
             return
         units = self._nal_units
-        if not units:
-            self.units_dropped += 1
+        kinds = [nal_type(unit) for unit in units]
+        if _SLICES.isdisjoint(kinds):
+            self.units_dropped += self._damaged
             # The next unit may be predicted from this one.
             self._lost_whole = self._lost_before + self._lost_within
+            self._ahead = units
             return
-        kinds = [nal_type(unit) for unit in units]
         head_unsure = self._lost_before > 0 or self._joining
         damaged = self._damaged or not complete or (head_unsure and _lacks_its_head(units))
         self._joining = False
@@ -341,24 +448,32 @@ class H264Depacketizer:
         )
 
     def _with_parameters(self, units: list[bytes], kinds: list[int]) -> list[bytes]:
+        if NAL_SPS in kinds:
+            # The SDP may be older than the stream.
+            self._parameter_sets = ()
         wanted = not self._parameters_seen or NAL_IDR in kinds
         self._parameters_seen = True
-        if NAL_SPS in kinds or not wanted:
-            return units
-        return [*self._parameter_sets, *units]
+        return [*self._parameter_sets, *units] if wanted else units
 
     def next_event(self) -> ReceivedUnit | None:
         """Return the next access unit, or None until more packets come."""
         return self._ready.popleft() if self._ready else None
 
 
-def _lacks_its_head(units: list[bytes]) -> bool:
-    """Return whether the first slice is not the picture's first (ITU-T H.264 clause 7.3.3).
+def _head(part: bytes) -> bytes:
+    """Return the first part of a NAL unit without a start code before it."""
+    code = -1 if part[0] & _TYPE_BITS else part.find(b"\x00\x00\x01", 0, 8)
+    return part if code < 0 else part[code + 3 :] or part
+
+
+def _is_later_slice(unit: bytes) -> bool:
+    """Return whether it is a slice, but not the picture's first (ITU-T H.264 clause 7.3.3).
 
     first_mb_in_slice is the first field of the slice header, in Exp-Golomb code. It is 0 if the
     first bit is 1.
     """
-    for unit in units:
-        if nal_type(unit) in (NAL_SLICE, NAL_IDR):
-            return len(unit) > 1 and not unit[1] & 0x80
-    return False
+    return len(unit) > 1 and unit[0] & _TYPE_BITS in _SLICES and not unit[1] & 0x80
+
+
+def _lacks_its_head(units: list[bytes]) -> bool:
+    return _is_later_slice(next(unit for unit in units if nal_type(unit) in _SLICES))

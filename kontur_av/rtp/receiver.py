@@ -5,11 +5,13 @@ It follows RFC 3550 appendices A.1 (sequence numbers), A.3 (loss) and A.8 (jitte
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, unix_ns_from_ntp
 from kontur_av.errors import ProtocolError
 from kontur_av.rtp.header_extensions import elements_of, read_capture_time
 from kontur_av.rtp.reception import ReceptionLog
+from kontur_av.rtp.reordering import REORDER_DEPTH_NS, ReorderDepth
 from kontur_av.rtp.wire import (
     RtcpByePacket,
     RtcpReceiverInfo,
@@ -25,14 +27,18 @@ MAX_DROPOUT = 3000  # RFC 3550 appendix A.1
 MAX_MISORDER = 100
 #: The most packets that wait behind a gap; with more, the gap is given up at once.
 MAX_WAITING = 512
-#: How long to wait for a missing packet, unless told otherwise.
-REORDER_DEPTH_NS = 10 * NS_PER_MS
-#: A first packet that waited longer than this for its sender report is too old to be shown.
-_REPORT_WITHIN_NS = 200 * NS_PER_MS
+#: A first packet that waited longer than this for its successor or report is too old to be shown.
+_ACCEPTED_WITHIN_NS = 200 * NS_PER_MS
+#: The most packets that wait for their source to be accepted.
+_MOST_CANDIDATES = 64
+#: An old number is a new beginning if its timestamp lies this far ahead of the newest one, or this
+#: far behind it.
+_AHEAD_NS, _BEHIND_NS = 200 * NS_PER_MS, 10 * NS_PER_S
+#: Timestamps that step back by more, or otherwise than time by more, no longer belong to a report.
+_STEP_BACK_NS, _STEP_NS = NS_PER_S, 10 * NS_PER_S
 
 
-@dataclass(frozen=True, slots=True)
-class RtpReceived:
+class RtpReceived(NamedTuple):
     """One packet in sequence order.
 
     extended_sequence: the sequence number without its wrap-around at 16 bits.
@@ -102,11 +108,15 @@ class RtpReceiver:
     A new SSRC is accepted in the same way, but only after the old source was silent for
     `takeover_silence_ns` or said goodbye. So no stray or hostile packet can replace a live stream.
     The default is longer than the gaps between pictures under a low cap, and shorter than the
-    restart of a killed sender.
+    restart of a killed sender. A new SSRC from the same address and port is the same sender, which
+    began anew; but one that was left so does not come back so.
+
+    A sender may also begin its sequence numbers or its timestamps anew.
 
     payload_type: of the stream, 0 to 127; other packets are garbage.
     clock_rate_hz: of the RTP timestamps.
-    reorder_depth_ns: how long to wait for a missing packet; 0: not at all.
+    reorder_depth_ns: how long to wait for a missing packet, at least; 0: not at all.
+    most_reorder_ns: the longest wait, see `ReorderDepth`; None: the least.
     ordered: False for a voice, whose PlayoutBuffer orders it by time. Each packet then comes out at
         once, also one that was given up. It no longer counts as lost, although the `lost_before` of
         its successor counted it.
@@ -121,6 +131,7 @@ class RtpReceiver:
         payload_type: int,
         clock_rate_hz: int,
         reorder_depth_ns: int = REORDER_DEPTH_NS,
+        most_reorder_ns: int | None = None,
         ordered: bool = True,
         takeover_silence_ns: int = 500 * NS_PER_MS,
         wall_offset_ns: int = 0,
@@ -132,7 +143,12 @@ class RtpReceiver:
         self.ssrc: int | None = None
         #: The source has said goodbye (RTCP BYE).
         self.ended = False
-        self._reorder_depth_ns = reorder_depth_ns if ordered else 0
+        #: The newest other payload type that came instead of the stream's.
+        self.other_payload_type: int | None = None
+        least_ns = reorder_depth_ns if ordered else 0
+        self._depth = ReorderDepth(
+            least_ns=least_ns, most_ns=least_ns if most_reorder_ns is None else most_reorder_ns
+        )
         self._ordered = ordered
         self._takeover_silence_ns = takeover_silence_ns
         self._wall_offset_ns = wall_offset_ns
@@ -143,14 +159,21 @@ class RtpReceiver:
         self._events: deque[RtpReceived] = deque()
         self._waiting: dict[int, _Waiting] = {}
         self._gap_deadline_ns: int | None = None
-        self._candidate: _Waiting | None = None
+        #: Packets of one SSRC, in the order in which they came, and from where.
+        self._candidates: list[_Waiting] = []
+        self._candidate_from: Any = None
+        #: Where the source sends from, and the SSRCs that it no longer uses.
+        self._from: Any = None
+        self._former: deque[int] = deque(maxlen=_MOST_CANDIDATES)
         #: By SSRC: the newest report, and when it came.
         self._reports: dict[int, tuple[RtcpSrPacket, int]] = {}
         self._first = self._next = self._highest = 0
         self._restart = False
         self._last_heard_ns = 0
-        #: Sequence numbers given up: they tell a late packet from a duplicate.
-        self._given_up: set[int] = set()
+        self._newest_timestamp: int | None = None
+        #: Sequence numbers given up, and since when they were missed: they tell a late packet from
+        #: a duplicate.
+        self._given_up: dict[int, int] = {}
 
     @property
     def jitter_ns(self) -> int:
@@ -163,8 +186,11 @@ class RtpReceiver:
         """Packets that wait behind a gap now, at most MAX_WAITING."""
         return len(self._waiting)
 
-    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
-        """Handle a datagram from the RTP port. Garbage is counted and dropped."""
+    def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
+        """Handle a datagram from the RTP port. Garbage is counted and dropped.
+
+        source: the address and port that it came from; None: not known.
+        """
         try:
             packet = parse_rtp(datagram)
         except ProtocolError:
@@ -172,28 +198,40 @@ class RtpReceiver:
             return
         if packet.payload_type != self.payload_type:
             self.counts.garbage += 1
+            self.other_payload_type = packet.payload_type
             return
         if self._capture_time_id is not None:
             self._take_capture_time(datagram, packet)
         if packet.ssrc != self.ssrc:
-            self._try_candidate(packet, now_ns)
+            self._try_candidate(packet, now_ns, source)
             return
         # The caller may have woken late.
         self.handle_timeout(now_ns)
         ahead = (packet.sequence_number - self._highest) & 0xFFFF
         if ahead < MAX_DROPOUT:
+            self._from = source
             self._take(packet, self._highest + ahead, now_ns)
-        elif ahead >= 0x10000 - MAX_MISORDER:
+        elif ahead >= 0x10000 - MAX_MISORDER and not self._begins_anew(packet.timestamp):
             self._take(packet, self._highest + ahead - 0x10000, now_ns)
         else:
-            self._try_candidate(packet, now_ns)
+            self._try_candidate(packet, now_ns, source)
+
+    def _begins_anew(self, timestamp: int) -> bool:
+        """Return whether a packet with an old number is none of those sent before."""
+        assert self._newest_timestamp is not None
+        step_ns = signed_32(timestamp - self._newest_timestamp) * NS_PER_S // self.clock_rate_hz
+        return not -_BEHIND_NS <= step_ns <= _AHEAD_NS
 
     def _take(self, packet: RtpPacket, extended: int, now_ns: int) -> None:
         counts = self.counts
+        if packet.timestamp != self._newest_timestamp and (
+            extended > self._highest or self._newest_timestamp is None
+        ):
+            self._watch_time(packet.timestamp, now_ns)
         self._last_heard_ns = now_ns
         if self._log is not None:
             self._log.handle_packet(packet.sequence_number, packet.timestamp, now_ns)
-        self._drop_candidate()
+        self._drop_candidates()
         self.ended = False
         if extended < self._next:
             self._take_old(packet, extended, now_ns)
@@ -207,20 +245,40 @@ class RtpReceiver:
         counts.rtp_packets += 1
         counts.rtp_payload_octets += len(packet.payload)
         if extended == self._next:
+            if self._waiting:
+                self._depth.handle_late(now_ns - self._gap_since_ns(), now_ns)
             self._deliver(packet, extended, now_ns, lost_before=0)
-            self._drain()
+            self._drain(now_ns)
             return
         self._waiting[extended] = _Waiting(packet, now_ns)
+        depth_ns = self._depth.depth_ns(now_ns)
         if self._gap_deadline_ns is None:
-            self._gap_deadline_ns = now_ns + self._reorder_depth_ns
-        if self._reorder_depth_ns == 0 or len(self._waiting) > MAX_WAITING:
-            self._give_up_gap()
+            self._gap_deadline_ns = now_ns + depth_ns
+        if depth_ns == 0 or len(self._waiting) > MAX_WAITING:
+            self._give_up_gap(now_ns)
+
+    def _watch_time(self, timestamp: int, now_ns: int) -> None:
+        """Forget what dates the source if its timestamps began anew."""
+        if self._newest_timestamp is not None:
+            ticks = signed_32(timestamp - self._newest_timestamp)
+            step_ns = ticks * NS_PER_S // self.clock_rate_hz
+            passed_ns = now_ns - self._last_heard_ns
+            if step_ns < -_STEP_BACK_NS or abs(step_ns - passed_ns) > _STEP_NS:
+                assert self.ssrc is not None
+                told = self._reports.get(self.ssrc)
+                if told is not None and told[1] <= self._last_heard_ns:
+                    del self._reports[self.ssrc]
+                told_timestamp, _ = self._captured.get(self.ssrc, (timestamp, 0))
+                if told_timestamp != timestamp:
+                    del self._captured[self.ssrc]
+        self._newest_timestamp = timestamp
 
     def _take_old(self, packet: RtpPacket, extended: int, now_ns: int) -> None:
         counts = self.counts
-        if extended in self._given_up:
-            self._given_up.discard(extended)
+        missed_ns = self._given_up.pop(extended, None)
+        if missed_ns is not None:
             counts.rtp_lost -= 1
+            self._depth.handle_late(now_ns - missed_ns, now_ns)
         elif extended >= self._first:
             counts.rtp_duplicates += 1
             return
@@ -254,7 +312,10 @@ class RtpReceiver:
         )
         self._restart = False
 
-    def _drain(self) -> None:
+    def _gap_since_ns(self) -> int:
+        return min(waiting.received_ns for waiting in self._waiting.values())
+
+    def _drain(self, now_ns: int) -> None:
         """Deliver packets whose predecessor has come, and set the deadline of the next gap."""
         while (ready := self._waiting.pop(self._next, None)) is not None:
             self._deliver(ready.packet, self._next, ready.received_ns, lost_before=0)
@@ -262,53 +323,69 @@ class RtpReceiver:
             self._gap_deadline_ns = None
         else:
             # No packet may wait longer than the depth, also across several gaps.
-            seen_ns = min(waiting.received_ns for waiting in self._waiting.values())
-            self._gap_deadline_ns = seen_ns + self._reorder_depth_ns
+            self._gap_deadline_ns = self._gap_since_ns() + self._depth.depth_ns(now_ns)
 
-    def _give_up_gap(self) -> None:
-        extended = min(self._waiting)
+    def _give_up_gap(self, now_ns: int) -> None:
+        extended, since_ns = min(self._waiting), self._gap_since_ns()
         lost = extended - self._next
         self.counts.rtp_lost += lost
-        self._given_up.update(range(self._next, extended))
+        self._given_up.update(dict.fromkeys(range(self._next, extended), since_ns))
         oldest = extended - MAX_DROPOUT
-        self._given_up = {number for number in self._given_up if number >= oldest}
+        self._given_up = {
+            number: missed for number, missed in self._given_up.items() if number >= oldest
+        }
         behind = self._waiting.pop(extended)
         self._deliver(behind.packet, extended, behind.received_ns, lost_before=lost)
-        self._drain()
+        self._drain(now_ns)
 
-    def _try_candidate(self, packet: RtpPacket, now_ns: int) -> None:
+    def _try_candidate(self, packet: RtpPacket, now_ns: int, source: Any) -> None:
         """Accept a jump of this source, or a new one, after probation (see the class)."""
-        before = self._candidate
-        follows = (
-            before is not None
-            and before.packet.ssrc == packet.ssrc
-            and (before.packet.sequence_number + 1) & 0xFFFF == packet.sequence_number
-        )
-        if before is None or not follows or not self._is_free(packet.ssrc, now_ns):
-            self._drop_candidate()
-            self._candidate = _Waiting(packet, now_ns)
+        held = self._candidates
+        if held and held[0].packet.ssrc != packet.ssrc:
+            known = self._from is not None and self._candidate_from == self._from
+            if known and source != self._from:
+                # A stranger does not keep a sender that begins anew from being accepted.
+                self.counts.garbage += 1
+                return
+            self._drop_candidates()
+        while held and (len(held) >= _MOST_CANDIDATES or not _fits(held[0], packet, now_ns)):
+            self.counts.garbage += 1
+            del held[0]
+        follows = any(abs(_ahead(packet, other.packet)) == 1 for other in held)
+        held.append(_Waiting(packet, now_ns))
+        self._candidate_from = source
+        if follows and self._is_free(packet.ssrc, now_ns):
+            self._accept(now_ns)
+        else:
             self._try_vouched(now_ns)
-            return
-        self._candidate = None
-        self._start_source(before.packet)
-        self._take(before.packet, before.packet.sequence_number, before.received_ns)
-        self._take(packet, before.packet.sequence_number + 1, now_ns)
+
+    def _accept(self, now_ns: int) -> None:
+        """Accept the source of the candidates, which come out in their order."""
+        held, self._candidates = self._candidates, []
+        newest = held[-1].packet
+        held.sort(key=lambda one: _ahead(one.packet, newest))
+        self._start_source(held[0].packet, now_ns)
+        first = held[0].packet
+        for one in held:
+            extended = first.sequence_number + _ahead(one.packet, first)
+            self._take(one.packet, extended, one.received_ns)
+        self._last_heard_ns = now_ns
 
     def _try_vouched(self, now_ns: int) -> None:
         """Accept the candidate if a sender report of it came (RFC 3550 section 6.2.1).
 
         Its CNAME, which the clause asks for too, is not needed here.
         """
-        first = self._candidate
-        # Reports of the present source do not confirm a jump of it.
-        if first is None or first.packet.ssrc == self.ssrc:
+        if not self._candidates:
             return
-        if now_ns - first.received_ns > _REPORT_WITHIN_NS:
+        first = self._candidates[0]
+        # Reports of the present source do not confirm a jump of it.
+        if first.packet.ssrc == self.ssrc:
+            return
+        if now_ns - first.received_ns > _ACCEPTED_WITHIN_NS:
             return
         if first.packet.ssrc in self._reports and self._is_free(first.packet.ssrc, now_ns):
-            self._candidate = None
-            self._start_source(first.packet)
-            self._take(first.packet, first.packet.sequence_number, first.received_ns)
+            self._accept(now_ns)
 
     def _is_free(self, ssrc: int, now_ns: int) -> bool:
         """Return whether a source of this SSRC may be accepted now."""
@@ -317,17 +394,27 @@ class RtpReceiver:
             or self.ended
             or ssrc == self.ssrc
             or now_ns - self._last_heard_ns >= self._takeover_silence_ns
+            or (
+                self._candidate_from is not None
+                and self._candidate_from == self._from
+                and ssrc not in self._former
+            )
         )
 
-    def _drop_candidate(self) -> None:
-        if self._candidate is not None:
-            self.counts.garbage += 1
-            self._candidate = None
+    def _drop_candidates(self) -> None:
+        if self._candidates:
+            self.counts.garbage += len(self._candidates)
+            self._candidates.clear()
 
-    def _start_source(self, first: RtpPacket) -> None:
+    def _start_source(self, first: RtpPacket, now_ns: int) -> None:
         while self._waiting:
-            self._give_up_gap()
+            self._give_up_gap(now_ns)
         self.counts.sources += 1
+        if self.ssrc is not None and self.ssrc != first.ssrc:
+            self._former.append(self.ssrc)
+        self._from = self._candidate_from
+        self._newest_timestamp = None
+        self._depth.begin(now_ns)
         self.ssrc = first.ssrc
         self._first = self._next = self._highest = first.sequence_number
         self._restart = True
@@ -374,8 +461,8 @@ class RtpReceiver:
     def _forget(self, ssrc: int) -> None:
         """Another source said goodbye: its packets must not start a stream any more."""
         self._reports.pop(ssrc, None)
-        if self._candidate is not None and self._candidate.packet.ssrc == ssrc:
-            self._drop_candidate()
+        if self._candidates and self._candidates[0].packet.ssrc == ssrc:
+            self._drop_candidates()
 
     def _take_report(self, report: RtcpSrPacket, now_ns: int) -> None:
         if report.ssrc == self.ssrc:
@@ -394,7 +481,7 @@ class RtpReceiver:
     def handle_timeout(self, now_ns: int) -> None:
         """Give up the gaps that are due by `now_ns`. Drain `next_event` afterwards."""
         while self._gap_deadline_ns is not None and now_ns >= self._gap_deadline_ns:
-            self._give_up_gap()
+            self._give_up_gap(now_ns)
 
     def poll_timeout(self) -> int | None:
         """Return when to call `handle_timeout`; None while no packet waits."""
@@ -441,3 +528,15 @@ class RtpReceiver:
             source = packet.ssrc
             self._captured = {one: at for one, at in self._captured.items() if one == self.ssrc}
             self._captured[source] = packet.timestamp, ntp
+
+
+def _ahead(packet: RtpPacket, other: RtpPacket) -> int:
+    """Return the sequence number of `packet` less that of `other`, from -2^15 to 2^15 - 1."""
+    return ((packet.sequence_number - other.sequence_number + 0x8000) & 0xFFFF) - 0x8000
+
+
+def _fits(held: _Waiting, packet: RtpPacket, now_ns: int) -> bool:
+    """Return whether a packet may be of the same stream as one that waits."""
+    ahead = _ahead(packet, held.packet)
+    recent = now_ns - held.received_ns <= _ACCEPTED_WITHIN_NS
+    return ahead == 1 or (recent and abs(ahead) <= MAX_MISORDER)

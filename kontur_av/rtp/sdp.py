@@ -8,6 +8,7 @@ import binascii
 import ipaddress
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,10 +17,16 @@ from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.media import AUDIO_PAYLOAD_TYPE as AUDIO_PAYLOAD_TYPE
 from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
 from kontur_av.rtp.header_extensions import ABS_CAPTURE_TIME
+from kontur_av.rtp.payload_h264 import NAL_PPS, NAL_SPS, nal_type, split_annex_b
 
 _UDP_OCTETS, _RTP_OCTETS = 8, 12
 #: Three octets (RFC 6184 section 8.1).
 _LEVEL = re.compile("[0-9A-F]{6}")
+#: Plain RTP over UDP, or encrypted. Some cameras write "udp".
+_PROFILE = re.compile("((UDP/TLS/)?RTP/S?AVPF?(/UDP)?|udp)", re.IGNORECASE)
+#: Where a stream may be sent to that is described without an address.
+_ANY_HOST = "0.0.0.0"
+_NAL_EXT = 13  # extension of an SPS
 #: Of elements with one-octet headers (RFC 8285 section 4.2).
 _IDS = frozenset(map(str, range(1, 15)))
 
@@ -32,7 +39,7 @@ class StreamDescription:
     host: the IP address to which the stream is sent.
     port: of RTP, from 1 to 65534.
     payload_type: of RTP, from 0 to 127.
-    rtcp_port: of RTCP; None: port + 1.
+    rtcp_port: of RTCP; None: port + 1. It may be `port` (RFC 5761).
     bandwidth_bps: what the stream takes at most in bit/s, with the headers of IP, UDP and RTP
     (`session_bandwidth_bps`), or None.
     parameter_sets: SPS and PPS NAL units, if known (video).
@@ -82,21 +89,25 @@ def write_sdp(stream: StreamDescription) -> str:
 
     Feedback is offered with the profile RTP/AVPF only, as RFC 4585 section 4.2 demands.
     """
-    version = ipaddress.ip_address(stream.host).version
-    address = f"IN IP{version} {stream.host}"
+    host = ipaddress.ip_address(stream.host)
+    address = f"IN IP{host.version} {stream.host}"
+    # RFC 8866 section 5.7 demands a TTL. The system's own is 1.
+    ttl = "/1" if host.version == 4 and host.is_multicast else ""
     payload_type = stream.payload_type
     profile = "RTP/AVPF" if stream.feedback else "RTP/AVP"
     lines = [
         "v=0",
         f"o=- 0 0 {address}",
         f"s={stream.name}",
-        f"c={address}",
+        f"c={address}{ttl}",
         "t=0 0",
         f"m={stream.kind} {stream.port} {profile} {payload_type}",
     ]
     if stream.bandwidth_bps is not None:
         lines.append(f"b=AS:{-(-stream.bandwidth_bps // 1000)}")
-    if stream.rtcp_port is not None and stream.rtcp_port != stream.port + 1:
+    if stream.control_port == stream.port:
+        lines.append("a=rtcp-mux")
+    elif stream.control_port != stream.port + 1:
         lines.append(f"a=rtcp:{stream.rtcp_port}")
     if stream.kind == "video":
         lines.append(f"a=rtpmap:{payload_type} H264/{VIDEO_CLOCK_HZ}")
@@ -136,7 +147,8 @@ def _h264_parameters(stream: StreamDescription) -> str:
 def parse_sdp(text: str) -> StreamDescription:
     """Return the first H.264 or Opus stream that the SDP describes.
 
-    Raises ConfigError if there is none, or if a line is malformed.
+    What is malformed and not needed is ignored, as FFmpeg does. Raises ConfigError if no stream of
+    RTP without encryption can be received by it.
     """
     # Users also copy the line "SDP:", which ffmpeg prints before the description.
     text = text.removeprefix("\ufeff").lstrip().removeprefix("SDP:").lstrip()
@@ -144,18 +156,22 @@ def parse_sdp(text: str) -> StreamDescription:
         raise ConfigError("this is no SDP: its first line must begin with v=")
     session_host: str | None = None
     session_name = "-"
+    encrypted = False
     for block in _blocks(text):
-        host = session_host
-        for key, value in block:
-            if key == "c":
-                host = _address(value)
+        host = next((_address(value) for key, value in block if key == "c"), session_host)
         if block[0][0] != "m":
             session_host = host
             session_name = next((value for key, value in block if key == "s"), session_name)
             continue
-        stream = _parse_media(block, host, session_name)
-        if stream is not None:
+        stream = _parse_media(block, host or _ANY_HOST, session_name)
+        if stream is not None and "SAVP" not in block[0][1].split()[2].upper():
             return stream
+        encrypted |= stream is not None
+    if encrypted:
+        raise ConfigError(
+            "the SDP's stream is encrypted (RTP/SAVP), and kontur-av receive takes no keys: let "
+            "the sender send RTP/AVP, or meet it by WebRTC (kontur-av rtc, kontur-av watch)"
+        )
     raise ConfigError(
         "the SDP describes no stream that can be received: it needs "
         "m=video with a=rtpmap H264/90000 or m=audio with a=rtpmap opus/48000/2"
@@ -165,13 +181,11 @@ def parse_sdp(text: str) -> StreamDescription:
 def _blocks(text: str) -> Iterator[list[tuple[str, str]]]:
     """Yield the session's lines, then those of each m= line, as (key, value)."""
     block: list[tuple[str, str]] = []
-    for number, raw in enumerate(text.splitlines(), 1):
-        line = raw.strip()
-        if not line:
-            continue
-        key, equals, value = line.partition("=")
+    # Only these end lines: a name may hold other separators of Unicode.
+    for raw in re.split("[\r\n\0]+", text):
+        key, equals, value = raw.strip().partition("=")
         if not equals or len(key) != 1:
-            raise ConfigError(f"SDP line {number}: {line[:60]!r} is not of the form x=value")
+            continue
         if key == "m" and block:
             yield block
             block = []
@@ -180,32 +194,31 @@ def _blocks(text: str) -> Iterator[list[tuple[str, str]]]:
 
 
 def _address(value: str) -> str:
-    fields = value.split()
+    """Return the IP address of a c= line; any address for a name, which only a sender needs."""
+    network, kind, address = [*value.split(), "", "", ""][:3]
     try:
         # A multicast address may have a TTL: 224.1.1.1/127 (RFC 8866 section 5.7).
-        return str(ipaddress.ip_address(fields[2].partition("/")[0]))
-    except (IndexError, ValueError):
-        raise ConfigError(
-            f"SDP c={value[:60]}: write an IP address, as in c=IN IP4 127.0.0.1"
-        ) from None
+        return str(ipaddress.ip_address(address.partition("/")[0]))
+    except ValueError:
+        return "::" if (network, kind) == ("IN", "IP6") else _ANY_HOST
 
 
-def _parse_media(
-    block: list[tuple[str, str]], host: str | None, name: str
-) -> StreamDescription | None:
+def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDescription | None:
     fields = block[0][1].split()
-    if len(fields) < 4 or not fields[2].startswith("RTP/"):
+    if len(fields) < 4 or not _PROFILE.fullmatch(fields[2]):
         return None
     maps: dict[str, str] = {}
     parameters: dict[str, str] = {}
     rtcp_port: int | None = None
     bandwidth_bps: int | None = None
-    reduced_size = False
+    multiplexed = reduced_size = False
     capture_time_id: int | None = None
     for key, value in block[1:]:
         attribute, _, rest = value.partition(":")
+        attribute, rest = attribute.strip(), rest.strip()
         if key == "b" and attribute == "AS":
-            bandwidth_bps = 1000 * _number(rest, "b=AS", 1, 10**9)
+            if rate := re.match("[0-9]{1,9}", rest):
+                bandwidth_bps = 1000 * int(rate[0]) or None
         elif key != "a":
             continue
         elif attribute == "rtpmap":
@@ -215,7 +228,10 @@ def _parse_media(
             payload_type, _, values = rest.partition(" ")
             parameters[payload_type] = values
         elif attribute == "rtcp":
-            rtcp_port = _number((rest.split() or [""])[0], "a=rtcp", 1, 65535)
+            found = re.match("[0-9]{1,5}", rest)
+            rtcp_port = int(found[0]) if found and 1 <= int(found[0]) <= 65535 else None
+        elif attribute == "rtcp-mux":
+            multiplexed = True
         elif attribute == "rtcp-rsize":
             reduced_size = True
         elif attribute == "extmap" and rest.split()[1:2] == [ABS_CAPTURE_TIME]:
@@ -227,15 +243,10 @@ def _parse_media(
         encoding = maps.get(payload_type, "")
         if fields[0] == "video" and encoding == f"h264/{VIDEO_CLOCK_HZ}":
             kind = "video"
-        elif fields[0] == "audio" and encoding in (
-            f"opus/{AUDIO_CLOCK_HZ}/2",
-            f"opus/{AUDIO_CLOCK_HZ}",
-        ):
+        elif fields[0] == "audio" and encoding.split("/")[:2] == ["opus", str(AUDIO_CLOCK_HZ)]:
             kind = "audio"
         else:
             continue
-        if host is None:
-            raise ConfigError("the SDP has no c= line: add c=IN IP4 and the receiver's address")
         formats = _parse_formats(parameters.get(payload_type, ""))
         if kind == "video" and formats.get("packetization-mode", "0") not in ("0", "1"):
             raise ConfigError(
@@ -250,9 +261,9 @@ def _parse_media(
             kind=kind,
             host=host,
             # Several ports may be written as 5004/2: only the first is for this stream.
-            port=_number(fields[1].partition("/")[0], "m=", 1, 65534),
+            port=(port := _number(fields[1].partition("/")[0], f"m={kind}, port", 1, 65534)),
             payload_type=_number(payload_type, "m=", 0, 127),
-            rtcp_port=rtcp_port,
+            rtcp_port=port if multiplexed else rtcp_port,
             bandwidth_bps=bandwidth_bps,
             feedback=fields[2].endswith("AVPF"),
             reduced_size=reduced_size,
@@ -283,14 +294,12 @@ def _parse_formats(text: str) -> dict[str, str]:
 
 
 def _parse_parameter_sets(text: str) -> tuple[bytes, ...]:
-    if not text:
-        return ()
-    try:
-        units = tuple(base64.b64decode(part, validate=True) for part in text.split(","))
-    except (binascii.Error, ValueError):
-        units = (b"",)
-    if not all(unit and unit[0] & 0x1F in (7, 8, 13) for unit in units):
-        raise ConfigError(
-            "SDP sprop-parameter-sets: must be SPS and PPS in base64, divided by a comma"
-        )
-    return units
+    """Return the SPS and PPS in base64, divided by commas. What is none is left out."""
+    units: list[bytes] = []
+    for part in text.split(","):
+        with suppress(binascii.Error, ValueError):
+            unit = base64.b64decode(part.strip() + "===")
+            # Some cameras send start codes along.
+            found = split_annex_b(unit) if unit[:3] in (b"\0\0\0", b"\0\0\1") else [unit]
+            units += [one for one in found if one and nal_type(one) in (NAL_SPS, NAL_PPS, _NAL_EXT)]
+    return tuple(units)

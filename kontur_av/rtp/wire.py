@@ -1,6 +1,7 @@
-"""RTP and RTCP packets, parsed by aiortc. Garbage raises ProtocolError."""
+"""RTP and RTCP packets; aiortc parses the latter. Garbage raises ProtocolError."""
 
 import struct
+from typing import NamedTuple
 
 from aiortc.rtp import (
     RTCP_PSFB_APP,
@@ -18,7 +19,6 @@ from aiortc.rtp import (
     RtcpSdesPacket,
     RtcpSenderInfo,
     RtcpSrPacket,
-    RtpPacket,
     is_rtcp,
     pack_remb_fci,
     pack_rtcp_packet,
@@ -26,6 +26,7 @@ from aiortc.rtp import (
 )
 
 from kontur_av.errors import ProtocolError
+from kontur_av.rtp.header_extensions import header_octets
 
 __all__ = [
     "RTCP_PSFB_APP",
@@ -63,14 +64,36 @@ TOOL = b"kontur-av"
 _MALFORMED = (ValueError, IndexError, struct.error)
 _RTP_HEADER = struct.Struct("!BBHLL")
 _RTP_VERSION = 2 << 6
+_PADDED = 1 << 5
+
+
+class RtpPacket(NamedTuple):
+    """An RTP packet (RFC 3550 section 5.1), without contributing sources, extension and padding."""
+
+    payload_type: int
+    marker: int
+    sequence_number: int
+    timestamp: int
+    ssrc: int
+    payload: bytes
 
 
 def parse_rtp(datagram: bytes) -> RtpPacket:
-    """Parse an RTP packet (RFC 3550 section 5.1). Raises ProtocolError for anything else."""
+    """Parse an RTP packet (RFC 3550 section 5.1). Raises ProtocolError for anything else.
+
+    The content of an extension does not matter. Padding that is larger than the packet is none.
+    """
     try:
-        return RtpPacket.parse(datagram)
-    except _MALFORMED as error:
+        first, marked, sequence, timestamp, ssrc = _RTP_HEADER.unpack_from(datagram)
+        begin = header_octets(datagram)
+    except struct.error as error:
         raise ProtocolError(f"not an RTP packet: {error}") from error
+    if first >> 6 != 2 or begin > len(datagram):
+        raise ProtocolError("not an RTP packet: its version or its length is wrong")
+    end = len(datagram)
+    if first & _PADDED and datagram[-1] <= end - begin:
+        end -= datagram[-1]
+    return RtpPacket(marked & 0x7F, marked >> 7, sequence, timestamp, ssrc, datagram[begin:end])
 
 
 def pack_rtp(

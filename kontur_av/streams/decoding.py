@@ -8,6 +8,7 @@ from kontur_av.codecs.h264 import DecodedPicture, H264Decoder
 from kontur_av.media import CaptureStamp, Pcm
 from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
+from kontur_av.rtp.reordering import MOST_REORDER_NS
 from kontur_av.rtp.report_timer import report_interval_ns
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.streams.video_receiver import VideoReceiver
@@ -28,6 +29,7 @@ class PictureDecoding:
             bandwidth_bps=stream.bandwidth_bps,
             reduced_size=stream.reduced_size,
             capture_time_id=stream.capture_time_id,
+            most_reorder_ns=MOST_REORDER_NS,
         )
         self.decoder = H264Decoder(reordered=True)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.errors import ConfigError
+from kontur_av.rtp.wire import is_rtcp
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_receiver import VoiceReceiver
@@ -70,26 +71,33 @@ class UdpReceiver:
     """Receives a stream, and sends feedback. `close` it at the end.
 
     host: the IP address to which the stream is sent, as in the SDP. A loopback address is bound
-        alone, a multicast group is joined; any other address binds all.
-    port: of RTP. control_port: of RTCP; None: the next port.
+        alone; a multicast group is joined, also by several receivers; any other address binds all.
+    port: of RTP. Reports that come there are taken, too (RFC 5761).
+    control_port: of RTCP; None: the next port. It may be that of RTP.
 
     Raises ConfigError if a port cannot be opened.
     """
 
     def __init__(self, host: str, port: int, control_port: int | None = None) -> None:
-        self._rtp = _bound(host, port)
-        try:
-            self._rtcp = _bound(host, port + 1 if control_port is None else control_port)
-        except ConfigError:
-            self._rtp.close()
-            raise
-        #: The source address of the sender's reports, to which feedback goes.
-        self._sender: Any = None
+        self._rtp = self._rtcp = _bound(host, port)
+        if control_port != port:
+            try:
+                self._rtcp = _bound(host, port + 1 if control_port is None else control_port)
+            except ConfigError:
+                self._rtp.close()
+                raise
+        #: Where the sender's reports come from, and on which socket: feedback goes there.
+        self._sender: tuple[socket.socket, Any] | None = None
 
     @property
-    def sockets(self) -> tuple[socket.socket, socket.socket]:
+    def sockets(self) -> set[socket.socket]:
         """The sockets of RTP and RTCP, for a caller that also waits for others."""
-        return self._rtp, self._rtcp
+        return {self._rtp, self._rtcp}
+
+    @property
+    def reported(self) -> bool:
+        """Whether a report of the sender has come."""
+        return self._sender is not None
 
     def exchange(
         self, receiver: VideoReceiver | VoiceReceiver, clock: Clock, timeout_ns: int = 0
@@ -105,11 +113,12 @@ class UdpReceiver:
             timeout_ns = min(timeout_ns, max(due_ns - clock.now_ns(), 0))
         if timeout_ns > 0:
             select.select(self.sockets, (), (), timeout_ns / NS_PER_S)
-        for datagram, source in _datagrams(self._rtcp):
-            if receiver.handle_report(datagram, clock.now_ns()):
-                self._sender = source
-        for datagram, _ in _datagrams(self._rtp):
-            receiver.handle_packet(datagram, clock.now_ns())
+        for udp in (self._rtcp, self._rtp):
+            for datagram, source in _datagrams(udp):
+                if udp is self._rtp and not is_rtcp(datagram):
+                    receiver.handle_packet(datagram, clock.now_ns(), source)
+                elif receiver.handle_report(datagram, clock.now_ns()):
+                    self._sender = udp, source
         receiver.handle_timeout(clock.now_ns())
 
     def close(self) -> None:
@@ -121,8 +130,9 @@ class UdpReceiver:
         # Without a report of the sender, nobody is known who would read it.
         while (feedback := receiver.poll_feedback(clock.now_ns())) is not None:
             if self._sender is not None:
+                udp, source = self._sender
                 with suppress(OSError):
-                    self._rtcp.sendto(feedback, self._sender)
+                    udp.sendto(feedback, source)
 
 
 def _bound(host: str, port: int) -> socket.socket:
@@ -132,8 +142,12 @@ def _bound(host: str, port: int) -> socket.socket:
     try:
         udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_OCTETS)
         udp.setblocking(False)
-        # The address in the SDP need not be one of this machine, so only loopback is bound alone.
-        udp.bind((host if address.is_loopback else "", port))
+        if address.is_multicast:
+            udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        # Another address in the SDP need not be one of this machine. A group of IPv6 may need an
+        # interface, which the SDP does not name.
+        alone = address.is_loopback or (address.is_multicast and address.version == 4)
+        udp.bind((host if alone else "", port))
         if address.is_multicast:
             _join(udp, address)
     except OSError as error:

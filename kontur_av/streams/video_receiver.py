@@ -2,13 +2,15 @@
 
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from kontur_av.codecs.healing import Healing
 from kontur_av.figures import Flat, Newest
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality
 from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
 from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
-from kontur_av.rtp.receiver import REORDER_DEPTH_NS, ReceiverCounts, RtpReceiver
+from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
+from kontur_av.rtp.reordering import REORDER_DEPTH_NS
 from kontur_av.rtp.report_timer import AVPF_LEAST_NS
 from kontur_av.rtp.wire import RtcpReceiverInfo
 
@@ -56,6 +58,7 @@ class VideoReceiver:
     capture_time_id: see `RtpReceiver`.
     payload_type: of the stream.
     reorder_depth_ns: see `RtpReceiver`. Longer than a round trip where lost packets are sent again.
+    most_reorder_ns: see `RtpReceiver`.
     """
 
     def __init__(
@@ -72,11 +75,13 @@ class VideoReceiver:
         capture_time_id: int | None = None,
         payload_type: int = VIDEO_PAYLOAD_TYPE,
         reorder_depth_ns: int = REORDER_DEPTH_NS,
+        most_reorder_ns: int | None = None,
     ) -> None:
         self._receiver = RtpReceiver(
             payload_type=payload_type,
             clock_rate_hz=VIDEO_CLOCK_HZ,
             reorder_depth_ns=reorder_depth_ns,
+            most_reorder_ns=most_reorder_ns,
             wall_offset_ns=wall_offset_ns,
             capture_time_id=capture_time_id,
         )
@@ -100,9 +105,17 @@ class VideoReceiver:
         """Whether the sender has said goodbye."""
         return self._receiver.ended
 
-    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
-        """Handle a datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards."""
-        self._receiver.handle_packet(datagram, now_ns)
+    @property
+    def other_payload_type(self) -> int | None:
+        """The newest payload type that came instead of the stream's; None: there was none."""
+        return self._receiver.other_payload_type
+
+    def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
+        """Handle a datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards.
+
+        source: see `RtpReceiver.handle_packet`.
+        """
+        self._receiver.handle_packet(datagram, now_ns, source)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:
         """Handle a datagram of the RTCP port. True if it was a sender report of the stream.
@@ -117,11 +130,14 @@ class VideoReceiver:
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
         self._receiver.handle_timeout(now_ns)
+        while (packet := self._receiver.next_event()) is not None:
+            self._depacketizer.handle_packet(packet)
+        self._depacketizer.handle_timeout(now_ns)
 
     def poll_timeout(self) -> int | None:
         """Return when to call `handle_timeout` and `poll_feedback`; None: not yet."""
-        due = [self._receiver.poll_timeout(), self._losses.poll_timeout()]
-        due.append(self._reports.poll_timeout())
+        due = [self._receiver.poll_timeout(), self._depacketizer.poll_timeout()]
+        due += [self._losses.poll_timeout(), self._reports.poll_timeout()]
         return min((due_ns for due_ns in due if due_ns is not None), default=None)
 
     def poll_feedback(self, now_ns: int) -> bytes | None:

@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.figures import Flat, Newest
@@ -115,9 +115,17 @@ class VoiceReceiver:
         """Whether the sender has said goodbye."""
         return self._receiver.ended
 
-    def handle_packet(self, datagram: bytes, now_ns: int) -> None:
-        """Handle a datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards."""
-        self._receiver.handle_packet(datagram, now_ns)
+    @property
+    def other_payload_type(self) -> int | None:
+        """The newest payload type that came instead of the stream's; None: there was none."""
+        return self._receiver.other_payload_type
+
+    def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
+        """Handle a datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards.
+
+        source: see `RtpReceiver.handle_packet`.
+        """
+        self._receiver.handle_packet(datagram, now_ns, source)
         self._take_packets(now_ns)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:

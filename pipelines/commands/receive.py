@@ -37,6 +37,8 @@ from pipelines.session.output import reader_gone
 _SILENCE_NS = 5 * NS_PER_S
 _SILENCE_AFTER_GOODBYE_NS = NS_PER_S
 _LONGEST_WAIT_NS = 200 * NS_PER_MS
+#: Of what was decoded; a file that holds less is a failure.
+_SAVED_AT_LEAST = 0.9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seconds",
         metavar="S",
         type=float,
-        help="default: until Ctrl-C, or until a stream that had begun is silent for 5 s",
+        help="also through pauses (default: until Ctrl-C, or until a stream that had begun is "
+        "silent for 5 s)",
     )
 
 
@@ -81,6 +84,10 @@ def run(args: argparse.Namespace) -> int:
         else:
             output = SoundOutput(stream, clock, writer)
         rtp, latency, failed = _ReceiveShell(stream, output, udp, clock, raw).run(args.seconds)
+    if writer is not None and writer.written < _SAVED_AT_LEAST * output.decoded:
+        failed.append(
+            f"--save {args.save!r}: {writer.written} of {output.decoded} decoded are in the file"
+        )
     end = ReceiveEnd(
         latency_ms=latency,
         cpu_s=time.process_time(),
@@ -149,7 +156,7 @@ class _ReceiveShell:
                 selector.register(one, selectors.EVENT_READ)
             while not (stopped() or reader_gone()):
                 now_ns = self._clock.now_ns()
-                if (end_ns is not None and now_ns >= end_ns) or self._has_ended(now_ns):
+                if self._has_ended(now_ns) if end_ns is None else now_ns >= end_ns:
                     break
                 if now_ns >= next_line_ns:
                     next_line_ns += NS_PER_S
@@ -234,7 +241,21 @@ class _ReceiveShell:
             )
         failed = []
         if not counts.rtp_packets:
-            failed.append(f"no packet came to UDP port {self._stream.port}: is the sender running?")
+            failed.append(f"no packet came to UDP port {self._stream.port}: {self._what_came()}")
         elif not output.decoded:
             failed.append(f"{counts.rtp_packets} packets came, but nothing could be decoded")
         return rtp, latency, failed
+
+    def _what_came(self) -> str:
+        """Say what came instead of the stream's packets."""
+        counts, other = self._receiver.counts.rtp, self._receiver.other_payload_type
+        if other is not None:
+            return (
+                f"those that came have payload type {other}, not the {self._stream.payload_type} "
+                "of the SDP: take the sender's SDP"
+            )
+        if self._udp.reported:
+            return "only the sender's reports came (RTCP): is there a firewall before this port?"
+        if counts.garbage:
+            return f"{counts.garbage} datagrams came that are no stream of RTP"
+        return "is the sender running?"

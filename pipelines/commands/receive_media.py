@@ -13,23 +13,29 @@ from pipelines.commands.remux import MatroskaWriter
 
 
 class _TimeLine:
-    """RTP timestamps as ticks since the first one; they continue when the sender restarts."""
+    """RTP timestamps as ticks since the first one; they rise on when the sender begins anew."""
 
     def __init__(self, rate_hz: int) -> None:
         self._rate_hz = rate_hz
         self._unwrapper = TimestampUnwrapper()
-        self._base = self._last = 0
+        self._base = self._last = self._largest = 0
         self._last_ns: int | None = None
 
-    def ticks(self, timestamp: int, now_ns: int) -> int:
+    def ticks(self, timestamp: int, now_ns: int, *, follows_all: bool) -> int:
+        """follows_all: it is shown after all before it, as a key picture is."""
         ticks = self._base + self._unwrapper.unwrap(timestamp)
         if self._last_ns is not None:
             passed = (now_ns - self._last_ns) * self._rate_hz // NS_PER_S
-            if abs(ticks - self._last - passed) > 10 * self._rate_hz:
+            if (
+                (follows_all and ticks <= self._largest)
+                or ticks < self._last - self._rate_hz
+                or abs(ticks - self._last - passed) > 10 * self._rate_hz
+            ):
                 self._unwrapper = TimestampUnwrapper()
-                self._base = self._last + max(passed, 1)
+                self._base = self._largest + max(passed, 1)
                 ticks = self._base + self._unwrapper.unwrap(timestamp)
         self._last, self._last_ns = ticks, now_ns
+        self._largest = max(self._largest, ticks)
         return ticks
 
 
@@ -67,7 +73,9 @@ class PictureOutput:
                 if stamp is not None:
                     self.decoded_ns.add(self._clock.now_ns() - stamp.capture_ns)
             if self._writer is not None:
-                ticks = self._time_line.ticks(unit.timestamp, unit.received_ns)
+                ticks = self._time_line.ticks(
+                    unit.timestamp, unit.received_ns, follows_all=unit.keyframe
+                )
                 self._writer.add_unit(unit.data, ticks, keyframe=unit.keyframe)
 
     def finish(self) -> None:
@@ -123,7 +131,7 @@ class SoundOutput:
             if stamp is not None:
                 self.decoded_ns.add(block.play_ns - stamp.capture_ns)
             if self._writer is not None and block.payload is not None and not block.recovered:
-                ticks = self._time_line.ticks(block.timestamp, block.play_ns)
+                ticks = self._time_line.ticks(block.timestamp, block.play_ns, follows_all=True)
                 self._writer.add_opus(block.payload, ticks, block.samples)
 
     def finish(self) -> None:

@@ -9,7 +9,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.rtp.header_extensions import ABS_SEND_TIME, elements_of
 from kontur_av.rtp.rate_feedback import rate_message
-from kontur_av.rtp.receiver import REORDER_DEPTH_NS
+from kontur_av.rtp.reordering import REORDER_DEPTH_NS
 from kontur_av.rtp.repair import TOO_OLD_NS, LossAsker
 from kontur_av.rtp.wire import RtcpReceiverInfo
 from kontur_av.streams.video_receiver import VideoReceiver

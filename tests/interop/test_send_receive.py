@@ -216,22 +216,21 @@ def test_gstreamer_plays_the_voice_we_send(tone, tmp_path):
     assert loudest * 48_000 / sound.size == pytest.approx(440, abs=3)
 
 
-def receive(tmp_path, port, kind, seconds=20, **description):
+def receive(tmp_path, port, kind, **description):
     """Start `receive` on a stream; return its process and the path of its report."""
     sdp, report = tmp_path / "r.sdp", tmp_path / "r.json"
     stream = StreamDescription(
         kind=kind, host="127.0.0.1", port=port, payload_type=96, **description
     )
     sdp.write_text(write_sdp(stream))
-    options = ("--sdp", sdp, "--report", report, "--seconds", seconds)
-    return ours("receive", *options, "--save", tmp_path / "r.mkv"), report
+    return ours("receive", "--sdp", sdp, "--report", report, "--save", tmp_path / "r.mkv"), report
 
 
 @pytest.mark.parametrize("aggregate", ["none", "zero-latency"])
 def test_we_play_what_gstreamer_sends(tmp_path, aggregate):
     needs("x264enc", "rtph264pay", "rtpbin")
     port = free_ports()
-    process, report_file = receive(tmp_path, port, "video", seconds=12)
+    process, report_file = receive(tmp_path, port, "video")
     # rtpbin sends reports, so the latency is known.
     pipeline = (
         "rtpbin name=r videotestsrc is-live=true num-buffers=75 pattern=ball ! "
@@ -258,7 +257,7 @@ def test_we_play_what_gstreamer_sends(tmp_path, aggregate):
 def test_we_play_the_opus_that_gstreamer_sends(tmp_path):
     needs("opusenc", "rtpopuspay")
     port = free_ports()
-    process, report_file = receive(tmp_path, port, "audio", seconds=30)
+    process, report_file = receive(tmp_path, port, "audio")
     pipeline = (
         "audiotestsrc is-live=true num-buffers=100 samplesperbuffer=960 ! "
         "audio/x-raw,rate=48000,channels=1 ! opusenc bitrate=32000 ! rtpopuspay pt=96 ! "
@@ -281,7 +280,7 @@ def test_we_play_the_opus_that_gstreamer_sends(tmp_path):
 
 def test_who_sends_a_voice_gets_reports_on_it(tmp_path):
     port = free_ports()
-    process, _ = receive(tmp_path, port, "audio", seconds=10, feedback=True)
+    process, _ = receive(tmp_path, port, "audio", feedback=True)
     sender = PromptSender(
         payload_type=96,
         clock_rate_hz=48_000,
@@ -320,12 +319,12 @@ def test_we_play_what_ffmpeg_sends_by_its_own_sdp(tmp_path):
     # With a global header, SPS and PPS are only in the SDP.
     with started(
         *("ffmpeg", "-v", "error", "-re", "-f", "lavfi"),
-        *("-i", f"testsrc=size={WIDTH}x{HEIGHT}:rate={FPS}", "-t", 4, "-pix_fmt", "yuv420p"),
+        *("-i", f"testsrc=size={WIDTH}x{HEIGHT}:rate={FPS}", "-t", 8, "-pix_fmt", "yuv420p"),
         *("-c:v", "libx264", "-tune", "zerolatency", "-g", 15, "-flags", "+global_header"),
         *("-f", "rtp", "-sdp_file", sdp, f"rtp://127.0.0.1:{port}"),
     ) as player:
         wait_for_file(sdp)
-        with ours("receive", "--sdp", sdp, "--report", report_file, "--seconds", 20) as receiver:
+        with ours("receive", "--sdp", sdp, "--report", report_file) as receiver:
             finish(receiver)
         finish(player)
     report = json.loads(report_file.read_text())

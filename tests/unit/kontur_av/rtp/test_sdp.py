@@ -80,8 +80,11 @@ def test_an_address_of_the_media_goes_before_that_of_the_session():
     # The address of a stream that is left out is not that of the next one.
     other = "m=text 5000 RTP/AVP 98\nc=IN IP4 10.0.0.9\n"
     assert parse_sdp(HEAD + other + VIDEO).host == "10.0.0.1"
-    with pytest.raises(ConfigError, match="c= line"):
-        parse_sdp("v=0\n" + VIDEO)
+    # A receiver does not need the address, so neither a name nor its absence matters.
+    assert parse_sdp("v=0\n" + VIDEO).host == "0.0.0.0"
+    assert parse_sdp(HEAD + VIDEO + "c=IN IP6 camera.local\n").host == "::"
+    name = "m=text 5000 RTP/AVP 98\nc=IN IP4 camera.local\n"
+    assert parse_sdp(HEAD + name + VIDEO).host == "10.0.0.1"
 
 
 def test_only_the_bandwidth_with_headers_is_the_cap():
@@ -105,18 +108,14 @@ def test_the_first_known_payload_type_counts_with_its_own_parameters():
 @pytest.mark.parametrize("encoding", ["opus/48000/2", "OPUS/48000", "opus/48000/1"])
 def test_a_voice_is_read_in_mono_too(encoding):
     text = f"{HEAD}m=audio 5004 RTP/AVP 97\na=rtpmap:97 {encoding}\n"
-    if encoding.endswith("/1"):
-        with pytest.raises(ConfigError, match="no stream"):
-            parse_sdp(text)
-    else:
-        assert parse_sdp(text).kind == "audio"
+    assert parse_sdp(text).kind == "audio"
 
 
 @pytest.mark.parametrize(
     "text",
     [
         VIDEO.replace("video", "audio"),
-        VIDEO.replace("RTP/AVP", "UDP"),
+        VIDEO.replace("RTP/AVP", "TCP/RTP/AVP"),
         "m=video 5004 RTP/AVP\n",
         "m=video 5004 RTP/AVP 96\na=rtpmap:97 H264/90000\n",
         "",
@@ -128,40 +127,80 @@ def test_what_is_no_stream_of_ours_is_refused(text):
 
 
 @pytest.mark.parametrize(
-    ("port", "payload_type", "rtcp", "rate"),
-    [(1, 0, 1, 1), (65534, 127, 65535, 10**9)],
+    ("port", "payload_type"),
+    [(1, 0), (65534, 127)],
 )
-def test_numbers_are_read_up_to_their_limits(port, payload_type, rtcp, rate):
-    def described(port, payload_type, rtcp, rate):
+def test_numbers_are_read_up_to_their_limits(port, payload_type):
+    def described(port, payload_type):
         return parse_sdp(
             f"{HEAD}m=video {port} RTP/AVP {payload_type}\na=rtpmap:{payload_type} H264/90000\n"
-            f"a=rtcp:{rtcp}\nb=AS:{rate}\n"
         )
 
-    right = (port, payload_type, rtcp, rate)
+    right = (port, payload_type)
     found = described(*right)
     assert (found.port, found.payload_type) == (port, payload_type)
-    assert (found.rtcp_port, found.bandwidth_bps) == (rtcp, 1000 * rate)
     step = 1 if port > 1 else -1
-    for field in range(4):
+    for field in range(2):
         wrong = list(right)
         wrong[field] += step
         with pytest.raises(ConfigError, match="must be a whole number"):
             described(*wrong)
 
 
-@pytest.mark.parametrize("sets", ["!", "Z0LAHg==,", "QQ==", ","])
-def test_parameter_sets_that_are_none_are_refused(sets):
-    with pytest.raises(ConfigError, match="SPS and PPS in base64"):
-        parse_sdp(f"{HEAD}{VIDEO}a=fmtp:96 sprop-parameter-sets={sets}\n")
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("b=AS:0", "b=AS:", "b=AS:many", "a=rtcp:0", "a=rtcp:70000", "a=rtcp:", "a=rtpmap:"),
+        *("colour", "X-vendor: 1", "=x", "ab=x", " folded=1", "a=fmtp:96", "c="),
+        *(f"a=fmtp:96 sprop-parameter-sets={sets}" for sets in ("", "!", ",", "QQ==", "6QDwBE8=")),
+    ],
+)
+def test_what_is_malformed_and_not_needed_is_ignored(line):
+    text = f"{HEAD}{line}\n{VIDEO}{line}\nm=audio 5006 RTP/AVP 8\n{line}\n"
+    for ends in ("\n", "\r\n", "\r"):
+        found = parse_sdp(text.replace("\n", ends) + "\0")
+        assert found == stream(name="Room", host="0.0.0.0" if line == "c=" else "10.0.0.1")
 
 
-def test_a_malformed_line_is_named():
-    with pytest.raises(ConfigError, match="line 6: 'colour'"):
-        parse_sdp(f"{HEAD}\ncolour\n")
-    for line in ("a", "=x", "ab=x"):
-        with pytest.raises(ConfigError, match="line 5"):
-            parse_sdp(f"{HEAD}{line}\n")
+@pytest.mark.parametrize(
+    "sets",
+    [
+        *("Z0LAHg==,aM48gA==,", "Z0LAHg,aM48gA", "Z0LAHg==, aM48gA==", "Z0LAHg==,aM48gA==,BgU="),
+        *("AAAAAWdCwB4=,AAAAAWjOPIA=", "AAABZ0LAHgAAAWjOPIA="),
+    ],
+)
+def test_parameter_sets_are_found_in_what_cameras_write(sets):
+    text = f"{HEAD}{VIDEO}a=fmtp: 96 packetization-mode=1 ; sprop-parameter-sets={sets}\n"
+    assert parse_sdp(text).parameter_sets == (SPS, PPS)
+
+
+def test_numbers_that_are_nearly_right_are_read():
+    text = HEAD + VIDEO.replace("rtpmap:", "rtpmap: ").replace("RTP/AVP", "udp")
+    assert parse_sdp(text + "b=AS: 2048.5\n").bandwidth_bps == 2_048_000
+
+
+def test_reports_may_come_to_the_port_of_the_media():
+    text = f"{HEAD}{VIDEO}a=rtcp:9 IN IP4 0.0.0.0\na=rtcp-mux\n"
+    assert parse_sdp(text).control_port == 5004
+    assert "a=rtcp-mux\r\n" in write_sdp(parse_sdp(text))
+    assert parse_sdp(write_sdp(parse_sdp(text))) == parse_sdp(text)
+
+
+@pytest.mark.parametrize("profile", ["RTP/SAVP", "RTP/SAVPF", "UDP/TLS/RTP/SAVPF"])
+def test_an_encrypted_stream_is_refused_with_a_word_about_keys(profile):
+    encrypted = VIDEO.replace("RTP/AVP", profile)
+    with pytest.raises(ConfigError, match="takes no keys"):
+        parse_sdp(HEAD + encrypted)
+    assert parse_sdp(HEAD + encrypted + VIDEO).port == 5004
+
+
+def test_a_multicast_address_is_written_with_its_ttl():
+    # RFC 8866 section 5.7: IPv4 needs one, IPv6 has none.
+    assert "\r\nc=IN IP4 224.1.1.1/1\r\n" in write_sdp(stream(host="224.1.1.1"))
+    assert "\r\nc=IN IP6 ff15::101\r\n" in write_sdp(stream(host="ff15::101"))
+
+
+def test_text_that_is_no_description_is_refused():
     with pytest.raises(ConfigError, match="no SDP"):
         parse_sdp(VIDEO)
     # As ffmpeg prints it, and as Windows stores it.

@@ -206,7 +206,8 @@ def test_garbage_is_counted_and_changes_nothing():
     stream.sender.handle_feedback(b"\x00nonsense", 0)
     stream.receiver.handle_packet(b"", 0)
     assert not stream.receiver.handle_report(b"\x81", 0)
-    stream.step(0)
+    for number in range(2):
+        stream.step(number)
     assert stream.sender.feedback.feedback_garbage == 1
     assert stream.receiver.counts.rtp.garbage == 2
-    assert len(stream.stamps) == 1
+    assert len(stream.stamps) == 2

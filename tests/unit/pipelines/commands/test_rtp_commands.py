@@ -3,6 +3,7 @@
 import argparse
 import socket
 import wave
+from threading import Event, Thread
 
 import numpy as np
 import pytest
@@ -84,6 +85,43 @@ def test_receive_says_what_failed_when_nothing_comes(tmp_path, capsys):
     sdp.write_text(SDP.format(port=port))
     assert run(receive, "--sdp", sdp, "--seconds", 0.2) == 1
     assert "no packet came" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("second_octet", "to_report_port", "said"),
+    [
+        (98, False, "payload type 98, not the 97 of the SDP"),
+        (33, False, "payload type 33"),
+        (None, False, "no stream of RTP"),
+        (200, True, "only the sender's reports"),
+    ],
+)
+def test_receive_says_what_came_instead(second_octet, to_report_port, said, tmp_path, capsys):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1] & ~1
+    sdp = tmp_path / "x.sdp"
+    sdp.write_text(SDP.format(port=port))
+    datagram = b"GET / HTTP/1.1\r\n"
+    if to_report_port:
+        datagram = b"\x80\xc8\x00\x06" + bytes(24)
+    elif second_octet is not None:
+        datagram = bytes((0x80, second_octet)) + bytes(20)
+    done = Event()
+
+    def send_it():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            while not done.wait(0.02):
+                udp.sendto(datagram, ("127.0.0.1", port + to_report_port))
+
+    sending = Thread(target=send_it)
+    sending.start()
+    try:
+        assert run(receive, "--sdp", sdp, "--seconds", 0.4) == 1
+    finally:
+        done.set()
+        sending.join()
+    assert said in capsys.readouterr().err
 
 
 #: H.264 table A-1: of each level_idc the macroblocks a second and a picture, and kbit/s.

@@ -1,0 +1,185 @@
+"""Invariants: however others packetize and mark a stream, the same pictures come out in order."""
+
+import struct
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.rtp.payload_h264 import H264Depacketizer, split_annex_b
+from kontur_av.rtp.receiver import RtpReceiver
+
+PERIOD_TICKS, PERIOD_NS = 3000, 33_333_333
+HERE, ELSEWHERE = ("192.0.2.1", 5004), ("192.0.2.2", 5004)
+
+# Bodies have no zeros, so they contain no start code.
+BODY = st.integers(1, 3000).map(lambda n: bytes(1 + (n * i) % 255 for i in range(n)))
+HEADS = st.lists(st.sampled_from([b"\x09\xf0", b"\x06\x05\x01\x80", b"\x67\x42", b"\x68\xce"]))
+PICTURE = st.builds(
+    lambda heads, first, others: (
+        heads,
+        [b"\x41\x88" + first, *(b"\x41\x22" + one for one in others)],
+    ),
+    HEADS,
+    BODY,
+    st.lists(BODY, max_size=3),
+)
+WAY = st.fixed_dictionaries(
+    {
+        "markers": st.sampled_from(["last", "each slice", "each unit", "none"]),
+        "aggregate": st.booleans(),
+        "most": st.integers(20, 1400),
+        # FU-A also for what would fit: start and end in one.
+        "always_parts": st.booleans(),
+        "end_bit": st.booleans(),
+        "start_code": st.sampled_from([b"", b"\0\0\1", b"\0\0\0\1"]),
+        "zeros": st.integers(0, 3),
+        "heads_earlier": st.sampled_from([0, 1, 1500]),
+        "empty_packets": st.booleans(),
+    }
+)
+
+
+def parts_of(unit, way):
+    """Return the payloads that carry a NAL unit."""
+    coded = way["start_code"] + unit + bytes(way["zeros"])
+    if len(coded) <= way["most"] and not way["always_parts"]:
+        return [coded]
+    step, body = way["most"] - 2, coded[1:]
+    cuts = range(0, max(len(body), 1), step)
+    last = cuts[-1]
+    return [
+        bytes(
+            (
+                coded[0] & 0xE0 | 28,
+                (0x80 if at == 0 else 0)
+                | (0x40 if at == last and way["end_bit"] else 0)
+                | coded[0] & 0x1F,
+            )
+        )
+        + body[at : at + step]
+        for at in cuts
+    ]
+
+
+def packets_of(pictures, way):
+    """Return (payload, timestamp, marker) of each packet."""
+    packets = []
+    for number, (heads, slices) in enumerate(pictures):
+        timestamp = number * PERIOD_TICKS
+        early = way["heads_earlier"] if heads else 0
+        marked_heads = way["markers"] == "each unit" or early
+        if way["aggregate"] and len(heads) > 1:
+            body = b"".join(struct.pack("!H", len(unit)) + unit for unit in heads)
+            packets.append((b"\x78" + body + bytes(way["zeros"]), timestamp - early, marked_heads))
+        else:
+            for unit in heads:
+                payloads = parts_of(unit, way)
+                for payload in payloads:
+                    marker = marked_heads and payload is payloads[-1]
+                    packets.append((payload, timestamp - early, marker))
+        for unit in slices:
+            payloads = parts_of(unit, way)
+            last = way["markers"] == "last" and unit is slices[-1]
+            for payload in payloads:
+                marker = payload is payloads[-1] and (last or way["markers"].startswith("each"))
+                packets.append((payload, timestamp, marker))
+        if way["empty_packets"]:
+            packets.append((b"", timestamp, False))
+    return packets
+
+
+def rtp(payload, timestamp, marker, sequence, ssrc=7):
+    return (
+        struct.pack(
+            "!BBHII",
+            0x80,
+            96 | bool(marker) << 7,
+            sequence & 0xFFFF,
+            timestamp & 0xFFFF_FFFF,
+            ssrc,
+        )
+        + payload
+    )
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(PICTURE, min_size=2, max_size=8), WAY, st.integers(0, 65_535))
+def test_any_way_to_packetize_gives_the_same_pictures(pictures, way, first):
+    if way["markers"].startswith("each"):
+        # The first picture shows how the sender marks.
+        pictures = [(pictures[0][0], [*pictures[0][1], b"\x41\x22\x07"]), *pictures[1:]]
+    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
+    depacketizer = H264Depacketizer()
+    units = []
+    for number, packet in enumerate(packets_of(pictures, way)):
+        receiver.handle_packet(rtp(*packet, first + number), number)
+        while (event := receiver.next_event()) is not None:
+            depacketizer.handle_packet(event)
+    depacketizer.handle_timeout(10**18)
+    while (unit := depacketizer.next_event()) is not None:
+        units.append(unit)
+    assert [split_annex_b(unit.data) for unit in units] == [
+        [*heads, *slices] for heads, slices in pictures
+    ]
+    assert not any(unit.damaged or unit.lost_before for unit in units)
+    assert [unit.timestamp % PERIOD_TICKS for unit in units] == [0] * len(pictures)
+    assert depacketizer.garbage == 0
+
+
+LIFE = st.fixed_dictionaries(
+    {
+        "count": st.integers(2, 12),
+        "anew": st.sampled_from(["source", "sequence", "timestamps"]),
+        "step": st.integers(3000, 60_000),
+        "pause_ms": st.sampled_from([0, 0, 700, 8000]),
+    }
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(LIFE, min_size=2, max_size=6), st.booleans())
+def test_a_sender_that_begins_anew_goes_on_and_a_stranger_stays_out(lives, strange):
+    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
+    sent, now_ns, source, sequence, timestamp = [], 0, 0, 0, 0
+    for life in lives:
+        now_ns += life["pause_ms"] * NS_PER_MS
+        if life["anew"] == "timestamps":
+            timestamp += life["step"] * 100_000
+        else:
+            source += life["anew"] == "source"
+            sequence += life["step"]
+        for _ in range(life["count"]):
+            now_ns += PERIOD_NS
+            sequence, timestamp = sequence + 1, timestamp + PERIOD_TICKS
+            sent.append(b"\x41" + struct.pack("!I", sequence))
+            receiver.handle_packet(rtp(sent[-1], timestamp, True, sequence, source), now_ns, HERE)
+            if strange and len(sent) > 2:
+                packet = rtp(b"\x41no", len(sent), True, len(sent), 999)
+                receiver.handle_packet(packet, now_ns + 1, ELSEWHERE)
+    came = []
+    while (event := receiver.next_event()) is not None:
+        came.append(event.payload)
+    assert came == sent
+    assert receiver.counts.rtp_lost == 0
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 180), st.integers(0, 4), st.integers(0, 65_535))
+def test_a_packet_of_each_picture_that_comes_late_is_waited_for(late_ms, which, first):
+    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000, most_reorder_ns=200 * NS_PER_MS)
+    arrivals = []
+    for picture in range(150):
+        for part in range(5):
+            late_ns = late_ms * NS_PER_MS if picture > 0 and part == which else 0
+            sequence = picture * 5 + part
+            packet = rtp(b"\x41\x88\x01", picture * PERIOD_TICKS, part == 4, first + sequence)
+            arrivals.append((picture * PERIOD_NS + part * 1000 + late_ns, sequence, packet))
+    came = []
+    for now_ns, _, packet in sorted(arrivals):
+        receiver.handle_packet(packet, now_ns)
+        while (event := receiver.next_event()) is not None:
+            came.append(event)
+    assert receiver.counts.rtp_lost == receiver.counts.rtp_late == 0
+    assert len(came) >= 149 * 5 - 30
+    assert [event.lost_before for event in came] == [0] * len(came)
