@@ -14,7 +14,6 @@ from telepresence.haptics.robot_spec import check_robot, load_robot
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`check`."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     text = "do with a robot what a session will do, and say what it does wrong; IT MOVES"
     check = actions.add_parser("check", help=text, description=text)

@@ -31,7 +31,6 @@ _LATE = 3
 
 
 def both(first: Cycle, second: Cycle) -> Cycle:
-    """Return what does both in each cycle."""
 
     def work(now_ns: int) -> None:
         first(now_ns)

@@ -44,7 +44,6 @@ def video_sender(
 def voice_sender(
     setup: Setup, stream: VoiceStream, identity: RtpIdentity, *, wall_offset_ns: int
 ) -> VoiceSender:
-    """The sender of a voice."""
     return VoiceSender(
         cap_bps=stream.cap_bps,
         identity=identity,

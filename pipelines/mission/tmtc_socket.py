@@ -38,12 +38,10 @@ _DICTIONARY = "dictionary.json"
 
 
 def tmtc_socket_name(segment: Segment) -> str:
-    """Return the name of the socket in the session's directory."""
     return f"tmtc.{segment.value}"
 
 
 def tmtc_path(session: str, segment: Segment) -> Path:
-    """Return the path of the socket of a session."""
     return session_root(session) / tmtc_socket_name(segment)
 
 

@@ -796,7 +796,6 @@ def _keys(kind: type) -> Iterator[tuple[str, bool]]:
 
 
 def _type_of(hint: Any) -> Any:
-    """A type without None."""
     if get_origin(hint) in (Union, UnionType):
         return next(one for one in get_args(hint) if one is not type(None))
     return hint

@@ -188,7 +188,6 @@ class PacketQueue:
         return True
 
     def _remove(self, line: deque[_Waiting]) -> _Waiting:
-        """Remove and return the oldest packet of `line`."""
         packet = line.popleft()
         charge = max(len(packet.data), LEAST_CHARGE_OCTETS)
         self.octets -= charge

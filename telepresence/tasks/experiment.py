@@ -134,7 +134,6 @@ class Experiment:
 
     @property
     def status(self) -> ExperimentStatus:
-        """Where the experiment is."""
         elemop, idle = self.kernel.elemop, self._phase is Phase.IDLE
         return ExperimentStatus(
             phase=self._phase,

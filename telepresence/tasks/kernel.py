@@ -196,7 +196,6 @@ class TopKernel:
 
     @property
     def elemop(self) -> Elemop | None:
-        """The present Elemop."""
         return self._check.elemop if self._check is not None else None
 
     def start(self, operation: Operation, now_ns: int) -> None:

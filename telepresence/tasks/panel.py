@@ -78,7 +78,6 @@ class MissionPanel:
 
     @property
     def view(self) -> PanelView:
-        """What is shown now."""
         task, mode = self._task, self.mode
         held_ns = self._now_ns - self._held_since_ns if mode is PanelMode.HOLD else 0
         words = self._words if mode is PanelMode.ERROR else _WORDS[mode]

@@ -18,7 +18,6 @@ BUILT_IN = Path(__file__).with_name("catalogue.xml")
 
 @cache
 def built_in_tasks() -> Catalogue:
-    """The built-in catalogue."""
     return read_tasks(BUILT_IN.read_bytes())
 
 

@@ -119,11 +119,9 @@ class ClockEstimator:
         self._drift = 0.0
 
     def handle_least(self, instant_ns: int, offset_ns: int) -> None:
-        """At `instant_ns` the offset was at least `offset_ns`."""
         self._least.add(instant_ns, offset_ns, self._drift)
 
     def handle_largest(self, instant_ns: int, offset_ns: int) -> None:
-        """At `instant_ns` the offset was at most `offset_ns`."""
         self._largest.add(instant_ns, offset_ns, self._drift)
 
     def clear(self) -> None:

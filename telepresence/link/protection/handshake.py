@@ -304,7 +304,6 @@ class _Allowance:
         self._full_ns: int | None = None
 
     def take(self, now_ns: int) -> bool:
-        """Take one, if there is one."""
         begin_ns = now_ns if self._full_ns is None else max(now_ns, self._full_ns)
         if begin_ns + self._each_ns - now_ns > self._span_ns:
             return False

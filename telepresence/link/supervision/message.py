@@ -218,7 +218,6 @@ class MessagePacing:
         self.due_ns = max(self._sent_ns + wait_ns, self.earliest_ns)
 
     def handle_sent(self, content: tuple[int, ...], rest: tuple[int, ...], now_ns: int) -> None:
-        """A message with this content was sent."""
         self._sent, self._sent_rest, self._sent_ns = content, rest, now_ns
         self.handle_extra(now_ns)
 

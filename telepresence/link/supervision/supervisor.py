@@ -507,7 +507,6 @@ class Supervisor:
         return (self._kind(), self.state, self.signal, self._application.arrived, heard)
 
     def _kind(self) -> MessageKind:
-        """Return the kind of the regular messages."""
         if not self.signal and self.state is not LinkState.REFUSED:
             return MessageKind.HELLO
         return self._negotiation.kind(self.state)
