@@ -132,6 +132,9 @@ def exit_code(work: Callable[[], int], name: str) -> int:
         if isinstance(error, BrokenPipeError) and reader_gone():
             discard_output()
             return WELL
+        if error.errno == errno.ENAMETOOLONG:
+            print(f"{name}: {error.filename!r}: {error.strerror}: shorten it", file=sys.stderr)
+            return MISTAKE
         mend = _SYSTEM.get(error.errno or 0)
         if mend is None:
             raise

@@ -1,5 +1,6 @@
 """A black key picture, written bit by bit (ITU-T H.264), so that nobody waits for an encoder."""
 
+from kontur_av.codecs.colours import BT601
 from kontur_av.media import BLACK_LUMA, NEUTRAL_CHROMA, check_size
 from kontur_av.rtp.payload_h264 import join_annex_b
 
@@ -47,7 +48,8 @@ def _sequence(level: int, columns: int, rows: int, crop: tuple[int, int]) -> str
             *(_ue(1), _ue(0), _ue(0), "00"),  # 4:2:0, 8 bits, no scaling lists
             *(_ue(0), _ue(2), _ue(1), "0"),  # frame_num, pic_order_cnt_type, one reference
             *(_ue(columns - 1), _ue(rows - 1), "11", cropped),
-            *("1", "0" * 8, "1", restriction),  # VUI: nothing is held back
+            # VUI: colours by BT.601 in narrow range, as all our streams say; nothing is held back.
+            *("1", "00", "1", "101", "01", f"{BT601:08b}" * 3, "0" * 5, "1", restriction),
         ]
     )
 

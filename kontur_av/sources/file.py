@@ -2,8 +2,9 @@
 
 import contextlib
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import av
 import numpy as np
@@ -14,8 +15,17 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ, Pcm
 from kontur_av.sources.looped import LoopedAudio, LoopedVideo, PlayedPicture
 
-#: A longer step between two pictures counts as an error of the file.
-LONGEST_PICTURE_NS = 10 * NS_PER_S
+#: As FFmpeg does: a longer step between two packets is a new beginning, in formats that have such.
+_LONGEST_JUMP_S = 10
+#: In other formats, a longer step is an error of the file.
+_LONGEST_S = 30 * 3600
+#: The same for a step back.
+_BACK_S = Fraction(1, 2)
+#: A shorter gap in the sound is rounding, in samples.
+_LEAST_GAP = AUDIO_CLOCK_HZ // 25
+#: FFmpeg's AV_TIME_BASE.
+_TIME_BASE = 1_000_000
+_OTHER: dict[str, Literal["video", "audio"]] = {"video": "audio", "audio": "video"}
 
 
 def check_file(path: str, kind: Literal["video", "audio"]) -> None:
@@ -41,7 +51,7 @@ def check_file(path: str, kind: Literal["video", "audio"]) -> None:
     if fifo:
         raise ConfigError(f"{path!r} is a FIFO, which brings no sound: give a file or alsa:DEVICE")
     try:
-        with av.open(path) as container:
+        with av.open(f"file:{path}") as container:
             found = _stream(container, kind) is not None
     except av.FFmpegError as error:
         raise ConfigError(
@@ -61,6 +71,90 @@ def _stream(
     return next(moving, None)
 
 
+class _TimeLine:
+    """Puts the packets of a file on one line of time that begins at 0. A core.
+
+    Pictures and sound of a file are played by two sources. Both hand all packets to such a line, so
+    both find the same instants and the same end.
+    """
+
+    def __init__(self, begin_s: Fraction, longest_step_s: int) -> None:
+        self._offset_s = -begin_s
+        self._longest_step_s = longest_step_s
+        #: By stream: where its next packet should begin.
+        self._next_s: dict[int, Fraction] = {}
+        #: The end of the last packet.
+        self.end_s = Fraction(0)
+
+    def handle_packet(
+        self, stream: int, decode_s: Fraction, show_s: Fraction, duration_s: Fraction
+    ) -> Fraction:
+        """Return by how much to shift this packet, in seconds."""
+        expected_s = self._next_s.get(stream)
+        step_s = Fraction(0) if expected_s is None else decode_s + self._offset_s - expected_s
+        # Joined files, and broken ones, begin anew between two packets.
+        if not -_BACK_S < step_s < self._longest_step_s:
+            self._offset_s -= step_s
+        self._next_s[stream] = decode_s + self._offset_s + duration_s
+        self.end_s = max(self.end_s, show_s + self._offset_s + duration_s)
+        return self._offset_s
+
+
+class _Reading:
+    """One pass over a file: the packets of its first pictures and of its first sound."""
+
+    def __init__(
+        self, container: av.container.InputContainer, kind: Literal["video", "audio"]
+    ) -> None:
+        self._container = container
+        stream, other = _stream(container, kind), _stream(container, _OTHER[kind])
+        if stream is None:
+            raise ValueError("it has no such stream")
+        self.stream = stream
+        self.stream.codec_context.thread_count = 1
+        #: Whether the file has both pictures and sound.
+        self.both = other is not None
+        self._streams = [one for one in (stream, other) if one is not None]
+        flags = int(container.format.flags)
+        jumps = flags & av.format.Flags.ts_discont.value
+        self._line = _TimeLine(
+            Fraction(container.start_time or 0, _TIME_BASE),
+            _LONGEST_JUMP_S if jumps else _LONGEST_S,
+        )
+        pictures = next((one for one in self._streams if isinstance(one, av.VideoStream)), None)
+        rate = None
+        if pictures is not None:
+            # A stream without times has no average rate of its own, but it may state one.
+            untimed = flags & av.format.Flags.no_timestamps.value
+            rate = pictures.guessed_rate if untimed else pictures.average_rate
+        #: From one picture to the next, by the nominal rate.
+        self.step_s = 1 / rate if rate else None
+
+    @property
+    def end_ns(self) -> int:
+        """The end of what was read so far."""
+        return int(self._line.end_s * NS_PER_S)
+
+    def packets(self) -> Iterator["av.Packet[Any]"]:
+        """Yield the packets of the stream, dated from the begin of the file."""
+        for packet in self._container.demux(self._streams):
+            shown = packet.dts if packet.pts is None else packet.pts
+            if shown is not None and packet.time_base:
+                decoded = shown if packet.dts is None else packet.dts
+                base = Fraction(packet.time_base)
+                duration_s = (packet.duration or 0) * base
+                if not duration_s and packet.stream.type == "video" and self.step_s is not None:
+                    duration_s = self.step_s
+                shift_s = self._line.handle_packet(
+                    packet.stream.index, decoded * base, shown * base, duration_s
+                )
+                shift = round(shift_s / base)
+                packet.pts = None if packet.pts is None else packet.pts + shift
+                packet.dts = None if packet.dts is None else packet.dts + shift
+            if packet.stream.index == self.stream.index:
+                yield packet
+
+
 class FileVideo(LoopedVideo):
     """The pictures of a media file (a `VideoSource`), captured at the file's own frame times.
 
@@ -75,77 +169,98 @@ class FileVideo(LoopedVideo):
         super().__init__(path, name=name, width=width, height=height, fps=fps, clock=clock)
 
     def _pass(self) -> Iterator[PlayedPicture]:
-        shown, time_ns = False, 0
-        with av.open(self._path) as container:
-            stream = _stream(container, "video")
-            if not isinstance(stream, av.VideoStream):
-                raise ValueError("no pictures in it")
-            if stream.average_rate:
-                self._step_ns = int(NS_PER_S / stream.average_rate)
-            begin_s: float | None = None
-            for frame in _decoded(container, stream, self._fault):
-                begin_s = frame.time if begin_s is None else begin_s
-                # Some files have wrong times; then use the nominal rate.
-                soonest_ns = time_ns + self._step_ns // 8 if shown else 0
-                time_ns = time_ns + self._step_ns if shown else 0
-                if frame.time is not None and begin_s is not None:
-                    stated_ns = int((frame.time - begin_s) * NS_PER_S)
-                    if soonest_ns <= stated_ns < soonest_ns + LONGEST_PICTURE_NS:
-                        time_ns = stated_ns
-                shown = True
-                yield PlayedPicture(frame, time_ns, stream.sample_aspect_ratio)
+        with av.open(f"file:{self._path}") as container:
+            reading = _Reading(container, "video")
+            if reading.step_s is not None:
+                self._step_ns = int(reading.step_s * NS_PER_S)
+            time_ns: int | None = None
+            for packet in reading.packets():
+                for frame in _decoded(packet, self._fault):
+                    following_ns = 0 if time_ns is None else time_ns + self._step_ns
+                    soonest_ns = 0 if time_ns is None else time_ns + self._step_ns // 8
+                    # Some files have wrong times; then use the nominal rate.
+                    stated_ns = -1 if frame.time is None else round(frame.time * NS_PER_S)
+                    time_ns = stated_ns if stated_ns >= soonest_ns else following_ns
+                    self._end_ns = reading.end_ns
+                    yield PlayedPicture(frame, time_ns, reading.stream.sample_aspect_ratio)
+            self._end_ns = reading.end_ns
 
 
 class FileAudio(LoopedAudio):
-    """The sound of a media file (an `AudioSource`): mono, 48 kHz, without a gap at the loop."""
+    """The sound of a media file (an `AudioSource`): mono, 48 kHz, in time with its pictures.
+
+    Where the file has sound alone, there is no gap at the loop.
+    """
 
     def __init__(self, path: str, *, name: str, clock: Clock) -> None:
         check_file(path, "audio")
+        #: How much more than the length of the file was played so far.
+        self._surplus = 0
         super().__init__(path, name=name, clock=clock)
 
     def _pass(self) -> Iterator[Pcm]:
-        with av.open(self._path) as container:
-            stream = _stream(container, "audio")
-            if not isinstance(stream, av.AudioStream):
-                raise ValueError("no sound in it")
-            yield from _resampled(container, stream, self._fault)
+        with av.open(f"file:{self._path}") as container:
+            reading = _Reading(container, "audio")
+            resampling, played = _Resampling(), self._surplus
+            for packet in reading.packets():
+                for frame in _decoded(packet, self._fault):
+                    if frame.time is not None and (reading.both or played):
+                        yield from _silence(round(frame.time * AUDIO_CLOCK_HZ) - played)
+                        played = max(played, round(frame.time * AUDIO_CLOCK_HZ))
+                    for samples in resampling.take(frame):
+                        played += len(samples)
+                        yield samples
+            for samples in resampling.rest():
+                played += len(samples)
+                yield samples
+            if reading.both:
+                length = reading.end_ns * AUDIO_CLOCK_HZ // NS_PER_S
+                yield from _silence(length - played, least=1)
+                self._surplus = max(played - length, 0)
 
 
-def _decoded(
-    container: av.container.InputContainer,
-    stream: av.VideoStream,
-    fault: Callable[[Exception], None],
-) -> Iterator[av.VideoFrame]:
-    """Yield the pictures of one pass, without packets that cannot be decoded."""
-    stream.codec_context.thread_count = 1
-    for packet in container.demux(stream):
-        try:
-            frames = packet.decode()
-        except av.FFmpegError as error:
-            if not isinstance(error, av.EOFError):
-                fault(error)
-            continue
-        yield from (frame for frame in frames if isinstance(frame, av.VideoFrame))
+def _silence(samples: int, least: int = _LEAST_GAP) -> Iterator[Pcm]:
+    """Yield so much silence, if it is at least `least`."""
+    while samples >= least:
+        piece = min(samples, AUDIO_CLOCK_HZ)
+        yield np.zeros(piece, np.int16)
+        samples -= piece
+        least = 1
 
 
-def _resampled(
-    container: av.container.InputContainer,
-    stream: av.AudioStream,
-    fault: Callable[[Exception], None],
-) -> Iterator[Pcm]:
-    """Yield the sound of one pass, in pieces of any length."""
-    stream.codec_context.thread_count = 1
-    resampler = av.AudioResampler("s16", "mono", AUDIO_CLOCK_HZ)
-    for packet in container.demux(stream):
-        try:
-            for frame in packet.decode():
-                if isinstance(frame, av.AudioFrame):
-                    frame.pts = None
-                    for piece in resampler.resample(frame):
-                        yield piece.to_ndarray().reshape(-1).astype(np.int16, copy=False)
-        except av.FFmpegError as error:
-            if not isinstance(error, av.EOFError):
-                fault(error)
-    with contextlib.suppress(av.FFmpegError):
-        for piece in resampler.resample(None):
+def _decoded(packet: "av.Packet[Any]", fault: Callable[[Exception], None]) -> list[Any]:
+    """Return what a packet completes; nothing, and a fault, if it cannot be decoded."""
+    try:
+        return list(packet.decode())
+    except av.FFmpegError as error:
+        if not isinstance(error, av.EOFError):
+            fault(error)
+        return []
+
+
+class _Resampling:
+    """Sound of any format and rate, which may change, as mono at 48 kHz."""
+
+    def __init__(self) -> None:
+        self._form: tuple[str, str, int] | None = None
+        self._resampler: av.AudioResampler | None = None
+
+    def take(self, frame: av.AudioFrame) -> Iterator[Pcm]:
+        form = frame.format.name, frame.layout.name, frame.sample_rate
+        if form != self._form:
+            yield from self.rest()
+            self._form, self._resampler = form, av.AudioResampler("s16", "mono", AUDIO_CLOCK_HZ)
+        frame.pts = None
+        yield from self._resample(frame)
+
+    def rest(self) -> Iterator[Pcm]:
+        """Yield what the filter still holds."""
+        if self._resampler is not None:
+            with contextlib.suppress(av.FFmpegError):
+                yield from self._resample(None)
+        self._form = self._resampler = None
+
+    def _resample(self, frame: av.AudioFrame | None) -> Iterator[Pcm]:
+        assert self._resampler is not None
+        for piece in self._resampler.resample(frame):
             yield piece.to_ndarray().reshape(-1).astype(np.int16, copy=False)

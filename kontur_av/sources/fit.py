@@ -1,12 +1,15 @@
 """Converts decoded pictures to I420 of one size: scaled with their aspect, on black."""
 
 from fractions import Fraction
-from typing import Any
+from struct import unpack_from
+from typing import Any, NamedTuple
 
 import av
 import numpy as np
+from av.sidedata.sidedata import Type as SideDataType
 from numpy.typing import NDArray
 
+from kontur_av.codecs.colours import as_i420
 from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, planes
 
 
@@ -39,8 +42,45 @@ def scaled_aspect(width: int, height: int, coded_width: int, coded_height: int) 
     return aspect if abs(aspect - 1) < _SAME_ASPECT else None
 
 
+def same_shape(
+    width: int, height: int, aspect: Fraction, into_width: int, into_height: int
+) -> bool:
+    """Return whether a picture with pixels of this aspect fills the target, but for rounding."""
+    filled = Fraction(width, height) * aspect / Fraction(into_width, into_height)
+    return abs(filled - 1) < _SAME_ASPECT
+
+
+class Orientation(NamedTuple):
+    """How a stored picture is to be shown: rows as columns first, then mirrored."""
+
+    transposed: bool = False
+    upside_down: bool = False
+    mirrored: bool = False
+
+
+def orientation(frame: av.VideoFrame) -> Orientation:
+    """Return what the display matrix of a picture asks for, in steps of 90 degrees.
+
+    The matrix is FFmpeg's (libavutil/display.h), as of rotated films of telephones.
+    """
+    matrix: Any = frame.side_data.get(SideDataType.DISPLAYMATRIX)
+    if matrix is None or matrix.buffer_size < 20:
+        return Orientation()
+    a, b, _, c, d = unpack_from("=5i", bytes(matrix))
+    if abs(b) > abs(a):
+        return Orientation(True, b < 0, c < 0)
+    return Orientation(False, d < 0, a < 0)
+
+
+class Fitted(NamedTuple):
+    """A picture in its size inside the target, not yet turned."""
+
+    frame: av.VideoFrame
+    orientation: Orientation
+
+
 class Fitter:
-    """Scales decoded pictures to one size with swscale.
+    """Scales decoded pictures to one size with swscale. Colours become those of an `I420`.
 
     width, height: size of the target, in pixels.
 
@@ -53,41 +93,47 @@ class Fitter:
         self._height = height
         self._scaler = av.video.reformatter.VideoReformatter()
 
-    def scale(self, frame: av.VideoFrame, aspect: Fraction | None = None) -> av.VideoFrame:
-        """Return `frame` as yuv420p, narrow range, in its size inside the target."""
+    def scale(self, frame: av.VideoFrame, aspect: Fraction | None = None) -> Fitted:
+        """Return `frame` as yuv420p, BT.601 in narrow range, in its size inside the target."""
         shape = aspect if aspect and Fraction(1, 8) < aspect < 8 else Fraction(1)
-        width, height = fitted_size(frame.width, frame.height, shape, self._width, self._height)
-        return self._scaler.reformat(
-            frame,
-            width,
-            height,
-            "yuv420p",
-            interpolation="BILINEAR",
-            dst_color_range="MPEG",
-            threads=1,
-        )
+        turn = orientation(frame)
+        room = self._width, self._height
+        if turn.transposed:
+            room = room[::-1]
+        width, height = fitted_size(frame.width, frame.height, shape, *room)
+        return Fitted(as_i420(self._scaler, frame, width, height, "BILINEAR"), turn)
 
-    def write(self, scaled: av.VideoFrame, into: I420) -> None:
+    def write(self, fitted: Fitted, into: I420) -> None:
         """Copy the result of `scale` to the middle of `into`, with black around it."""
-        left = (self._width - scaled.width) // 2 & ~1
-        top = (self._height - scaled.height) // 2 & ~1
+        scaled, (transposed, upside_down, mirrored) = fitted
+        width, height = scaled.width, scaled.height
+        if transposed:
+            width, height = height, width
+        left = (self._width - width) // 2 & ~1
+        top = (self._height - height) // 2 & ~1
         for index, (plane, target) in enumerate(zip(scaled.planes, planes(into), strict=True)):
             half = 1 if index else 0
-            source = _plane_pixels(plane, scaled.width >> half, scaled.height >> half)
-            _letterbox(
+            source = plane_pixels(plane)
+            source = source.T if transposed else source
+            source = source[:: -1 if upside_down else 1, :: -1 if mirrored else 1]
+            letterbox(
                 target, source, left >> half, top >> half, NEUTRAL_CHROMA if index else BLACK_LUMA
             )
 
 
-def _plane_pixels(plane: Any, width: int, height: int) -> NDArray[np.uint8]:
+def plane_pixels(plane: Any) -> NDArray[np.uint8]:
+    """Return a plane's octets, uint8, as a view of shape (height, width)."""
     pixels = np.frombuffer(plane, np.uint8)
     # Some decoders return a last row that is shorter than the line size.
     return np.lib.stride_tricks.as_strided(
-        pixels, (height, width), (plane.line_size, 1), writeable=False
+        pixels, (plane.height, plane.width), (plane.line_size, 1), writeable=False
     )
 
 
-def _letterbox(target: I420, source: NDArray[np.uint8], left: int, top: int, fill: int) -> None:
+def letterbox(
+    target: NDArray[np.uint8], source: NDArray[np.uint8], left: int, top: int, fill: int
+) -> None:
+    """Write the plane `source` into `target` at this place, with `fill` around it."""
     height, width = source.shape
     target[:top] = fill
     target[top + height :] = fill

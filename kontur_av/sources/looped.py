@@ -10,7 +10,7 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm
-from kontur_av.sources.fit import Fitter
+from kontur_av.sources.fit import Fitted, Fitter
 from kontur_av.sources.pace import Pace
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS
 
@@ -45,18 +45,24 @@ class LoopedVideo(ABC):
         self._name = name
         self._clock = clock
         self._period_ns = NS_PER_S // fps
-        #: How long the last picture of the present pass is shown.
+        #: How long the last picture of the present pass is shown, at least.
         self._step_ns = self._period_ns
+        #: The end of the present pass, as far as it is known.
+        self._end_ns = 0
+        #: Where the present pass begins, on the line of all passes.
+        self._start_ns = 0
         self._fitter = Fitter(width, height)
         self._pictures = self._play()
-        self._next: tuple[av.VideoFrame, int] | None = None
+        self._next: tuple[Fitted, int] | None = None
         self._base_ns: int | None = None
         self._retry_ns = clock.now_ns()
         self._sequence = 0
 
     @abstractmethod
     def _pass(self) -> Iterator[PlayedPicture]:
-        """Open the file and yield its pictures once, in order; set `_step_ns` if it is known.
+        """Open the file and yield its pictures once, in order.
+
+        Set `_step_ns` and `_end_ns` if they are known.
 
         Raises OSError, ValueError or FFmpegError for a file that cannot be read (on).
         """
@@ -79,7 +85,7 @@ class LoopedVideo(ABC):
     def close(self) -> None:
         self._pictures.close()
 
-    def _prepare(self) -> tuple[av.VideoFrame, int] | None:
+    def _prepare(self) -> tuple[Fitted, int] | None:
         """Return the next picture, scaled, and the instant at which it is due."""
         while (now_ns := self._clock.now_ns()) >= self._retry_ns:
             item = next(self._pictures, None)
@@ -88,7 +94,9 @@ class LoopedVideo(ABC):
                 self._base_ns = None
                 break
             frame, offset_ns, aspect = item
-            if self._base_ns is None or now_ns - (self._base_ns + offset_ns) > CATCH_UP_NS:
+            if self._base_ns is None:
+                self._base_ns = now_ns - self._start_ns
+            if now_ns - (self._base_ns + offset_ns) > CATCH_UP_NS:
                 self._base_ns = now_ns - offset_ns
             due_ns = self._base_ns + offset_ns
             if now_ns - due_ns > self._period_ns:
@@ -101,10 +109,10 @@ class LoopedVideo(ABC):
 
     def _play(self) -> Generator[PlayedPicture | None]:
         """Yield all pictures repeatedly with their time since the start; None if there are none."""
-        start_ns = 0
         while True:
+            start_ns = self._start_ns
             faults, shown, time_ns = self.faults, 0, 0
-            self._step_ns = self._period_ns
+            self._step_ns, self._end_ns = self._period_ns, 0
             item = None
             try:
                 for picture in self._pass():
@@ -114,12 +122,14 @@ class LoopedVideo(ABC):
                     yield item
             except (av.FFmpegError, OSError, ValueError) as error:
                 self._fault(error)
-            start_ns += time_ns + self._step_ns
+            # At least 1 ns, so that no two pictures have one instant.
+            start_ns += max(self._end_ns, time_ns + 1) if self._end_ns else time_ns + self._step_ns
             if item is None:
                 yield None
             while shown == 1 and item is not None and faults == self.faults:
                 yield item._replace(time_ns=start_ns)
                 start_ns += self._period_ns
+            self._start_ns = start_ns
 
     def _fault(self, error: Exception) -> None:
         self.faults += 1

@@ -70,9 +70,9 @@ def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
     """Raise ConfigError, with the mend, if this FILE#CHANNEL cannot be played."""
     path, channel = parse_place(place)
     schema_name, format_name, wanted = _SCHEMAS[kind]
-    if Path(path).exists() and not Path(path).is_file():
-        raise ConfigError(f"{path!r} is no file: write mcap:FILE#CHANNEL")
     try:
+        if Path(path).exists() and not Path(path).is_file():
+            raise ConfigError(f"{path!r} is no file: write mcap:FILE#CHANNEL")
         with Path(path).open("rb") as file, _read_faults():
             reader = make_reader(file, validate_crcs=True)
             _check_format(path, reader)

@@ -6,6 +6,7 @@ program, fill. `module:Class`, or the name of an entry point of `GROUP`, is a us
 a scene's factory is.
 """
 
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Literal
@@ -144,20 +145,24 @@ def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str]
 
 def _split(spec: str) -> tuple[str, str]:
     kind, colon, rest = spec.partition(":")
+    if "\0" in spec:
+        rest = ""
     if colon and kind in _KINDS:
         if not rest:
             raise ConfigError(f"source {spec!r} names nothing: write {kind}: and what to open")
         return kind, rest
     if spec in FILLED_BY_OTHERS:
         return spec, ""
-    if not spec:
+    if not spec or "\0" in spec:
         raise ConfigError(
-            "a source is empty: give a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, "
-            "alsa:DEVICE, scene:NAME, module:Class, page or topic"
+            f"source {spec!r} names nothing: give a media file, mcap:FILE#CHANNEL, pipe:PATH, "
+            "v4l2:DEVICE, alsa:DEVICE, scene:NAME, module:Class, page or topic"
         )
-    if names_part(spec, GROUP) and not Path(spec).exists():
+    # Unlike Path.exists, it raises nothing for a name that is too long.
+    exists = os.path.exists(spec)  # noqa: PTH110
+    if names_part(spec, GROUP) and not exists:
         return _PART, spec
-    return "file", spec if Path(spec).exists() else _sample(spec)
+    return "file", spec if exists else _sample(spec)
 
 
 def _sample(path: str) -> str:

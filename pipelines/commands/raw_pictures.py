@@ -6,14 +6,21 @@ import fcntl
 import os
 import stat
 from contextlib import suppress
+from fractions import Fraction
 from pathlib import Path
+from typing import NamedTuple
 
+import av
 import numpy as np
+from av.video.reformatter import VideoReformatter
 
+from kontur_av.codecs.colours import is_full_range
 from kontur_av.codecs.h264 import DecodedPicture
 from kontur_av.errors import ConfigError
+from kontur_av.media import BLACK_LUMA, NEUTRAL_CHROMA
+from kontur_av.sources.fit import fitted_size, letterbox, plane_pixels, same_shape
 from kontur_av.sources.pipe import PIPE_OCTETS
-from kontur_av.sources.y4m import FRAME
+from kontur_av.sources.y4m import FRAME, MAGIC
 from pipelines.commands.media_reports import RawReport
 
 _FRAME_LINE = FRAME + b"\n"
@@ -33,8 +40,8 @@ class RawPictures:
     path: a file, which is overwritten, or a FIFO. A FIFO may get a reader at any time: each reader
         begins with a header and a whole picture. While the reader takes one picture the newest one
         waits, and replaces an older one that waits.
-    size: width and height of what is written; None: those of the first picture. Pictures
-        that were coded in another size are scaled to it.
+    size: width and height of what is written, in narrow range with square pixels; None: as the
+        first picture is. Other pictures are scaled to it, in their shape, on black.
 
     Raises ConfigError when the file cannot be written.
     """
@@ -47,7 +54,8 @@ class RawPictures:
         #: Why the file cannot be written any more; empty if it can.
         self.fault = ""
         self._path = path
-        self._size = size
+        self._form = None if size is None else _Form(*size, Fraction(1), False)
+        self._scaler = VideoReformatter()
         self._fd = -1
         self._header_due = True
         self._present = bytearray()
@@ -139,19 +147,66 @@ class RawPictures:
         self.handle_writable()
 
     def _octets(self, picture: DecodedPicture) -> bytearray:
-        if self._size is None:
-            self._size = (picture.width, picture.height)
-        width, height = self._size
-        head = _FRAME_LINE
+        frame = picture.frame
+        if self._form is None:
+            self._form = _Form(frame.width, frame.height, picture.aspect, is_full_range(frame))
+        form, head = self._form, _FRAME_LINE
         if self._header_due:
-            # Pictures come at no fixed rate: F0:0 says that it is unknown (yuv4mpeg(5)).
-            head = b"YUV4MPEG2 W%d H%d F0:0 Ip A1:1 C420mpeg2\n" % (width, height) + head
+            head = form.header() + head
             self._header_due = False
-        wanted = len(head) + width * height * 3 // 2
+        wanted = len(head) + sum(height * width for height, width in form.shapes())
         octets, self._spare = self._spare, bytearray()
         if len(octets) != wanted:
             octets = bytearray(wanted)
         octets[: len(head)] = head
-        into = np.frombuffer(octets, np.uint8, offset=len(head)).reshape(height * 3 // 2, width)
-        picture.scale_into(into)
+        scaled = self._scaled(picture, form)
+        left, top = (form.width - scaled.width) // 2 & ~1, (form.height - scaled.height) // 2 & ~1
+        at = len(head)
+        for number, (shape, plane) in enumerate(zip(form.shapes(), scaled.planes, strict=True)):
+            target = np.frombuffer(octets, np.uint8, shape[0] * shape[1], at).reshape(shape)
+            at += target.size
+            half = 1 if number else 0
+            black = NEUTRAL_CHROMA if number else 0 if form.full_range else BLACK_LUMA
+            letterbox(target, plane_pixels(plane), left >> half, top >> half, black)
         return octets
+
+    def _scaled(self, picture: DecodedPicture, form: "_Form") -> av.VideoFrame:
+        """Return the picture as it fits into the file: whole, in its shape."""
+        frame = picture.frame
+        size = form.width, form.height
+        if (frame.width, frame.height) == size and is_full_range(frame) == form.full_range:
+            return frame
+        # A coded size is rounded, so its pixels may be not quite square.
+        if not same_shape(frame.width, frame.height, picture.aspect / form.aspect, *size):
+            aspect = picture.aspect / form.aspect
+            size = fitted_size(frame.width, frame.height, aspect, *size)
+        return self._scaler.reformat(
+            frame,
+            *size,
+            "yuv420p",
+            src_color_range="JPEG" if is_full_range(frame) else "MPEG",
+            dst_color_range="JPEG" if form.full_range else "MPEG",
+            interpolation="LANCZOS",
+            threads=1,
+        )
+
+
+class _Form(NamedTuple):
+    """What the header says. aspect: width of a pixel over its height."""
+
+    width: int
+    height: int
+    aspect: Fraction
+    full_range: bool
+
+    def header(self) -> bytes:
+        # Pictures come at no fixed rate: F0:0 says that it is unknown (yuv4mpeg(5)).
+        aspect = f"{self.aspect.numerator}:{self.aspect.denominator}"
+        colours = "FULL" if self.full_range else "LIMITED"
+        text = f"W{self.width} H{self.height} F0:0 Ip A{aspect} C420mpeg2 XCOLORRANGE={colours}"
+        return MAGIC + text.encode() + b"\n"
+
+    def shapes(self) -> list[tuple[int, int]]:
+        """Rows and columns of each plane."""
+        chroma = (self.height + 1) // 2, (self.width + 1) // 2
+        return [(self.height, self.width), chroma, chroma]

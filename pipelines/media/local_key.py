@@ -9,6 +9,7 @@ from fractions import Fraction
 import av
 from av.video.frame import PictureType
 
+from kontur_av.codecs.colours import tell_bt601
 from kontur_av.codecs.h264 import H264Decoder, without_user_data
 from kontur_av.codecs.scaling import shrink
 from kontur_av.media import I420, empty_picture
@@ -26,6 +27,7 @@ def key_of(picture: I420, quantizer: int = QUANTIZER) -> bytes:
     codec.width, codec.height = picture.shape[1], picture.shape[0] * 2 // 3
     codec.pix_fmt = "yuv420p"
     codec.framerate, codec.time_base = Fraction(30), Fraction(1, 30)
+    tell_bt601(codec)
     codec.thread_count = 1
     codec.options = {"preset": "superfast", "tune": "zerolatency", "qp": str(quantizer)}
     frame = av.VideoFrame.from_numpy_buffer(picture, "yuv420p")

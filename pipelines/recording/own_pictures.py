@@ -23,6 +23,7 @@ from av.video.frame import PictureType
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.black_key import black_key
+from kontur_av.codecs.colours import tell_bt601
 from kontur_av.codecs.h264 import without_user_data
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.rtp.payload_h264 import parameter_sets
@@ -149,6 +150,7 @@ def _codec(width: int, height: int) -> VideoCodecContext:
     codec.width, codec.height = width, height
     codec.pix_fmt = "yuv420p"
     codec.framerate, codec.time_base = Fraction(RATE_HZ), Fraction(1, RATE_HZ)
+    tell_bt601(codec)
     codec.thread_count = 1
     codec.options = {
         "preset": "ultrafast",

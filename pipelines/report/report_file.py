@@ -72,7 +72,7 @@ def write_text(path: Path, text: str) -> None:
     if whole is None:
         path.write_text(text, encoding="utf-8")
         return
-    partial = whole.with_name(f".{whole.name}.{secrets.token_hex(4)}")
+    partial = whole.with_name(f".kontur-av.{secrets.token_hex(4)}")
     try:
         partial.write_text(text, encoding="utf-8")
         partial.replace(whole)

@@ -1,0 +1,46 @@
+"""The colours of an `I420`, ITU-R BT.601 in narrow range, from those that others use."""
+
+import av
+from av.video.codeccontext import VideoCodecContext
+from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc, VideoReformatter
+
+#: Matrix coefficients of ITU-T H.264 table E-5: those of an `I420`.
+BT601 = 6
+#: With BT.470, which is the same, and unspecified, for which FFmpeg takes them.
+_LIKE_BT601 = (BT601, 5, 2)
+
+
+def tell_bt601(codec: VideoCodecContext) -> None:
+    """Let an encoder of `I420` say its colours in the SPS (ITU-T H.264 clause E.2.1).
+
+    Players take large pictures without it for BT.709. All encoders of a stream must say the same,
+    because a decoder begins anew where they change.
+    """
+    codec.color_primaries, codec.color_trc = ColorPrimaries.SMPTE170M, ColorTrc.SMPTE170M
+    codec.colorspace, codec.color_range = BT601, ColorRange.MPEG
+
+
+def is_full_range(frame: av.VideoFrame) -> bool:
+    """Return whether luma goes from 0 to 255."""
+    return frame.color_range == ColorRange.JPEG or frame.format.name.startswith("yuvj")
+
+
+def like_i420(frame: av.VideoFrame) -> bool:
+    """Return whether a picture of 4:2:0 has the colours of an `I420`."""
+    return frame.colorspace in _LIKE_BT601 and not is_full_range(frame)
+
+
+def as_i420(
+    scaler: VideoReformatter, frame: av.VideoFrame, width: int, height: int, interpolation: str
+) -> av.VideoFrame:
+    """Return `frame` in this size, as yuv420p with the colours of an `I420`."""
+    return scaler.reformat(
+        frame,
+        width,
+        height,
+        "yuv420p",
+        dst_colorspace=Colorspace.ITU601,
+        interpolation=interpolation,
+        dst_color_range="MPEG",
+        threads=1,
+    )
