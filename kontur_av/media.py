@@ -102,7 +102,15 @@ class AccessUnit:
 
 
 def planes(picture: I420) -> tuple[I420, I420, I420]:
-    """Return views of the Y, U and V planes, of shapes (h, w), (h/2, w/2), (h/2, w/2)."""
+    """Return views of the Y, U and V planes, of shapes (h, w), (h/2, w/2), (h/2, w/2).
+
+    Raises ValueError if `picture` is not uint8, or not C-contiguous: then there are no such views.
+    """
+    if picture.dtype != np.uint8 or not picture.flags.c_contiguous:
+        raise ValueError(
+            f"an I420 must be uint8 and C-contiguous, not {picture.dtype} with strides "
+            f"{picture.strides}: take numpy.ascontiguousarray"
+        )
     height, width = picture.shape[0] * 2 // 3, picture.shape[1]
     chroma = picture[height:].reshape(2, height // 2, width // 2)
     return picture[:height], chroma[0], chroma[1]

@@ -6,7 +6,7 @@ pictures. So each access unit takes about the same time on the channel. Every wa
 PPS and a recovery point SEI (clause D.2.8), at which a late decoder can start.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from struct import unpack_from
@@ -161,8 +161,8 @@ class H264Encoder:
 
         region: the part to code finer, at the cost of the rest. The octets stay the same.
 
-        Raises ValueError if `frame` is not of the encoder's size, or if there is a region and the
-        encoder was made without `regions`.
+        Raises ValueError if `frame` is not uint8 of the encoder's size, or if there is a region and
+        the encoder was made without `regions`.
         """
         if region is not None and not self._settings.regions:
             raise ValueError("a region, for an encoder that was made without regions")
@@ -170,9 +170,11 @@ class H264Encoder:
             raise ValueError(
                 f"picture of {frame.width}x{frame.height}, encoder for {self.width}x{self.height}"
             )
+        if frame.data.dtype != np.uint8:
+            raise ValueError(f"picture of {frame.data.dtype}: take uint8")
         force_keyframe = coding.keyframe
         self._follow(coding)
-        data = frame.data
+        data = np.ascontiguousarray(frame.data)
         if self._cuts is not None:
             # Imported late: OpenCV takes longer to load than all the rest of a receiver.
             from kontur_av.codecs.scaling import thumbnail
@@ -463,7 +465,7 @@ class H264Decoder:
         data: one access unit as an Annex B byte stream.
         timestamp: any integer below 2**63, for example the RTP timestamp.
 
-        A returned picture stays valid after the next call.
+        A returned picture stays valid after the next call. After the last one call `drain`.
         """
         if not data:
             return []
@@ -481,6 +483,17 @@ class H264Decoder:
         if not self._reordered and any(frame.pts != timestamp for frame in frames):
             self._codec = _open_decoder()
             self.counts.decoder_restarts += 1
+        return self._pictures(frames)
+
+    def drain(self) -> list[DecodedPicture]:
+        """Return the pictures that the decoder has held back, as the stream has ended."""
+        codec, self._codec = self._codec, _open_decoder()
+        try:
+            return self._pictures(codec.decode(None))
+        except (av.FFmpegError, ValueError):
+            return []
+
+    def _pictures(self, frames: Iterable[av.VideoFrame]) -> list[DecodedPicture]:
         return [picture for frame in frames if (picture := self._picture(frame)) is not None]
 
     def _picture(self, frame: av.VideoFrame) -> DecodedPicture | None:

@@ -21,6 +21,8 @@ from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS
 _BLOCK_OCTETS = 2 * BLOCK_SAMPLES
 #: More octets than this in the pipe are old sound, because the reader was away.
 _BACKLOG_OCTETS = 5 * _BLOCK_OCTETS
+#: Sound may come this much sooner than it should.
+_CREDIT_NS = 5 * BLOCK_NS
 _OPEN_TIMEOUT_S = 5.0
 #: How much of the messages of `arecord` is kept; only the last line is reported.
 _COMPLAINT_OCTETS = 4096
@@ -93,6 +95,8 @@ class MicrophoneAudio:
         self._rest = b""
         self._complaints = b""
         self._retry_ns = 0
+        #: When the present block should be over. Devices such as `null` give sound at any speed.
+        self._due_ns = 0
         self._process: subprocess.Popen[bytes] | None = None
         self._start()
 
@@ -108,6 +112,12 @@ class MicrophoneAudio:
                 self._fetch(self._process.stdout.fileno(), give_up_ns - now_ns)
             if len(self._rest) < _BLOCK_OCTETS and self._clock.now_ns() >= give_up_ns:
                 return None
+        # Credit for a device whose clock is faster, or which gives several blocks at once.
+        soonest_ns = self._due_ns - _CREDIT_NS
+        self._clock.sleep_until_ns(min(soonest_ns, give_up_ns))
+        if soonest_ns > give_up_ns:
+            return None
+        self._due_ns = max(self._due_ns, self._clock.now_ns()) + BLOCK_NS * 998 // 1000
         if len(self._rest) > _BACKLOG_OCTETS:
             old = (len(self._rest) - _BLOCK_OCTETS) & ~1
             self._rest = self._rest[old:]

@@ -5,6 +5,7 @@ import fcntl
 import os
 import select
 import stat
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from kontur_av.sources.y4m import Y4mPicture, Y4mReader
 
 #: Requested pipe size: a picture of 640x480 then needs one wake-up instead of eight.
 PIPE_OCTETS = 1 << 20
+#: A header with a lower rate is wrong: a writer would have to wait for more than 10 s.
+_LEAST_HZ = Fraction(1, 10)
 
 
 def check_fifo(path: str) -> None:
@@ -120,7 +123,7 @@ class PipeVideo:
         """The writer's period by its header, or the session's if that is not plausible."""
         header = self._reader.header
         stated_hz = header.rate_hz if header else None
-        return int(NS_PER_S / (stated_hz if stated_hz and stated_hz >= 10 else self._fps))
+        return int(NS_PER_S / (stated_hz if stated_hz and stated_hz >= _LEAST_HZ else self._fps))
 
     def _free_at_ns(self) -> int:
         """When the writer may be read again."""

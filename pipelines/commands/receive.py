@@ -165,6 +165,7 @@ class _ReceiveShell:
                 self._output.drain()
                 if self._raw is not None and self._raw.pending() is not None:
                     self._raw.handle_writable()
+            self._output.finish()
         return self._report(start_ns)
 
     def _watch(self, selector: selectors.BaseSelector, wanted: int | None) -> None:

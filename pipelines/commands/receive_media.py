@@ -1,6 +1,7 @@
 """The output of a received stream: pictures or sound, figures, and perhaps a file."""
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.codecs.h264 import DecodedPicture
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.meters import Histogram
 from kontur_av.rtp.sdp import StreamDescription
@@ -62,14 +63,22 @@ class PictureOutput:
             if capture_ns is not None:
                 self.received_ns.add(unit.received_ns - capture_ns)
             for picture, stamp in pictures:
-                if self._raw is not None:
-                    self._raw.handle_picture(picture)
-                self._size = (picture.width, picture.height)
+                self._show(picture)
                 if stamp is not None:
                     self.decoded_ns.add(self._clock.now_ns() - stamp.capture_ns)
             if self._writer is not None:
                 ticks = self._time_line.ticks(unit.timestamp, unit.received_ns)
                 self._writer.add_unit(unit.data, ticks, keyframe=unit.keyframe)
+
+    def finish(self) -> None:
+        """Show the pictures that the decoder has held back."""
+        for picture in self._decoding.decoder.drain():
+            self._show(picture)
+
+    def _show(self, picture: DecodedPicture) -> None:
+        if self._raw is not None:
+            self._raw.handle_picture(picture)
+        self._size = (picture.width, picture.height)
 
     def report(self) -> PicturesReport:
         counts = self.receiver.counts
@@ -116,6 +125,9 @@ class SoundOutput:
             if self._writer is not None and block.payload is not None and not block.recovered:
                 ticks = self._time_line.ticks(block.timestamp, block.play_ns)
                 self._writer.add_opus(block.payload, ticks, block.samples)
+
+    def finish(self) -> None:
+        """All that was decoded was played."""
 
     def report(self) -> SoundReport:
         counts = self.receiver.counts

@@ -3,7 +3,7 @@
 import argparse
 
 from kontur_av.clock import MonotonicClock
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h264 import DecodedPicture, H264Decoder
 from kontur_av.meters import Histogram
 from kontur_av.rtp.payload_h264 import ReceivedUnit
 from kontur_av.rtp.wire import TimestampUnwrapper
@@ -59,7 +59,9 @@ class PartnerOutput:
             self._raw.close()
 
     def finish(self) -> list[str]:
-        """Close, and say which files could not be written."""
+        """Write the rest, close, and say which files could not be written."""
+        for picture in self._decoder.drain():
+            self._show(picture)
         self.close()
         written = [*self._files, *([] if self._raw is None else [self._raw])]
         return [one.fault for one in written if one.fault]
@@ -79,15 +81,18 @@ class PartnerOutput:
 
     def _handle_unit(self, unit: ReceivedUnit, capture_ns: int | None) -> None:
         for picture in self._decoder.decode(unit.data, unit.timestamp):
-            self._pictures += 1
-            self.size = picture.width, picture.height
-            if self._raw is not None:
-                self._raw.handle_picture(picture)
+            self._show(picture)
             if capture_ns is not None and picture.timestamp == unit.timestamp:
                 self._picture_ns.add(max(self._clock.now_ns() - capture_ns, 0))
         if self._picture_file is not None:
             ticks = self._ticks[0].unwrap(unit.timestamp)
             self._picture_file.add_unit(unit.data, ticks, keyframe=unit.keyframe)
+
+    def _show(self, picture: DecodedPicture) -> None:
+        self._pictures += 1
+        self.size = picture.width, picture.height
+        if self._raw is not None:
+            self._raw.handle_picture(picture)
 
     def _handle_block(self, event: SoundCame) -> None:
         block = event.block
