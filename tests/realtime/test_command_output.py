@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -34,7 +35,7 @@ def test_a_closed_output_or_a_reader_that_ends_is_no_failure(words):
 
 @pytest.mark.parametrize("words", COMMANDS[:3], ids=lambda words: words[0])
 def test_a_full_output_is_a_failure_with_one_line(words):
-    with open("/dev/full", "wb") as full:
+    with Path("/dev/full").open("wb") as full:
         assert ended(start(*words, stdout=full)) == (
             1,
             "kontur-av: No space left on device: free some room\n",

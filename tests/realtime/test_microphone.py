@@ -2,7 +2,7 @@
 
 import pytest
 
-from kontur_av.clock import NS_PER_MS, MonotonicClock
+from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock, MonotonicClock
 from kontur_av.sources.microphone import MicrophoneAudio
 
 CLOCK = MonotonicClock()
@@ -17,15 +17,18 @@ echo "arecord: pcm_read:2221: read error: No such device" >&2
 
 
 @pytest.fixture
-def talkative(tmp_path, monkeypatch):
-    program = tmp_path / "arecord"
-    program.write_text(TALKATIVE)
-    program.chmod(0o755)
-    monkeypatch.setattr("shutil.which", lambda name: str(program))
+def recorder(tmp_path, monkeypatch):
+    def install(script):
+        program = tmp_path / "arecord"
+        program.write_text(script)
+        program.chmod(0o755)
+        monkeypatch.setattr("shutil.which", lambda name: str(program))
+
+    return install
 
 
-@pytest.mark.usefixtures("talkative")
-def test_messages_of_the_recorder_never_stop_the_sound():
+def test_messages_of_the_recorder_never_stop_the_sound(recorder):
+    recorder(TALKATIVE)
     source = MicrophoneAudio("default", name="ground_mic", clock=CLOCK)
     blocks = []
     for _ in range(200):
@@ -37,3 +40,13 @@ def test_messages_of_the_recorder_never_stop_the_sound():
     source.close()
     assert blocks
     assert source.last_fault == "default: No such device"
+
+
+def test_a_device_without_a_clock_is_held_to_real_time(recorder):
+    recorder("#!/bin/sh\nexec head -c 40000000 /dev/zero\n")
+    clock = ManualClock(0)
+    source = MicrophoneAudio("null", name="ground_mic", clock=clock)
+    heard = sum(source.read(NS_PER_S) is not None for _ in range(200))
+    source.close()
+    assert heard == 200
+    assert clock.now_ns() > 3.8 * NS_PER_S

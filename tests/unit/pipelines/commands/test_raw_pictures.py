@@ -2,14 +2,20 @@
 
 import os
 import resource
+import tempfile
+from fractions import Fraction
+from pathlib import Path
 
+import av
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from kontur_av.codecs.h264 import DecodedPicture, H264Decoder, H264Encoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame
-from kontur_av.sources.y4m import Y4mReader
+from kontur_av.sources.y4m import Y4mReader, parse_header
 from pipelines.commands.raw_pictures import RawPictures
 
 WIDTH, HEIGHT = 320, 240
@@ -151,3 +157,49 @@ def test_a_full_file_is_reported_and_ends_nothing(decoded, tmp_path):
 def test_an_unwritable_path_is_refused(path):
     with pytest.raises(ConfigError, match="--raw"):
         RawPictures(path)
+
+
+def coded(size, *, full_range=False, aspect=None) -> DecodedPicture:
+    """A white picture of this form, as another sender codes it."""
+    codec = av.CodecContext.create("libx264", "w")
+    codec.width, codec.height = size
+    codec.pix_fmt, codec.framerate = "yuv420p", 25
+    codec.color_range = 2 if full_range else 1
+    codec.options = {"x264-params": f"sar={aspect}" if aspect else "", "tune": "zerolatency"}
+    frame = av.VideoFrame(*size, "yuv420p")
+    for plane, level in zip(frame.planes, (255 if full_range else 235, 128, 128), strict=True):
+        plane.update(bytes([level]) * plane.buffer_size)
+    (picture,) = H264Decoder().decode(bytes(codec.encode(frame)[0]), 0)
+    return picture
+
+
+@given(
+    width=st.integers(8, 60).map(lambda half: 2 * half),
+    height=st.integers(8, 60).map(lambda half: 2 * half),
+    full_range=st.booleans(),
+    aspect=st.sampled_from([None, Fraction(64, 45), Fraction(3, 4)]),
+)
+@settings(max_examples=15, deadline=None)
+def test_size_range_and_aspect_are_those_of_the_stream(width, height, full_range, aspect):
+    with tempfile.NamedTemporaryFile() as file:
+        raw = RawPictures(file.name)
+        raw.handle_picture(coded((width, height), full_range=full_range, aspect=aspect))
+        raw.close()
+        line, _, octets = Path(file.name).read_bytes().partition(b"\n")
+    header = parse_header(line)
+    assert (header.width, header.height, header.full_range) == (width, height, full_range)
+    assert header.aspect == (aspect or 1)
+    assert len(octets) == len("FRAME\n") + header.frame_octets
+    assert abs(np.median(list(octets[6 : 6 + width * height])) - (255 if full_range else 235)) < 3
+
+
+def test_a_picture_of_another_shape_lies_on_black(tmp_path):
+    raw = RawPictures(str(tmp_path / "out.y4m"), (320, 240))
+    raw.handle_picture(coded((320, 180), full_range=True))
+    raw.handle_picture(coded((180, 240), aspect=Fraction(2, 3)))
+    raw.close()
+    wide, narrow = read((tmp_path / "out.y4m").read_bytes())
+    assert (wide[:28] == 16).all() and (wide[212:240] == 16).all()
+    assert abs(int(np.median(wide[40:200])) - 235) < 3
+    assert (narrow[:240, :98] == 16).all() and (narrow[:240, 222:] == 16).all()
+    assert abs(int(np.median(narrow[:240, 110:210])) - 235) < 3
