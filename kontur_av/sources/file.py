@@ -23,8 +23,8 @@ _LONGEST_S = 30 * 3600
 _BACK_S = Fraction(1, 2)
 #: A shorter gap in the sound is rounding, in samples.
 _LEAST_GAP = AUDIO_CLOCK_HZ // 25
-#: FFmpeg's AV_TIME_BASE.
-_TIME_BASE = 1_000_000
+#: FFmpeg's AV_TIME_BASE, AVFMT_TS_DISCONT and AVFMT_NOTIMESTAMPS.
+_TIME_BASE, _TS_DISCONT, _NO_TIMESTAMPS = 1_000_000, 0x0200, 0x0080
 _OTHER: dict[str, Literal["video", "audio"]] = {"video": "audio", "audio": "video"}
 
 
@@ -115,8 +115,8 @@ class _Reading:
         #: Whether the file has both pictures and sound.
         self.both = other is not None
         self._streams = [one for one in (stream, other) if one is not None]
-        flags = int(container.format.flags)
-        jumps = flags & av.format.Flags.ts_discont.value
+        flags = container.format.flags
+        jumps = flags & _TS_DISCONT
         self._line = _TimeLine(
             Fraction(container.start_time or 0, _TIME_BASE),
             _LONGEST_JUMP_S if jumps else _LONGEST_S,
@@ -125,10 +125,12 @@ class _Reading:
         rate = None
         if pictures is not None:
             # A stream without times has no average rate of its own, but it may state one.
-            untimed = flags & av.format.Flags.no_timestamps.value
+            untimed = flags & _NO_TIMESTAMPS
             rate = pictures.guessed_rate if untimed else pictures.average_rate
         #: From one picture to the next, by the nominal rate.
         self.step_s = 1 / rate if rate else None
+        #: Width of a pixel over its height.
+        self.aspect = None if pictures is None else pictures.sample_aspect_ratio
 
     @property
     def end_ns(self) -> int:
@@ -182,7 +184,7 @@ class FileVideo(LoopedVideo):
                     stated_ns = -1 if frame.time is None else round(frame.time * NS_PER_S)
                     time_ns = stated_ns if stated_ns >= soonest_ns else following_ns
                     self._end_ns = reading.end_ns
-                    yield PlayedPicture(frame, time_ns, reading.stream.sample_aspect_ratio)
+                    yield PlayedPicture(frame, time_ns, reading.aspect)
             self._end_ns = reading.end_ns
 
 

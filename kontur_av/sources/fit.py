@@ -63,7 +63,9 @@ def orientation(frame: av.VideoFrame) -> Orientation:
 
     The matrix is FFmpeg's (libavutil/display.h), as of rotated films of telephones.
     """
-    matrix: Any = frame.side_data.get(SideDataType.DISPLAYMATRIX)
+    # PyAV's type of the key is wrong.
+    beside: Any = frame.side_data
+    matrix = beside.get(SideDataType.DISPLAYMATRIX)
     if matrix is None or matrix.buffer_size < 20:
         return Orientation()
     a, b, _, c, d = unpack_from("=5i", bytes(matrix))

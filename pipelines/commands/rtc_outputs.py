@@ -63,8 +63,10 @@ class PartnerOutput:
         for picture in self._decoder.drain():
             self._show(picture)
         self.close()
-        written = [*self._files, *([] if self._raw is None else [self._raw])]
-        return [one.fault for one in written if one.fault]
+        faults = [file.fault for file in self._files]
+        if self._raw is not None:
+            faults.append(self._raw.fault)
+        return [fault for fault in faults if fault]
 
     def pictures(self) -> ReceivedKind:
         return _kind(self._pictures, self._picture_ns)
