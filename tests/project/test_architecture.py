@@ -116,6 +116,7 @@ SHELLS = {
     "pipelines/session/page_sockets.py": "the sockets of pages",
     "pipelines/session/terminals.py": "a Unix socket",
     "pipelines/session/reception.py": "files",
+    "pipelines/session/output.py": "standard output",
     "pipelines/mission/process_tasks.py": "the date, and files",
     "pipelines/mission/tmtc_desk.py": "a Unix socket and topics",
 }
