@@ -5,8 +5,10 @@ import errno
 import gc
 import os
 import platform
+import signal
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 
 from kontur_av import __version__
@@ -146,6 +148,29 @@ def exit_code(work: Callable[[], int], name: str) -> int:
         return INTERRUPTED
 
 
+#: Commands that read recordings by mapping them into memory.
+_READERS = {"info", "export", "recover"}
+
+
+def _apart(work: Callable[[], int]) -> int:
+    """Return what `work` returns in a child; its parent outlives SIGBUS.
+
+    That signal comes when a file becomes shorter while it is read. Python cannot handle it.
+    """
+    child = os.fork()
+    if not child:
+        return work()
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if code == -signal.SIGBUS:
+        print(
+            "kontur-av: a file became shorter while it was read: begin again when its program "
+            "has written it",
+            file=sys.stderr,
+        )
+        return FAILED
+    return code if code >= 0 else 128 - code
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 well, 1 something failed, 2 the user's mistake, 130 interrupted."""
 
@@ -158,7 +183,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         result: int = args.run(args)
         return result
 
-    return exit_code(work, "kontur-av")
+    apart = arguments is None and _READERS.intersection(sys.argv[1:2])
+    return exit_code(partial(_apart, work) if apart else work, "kontur-av")
 
 
 if __name__ == "__main__":

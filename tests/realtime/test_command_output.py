@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from synthetic_recording import write_recording
 
 COMMANDS = [("devices",), ("topology", "--setup", "taskboard"), ("doctor",), ("stream", "--help")]
 
@@ -58,3 +59,26 @@ def test_a_report_on_standard_output_has_no_words_in_it(tmp_path):
         assert ended(process)[0] == 0
     text = path.read_text()
     assert text.startswith("{") and text.rstrip().endswith("}")
+
+
+SHRINKS = """
+import mmap, os, sys
+real = mmap.mmap
+def shrinks(fd, *words, **more):
+    mapped = real(fd, *words, **more)
+    os.truncate(f"/proc/self/fd/{fd}", 0)
+    return mapped
+mmap.mmap = shrinks
+from pipelines.cli import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("words", [["info"], ["recover"], ["export", "--csv", "out"]])
+def test_a_recording_that_becomes_shorter_is_a_failure_with_one_line(words, tmp_path):
+    write_recording(tmp_path / "a.mcap")
+    command = [sys.executable, "-c", SHRINKS, words[0], "a.mcap", *words[1:]]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.startswith("kontur-av: a file became shorter")
+    assert done.stderr.count("\n") == 1
