@@ -252,11 +252,17 @@ class H264Depacketizer:
 
     parameter_sets: SPS and PPS NAL units of the SDP (sprop-parameter-sets). They go before the
         first access unit and before each IDR picture, until the stream has brought its own.
+    marked: the sender is known to mark the last packet of each picture alone, so that the first
+        picture need not wait.
     max_unit_octets: a larger access unit is dropped as garbage, so that no peer fills the memory.
     """
 
     def __init__(
-        self, parameter_sets: Sequence[bytes] = (), *, max_unit_octets: int = 4 << 20
+        self,
+        parameter_sets: Sequence[bytes] = (),
+        *,
+        marked: bool = False,
+        max_unit_octets: int = 4 << 20,
     ) -> None:
         self._parameter_sets = tuple(parameter_sets)
         self._max_unit_octets = max_unit_octets
@@ -266,7 +272,8 @@ class H264Depacketizer:
         self._joining = True
         self._open = False
         #: Whether the marker ends pictures; None: not known yet.
-        self._markers: bool | None = None
+        self._first_markers: bool | None = True if marked else None
+        self._markers = self._first_markers
         #: The timestamp of a picture that has just been ended by its marker.
         self._ended_at: int | None = None
         #: Packets lost in units that were dropped whole, and before packets without content.
@@ -301,7 +308,7 @@ class H264Depacketizer:
                 self._finish(complete=self._marked or self._markers is False)
             self._source = packet.ssrc
             self._joining = True
-            self._markers = self._ended_at = None
+            self._markers, self._ended_at = self._first_markers, None
             self._ahead.clear()
         lost = packet.lost_before + self._lost_idle
         self._lost_idle = 0

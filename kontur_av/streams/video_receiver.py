@@ -56,7 +56,7 @@ class VideoReceiver:
     bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
     reduced_size: the sender takes a PLI without a report before it (RFC 5506).
     capture_time_id: see `RtpReceiver`.
-    payload_type: of the stream.
+    payload_type: of the stream. marked: see `H264Depacketizer`.
     reorder_depth_ns: see `RtpReceiver`. Longer than a round trip where lost packets are sent again.
     most_reorder_ns: see `RtpReceiver`.
     """
@@ -74,6 +74,7 @@ class VideoReceiver:
         reduced_size: bool = False,
         capture_time_id: int | None = None,
         payload_type: int = VIDEO_PAYLOAD_TYPE,
+        marked: bool = False,
         reorder_depth_ns: int = REORDER_DEPTH_NS,
         most_reorder_ns: int | None = None,
     ) -> None:
@@ -87,7 +88,7 @@ class VideoReceiver:
         )
         self._name = name
         self._most_pixels = None if largest is None else largest[0] * largest[1]
-        self._depacketizer = H264Depacketizer(parameter_sets)
+        self._depacketizer = H264Depacketizer(parameter_sets, marked=marked)
         self._healing = Healing()
         #: Timestamps of units in the decoder that will show damage.
         self._hurt: OrderedDict[int, None] = OrderedDict()

@@ -63,6 +63,7 @@ def video_receiver(stream: VideoStream, *, ssrc: int, wall_offset_ns: int) -> Vi
         largest=(stream.width, stream.height),
         report_interval_ns=None,
         reduced_size=True,
+        marked=True,
     )
 
 

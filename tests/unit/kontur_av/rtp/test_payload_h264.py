@@ -94,6 +94,17 @@ def test_sets_of_the_sdp_go_before_the_first_picture_and_every_later_idr():
     assert split_annex_b(unit.data) == [IDR]
 
 
+@pytest.mark.parametrize("marked", [True, False])
+def test_the_first_picture_waits_only_if_the_marker_may_be_on_each_slice(marked):
+    depacketizer = H264Depacketizer(marked=marked)
+    for ssrc in (7, 8):
+        depacketizer.handle_packet(received(IDR, 0, ssrc=ssrc))
+        unit = depacketizer.next_event()
+        # The second sender's first packet ends the picture of the first one.
+        assert (unit is not None) is (marked or ssrc == 8)
+        assert (depacketizer.poll_timeout() is None) is marked
+
+
 def test_each_picture_is_counted_once():
     depacketizer = H264Depacketizer()
     whole, cut = packetize([SLICE]), packetize([b"\x41\x88" + bytes([7]) * 30], 20)
