@@ -8,11 +8,9 @@ import socket
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, sessions
-from pipelines.report.report_file import save_report
 from pipelines.session.output import discard_output
 from pipelines.session.sessions import started_here
 from telepresence.haptics.udp_line import unprotected
@@ -66,14 +64,6 @@ def check_reachable(address: tuple[str, int]) -> None:
             raise ConfigError(
                 f"--to {address[0]}:{address[1]} cannot be reached: {error.strerror}"
             ) from None
-
-
-def end_with(report_file: Path | None, report: object, failed: Sequence[str]) -> int:
-    """Write the report, if a file is given, and say what failed; the exit code."""
-    saved = save_report(report_file, report)
-    for failure in failed:
-        print(f"failed: {failure}", file=sys.stderr)
-    return 1 if failed or not saved else 0
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import time
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import check_options, end_with
+from pipelines.commands.common import check_options
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_redirect_argument,
@@ -20,6 +20,7 @@ from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, s
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
+from pipelines.report.report_file import end_with
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -15,7 +15,6 @@ from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
 from pipelines.commands.common import (
     check_options,
-    end_with,
     output_that_may_fail,
     stopped_by_signals,
 )
@@ -31,7 +30,7 @@ from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.receive_media import PictureOutput, SoundOutput
 from pipelines.commands.remux import MatroskaWriter
 from pipelines.report.model import to_builtins
-from pipelines.report.report_file import check_writable
+from pipelines.report.report_file import check_writable, end_with
 from pipelines.session.output import reader_gone
 
 _SILENCE_NS = 5 * NS_PER_S

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.common import check_options, end_with
+from pipelines.commands.common import check_options
 from pipelines.commands.page_options import parse_page
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
@@ -25,6 +25,7 @@ from pipelines.commands.rtc_running import add_run_arguments, driven, say
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
+from pipelines.report.report_file import end_with
 from pipelines.session.page_certificate import certificate_for, check_certificate
 from pipelines.session.page_sockets import PageListener, bind_pages, listeners
 

@@ -18,7 +18,6 @@ from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import (
     check_options,
     check_reachable,
-    end_with,
     output_that_may_fail,
     parse_address,
     stopped_by_signals,
@@ -31,7 +30,7 @@ from pipelines.commands.media_reports import (
     latency_ms,
 )
 from pipelines.commands.send_media import add_picture_arguments, open_feed
-from pipelines.report.report_file import check_writable, write_text
+from pipelines.report.report_file import check_writable, end_with, write_text
 from pipelines.session.output import reader_gone
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS

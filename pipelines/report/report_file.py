@@ -141,3 +141,11 @@ def open_console(
     """
     wanted = wanted or any(getattr(args, name, None) is not None for name in ("report", "plot"))
     return TableConsole(width=None if Console().is_terminal else width, wanted=wanted)
+
+
+def end_with(report_file: Path | None, report: object, failed: Sequence[str]) -> int:
+    """Write the report, if a file is given, and say what failed; the exit code."""
+    saved = save_report(report_file, report)
+    for failure in failed:
+        print(f"failed: {failure}", file=sys.stderr)
+    return 1 if failed or not saved else 0
