@@ -108,7 +108,7 @@ def test_a_second_arm_is_the_partners_own_across_the_internet(start_lab, tmp_pat
     session.wait_for_flow()
     url = f"http://127.0.0.1:{port}"
     with Partner(session, tmp_path / "stranger.txt", "--rtc", url, "--token", "guess") as stranger:
-        stranger.wait_for("the token is not taken (401)")
+        stranger.wait_for("the token is not taken (401): this address needs the token")
     words = ("--rtc", url, "--token-file", str(token))
     with Partner(session, tmp_path / "partner.txt", *words) as partner:
         partner.wait_for("answers")
