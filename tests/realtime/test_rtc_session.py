@@ -100,9 +100,9 @@ def test_a_partner_takes_part_and_no_trouble_of_its_leg_reaches_the_link(
         assert len(whole) > 30
         assert len(sounds(events)) > 40
         assert pictures(events)[0].keyframe
-    # It was seen, however slow the machine is, and heard.
-    assert len(numbers - {None}) > 5
-    assert len(heard) > 10
+    # It was seen in the right order of magnitude, and heard.
+    assert len(numbers - {None}) > 20
+    assert len(heard) > 40
     rtc = report["rtc"]
     assert rtc["connections"] == 4
     assert rtc["route"] == "host to host"
