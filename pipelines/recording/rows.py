@@ -22,7 +22,7 @@ from pipelines.session.topology import (
     gateway_topic,
     packets_topic,
 )
-from pipelines.session.topology.rows import MediaRow, VideoRow
+from pipelines.session.topology.rows import RECORDER_PRIORITY, MediaRow, VideoRow
 from pipelines.session.topology.topics import Topic
 
 
@@ -35,6 +35,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=None,
             stage=Stage.LINK,
             run="pipelines.recording.process_recorder:run_recorder",
+            priority=RECORDER_PRIORITY,
             reads=(
                 ROBOT_TRACE_TOPIC,
                 JOYSTICK_TRACE_TOPIC,

@@ -11,8 +11,9 @@ from telepresence.link.flows import Flow
 from telepresence.link.profile import LinkProfile
 
 #: Real-time priorities. The 1 kHz loops come first, then voices: a late voice needs a larger
-#: playout buffer.
-LOOP_PRIORITY, VOICE_PRIORITY = 10, 5
+#: playout buffer. Then the recorder: what it does not read within 0.6 s is lost for ever, and a
+#: picture that waits for it is only late.
+LOOP_PRIORITY, VOICE_PRIORITY, RECORDER_PRIORITY = 10, 5, 1
 
 
 class Stage(IntEnum):
