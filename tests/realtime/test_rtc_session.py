@@ -17,6 +17,14 @@ from pipelines.bench.course.marks import levels, read_number
 pytestmark = pytest.mark.realtime
 
 TOKEN = "word-of-the-partner"
+#: The streams of SpaceJustin with small pictures: three partners run in this process, too.
+SMALL = """
+cameras = ["head"]
+uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
+uplink_voice = {cap_kbps = 8}
+downlink_video = {cap_kbps = 512, size = "320x240", fps = 15}
+downlink_voice = {cap_kbps = 64}
+"""
 
 
 def free_port():
@@ -35,10 +43,12 @@ def test_a_partner_takes_part_and_no_trouble_of_its_leg_reaches_the_link(
 ):
     token, port = tmp_path / "token", free_port()
     token.write_text(TOKEN)
+    setup = tmp_path / "small.toml"
+    setup.write_text(SMALL)
     units, uplink, downlink, numbers, heard = coded(150), [], [], set(), []
     recording = str(tmp_path / "rtc.mcap")
     session = start(
-        "spacejustin",
+        str(setup),
         *("--rtc", str(port), "--rtc-token-file", str(token), "--record", recording),
     )
     session.wait_for_flow()
