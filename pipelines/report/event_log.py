@@ -85,7 +85,7 @@ class EventLog:
             *self._joysticks(now_ns),
         ]
         # A stopped session shows nothing and captures nothing, because that was asked for.
-        if switch.activity is Activity.RUNNING:
+        if switch.activity is Activity.RUNNING and not switch.ended:
             found += [*self._staleness(now_ns), *self._inputs(now_ns)]
         for at_ns, what, text in sorted(found, key=lambda event: event[0]):
             self._number += 1

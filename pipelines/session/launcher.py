@@ -38,7 +38,7 @@ from pipelines.session.session_switch import (
     SwitchAction,
 )
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import ProcessRow, Topology
+from pipelines.session.topology import RECORDER, ProcessRow, Topology
 
 _SHOW_NS = NS_PER_S
 #: How often pages get figures.
@@ -405,14 +405,21 @@ class Launcher:
             self._attend(left_ns)
 
     def _end_all(self) -> None:
-        """End all processes by SIGTERM, and those that remain by SIGKILL."""
+        """End all processes; the recorder last, so that it hears the last of the others."""
         self._ending = True
+        self._end([child for child in self.children if child.row.name != RECORDER])
+        if self.feed is not None:
+            self._feed_pages(self.clock.now_ns())
+        self._end(self.children)
+
+    def _end(self, children: Sequence[Child]) -> None:
+        """End these by SIGTERM, and those that remain by SIGKILL."""
         for number in (signal.SIGTERM, signal.SIGKILL):
-            for child in self.children:
+            for child in children:
                 if child.pid is not None:
                     os.kill(child.pid, number)
             deadline_ns = self.clock.now_ns() + PATIENCE_NS
-            while any(child.pid is not None for child in self.children):
+            while any(child.pid is not None for child in children):
                 remaining_ns = deadline_ns - self.clock.now_ns()
                 if remaining_ns <= 0:
                     break

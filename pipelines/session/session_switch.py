@@ -48,6 +48,8 @@ class SessionSwitch:
 
     def __init__(self) -> None:
         self.activity = Activity.RUNNING
+        #: Whether the session is over.
+        self.ended = False
         #: When it was stopped or started last.
         self.changed_ns = 0
         #: From when to when the session was stopped: from the order to stop to that to start.
@@ -89,6 +91,7 @@ class SessionSwitch:
             self._actions.append(SwitchAction.KILL)
 
     def handle_end(self, now_ns: int) -> None:
+        self.ended = True
         self._close(now_ns)
         self._kill_ns = None
         self._actions.clear()
