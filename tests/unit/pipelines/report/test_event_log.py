@@ -140,6 +140,9 @@ def test_a_stale_picture_and_a_fresh_one_again(session):
     assert shown(State.FRESH, 30, 3) == [
         (3_000_000, "stale", "uplink_video is fresh again (30 ms old)")
     ]
+    # At the end of the session the picture stops, because that was asked for.
+    session.switch.handle_end(4 * NS_PER_S)
+    assert shown(State.STALE, after_ms + 100, 4) == []
 
 
 def test_the_joystick_says_why(session):
