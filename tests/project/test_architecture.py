@@ -4,7 +4,7 @@ import ast
 import re
 
 import pytest
-from places import ROOT
+from places import ROOT, imports_of
 
 #: A package may import itself and those before it.
 ORDER = ("kontur_av", "telepresence", "pipelines")
@@ -344,15 +344,13 @@ def is_shell(module: str) -> bool:
 def names_from_shells(module: str) -> set[str]:
     """What a module imports from shells, within functions too, but for `PURE_NAMES`."""
     found: set[str] = set()
-    for node in ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))):
+    for node in imports_of(ROOT / module):
         if isinstance(node, ast.Import):
             pairs = [(alias.name, "") for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+        else:
             # `from package import module` imports a module, too.
             pairs = [(f"{node.module}.{alias.name}", "") for alias in node.names]
             pairs += [(node.module or "", alias.name) for alias in node.names]
-        else:
-            continue
         for package, name in pairs:
             file = package.replace(".", "/") + ".py"
             if is_shell(file) and name not in PURE_NAMES.get(file, ()):
@@ -368,10 +366,10 @@ def modules() -> list[str]:
 def imported(module: str) -> set[str]:
     """Top-level names of all packages that a module imports, within functions too."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))):
+    for node in imports_of(ROOT / module):
         if isinstance(node, ast.Import):
             names |= {alias.name.partition(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
+        else:
             # A relative import would hide where it leads.
             names.add((node.module or "").partition(".")[0] if not node.level else ".")
     return names
@@ -397,10 +395,10 @@ def test_nothing_imports_the_benchmarks():
 def rooms_of_pipelines(module: str) -> set[str]:
     """The rooms of `pipelines` that a module imports, within functions too."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse((ROOT / module).read_text(encoding="utf-8"))):
+    for node in imports_of(ROOT / module):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
+        else:
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
     found = {tuple(name.split(".")[:2]) for name in names}
     return {room for package, *rest in found for room in rest if package == "pipelines"}

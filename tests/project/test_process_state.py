@@ -5,8 +5,9 @@ A constructor or an import that sets them would surprise the program that uses t
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 
-from places import ROOT
+from places import ROOT, tree_of
 
 PACKAGES = ("kontur_av", "telepresence", "pipelines")
 
@@ -102,12 +103,22 @@ def calls(node: ast.AST, place: str = "") -> Iterator[tuple[str, str]]:
 def found(names: set[str]) -> dict[str, set[str]]:
     """By module: the functions that call one of these."""
     result: dict[str, set[str]] = {}
-    for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
-            for place, name in calls(ast.parse(path.read_text(encoding="utf-8"))):
-                if any(f".{name}".endswith(f".{setter}") for setter in names):
-                    result.setdefault(path.relative_to(ROOT).as_posix(), set()).add(place)
+    ends = tuple(f".{setter}" for setter in names)
+    for module, place, name in all_calls():
+        if f".{name}".endswith(ends):
+            result.setdefault(module, set()).add(place)
     return result
+
+
+@cache
+def all_calls() -> list[tuple[str, str, str]]:
+    """(module, function in which it stands, dotted name) of every call."""
+    return [
+        (path.relative_to(ROOT).as_posix(), place, name)
+        for package in PACKAGES
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for place, name in calls(tree_of(path))
+    ]
 
 
 def test_only_named_functions_set_what_belongs_to_the_process():

@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import re
+from functools import cache
 
 import pytest
 from places import ROOT
@@ -10,6 +11,7 @@ from places import ROOT
 pytest.importorskip("griffe", reason="pip install -e '.[dev]'")
 
 
+@cache
 def generate():
     spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
     module = importlib.util.module_from_spec(spec)
