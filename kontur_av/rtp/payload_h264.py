@@ -187,7 +187,7 @@ def parse_payload(payload: bytes) -> Fragment:
 
 
 def _without_start_codes(unit: bytes) -> list[bytes]:
-    """Return the NAL units in what should be one; most often it is. Zeros are none."""
+    """Divide a payload that should be one NAL unit, as most are. Zeros are skipped."""
     if not _CODE.search(unit):
         unit = unit if unit[-1] else unit.rstrip(b"\x00")
         return [unit] if unit and unit[0] & _TYPE_BITS else []

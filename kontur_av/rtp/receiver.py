@@ -217,7 +217,7 @@ class RtpReceiver:
             self._try_candidate(packet, now_ns, source)
 
     def _begins_anew(self, timestamp: int) -> bool:
-        """Return whether a packet with an old number is none of those sent before."""
+        """Return whether a packet with an old number was not sent before."""
         assert self._newest_timestamp is not None
         step_ns = signed_32(timestamp - self._newest_timestamp) * NS_PER_S // self.clock_rate_hz
         return not -_BEHIND_NS <= step_ns <= _AHEAD_NS

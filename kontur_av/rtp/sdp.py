@@ -294,7 +294,7 @@ def _parse_formats(text: str) -> dict[str, str]:
 
 
 def _parse_parameter_sets(text: str) -> tuple[bytes, ...]:
-    """Return the SPS and PPS in base64, divided by commas. What is none is left out."""
+    """Return the SPS and PPS in base64, divided by commas. Anything else is left out."""
     units: list[bytes] = []
     for part in text.split(","):
         with suppress(binascii.Error, ValueError):

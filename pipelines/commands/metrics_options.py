@@ -21,7 +21,7 @@ def add_metrics_argument(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=_PORT,
         help="serve all figures to Prometheus at /metrics, and /healthz (default "
-        f"127.0.0.1:{_PORT}); whoever reaches the port may read them",
+        f"127.0.0.1:{_PORT}); everyone who reaches the port can read them",
     )
 
 

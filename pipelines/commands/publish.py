@@ -11,15 +11,12 @@ from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_redirect_argument,
     add_token_arguments,
-    ice_servers_of,
-    token_of,
 )
 from pipelines.commands.rtc_reports import RtcCommandReport
-from pipelines.commands.rtc_running import add_run_arguments, keep, say
+from pipelines.commands.rtc_running import add_run_arguments, keep, keeper_of
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
-from pipelines.partner.whip import Keeper
 from pipelines.report.report_file import end_with
 
 
@@ -46,20 +43,11 @@ def run(args: argparse.Namespace) -> int:
 
 async def _publish(args: argparse.Namespace) -> RtcCommandReport:
     clock, sends = MonotonicClock(), sends_of(args)
-    token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
 
     def make_peer(found: IceServers) -> RtcPeer:
         return RtcPeer(clock=clock, sends=sends, want_key=lambda: sources.want_key(), servers=found)
 
-    keeper = Keeper(
-        args.whip,
-        token=token,
-        token_origins=args.token_origin,
-        make_peer=make_peer,
-        servers=servers,
-        clock=clock,
-        told=say,
-    )
+    keeper = keeper_of(args, args.whip, make_peer, clock)
     begin_s = time.monotonic()
 
     def look() -> None:

@@ -256,5 +256,5 @@ class _ReceiveShell:
         if self._udp.reported:
             return "only the sender's reports came (RTCP): is there a firewall before this port?"
         if counts.garbage:
-            return f"{counts.garbage} datagrams came that are no stream of RTP"
+            return f"{counts.garbage} datagrams came that are not RTP"
         return "is the sender running?"

@@ -7,8 +7,11 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
 from pathlib import Path
 
+from kontur_av.clock import Clock
 from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.rtc_options import ice_servers_of, token_of
 from pipelines.commands.rtc_reports import RtcConnection, connection_report
+from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
 
@@ -48,6 +51,24 @@ async def driven(
     finally:
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.remove_signal_handler(number)
+
+
+def keeper_of(
+    args: argparse.Namespace,
+    url: str,
+    make_peer: Callable[[IceServers], RtcPeer],
+    clock: Clock,
+) -> Keeper[RtcPeer]:
+    """Return a connection to a media server at `url`, as the options say. It prints its changes."""
+    return Keeper(
+        url,
+        token=token_of(args),
+        token_origins=args.token_origin,
+        make_peer=make_peer,
+        servers=ice_servers_of(args, may_be_named=True),
+        clock=clock,
+        told=say,
+    )
 
 
 async def keep(

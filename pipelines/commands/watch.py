@@ -11,15 +11,12 @@ from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_redirect_argument,
     add_token_arguments,
-    ice_servers_of,
-    token_of,
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_reports import RtcCommandReport
-from pipelines.commands.rtc_running import add_run_arguments, keep, say
+from pipelines.commands.rtc_running import add_run_arguments, keep, keeper_of
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
-from pipelines.partner.whip import Keeper
 from pipelines.report.report_file import end_with
 
 
@@ -46,7 +43,6 @@ def run(args: argparse.Namespace) -> int:
 
 async def _watch(args: argparse.Namespace) -> RtcCommandReport:
     clock = MonotonicClock()
-    token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
     begin_s = time.monotonic()
     with closing(PartnerOutput(args, clock)) as output:
 
@@ -59,15 +55,7 @@ async def _watch(args: argparse.Namespace) -> RtcCommandReport:
                 servers=found,
             )
 
-        keeper = Keeper(
-            args.whep,
-            token=token,
-            token_origins=args.token_origin,
-            make_peer=make_peer,
-            servers=servers,
-            clock=clock,
-            told=say,
-        )
+        keeper = keeper_of(args, args.whep, make_peer, clock)
         newest = await keep(args, keeper, output.flush)
         pictures, voice = output.pictures(), output.voice()
         failed = output.finish()

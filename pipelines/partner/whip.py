@@ -150,7 +150,7 @@ def _origin(url: str) -> tuple[str, str, int | None]:
             port = parts.port or (443 if parts.scheme == "https" else 80)
             return parts.scheme, parts.hostname, port
     except ValueError:
-        pass  # such as a port that is no number
+        pass  # for example a port of letters
     raise ConfigError(f"{url!r} is no address of a media server: write https://HOST/PATH")
 
 

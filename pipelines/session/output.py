@@ -34,7 +34,7 @@ def keep_words_apart(args: Namespace) -> None:
     out = os.fstat(1)
     for value in vars(args).values():
         if isinstance(value, str | Path):
-            # A text that is no path, or too long for one.
+            # Not every text is a path, and some are too long.
             with suppress(OSError, ValueError):
                 if os.path.samestat(Path(value).stat(), out):
                     sys.stdout = sys.stderr

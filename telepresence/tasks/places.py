@@ -60,7 +60,7 @@ def _to_segment(a: Place, b: Place, x: float, y: float) -> float:
 
 #: Lights along a curve, and of an LED or the spot (m).
 _SMALL_M, _LARGE_M = 0.0016, 0.0055
-#: Every so many points of a curve is a light.
+#: One of this many points of a curve has a light.
 _EVERY = 3
 _SPRING_M = (-0.112, 0.0)
 

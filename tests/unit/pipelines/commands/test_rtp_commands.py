@@ -92,7 +92,7 @@ def test_receive_says_what_failed_when_nothing_comes(tmp_path, capsys):
     [
         (98, False, "payload type 98, not the 97 of the SDP"),
         (33, False, "payload type 33"),
-        (None, False, "no stream of RTP"),
+        (None, False, "not RTP"),
         (200, True, "only the sender's reports"),
     ],
 )
