@@ -17,6 +17,7 @@ TIERS = (
     {"mission"},
     {"recording", "partner", "seats"},
     {"report"},
+    {"packets", "ros2", "foxglove"},
     {"virtual"},
     {"bench"},
     {"commands"},
