@@ -41,7 +41,7 @@ Import these names from the package: `from kontur_av import ...`. Other modules 
 own and may change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
 `samples/` has short scripts that use these names.
 
-Of a class with more than ten methods this page has their names. What they do, and types, units,
+Of a class with more than eight methods this page has their names. What they do, and types, units,
 shapes and errors are in the docstrings:
 `python -c "import kontur_av; help(kontur_av.VideoSender)"`.
 """
@@ -50,7 +50,7 @@ NUMBERS = re.compile(
     r"(`(?:p[\d.]+|max|mean|\w+_(?:ms|s|us|mm|km|deg|n|c|percent))`\??) \(number\)"
 )
 #: Of a class with more methods the page has their names only.
-MOST_METHODS = 10
+MOST_METHODS = 8
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
 
 
@@ -371,7 +371,9 @@ def told_once(blocks: dict[str, str]) -> dict[str, str]:
         for part in block.strip().split("\n\n**"):
             title, *items = NUMBERS.sub(r"\1", part).split("\n- ")
             listed = title.strip("*\n ").partition("**")[0].rstrip(".")
-            parts.append("\n- ".join([title, *_without_runs(items, listed, before)]))
+            kept = list(_without_runs(items, listed, before))
+            if not (name == "counts" and len(kept) == 1 and ": as in " in kept[0]):
+                parts.append("\n- ".join([title, *kept]))
         blocks[name] = "\n\n**".join(parts) + "\n"
     return blocks
 
@@ -431,9 +433,11 @@ def recorded_fields() -> str:
         named += [(f"{schema.full_name}.{inner.name}", inner) for inner in schema.nested]
     parts = []
     for name, schema in named:
-        fields = (
-            f"- `{row.name}` ({row.type}{'[]' * row.repeated}): {row.what}" for row in schema.fields
-        )
+        alike: dict[str, list[str]] = {}
+        for row in schema.fields:
+            told = f" ({row.type}{'[]' * row.repeated}): {row.what}"
+            alike.setdefault(told, []).append(f"`{row.name}`")
+        fields = (f"- {', '.join(names)}{told}" for told, names in alike.items())
         parts.append("\n".join([f"`{name}`\n", *fields]))
     return "\n\n".join(parts) + "\n"
 

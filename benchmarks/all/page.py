@@ -1,5 +1,6 @@
 """From the records of `python -m benchmarks all` to `docs/measurements.md`. A core."""
 
+import re
 from collections.abc import Sequence
 from itertools import groupby
 from statistics import median
@@ -12,8 +13,17 @@ _HEAD = """# Measurements
 `python -m benchmarks all` wrote this page from the JSON files in `{folder}`;
 `python -m benchmarks all --render` writes it again without measuring. A figure is the median of its
 runs, with the least and the largest run in brackets, where they differ. On virtual time every run
-gives the same figures, so there is one run. The machine is named where it changes.
+gives the same figures, so there is one run. The machine is named where it changes. Of single clips,
+speech, pages and protection only the main figures are here; the files have all.
 """
+#: By measurement: figures, as `GROUP: WHAT`, that are in the files only.
+_IN_FILES_ONLY = {
+    "video": re.compile(r"(?!clips|targets).*: (SSIM|.*worst|displayed|payload|CPU)"),
+    "voice": re.compile(r".*p50"),
+    "page": re.compile(r".*p95"),
+    "rtc": re.compile(r".*p95"),
+    "protection": re.compile(r"protection, medians: (slots|handshakes|added)"),
+}
 
 
 def page(records: Sequence[Record], *, folder: str) -> str:
@@ -39,7 +49,13 @@ def _section(runs: Sequence[Record], machine: str) -> str:
     for record in runs:
         if record.failure:
             lines.append(f"**Run {record.number} failed: {_safe(record.failure)}**")
-    found = [headline for record in runs for headline in record.headlines]
+    hidden = _IN_FILES_ONLY.get(runs[0].name)
+    found = [
+        headline
+        for record in runs
+        for headline in record.headlines
+        if not (hidden and hidden.match(f"{headline.group}: {headline.what}"))
+    ]
     for group in dict.fromkeys(headline.group for headline in found):
         lines += ["", *_table(group, [one for one in found if one.group == group])]
     return "\n".join([*lines, ""])
