@@ -65,11 +65,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _shown(bus: TopicBus, session: str) -> ExperimentShown:
-    reader = bus.reader(MISSION_GROUND_TOPIC)
-    for _ in range(20):
-        if (octets := reader.latest_octets()) is not None:
-            return unpack(ExperimentShown, octets)
-        reader.wait(_PATIENCE_NS // 20)
+    if MISSION_GROUND_TOPIC in bus.topics():
+        reader = bus.reader(MISSION_GROUND_TOPIC)
+        for _ in range(20):
+            if (octets := reader.latest_octets()) is not None:
+                return unpack(ExperimentShown, octets)
+            reader.wait(_PATIENCE_NS // 20)
     raise ConfigError(f"session {session} has no tasks: start it with --tasks or --plan PLAN.toml")
 
 

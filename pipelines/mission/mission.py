@@ -53,6 +53,8 @@ class Seen:
 class MissionMemory(msgspec.Struct, frozen=True, kw_only=True):
     """What outlives the process: number of the next run, the run that is not over, all rows.
 
+    planned: runs of the plan that have finished.
+
     Instants are those of the session's clock.
     """
 
@@ -94,8 +96,7 @@ class MissionGround:
         self.journal = TaskJournal(memory.rows)
         self._names = tuple(catalogue.tasks)
         self._listed = tuple(TaskListed(one.name, one.text) for one in catalogue.tasks.values())
-        self._follower = None if plan is None else PlanFollower(plan, skip=memory.planned)
-        self._planned = memory.planned
+        self._follower = None if plan is None else PlanFollower(plan, finished=memory.planned)
         self._next_run = memory.next_run
         self._run: Logged | None = None
         self._started_ns: int | None = None
@@ -117,7 +118,7 @@ class MissionGround:
             run=0 if run is None else run.run,
             selected_ns=0 if run is None else run.now_ns,
             started_ns=self._started_ns,
-            planned=self._planned,
+            planned=0 if self._follower is None else self._follower.finished,
             rows=self.journal.closed,
         )
 
@@ -133,6 +134,15 @@ class MissionGround:
             planned=self._follower is not None,
         )
 
+    @property
+    def telemetry(self) -> dict[str, str | int]:
+        """The parameters of the application `tasks`; task: that of the newest run."""
+        status = self.experiment.status
+        values: dict[str, str | int] = {"phase": status.phase.value, "run": status.run}
+        for row in self.journal.newest(1):
+            values["task"] = self._names.index(row.name)
+        return values
+
     def handle_function(self, name: str, arguments: Iterable[object], now_ns: int) -> str:
         """A telecommand: "select" with an index, "start" or "abort"; why it is refused, or ""."""
         if name == "select":
@@ -146,7 +156,7 @@ class MissionGround:
             refusal = "no task is being done"
         else:
             refusal = ""
-            self.experiment.abort("a telecommand", now_ns)
+            self.experiment.abort("somebody on the ground ended it", now_ns)
         self._settle(now_ns)
         return refusal
 
@@ -162,7 +172,6 @@ class MissionGround:
             idle = experiment.status.phase is Phase.IDLE
             wanted = self._follower.poll_select(idle=idle, signal=seen.signal, now_ns=now_ns)
             if wanted is not None:
-                self._planned += 1
                 self._select(wanted, now_ns)
         robot = seen.robot
         view = View(
@@ -223,6 +232,8 @@ class MissionGround:
                     self._run, self._started_ns = event, None
                 self._steps.append(StepShown(event.now_ns, event.run, event.task, event.step.value))
             elif isinstance(event, TaskRun):
+                if self._follower is not None and event.result is TaskResult.FINISHED:
+                    self._follower.handle_finished()
                 self._run = None
                 self._add_run(event)
 

@@ -138,8 +138,7 @@ class _Tasks:
                 if ticks % 2 == 0:
                     self._shown.publish(self._ground.shown, now_ns)
                 if ticks % _TELL_EVERY == 0:
-                    status = self._ground.experiment.status
-                    self._client.tell({"phase": status.phase.value, "run": status.run})
+                    self._client.tell(self._ground.telemetry)
                 ticks += 1
             self._carry_out(now_ns)
             self._context.tick(now_ns)

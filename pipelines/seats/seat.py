@@ -37,7 +37,12 @@ from pipelines.session.seat_roles import VIEWER_WORDS, Role, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
 from telepresence.haptics.device.page import PageInput
-from telepresence.haptics.device.states import JoystickEvent, JoystickState
+from telepresence.haptics.device.states import (
+    REQUESTS,
+    TRANSITIONS,
+    JoystickEvent,
+    JoystickState,
+)
 
 
 class RecordingAsked(NamedTuple):
@@ -275,8 +280,10 @@ class Seat:
     # What topics and the launcher tell
 
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
+        state = JoystickState(status.state)
         told = texts.JoystickText(
-            state=JoystickState(status.state).words,
+            state=state.words,
+            allowed=tuple(sorted(one.value for one in REQUESTS if (state, one) in TRANSITIONS)),
             reason=status.reason,
             dead_man=status.dead_man,
             force_limit_n=status.force_limit_n,

@@ -123,9 +123,12 @@ class AxisText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
-    """The joystick's state in words. axes: those behind x and y."""
+    """The joystick's state in words. allowed: requests that it would take now. axes: those behind
+    x and y.
+    """
 
     state: str
+    allowed: tuple[str, ...]
     reason: str
     dead_man: bool
     force_limit_n: float

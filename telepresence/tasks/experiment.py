@@ -22,6 +22,7 @@ from telepresence.tmtc.k2aci import (
     TaskFinished,
     TaskResult,
     TaskSelected,
+    fitted_line,
 )
 
 _END = Operation(
@@ -44,7 +45,7 @@ class Phase(StrEnum):
 
 
 class RunStep(StrEnum):
-    """The steps of Fig. 14, in their order."""
+    """The steps of Fig. 14, in their order. A run logs those that it came to."""
 
     SELECTED = "selected"
     PREPARED = "robot, camera and LEDs are prepared"
@@ -54,7 +55,8 @@ class RunStep(StrEnum):
     HELD = "it was held there"
     STARTED = "the cosmonaut starts"
     TELEPRESENCE = "telepresence"
-    ENDED = "the end condition"
+    CONDITION = "the end condition"
+    ENDED = "the run ends"
     FINISHED = "the panel was told the end"
     SEEN = "the panel shows the end"
 
@@ -181,7 +183,8 @@ class Experiment:
             if task is not None and message.run == self._run and step is not None:
                 self._log(step, now_ns)
             if message.mode is PanelMode.ERROR and self._phase in (Phase.OFFERED, Phase.RUNNING):
-                self._end(TaskResult.ABORTED, "the panel has an error", now_ns)
+                reason = message.reason.rstrip(".") or "the panel has an error"
+                self._end(TaskResult.ABORTED, reason, now_ns)
             elif message.mode is PanelMode.WAIT_TASK and task is not None:
                 self._handle_forgotten(task, now_ns)
         elif isinstance(message, StartTask) and task is not None:
@@ -283,16 +286,23 @@ class Experiment:
     def _finish(self, result: TaskResult, reason: str, now_ns: int) -> None:
         task = self._task
         assert task is not None
+        if result is TaskResult.FINISHED:
+            self._log(RunStep.CONDITION, now_ns)
         self._log(RunStep.ENDED, now_ns)
         began_ns = self._started_ns
         if self._told is not None:
             lasted_ns = 0 if began_ns is None else now_ns - began_ns
             self._messages.append(
                 TaskFinished(
-                    task=task.name, run=self._run, result=result, duration_ms=lasted_ns // NS_PER_MS
+                    task=task.name,
+                    run=self._run,
+                    result=result,
+                    duration_ms=lasted_ns // NS_PER_MS,
+                    reason=fitted_line(reason),
                 )
             )
-            self._log(RunStep.FINISHED, now_ns)
+            if result is not TaskResult.LOST_SIGNAL:
+                self._log(RunStep.FINISHED, now_ns)
         self._events.append(
             TaskRun(
                 task=task.name,

@@ -18,6 +18,7 @@ from telepresence.tmtc.k2aci import (
     TaskFinished,
     TaskResult,
     TaskSelected,
+    fitted_line,
 )
 
 #: The handle is at the start position within this distance, for this long.
@@ -31,10 +32,15 @@ _WORDS = {
     PanelMode.TASK_INFO: "Read what is to be done. Then press the button.",
     PanelMode.MOVE_TO_START: "Move the handle to the start position.",
     PanelMode.HOLD: "Hold it there.",
-    PanelMode.PRESS_DEADMAN: "Press the dead-man button, and keep it pressed.",
+    PanelMode.PRESS_DEADMAN: "Press it now, and keep it pressed: the mouse button, your finger, "
+    "Space, the trigger, or the dead-man button of the joystick.",
     PanelMode.RUNNING: "",
     PanelMode.FINISHED: "Finished. Wait for the next task.",
 }
+_LET_GO = (
+    "Well held. Now let go of the mouse button, your finger, Space, the trigger, or the dead-man "
+    "button of the joystick. Then press it again."
+)
 _RESULT_WORDS = {
     TaskResult.ABORTED: "The task was aborted.",
     TaskResult.TIMED_OUT: "The task took too long.",
@@ -71,7 +77,8 @@ class MissionPanel:
         self.mode = PanelMode.NO_CONTACT
         self._task = TaskSelected(task="-", run=0)
         self._known = False
-        self._words = ""
+        self._words = self._reason = ""
+        self._dead_man = False
         self._place = 0.0, 0.0
         self._held_since_ns = self._now_ns = 0
         self._messages: deque[K2aciMessage] = deque()
@@ -81,6 +88,8 @@ class MissionPanel:
         task, mode = self._task, self.mode
         held_ns = self._now_ns - self._held_since_ns if mode is PanelMode.HOLD else 0
         words = self._words if mode is PanelMode.ERROR else _WORDS[mode]
+        if held_ns >= HOLD_NS and self._dead_man:
+            words = _LET_GO
         return PanelView(
             mode=mode,
             task=task.task if self._known else "",
@@ -113,7 +122,8 @@ class MissionPanel:
             if message.result is TaskResult.FINISHED:
                 self._go(PanelMode.FINISHED)
             else:
-                self._fail(_RESULT_WORDS[message.result])
+                because = f" Reason: {message.reason}." if message.reason else ""
+                self._fail(_RESULT_WORDS[message.result] + because, message.reason)
 
     def handle_button(self, now_ns: int) -> None:
         """The button of the joystick, or the key, that moves the panel on was pressed."""
@@ -131,9 +141,9 @@ class MissionPanel:
 
         dead_man: pressed. halted: why the joystick cannot be used; "" if it can.
         """
-        self._now_ns, self._place = now_ns, (x_m, y_m)
+        self._now_ns, self._place, self._dead_man = now_ns, (x_m, y_m), dead_man
         if halted and self.mode in _BUSY:
-            self._fail(halted)
+            self._fail(halted, halted)
         if self.mode not in _AT_HANDLE:
             return
         if self._distance_m > START_WITHIN_M:
@@ -166,8 +176,8 @@ class MissionPanel:
         present = self._known and (message.task, message.run) == (self._task.task, self._task.run)
         return present and self.mode is not PanelMode.NO_CONTACT
 
-    def _fail(self, words: str) -> None:
-        self._words = words
+    def _fail(self, words: str, reason: str) -> None:
+        self._words, self._reason = words, fitted_line(reason)
         self._go(PanelMode.ERROR)
 
     def _go(self, mode: PanelMode) -> None:
@@ -175,4 +185,5 @@ class MissionPanel:
             return
         self.mode = mode
         task, run = (self._task.task, self._task.run) if self._known else ("", 0)
-        self._messages.append(PanelState(mode=mode, task=task, run=run))
+        reason = self._reason if mode is PanelMode.ERROR else ""
+        self._messages.append(PanelState(mode=mode, task=task, run=run, reason=reason))

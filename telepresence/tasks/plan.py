@@ -75,11 +75,15 @@ class SessionPlan:
 class PlanFollower:
     """Says when to select which task: `poll_select` ten times a second.
 
-    skip: so many have been selected already.
+    A run that does not finish is repeated. Say `handle_finished` after one that does.
+
+    finished: the number of planned runs that have finished.
     """
 
-    def __init__(self, plan: SessionPlan, *, skip: int = 0) -> None:
-        self._names = islice(plan.names(), skip, None)
+    def __init__(self, plan: SessionPlan, *, finished: int = 0) -> None:
+        self.finished = finished
+        self._names = islice(plan.names(), finished, None)
+        self._name = next(self._names, None)
         self._free_ns: int | None = None
 
     def poll_select(self, *, idle: bool, signal: bool, now_ns: int) -> str | None:
@@ -92,4 +96,9 @@ class PlanFollower:
         if now_ns - self._free_ns < PAUSE_NS:
             return None
         self._free_ns = None
-        return next(self._names, None)
+        return self._name
+
+    def handle_finished(self) -> None:
+        """The selected task has been finished."""
+        self.finished += 1
+        self._name = next(self._names, None)

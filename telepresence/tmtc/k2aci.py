@@ -106,32 +106,42 @@ class StartTask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TaskFinished:
-    """To the panel: the run has ended. duration_ms: since its start; 0 if it never started."""
+    """To the panel: the run has ended.
+
+    duration_ms: since its start; 0 if it never started. reason: why it did not finish.
+    """
 
     task: str
     run: int
     result: TaskResult
     duration_ms: int = 0
+    reason: str = ""
 
     def __post_init__(self) -> None:
         _check_text("task", self.task, MAX_NAME_OCTETS, least=1)
         _check_count("run", self.run)
         _check_member("result", self.result, TaskResult)
         _check_count("duration_ms", self.duration_ms)
+        _check_text("reason", self.reason, MAX_TEXT_OCTETS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PanelState:
-    """To the ground: what the panel shows. task and run: "" and 0 while there is none."""
+    """To the ground: what the panel shows.
+
+    task and run: "" and 0 while there is none. reason: why the panel ended the run.
+    """
 
     mode: PanelMode
     task: str = ""
     run: int = 0
+    reason: str = ""
 
     def __post_init__(self) -> None:
         _check_member("mode", self.mode, PanelMode)
         _check_text("task", self.task, MAX_NAME_OCTETS)
         _check_count("run", self.run)
+        _check_text("reason", self.reason, MAX_TEXT_OCTETS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,6 +258,12 @@ def _typed(name: str, value: Any) -> Any:
         return tuple(value)
     members = _ENUMS.get(name)
     return members(value) if members and value in set(members) else value
+
+
+def fitted_line(text: str) -> str:
+    """Return `text` as one printable line of at most `MAX_TEXT_OCTETS` of UTF-8."""
+    line = "".join(sign if sign.isprintable() else " " for sign in text)
+    return line.encode()[:MAX_TEXT_OCTETS].decode(errors="ignore")
 
 
 def _check_text(name: str, value: object, most: int, *, least: int = 0) -> None:

@@ -8,13 +8,18 @@ from mission import Mission
 from telepresence.haptics.sample import MODE_OFF
 from telepresence.tasks.experiment import Experiment, Phase, RunStep, TaskRun
 from telepresence.tasks.kernel import PowerRobot, View
+from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.k2aci import (
+    Numbered,
     PanelMode,
     PanelState,
     StartTask,
     TaskFinished,
     TaskResult,
+    TaskSelected,
+    pack_body,
+    parse_body,
 )
 
 TASKS = ("aiming", "pursuit", "contour", "line", "spring", "free")
@@ -78,7 +83,7 @@ def test_whatever_happens_ends_the_run_and_the_next_one_is_done(moment, trouble)
     if trouble == "signal":
         mission.signal = False
     elif trouble == "halt":
-        mission.halted = "The joystick is halted."
+        mission.halted = "The joystick is too hot."
     elif trouble == "fault":
         mission.control.handle_fault("too hot")
     else:
@@ -87,6 +92,12 @@ def test_whatever_happens_ends_the_run_and_the_next_one_is_done(moment, trouble)
     (run,) = mission.runs
     expected = TaskResult.LOST_SIGNAL if trouble == "signal" else TaskResult.ABORTED
     assert run.result is expected, run
+    # People are told why, at both ends.
+    why = {"signal": "signal", "halt": "joystick", "fault": "too hot", "abort": "experimenter"}
+    assert why[trouble] in run.reason
+    logged = steps(mission, run.run)
+    assert RunStep.CONDITION not in logged and RunStep.ENDED in logged
+    assert (RunStep.FINISHED in logged) <= (trouble != "signal")
     assert_at_rest(mission)
     mission.signal, mission.halted = True, ""
     mission.control.reset()
@@ -117,6 +128,36 @@ def test_a_cosmonaut_who_never_starts_is_not_waited_for_for_ever():
     assert mission.run(30, until=lambda: mission.runs)
     assert mission.runs[0].result is TaskResult.TIMED_OUT and mission.runs[0].started_ns is None
     assert_at_rest(mission)
+
+
+def test_who_keeps_the_dead_man_button_pressed_at_the_start_is_told_to_let_go():
+    panel = MissionPanel()
+    panel.handle_contact(True, 0)
+    panel.handle_message(TaskSelected(task="line", run=1), 0)
+    panel.handle_button(0)
+    words = []
+    for second in range(6):
+        panel.handle_handle(0.0, 0.0, dead_man=True, halted="", now_ns=second * 10**9)
+        words.append(panel.view.words)
+    assert "let go" not in words[2] and "let go" in words[-1]
+    panel.handle_handle(0.0, 0.0, dead_man=False, halted="", now_ns=6 * 10**9)
+    assert panel.mode is PanelMode.PRESS_DEADMAN and "Space" in panel.view.words
+    panel.handle_handle(0.0, 0.0, dead_man=True, halted="", now_ns=7 * 10**9)
+    assert panel.mode is PanelMode.RUNNING
+
+
+@pytest.mark.parametrize("reason", ["", "x" * 500, "two\nlines", "ü" * 100])
+def test_any_reason_fits_in_the_messages_about_an_end(reason):
+    panel = MissionPanel()
+    panel.handle_contact(True, 0)
+    panel.handle_message(TaskSelected(task="line", run=1), 0)
+    panel.handle_handle(0.0, 0.0, dead_man=False, halted=reason or "halted", now_ns=1)
+    told = []
+    while (message := panel.poll_message()) is not None:
+        told.append(message)
+    assert told[-1].mode is PanelMode.ERROR and told[-1].reason
+    for message in told:
+        assert parse_body(pack_body(Numbered(1, 0, 0, message))).message == message
 
 
 def test_a_dead_man_button_that_is_let_go_stops_the_tip_and_not_the_task():

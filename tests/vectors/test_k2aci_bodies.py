@@ -27,12 +27,12 @@ GOLDEN = [
     ),
     ("86 02 00 00 00 6161 01", Numbered(0, 0, 0, StartTask(task="a", run=1))),
     (
-        "88 03 00 00 00 6161 01 67 61626f72746564 1903e8",
+        "89 03 00 00 00 6161 01 67 61626f72746564 1903e8 60",
         Numbered(
             0, 0, 0, TaskFinished(task="a", run=1, result=TaskResult.ABORTED, duration_ms=1000)
         ),
     ),
-    ("87 04 00 00 00 64 686f6c64 60 00", Numbered(0, 0, 0, PanelState(mode=PanelMode.HOLD))),
+    ("88 04 00 00 00 64 686f6c64 60 00 60", Numbered(0, 0, 0, PanelState(mode=PanelMode.HOLD))),
     (
         "86 05 1affffffff 09 09 69 63 6f736d6f6e617574 62 c3bc",
         Numbered((1 << 32) - 1, 9, 9, Chat(sender=ChatRole.COSMONAUT, text="ü")),
@@ -75,7 +75,7 @@ def test_the_longest_message_fits() -> None:
         "86 02 00 00 00 60 01",  # no name
         "86 02 00 00 00 61 0a 01",  # a line feed
         "86 02 00 00 00 61 ff 01",  # no UTF-8
-        "87 04 00 00 00 64 686f6c65 60 00",  # an unknown state
+        "88 04 00 00 00 64 686f6c65 60 00 60",  # an unknown state
         "88 01 00 00 00 6161 03 83202020 60",
         "d8 23 61 28",  # a tag: the regular expression "("
         "86 02 00 00 00 5b00ffffffffffffff 01",  # 2^56 octets announced

@@ -33,7 +33,7 @@ const COMMAND_PATIENCE_MS = 40_000;
  * @property {ExperimentText} experiment
  * @property {RobotText} robot
  * @property {undefined} heard The server is heard again.
- * @property {{why: "closed" | "silent", reason: string}} lost The server is not heard.
+ * @property {{why: "closed" | "silent" | "refused", reason: string}} lost The server is not heard.
  * @property {{stream: string, why: string}} fault A decoder closed; a replay opens it anew.
  * @property {undefined} let_go The hand was released; it must press anew.
  */
@@ -53,6 +53,8 @@ export class Connection {
   state = null;
   /** Whether the session was stopped at its page on the ground. */
   stopped = false;
+  /** Whether the session of this address is over. */
+  ended = false;
   /** Whether the server is heard. */
   alive = false;
   /** The least round trip of late, in ms. @type {number | null} */
@@ -87,6 +89,7 @@ export class Connection {
 
   /** Why nothing passes between the seats; "" if nothing is known to prevent it. */
   get hindrance() {
+    if (this.ended) return "this session has ended";
     if (!this.alive) return "the server does not answer";
     if (this.stopped) return "the session is stopped";
     return this.state?.link === "lost" ? "the radio link is lost" : "";
@@ -220,9 +223,10 @@ export class Connection {
     }
   }
 
-  /** @param {"closed" | "silent"} why @param {string} reason */
+  /** @param {"closed" | "silent" | "refused"} why @param {string} reason */
   #handleLost(why, reason) {
     this.alive = false;
+    this.ended = this.ended || why === "refused";
     if (why === "closed") {
       for (const number of [...this.#pending.keys()]) {
         this.#settle(refusal(number, "the connection was lost"));

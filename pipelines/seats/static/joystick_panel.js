@@ -2,7 +2,7 @@
  * `<joystick-panel>`: the joystick's state, and the few requests that a person may make. With
  * `telecommands` they go by telecommand, which is verified, and the functional test is one of them.
  *
- * Which request is allowed is decided by the joystick; the next one that makes sense is marked.
+ * The joystick decides which requests it takes; the next one that makes sense is marked.
  *
  * @import { Seat } from "./seat.js"
  */
@@ -107,7 +107,7 @@ class JoystickPanel extends HTMLElement {
     setText(this.#reason, joystick?.reason ?? "");
     this.#reason.hidden = (joystick?.reason ?? "") === "";
     for (const [event, button] of this.#buttons) {
-      button.disabled = joystick === null || !connection.mayAct;
+      button.disabled = !connection.mayAct || joystick?.allowed.includes(event) !== true;
       button.classList.toggle("main", NEXT[state] === event);
     }
   }

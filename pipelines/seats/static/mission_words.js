@@ -7,7 +7,7 @@ export const PANEL_WORDS = {
   task_info: "Read the task",
   move_to_start: "Go to the start",
   hold: "Hold it there",
-  press_deadman: "Press the dead-man button",
+  press_deadman: "Press now",
   running: "Telepresence",
   finished: "Finished",
   error: "Ended",
@@ -55,6 +55,7 @@ export const STEPS = [
   "the cosmonaut starts",
   "telepresence",
   "the end condition",
+  "the run ends",
   "the panel was told the end",
   "the panel shows the end",
 ];

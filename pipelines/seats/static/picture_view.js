@@ -30,6 +30,8 @@ export class PictureView extends HTMLElement {
   /** Whether it was captured in the future. */
   #ahead = false;
   #staleAfterMs = STALE_AFTER_MS;
+  /** Whether the session has no such stream. */
+  #absent = false;
   /** Why it is stale. */
   #why = "";
   #words = make("strong", { class: "stale-words" });
@@ -60,6 +62,11 @@ export class PictureView extends HTMLElement {
     return this.canvas.dataset.stale !== "false";
   }
 
+  /** Whether the session has no such picture, so that none is missed. */
+  get absent() {
+    return this.canvas.dataset.stale === "absent";
+  }
+
   /** @param {Seat} seat */
   follow(seat) {
     this.#seat = seat;
@@ -67,6 +74,7 @@ export class PictureView extends HTMLElement {
     connection.on("frame", (event) => this.#handleFrame(event));
     connection.on("hello", (hello) => {
       const stream = hello.streams.find((one) => this.#shows(one));
+      this.#absent = stream === undefined;
       this.#staleAfterMs = stream?.stale_after_ms ?? STALE_AFTER_MS;
       this.#tick();
     });
@@ -109,6 +117,7 @@ export class PictureView extends HTMLElement {
   /** Why no new picture comes, as far as is known. */
   #cause() {
     const connection = this.#seat?.connection;
+    if (this.#absent) return "this setup sends none here";
     if (this.#ahead) return "its clock is not known";
     if (this.hasAttribute("owner") && connection?.alive === true) return "no new picture arrives";
     const hindrance = connection?.hindrance ?? "the server does not answer";
@@ -131,7 +140,7 @@ export class PictureView extends HTMLElement {
       setText(this.#words, knownMs === null ? "NO PICTURE" : age);
       setText(this.#reason, why);
     }
-    const text = String(stale);
+    const text = this.#absent && !lost ? "absent" : String(stale);
     if (this.canvas.dataset.stale === text && (!stale || why === this.#why)) return;
     this.canvas.dataset.stale = this.dataset.stale = text;
     this.#why = why;

@@ -24,7 +24,7 @@ class RadioBanner extends HTMLElement {
     });
     connection.on("lost", () => {
       this.dataset.level = "none";
-      setText(this.#words, "The server does not answer.");
+      setText(this.#words, connection.ended ? "This session has ended: open the address of the new one." : "The server does not answer.");
     });
   }
 }

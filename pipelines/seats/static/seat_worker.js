@@ -24,6 +24,8 @@ import {
 } from "./wire.js";
 
 const RECONNECT_MS = 250;
+/** The status of a page whose token is not of the session that runs. */
+const REFUSED = 403;
 /** The server tells the state every 100 ms; after this silence it counts as gone. */
 const SILENCE_MS = 250;
 const WATCH_MS = 25;
@@ -107,6 +109,8 @@ class Seat {
   /** @type {WebSocket | null} */
   #socket = null;
   #openedMs = 0;
+  /** Whether the session of this page's token is over. */
+  #ended = false;
   #silence = new Silence();
   #pingedMs = 0;
   #silent = true;
@@ -126,14 +130,29 @@ class Seat {
     const socket = new WebSocket(address());
     socket.binaryType = "arraybuffer";
     this.#socket = socket;
+    let opened = false;
     socket.onopen = () => {
+      opened = true;
       this.#openedMs = pageMs();
       this.#silence.handleHeard();
       this.#clock = new ClockOffset();
       this.#ping();
     };
     socket.onmessage = (event) => this.#handleMessage(event.data);
-    socket.onclose = (event) => this.#handleClosed(socket, event.reason);
+    socket.onclose = (event) => {
+      this.#handleClosed(socket, event.reason);
+      if (!opened) void this.#askWhether();
+    };
+  }
+
+  /** A browser does not say why a socket was refused; a file with the same token does. */
+  async #askWhether() {
+    const { status } = await fetch(new URL("icon.svg", import.meta.url), { cache: "no-store" }).catch(() => ({ status: 0 }));
+    if (status !== REFUSED) return;
+    // A token never becomes valid again.
+    this.#ended = true;
+    this.#socket?.close();
+    this.#lose("refused", "");
   }
 
   /** @param {PageNote} note */
@@ -266,7 +285,7 @@ class Seat {
     }
   }
 
-  /** @param {"closed" | "silent"} why @param {string} reason */
+  /** @param {"closed" | "silent" | "refused"} why @param {string} reason */
   #lose(why, reason) {
     this.#silent = true;
     // A silent server may still hear, so it is told of the release.
@@ -281,7 +300,9 @@ class Seat {
     this.#socket = null;
     this.#closeScreens();
     this.#lose("closed", reason);
-    setTimeout(() => this.connect(), RECONNECT_MS);
+    setTimeout(() => {
+      if (!this.#ended) this.connect();
+    }, RECONNECT_MS);
   }
 
   #closeScreens() {

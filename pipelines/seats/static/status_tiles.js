@@ -35,7 +35,11 @@ class LinkTile extends Tile {
   /** @param {Seat} seat */
   follow({ connection, figures }) {
     const show = () => {
-      const { alive, state, hello } = connection;
+      const { alive, ended, state, hello } = connection;
+      if (ended) {
+        this.show("Open the new one's address", "SESSION ENDED", "bad");
+        return;
+      }
       if (!alive || state === null) {
         this.show(hello === null ? "Connecting" : "Connecting again", "NO SERVER", "bad");
         return;
@@ -58,6 +62,10 @@ class AgeTile extends Tile {
     const view = document.querySelector("picture-view");
     if (!(view instanceof PictureView)) return;
     view.addEventListener("age", () => {
+      if (view.absent) {
+        this.show("Picture", "NONE HERE", "none");
+        return;
+      }
       const ageMs = view.ageMs();
       const age = ageMs === null ? "–" : `${ageMs.toFixed(0)} ms`;
       const stale = view.stale;

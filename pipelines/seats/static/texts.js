@@ -95,9 +95,10 @@
  */
 
 /**
- * The joystick's state in words. axes: those behind x and y.
- * @typedef {{state: string, reason: string, dead_man: boolean, force_limit_n: number, device:
- *   string, axes: AxisText[]}} JoystickText
+ * The joystick's state in words. allowed: requests that it would take now. axes: those behind x
+ * and y.
+ * @typedef {{state: string, allowed: string[], reason: string, dead_man: boolean, force_limit_n:
+ *   number, device: string, axes: AxisText[]}} JoystickText
  */
 
 /**

@@ -30,7 +30,7 @@
 /** @typedef {{kind: "text", text: ServerText}} TextNote */
 /** @typedef {{kind: "clock", offsetUs: number, roundTripMs: number}} ClockNote */
 /** @typedef {{kind: "heard"}} HeardNote The server is heard again. */
-/** @typedef {{kind: "lost", why: "closed" | "silent", reason: string}} LostNote */
+/** @typedef {{kind: "lost", why: "closed" | "silent" | "refused", reason: string}} LostNote */
 /** @typedef {{kind: "fault", stream: number, why: string}} FaultNote A decoder closed. */
 /** @typedef {{kind: "let_go"}} LetGoNote The hand was released because the page was silent. */
 

@@ -69,7 +69,7 @@ def test_a_step_in_another_place_or_twice_or_left_out_of_a_finished_run_is_a_fau
 
 
 def test_the_panel_may_learn_of_a_lost_run_after_its_end_but_in_order():
-    told, shown, ended, last = STEPS[:3], STEPS[3], STEPS[8:10], STEPS[10]
+    told, shown, ended, last = STEPS[:3], STEPS[3], STEPS[9:11], STEPS[11]
     at_start = STEPS[4]
     for steps in ((*told, *ended, shown, last), (*told, shown, *ended, at_start)):
         late = run(result="lost_signal", seconds=None, steps=steps)
