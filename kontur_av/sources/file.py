@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import av
+import av.filter
 import numpy as np
 from av.stream import Disposition
 
-from kontur_av.clock import NS_PER_S, Clock
+from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ, Pcm
 from kontur_av.sources.looped import LoopedAudio, LoopedVideo, PlayedPicture
@@ -21,6 +22,8 @@ _LONGEST_JUMP_S = 10
 _LONGEST_S = 30 * 3600
 #: The same for a step back.
 _BACK_S = Fraction(1, 2)
+#: A still picture is given at this rate at least, so that no receiver calls it stale.
+_STILL_NS = 100 * NS_PER_MS
 #: A shorter gap in the sound is rounding, in samples.
 _LEAST_GAP = AUDIO_CLOCK_HZ // 25
 #: FFmpeg's AV_TIME_BASE, AVFMT_TS_DISCONT and AVFMT_NOTIMESTAMPS.
@@ -129,6 +132,8 @@ class _Reading:
             rate = pictures.guessed_rate if untimed else pictures.average_rate
         #: From one picture to the next, by the nominal rate.
         self.step_s = 1 / rate if rate else None
+        #: The same, of a file with pauses: between pictures that follow each other.
+        self.least_step_s = None if pictures is None else 1 / (pictures.guessed_rate or 1)
         #: Width of a pixel over its height.
         self.aspect = None if pictures is None else pictures.sample_aspect_ratio
 
@@ -160,8 +165,8 @@ class _Reading:
 class FileVideo(LoopedVideo):
     """The pictures of a media file (a `VideoSource`), captured at the file's own frame times.
 
-    A file with a single picture shows it `fps` times a second. Raises ConfigError as `check_file`
-    does.
+    In a pause the last picture is given again, at the file's rate and from 10 to `fps` times a
+    second. So is a single picture, `fps` times a second. Raises ConfigError as `check_file` does.
     """
 
     @staticmethod
@@ -180,9 +185,15 @@ class FileVideo(LoopedVideo):
             reading = _Reading(container, "video")
             if reading.step_s is not None:
                 self._step_ns = int(reading.step_s * NS_PER_S)
+            if reading.least_step_s is not None:
+                stated_ns = int(reading.least_step_s * NS_PER_S)
+                self._again_ns = max(min(stated_ns, _STILL_NS), self._period_ns)
             time_ns: int | None = None
+            fields = _Fields()
             for packet in reading.packets():
-                for frame in _decoded(packet, self._fault):
+                decoded = _decoded(packet, self._fault)
+                whole = [one for frame in decoded for one in fields.join(frame)]
+                for frame in [*whole, *(fields.rest() if packet.size == 0 else ())]:
                     following_ns = 0 if time_ns is None else time_ns + self._step_ns
                     soonest_ns = 0 if time_ns is None else time_ns + self._step_ns // 8
                     # Some files have wrong times; then use the nominal rate.
@@ -191,6 +202,54 @@ class FileVideo(LoopedVideo):
                     self._end_ns = reading.end_ns
                     yield PlayedPicture(frame, time_ns, reading.aspect)
             self._end_ns = reading.end_ns
+
+
+class _Fields:
+    """Whole pictures of those with two fields, which would have combs at all that moves."""
+
+    def __init__(self) -> None:
+        self._form: tuple[int, int, str] | None = None
+        self._graph: av.filter.Graph | None = None
+
+    def join(self, frame: av.VideoFrame) -> Iterator[av.VideoFrame]:
+        """Yield the pictures that this one completes; from the first with fields on, one later."""
+        form = frame.width, frame.height, frame.format.name
+        if form != self._form:
+            yield from self.rest()
+        if self._graph is None and not frame.interlaced_frame:
+            yield frame
+            return
+        if self._graph is None:
+            self._form, self._graph = form, _joining(frame)
+        self._graph.push(frame)
+        yield from self._ready()
+
+    def rest(self) -> Iterator[av.VideoFrame]:
+        """Yield what is still held."""
+        if self._graph is not None:
+            self._graph.push(None)
+            yield from self._ready()
+        self._form = self._graph = None
+
+    def _ready(self) -> Iterator[av.VideoFrame]:
+        assert self._graph is not None
+        with contextlib.suppress(BlockingIOError, EOFError):
+            while True:
+                yield self._graph.vpull()
+
+
+def _joining(like: av.VideoFrame) -> av.filter.Graph:
+    graph = av.filter.Graph()
+    graph.threads = 1
+    source = graph.add_buffer(
+        width=like.width,
+        height=like.height,
+        format=like.format,
+        time_base=like.time_base,
+    )
+    join = graph.add("bwdif", "mode=send_frame:deint=interlaced")
+    graph.link_nodes(source, join, graph.add("buffersink")).configure()
+    return graph
 
 
 class FileAudio(LoopedAudio):

@@ -47,6 +47,9 @@ class LoopedVideo(ABC):
         self._period_ns = NS_PER_S // fps
         #: How long the last picture of the present pass is shown, at least.
         self._step_ns = self._period_ns
+        #: A picture that lasts longer than two of these is given again, each time after this; 0:
+        #: never.
+        self._again_ns = 0
         #: The end of the present pass, as far as it is known.
         self._end_ns = 0
         #: Where the present pass begins, on the line of all passes.
@@ -62,7 +65,7 @@ class LoopedVideo(ABC):
     def _pass(self) -> Iterator[PlayedPicture]:
         """Open the file and yield its pictures once, in order.
 
-        Set `_step_ns` and `_end_ns` if they are known.
+        Set `_step_ns` and `_end_ns` if they are known, and `_again_ns` where a gap is a still.
 
         Raises OSError, ValueError or FFmpegError for a file that cannot be read (on).
         """
@@ -109,27 +112,36 @@ class LoopedVideo(ABC):
 
     def _play(self) -> Generator[PlayedPicture | None]:
         """Yield all pictures repeatedly with their time since the start; None if there are none."""
+        item = None
         while True:
             start_ns = self._start_ns
             faults, shown, time_ns = self.faults, 0, 0
             self._step_ns, self._end_ns = self._period_ns, 0
-            item = None
             try:
                 for picture in self._pass():
                     shown += 1
                     time_ns = picture.time_ns
+                    yield from self._still(item, start_ns + time_ns)
                     item = picture._replace(time_ns=start_ns + time_ns)
                     yield item
             except (av.FFmpegError, OSError, ValueError) as error:
                 self._fault(error)
             # At least 1 ns, so that no two pictures have one instant.
             start_ns += max(self._end_ns, time_ns + 1) if self._end_ns else time_ns + self._step_ns
-            if item is None:
+            if not shown:
+                item = None
                 yield None
             while shown == 1 and item is not None and faults == self.faults:
-                yield item._replace(time_ns=start_ns)
+                item = item._replace(time_ns=start_ns)
+                yield item
                 start_ns += self._period_ns
             self._start_ns = start_ns
+
+    def _still(self, shown: PlayedPicture | None, until_ns: int) -> Iterator[PlayedPicture]:
+        """Yield a picture again until the next one: a camera of a scene at rest does so, too."""
+        while shown and self._again_ns and until_ns - shown.time_ns > 2 * self._again_ns:
+            shown = shown._replace(time_ns=shown.time_ns + self._again_ns)
+            yield shown
 
     def _fault(self, error: Exception) -> None:
         self.faults += 1

@@ -181,9 +181,10 @@ def _as_frame(picture: Y4mPicture) -> av.VideoFrame:
     planes: tuple[Any, ...] = frame.planes
     for plane in planes:
         target = np.frombuffer(plane, np.uint8)[: plane.line_size * plane.height]
-        size = plane.width * plane.height
-        target.reshape(plane.height, plane.line_size)[:, : plane.width] = octets[
-            at : at + size
-        ].reshape(plane.height, plane.width)
+        line = plane.width * (2 if header.pixel_format.endswith("le") else 1)
+        size = line * plane.height
+        target.reshape(plane.height, plane.line_size)[:, :line] = octets[at : at + size].reshape(
+            plane.height, line
+        )
         at += size
     return frame

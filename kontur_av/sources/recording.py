@@ -5,8 +5,10 @@ protobuf (https://docs.foxglove.dev/docs/sdk/schemas). Their fields are found by
 file, so recordings of other programs play, too.
 """
 
+import os
 import struct
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
@@ -21,6 +23,7 @@ from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
 
 from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.codecs.h264 import H264Decoder
@@ -64,9 +67,14 @@ class _Unit(NamedTuple):
 
 
 def parse_place(place: str) -> tuple[str, str]:
-    """Split FILE#CHANNEL; the channel is "" without one."""
-    path, sharp, channel = place.rpartition("#")
-    return (path, channel) if sharp else (place, "")
+    """Split FILE#CHANNEL; the channel is "" without one. Both may have more of that sign."""
+    places = [at for at, sign in enumerate(place) if sign == "#"]
+    if not places:
+        return place, ""
+    # Unlike Path.exists, it raises nothing for a name that is too long.
+    found = (at for at in reversed(places) if os.path.exists(place[:at]))  # noqa: PTH110
+    at = next(found, places[-1])
+    return place[:at], place[at + 1 :]
 
 
 def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
@@ -79,7 +87,7 @@ def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
         with Path(path).open("rb") as file, _read_faults():
             reader = make_reader(file, validate_crcs=True)
             _check_format(path, reader)
-            known = _channels(reader)
+            known = _channels(reader, file)
             found = [topic for topic, schema, messages in known if schema == schema_name]
             if channel not in found:
                 raise ConfigError(_no_channel(path, channel, wanted, found, known))
@@ -134,20 +142,44 @@ def _no_channel(
     return f"{path!r}: {named}; write mcap:FILE#CHANNEL with one of {', '.join(found)}"
 
 
-def _channels(reader: McapReader) -> list[tuple[str, str, int]]:
+def _channels(reader: McapReader, file: IO[bytes]) -> list[tuple[str, str, int]]:
     """Topic, name of the schema and number of messages of each channel."""
     summary = reader.get_summary()
-    if summary is None:
-        raise ValueError("it has no summary")
-    counts = {} if summary.statistics is None else summary.statistics.channel_message_counts
+    counts: Mapping[int, int] = {}
+    if summary is not None and summary.channels and _has_schemas(summary):
+        channels, schemas = summary.channels, summary.schemas
+        if summary.statistics is not None:
+            counts = summary.statistics.channel_message_counts
+    else:
+        channels, schemas, counts = _counted(file)
     found = []
-    for channel in summary.channels.values():
-        schema = summary.schemas.get(channel.schema_id)
+    for channel in channels.values():
+        schema = schemas.get(channel.schema_id)
         name = "" if schema is None else schema.name
         if schema is not None and schema.encoding != "protobuf":
             name += f" in {schema.encoding or 'no encoding'}{_NOT_PROTOBUF}"
         found.append((channel.topic, name, counts.get(channel.id, 0)))
     return sorted(found)
+
+
+def _has_schemas(summary: Summary) -> bool:
+    return {one.schema_id for one in summary.channels.values()} <= {0, *summary.schemas}
+
+
+def _counted(file: IO[bytes]) -> tuple[dict[int, Channel], dict[int, Schema], Counter[int]]:
+    """The channels, schemas and numbers of messages of a file whose summary has none of them."""
+    file.seek(0)
+    channels: dict[int, Channel] = {}
+    schemas: dict[int, Schema] = {}
+    counts = Counter[int]()
+    for record in _records(file):
+        if isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Message):
+            counts[record.channel_id] += 1
+    return channels, schemas, counts
 
 
 def _units(file: IO[bytes], topic: str) -> Iterator[_Unit]:
@@ -176,16 +208,30 @@ def _records(file: IO[bytes]) -> Iterator[McapRecord]:
             continue
         plain = unpacked_chunk(record.compression, record.data, record.uncompressed_size)
         if plain is None:
-            raise ValueError("a chunk is damaged")
+            known = record.compression in ("", "lz4", "zstd")
+            raise ValueError(
+                "a chunk is damaged" if known else f"its compression {record.compression!r} is new"
+            )
         yield from breakup_chunk(replace(record, compression="", data=plain), validate_crc=True)
 
 
 def _parser(schema: Schema) -> Callable[[bytes], Any]:
     """What reads messages of a protobuf schema; ValueError for one that is not understood."""
     pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
-        pool.Add(file)
-    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    try:
+        files = descriptor_pb2.FileDescriptorSet.FromString(schema.data).file
+        # A file may stand before those that it imports, but is added after them.
+        open_files = {file.name: file for file in files}
+        while ready := [
+            name
+            for name, file in open_files.items()
+            if not any(one in open_files for one in file.dependency if one != name)
+        ]:
+            for name in ready:
+                pool.Add(open_files.pop(name))
+        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+    except (DecodeError, KeyError, TypeError) as error:
+        raise ValueError(f"schema {schema.name} cannot be read: {error}") from None
     if not {"data", "format"} <= set(kind.DESCRIPTOR.fields_by_name):
         raise ValueError(f"schema {schema.name} has no data or no format")
     parse: Callable[[bytes], Any] = kind.FromString
@@ -207,13 +253,14 @@ def read_units(path: str, channel: str, instants: RisingInstants) -> Iterator[_U
     Raises ValueError where the file cannot be read (on).
     """
     with Path(path).open("rb") as file, _read_faults():
-        for unit in _units(file, channel):
-            yield unit._replace(log_ns=instants.instant_ns(unit.log_ns))
+        for unit, log_ns in instants.redate(_units(file, channel), lambda one: one.log_ns):
+            yield unit._replace(log_ns=log_ns)
 
 
 def _moved(channel: str, instants: RisingInstants) -> ValueError:
     return ValueError(
-        f"channel {channel}: {instants.moved} instants were not after the one before: moved"
+        f"channel {channel}: {instants.moved} instants were not after the one before or far ahead: "
+        "moved"
     )
 
 

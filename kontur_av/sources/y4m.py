@@ -15,15 +15,23 @@ FRAME = b"FRAME"
 LONGEST_LINE_OCTETS = 1024
 LARGEST_SIDE = 8192
 
+_SAMPLED = {"420": (2, 2), "422": (2, 1), "444": (1, 1)}
 #: Colour tag -> (FFmpeg's pixel format, chroma width divisor, height divisor); 0: no chroma.
 COLOURS = {
-    "420": ("yuv420p", 2, 2),
+    **{tag: (f"yuv{tag}p", *divisors) for tag, divisors in _SAMPLED.items()},
     "420jpeg": ("yuv420p", 2, 2),
     "420mpeg2": ("yuv420p", 2, 2),
     "420paldv": ("yuv420p", 2, 2),
-    "422": ("yuv422p", 2, 1),
-    "444": ("yuv444p", 1, 1),
+    "411": ("yuv411p", 4, 1),
+    "444alpha": ("yuva444p", 1, 1),
     "mono": ("gray", 0, 0),
+    # Of FFmpeg: samples of more than 8 bits, in 16 bits each, the low octet first.
+    **{
+        f"{tag}p{bits}": (f"yuv{tag}p{bits}le", *divisors)
+        for tag, divisors in _SAMPLED.items()
+        for bits in (9, 10, 12, 14, 16)
+    },
+    **{f"mono{bits}": (f"gray{bits}le", 0, 0) for bits in (9, 10, 12, 14, 16)},
 }
 
 
@@ -49,7 +57,8 @@ def parse_header(line: bytes) -> Y4mHeader:
         fields["XCOLORRANGE" if word.startswith("XCOLORRANGE=") else word[0]] = word[1:]
     colour = fields.get("C", "420jpeg")
     if colour not in COLOURS:
-        raise ProtocolError(f"colour format C{colour} is not one of C{', C'.join(COLOURS)}")
+        known = (tag for tag, (pixels, *_) in COLOURS.items() if not pixels.endswith("le"))
+        raise ProtocolError(f"colour format C{colour} is not one of C{', C'.join(known)}")
     width, height = _side(fields.get("W")), _side(fields.get("H"))
     pixel_format, divide_x, divide_y = COLOURS[colour]
     chroma = 2 * -(-width // divide_x) * -(-height // divide_y) if divide_x else 0
@@ -60,7 +69,8 @@ def parse_header(line: bytes) -> Y4mHeader:
         _ratio(fields.get("A"), ":") or Fraction(1),
         pixel_format,
         "FULL" in fields.get("XCOLORRANGE", ""),
-        width * height + chroma,
+        (width * height * (2 if colour == "444alpha" else 1) + chroma)
+        * (2 if pixel_format.endswith("le") else 1),
     )
 
 

@@ -154,8 +154,8 @@ def _session(facts: RecordingFacts, messages: Mapping[str, list[JoinedMessage]])
                 session.received[name] = [unit.data for unit in units]
         elif schema == AUDIO.full_name:
             session.voices[name] = [
-                SentUnit(instants.instant_ns(one.session_ns), unpack(RecordedSound, one.data).data)
-                for one in found
+                SentUnit(at_ns, unpack(RecordedSound, one.data).data)
+                for one, at_ns in instants.redate(found, _instant_ns)
             ]
         elif schema == HAPTIC_SAMPLES.full_name:
             rows = _sent_rows([unpack_haptics(one.data) for one in found])
@@ -180,7 +180,7 @@ def _pictures(
     facts = defaultdict[tuple[int, int], deque[UnitFacts]](deque)
     for one in told:
         facts[one.part, one.sequence].append(unpack(UnitFacts, one.data))
-    units = []
+    kept = []
     for one in found:
         data = unpack(RecordedPicture, one.data).data
         fact = None
@@ -192,8 +192,13 @@ def _pictures(
             # In front of it are parameter sets for a reader that begins here.
             data = data[-fact.octets :]
         key = fact is not None and fact.key
-        units.append(SentUnit(instants.instant_ns(one.session_ns), data, key))
-    return units
+        kept.append((one.session_ns, data, key))
+    dated = instants.redate(kept, lambda each: each[0])
+    return [SentUnit(at_ns, data, key) for (_, data, key), at_ns in dated]
+
+
+def _instant_ns(message: JoinedMessage) -> int:
+    return message.session_ns
 
 
 def _sent_rows(blocks: list[NDArray[np.void]]) -> NDArray[np.void]:

@@ -110,7 +110,9 @@ class VideoStudio:
 
     def _picture(self, shot: Shot, room: I420) -> I420:
         if shot.state is None:
-            return self._films[shot.camera].pictures[shot.sequence]
+            pictures = self._films[shot.camera].pictures
+            # Of a file that is much faster than its stream, only a newer one may be kept.
+            return pictures[max(shot.sequence, next(iter(pictures)))]
         render(self._views[shot.camera], shot.state, room, shot.sequence)
         return room
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import av
+import av.filter
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
 from kontur_av.media import empty_picture
 from kontur_av.sources import open_audio, open_video
+from kontur_av.sources.file import _TimeLine
 
 RATE_HZ = 48_000
 
@@ -22,10 +24,10 @@ def add_pictures(container, times_s):
     stream = container.add_stream("rawvideo", rate=25)
     stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
     stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
-    for time_s in times_s:
+    for number, time_s in enumerate(times_s):
         frame = av.VideoFrame(64, 48, "yuv420p")
         for plane in frame.planes:
-            plane.update(bytes([128]) * plane.buffer_size)
+            plane.update(bytes([20 + 5 * (number % 43)]) * plane.buffer_size)
         frame.pts, frame.time_base = round(time_s * 1000), Fraction(1, 1000)
         yield stream, frame
 
@@ -50,14 +52,25 @@ def write(path, times_s, tone):
             container.mux(stream.encode(None))
 
 
-def shown_s(path, seconds):
+def read_s(path, seconds):
+    """The instant and the luma of each picture."""
     clock, picture, found = ManualClock(0), empty_picture(64, 48), []
     source = open_video(str(path), name="v", width=64, height=48, fps=25, clock=clock)
     while clock.now_ns() < seconds * NS_PER_S:
         if (stamp := source.read(picture, 20 * NS_PER_MS)) is not None:
-            found.append(stamp.capture_ns / NS_PER_S)
+            found.append((stamp.capture_ns / NS_PER_S, int(picture[24, 32])))
     assert not source.faults
     return found
+
+
+def shown_s(path, seconds):
+    """The instants of the file's own pictures, without those that are given again."""
+    found = read_s(path, seconds)
+    return [
+        at
+        for (at, luma), (_, before) in zip(found, [(0, 0), *found], strict=False)
+        if luma != before
+    ]
 
 
 def tones_s(path, seconds):
@@ -109,6 +122,99 @@ def test_a_pause_lasts_as_long_as_the_file_says(tmp_path):
         [b - a for a, b in pairwise(times_s)] + [0.04] + gaps[6:], abs=1e-6
     )
     assert len([gap for gap in gaps if gap > 13]) == 2
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    gaps_s=st.lists(st.sampled_from([0.04, 0.04, 0.2, 0.5, 3]), min_size=2, max_size=9),
+    sound_s=st.sampled_from([0.1, 4]),
+)
+def test_a_still_picture_is_given_again_before_it_is_stale(gaps_s, sound_s):
+    times_s = [sum(gaps_s[:number]) for number in range(len(gaps_s) + 1)]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "clip.mkv")
+        write(path, times_s, (0, sound_s))
+        length_s = max(times_s[-1] + 0.04, sound_s)
+        found = read_s(path, 2.2 * length_s)
+    gaps = [after - before for (before, _), (after, _) in pairwise(found)]
+    assert max(gaps) < 0.201
+    assert min(gaps) > 0.035
+    # A picture that is given again is the one before the pause.
+    own = [
+        at
+        for (at, luma), (_, before) in zip(found, [(0, 0), *found], strict=False)
+        if luma != before
+    ]
+    assert own[: len(times_s)] == pytest.approx(times_s, abs=1e-6)
+    assert own[len(times_s)] == pytest.approx(length_s, abs=0.004)
+
+
+STEP = Fraction(1, 25)
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from([0, 0, 11, 40_000, -7]), st.integers(1, 9)), max_size=6),
+    st.booleans(),
+    st.sampled_from([0, 7, -1]),
+)
+def test_a_line_of_time_goes_on_where_joined_files_begin_anew(jumps, jumping, begin_s):
+    longest_s = 10 if jumping else 30 * 3600
+    line = _TimeLine(Fraction(begin_s), longest_s)
+    file_s, due_s = Fraction(begin_s), Fraction(0)
+    for jump_s, packets in [(0, 3), *jumps]:
+        file_s += jump_s
+        # A jump within the longest pause is a pause.
+        due_s += jump_s if 0 < jump_s < longest_s else 0
+        for _ in range(packets):
+            for stream in (0, 1):
+                assert file_s + line.handle_packet(stream, file_s, file_s, STEP) == due_s
+            file_s, due_s = file_s + STEP, due_s + STEP
+    assert line.end_s == due_s
+
+
+def test_a_line_of_time_ends_with_what_is_shown_last():
+    line = _TimeLine(Fraction(0), 10)
+    assert line.handle_packet(0, -STEP, 0 * STEP, STEP) == 0
+    assert line.handle_packet(0, 0 * STEP, 2 * STEP, STEP) == 0
+    assert line.handle_packet(0, STEP, STEP, STEP) == 0
+    assert line.end_s == 3 * STEP
+
+
+def test_a_picture_of_two_fields_has_no_combs(tmp_path):
+    # PyAV cannot say itself that a picture has fields.
+    fields = av.filter.Graph()
+    form = av.VideoFormat("yuv420p")
+    entry = fields.add_buffer(width=64, height=48, format=form, time_base=Fraction(1, 25))
+    fields.link_nodes(entry, fields.add("setfield", "tff"), fields.add("buffersink")).configure()
+    with av.open(str(tmp_path / "fields.mpg"), "w") as container:
+        stream = container.add_stream("mpeg2video", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.flags |= 1 << 18 | 1 << 29
+        stream.bit_rate = 4_000_000
+        for number in range(12):
+            rows = np.full((72, 64), 128, np.uint8)
+            rows[:48] = 60
+            # A bar that moves between the fields.
+            for field in (0, 1):
+                left = 4 * number + 2 * field
+                rows[field:48:2, left : left + 12] = 200
+            frame = av.VideoFrame.from_ndarray(rows, "yuv420p")
+            frame.pts, frame.time_base = number, Fraction(1, 25)
+            fields.vpush(frame)
+            container.mux(stream.encode(fields.vpull()))
+        container.mux(stream.encode(None))
+    clock, picture, pictures = ManualClock(0), empty_picture(64, 48), []
+    path = str(tmp_path / "fields.mpg")
+    source = open_video(path, name="v", width=64, height=48, fps=25, clock=clock)
+    while len(pictures) < 12:
+        if (stamp := source.read(picture, 20 * NS_PER_MS)) is not None:
+            pictures.append((stamp.capture_ns, picture[:48].astype(int)))
+    assert [at // NS_PER_MS for at, _ in pictures] == [40 * number for number in range(12)]
+    assert not source.faults
+    for _, luma in pictures[2:10]:
+        combs = np.abs(2 * luma[1:-1] - luma[:-2] - luma[2:]).mean(axis=0)
+        assert combs.max() < 60
+        assert luma.max() > 180
 
 
 @pytest.mark.parametrize("second", [(RATE_HZ, "stereo"), (22_050, "mono"), (44_100, "stereo")])

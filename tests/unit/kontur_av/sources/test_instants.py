@@ -47,6 +47,43 @@ def test_clocks_that_step_back_and_return_cost_no_time(clocks_ms):
     assert found == pytest.approx([count * STEP_MS for count in range(30)], abs=STEP_MS * 8)
 
 
+@given(
+    st.dictionaries(
+        st.integers(3, 35), st.sampled_from([HOUR_MS, 5000, 100 * HOUR_MS, -HOUR_MS]), max_size=4
+    )
+)
+def test_single_wrong_instants_cost_no_time(wrong):
+    right = [count * STEP_MS for count in range(40)]
+    file_ns = [(ms + wrong.get(count, 0)) * NS_PER_MS for count, ms in enumerate(right)]
+    instants = RisingInstants(STEP_MS * NS_PER_MS)
+    found = [at_ns / NS_PER_MS for _, at_ns in instants.redate(file_ns, lambda one: one)]
+    assert found == pytest.approx(right, abs=STEP_MS)
+    assert bool(instants.moved) >= bool(wrong)
+
+
+@given(st.lists(st.sampled_from([STEP_MS, 40, 2000, HOUR_MS, 20 * HOUR_MS]), max_size=30))
+def test_pauses_last(steps_ms):
+    file_ns = [sum(steps_ms[:count]) * NS_PER_MS for count in range(len(steps_ms) + 1)]
+    instants = RisingInstants(STEP_MS * NS_PER_MS)
+    assert [at for _, at in instants.redate(file_ns, lambda one: one)] == file_ns
+
+
+def test_a_step_longer_than_any_pause_is_another_clock():
+    found, moved = dated([0, 1_800_000_000_000, 1_800_000_000_033])
+    assert (found, moved) == ([0, 33, 66], 1)
+
+
+def test_a_fault_comes_after_all_units_before_it():
+    def units():
+        yield from range(3)
+        raise ValueError("torn")
+
+    found = []
+    with pytest.raises(ValueError, match="torn"):
+        found.extend(RisingInstants(1).redate(units(), lambda one: one * NS_PER_S))
+    assert [unit for unit, _ in found] == [0, 1, 2]
+
+
 @pytest.mark.parametrize("group", [2, 3, 5])
 def test_units_of_one_instant_are_spread(group):
     found, moved = dated([count // group * group * STEP_MS for count in range(100)])

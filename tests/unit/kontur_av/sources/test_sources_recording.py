@@ -1,12 +1,17 @@
 """Channels of recordings as sources, on virtual time: their times, gaps and faults."""
 
+import tempfile
 from fractions import Fraction
 from itertools import pairwise
+from pathlib import Path
 
 import av
 import numpy as np
 import pytest
-from mcap.writer import Writer
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
 from kontur_av.codecs.h264 import H264Encoder
@@ -204,6 +209,69 @@ def test_a_damaged_access_unit_costs_its_picture_and_is_counted(tmp_path):
     assert seen >= len(data) - 1
     assert source.faults >= 1
     assert "cannot be decoded" in source.last_fault
+
+
+@given(
+    chunk_size=st.sampled_from([1, 2000, 1 << 20]),
+    compression=st.sampled_from(list(CompressionType)),
+    index_types=st.sampled_from([IndexType.ALL, IndexType.NONE, IndexType.CHUNK]),
+    flags=st.fixed_dictionaries(
+        {
+            name: st.booleans()
+            for name in (
+                "repeat_channels",
+                "repeat_schemas",
+                "use_chunking",
+                "use_statistics",
+                "use_summary_offsets",
+                "enable_crcs",
+                "enable_data_crcs",
+            )
+        }
+    ),
+    reverse=st.booleans(),
+)
+@settings(max_examples=25, deadline=None)
+def test_any_way_of_writing_a_file_plays(chunk_size, compression, index_types, flags, reverse):
+    descriptors = FileDescriptorSet.FromString(descriptor_set(RecordedPicture.schema)).file
+    schema_data = FileDescriptorSet(file=descriptors[:: -1 if reverse else 1]).SerializeToString()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "a#1.mcap")
+        with path.open("wb") as file:
+            writer = Writer(
+                file,
+                chunk_size=chunk_size,
+                compression=compression,
+                index_types=index_types,
+                **flags,
+            )
+            writer.start()
+            bare = writer.register_channel("/bare", "json", 0)
+            schema = writer.register_schema("foxglove.CompressedVideo", "protobuf", schema_data)
+            channel = writer.register_channel("/head #2", "protobuf", schema)
+            for ms, data in zip(TIMES_MS[:4], units(LEVELS[:4]), strict=True):
+                writer.add_message(bare, ms, b"{}", ms)
+                instant_ns = WALL_NS + ms * NS_PER_MS
+                writer.add_message(channel, instant_ns, pack(picture(data)), instant_ns)
+            writer.finish()
+        spec = f"mcap:{path}#/head #2"
+        check_spec(spec, "video")
+        source = open_video(spec, name="head", width=64, height=48, fps=30, clock=ManualClock(0))
+        into = empty_picture(*SIZE)
+        seen = [source.read(into, NS_PER_S // 50) for _ in range(7)]
+    assert sum(stamp is not None for stamp in seen) == 4
+    assert not source.faults
+
+
+def test_a_schema_that_cannot_be_read_is_named(tmp_path):
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.CompressedVideo", "protobuf", b"\xff\xff")
+        writer.add_message(writer.register_channel("/head", "protobuf", schema), 1, b"", 1)
+        writer.finish()
+    with pytest.raises(ConfigError, match=r"schema foxglove.CompressedVideo cannot be read"):
+        check_spec(f"mcap:{tmp_path / 'a.mcap'}#/head", "video")
 
 
 @pytest.mark.parametrize("shift_ms", [0, -3_600_000, -40])

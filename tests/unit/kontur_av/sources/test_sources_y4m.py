@@ -2,12 +2,16 @@
 
 from fractions import Fraction
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.errors import ProtocolError
-from kontur_av.sources.y4m import Y4mPicture, Y4mReader, parse_header
+from kontur_av.media import empty_picture
+from kontur_av.sources.fit import Fitter
+from kontur_av.sources.pipe import _as_frame
+from kontur_av.sources.y4m import COLOURS, Y4mPicture, Y4mReader, parse_header
 
 
 def feed(reader, octets, portion):
@@ -49,6 +53,27 @@ def test_header_as_ffmpeg_writes_it():
     assert header.frame_octets == 640 * 480 * 3 // 2
 
 
+@given(
+    st.sampled_from(sorted(COLOURS)), st.integers(2, 33), st.integers(2, 33), st.sampled_from("pt")
+)
+def test_every_colour_format_has_the_size_and_the_planes_of_ffmpeg(tag, width, height, scan):
+    line = b"YUV4MPEG2 W%d H%d F25:1 I%s A1:1 C%s" % (width, height, scan.encode(), tag.encode())
+    header = parse_header(line)
+    samples = np.random.default_rng(7).integers(0, 256, header.frame_octets, np.uint8)
+    frame = _as_frame(Y4mPicture(header, memoryview(samples.tobytes())))
+    lines = [
+        np.frombuffer(plane, np.uint8)[: plane.line_size * plane.height]
+        .reshape(plane.height, plane.line_size)[
+            :, : plane.width * (2 if header.pixel_format.endswith("le") else 1)
+        ]
+        .reshape(-1)
+        for plane in frame.planes
+    ]
+    assert np.array_equal(np.concatenate(lines), samples)
+    into = empty_picture(32, 32)
+    Fitter(32, 32).write(Fitter(32, 32).scale(frame), into)
+
+
 def test_unknown_rate_and_odd_sizes():
     header = parse_header(b"YUV4MPEG2 W7 H5 F0:0 A0:0")
     assert header.rate_hz is None
@@ -57,7 +82,7 @@ def test_unknown_rate_and_odd_sizes():
 
 
 @pytest.mark.parametrize(
-    "line", [b"", b"YUV4MPEG2 ", b"YUV4MPEG2 W0 H2", b"YUV4MPEG2 W9 H9 C420p10", b"FRAME",
+    "line", [b"", b"YUV4MPEG2 ", b"YUV4MPEG2 W0 H2", b"YUV4MPEG2 W9 H9 C420p11", b"FRAME",
              b"YUV4MPEG2 W99999999999 H2", b"YUV4MPEG2 W-4 H4", "YUV4MPEG2 W\u00b2 H4".encode()]
 )  # fmt: skip
 def test_bad_headers_are_protocol_errors(line):
