@@ -26,17 +26,29 @@ _WORDS = {
     "str": "a text in quotes",
     "bool": "true or false",
 }
+#: What is computed from smaller numbers stays finite.
+_TOO_LARGE = 1 << 64
 _MESSAGE = re.compile(r"(.*?)(?: - at `\$(.*)`)?")
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
     """Return the table in a file; ConfigError. what: the kind of file, such as "radio"."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"cannot read {what} {path}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{what} {path} is not TOML: {error}") from None
+    except ValueError as error:
+        raise ConfigError(f"{what} {str(path)!r} is not TOML: {error}") from None
+    return parse_toml(text, f"{what} {path}")
+
+
+def parse_toml(text: str, what: str) -> dict[str, Any]:
+    """Return the table in a text; ConfigError. what: the text, for errors."""
+    try:
+        return tomllib.loads(text)
+    # Also integers of thousands of digits, and arrays in arrays without end.
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{what} is not TOML: {error}") from None
 
 
 def check_known(table: Mapping[str, Any], kind: type, *, also: tuple[str, ...] = ()) -> None:
@@ -72,13 +84,24 @@ def _check_known(
         if key not in known and key not in also:
             (nearest,) = get_close_matches(key, [*known, *also], n=1, cutoff=0.0)
             raise ConfigError(f"unknown field {name}: the nearest one is {prefix}{nearest}")
-        if isinstance(value, float) and not isfinite(value):
-            raise ConfigError(f"{name} is {value}: it must be a finite number")
+        for number in _numbers(value):
+            if isinstance(number, float) and not isfinite(number):
+                raise ConfigError(f"{name} is {number}: it must be a finite number")
+            if abs(number) >= _TOO_LARGE:
+                raise ConfigError(f"{name} is too large: it must be a number below 2**64")
         inner = _inner(known.get(key))
         if inner is not None:
             for each in value if isinstance(value, list) else (value,):
                 if isinstance(each, Mapping):
                     _check_known(f"{name}.", each, inner)
+
+
+def _numbers(value: object) -> Iterator[float]:
+    if isinstance(value, list):
+        for each in value:
+            yield from _numbers(each)
+    elif isinstance(value, int | float):
+        yield value
 
 
 def _inner(hint: Any) -> type | None:

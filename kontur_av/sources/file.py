@@ -26,6 +26,8 @@ _BACK_S = Fraction(1, 2)
 _STILL_NS = 100 * NS_PER_MS
 #: A shorter gap in the sound is rounding, in samples.
 _LEAST_GAP = AUDIO_CLOCK_HZ // 25
+#: Sound at other rates is not for ears, and to resample it could take any memory.
+_RATES_HZ = range(1_000, 768_001)
 #: FFmpeg's AV_TIME_BASE, AVFMT_TS_DISCONT and AVFMT_NOTIMESTAMPS.
 _TIME_BASE, _TS_DISCONT, _NO_TIMESTAMPS = 1_000_000, 0x0200, 0x0080
 _OTHER: dict[str, Literal["video", "audio"]] = {"video": "audio", "audio": "video"}
@@ -54,24 +56,37 @@ def check_file(path: str, kind: Literal["video", "audio"]) -> None:
     if fifo:
         raise ConfigError(f"{path!r} is a FIFO, which brings no sound: give a file or alsa:DEVICE")
     try:
-        with av.open(f"file:{path}") as container:
-            found = _stream(container, kind) is not None
+        with _opened(path) as container:
+            found = _stream(container, kind)
     except av.FFmpegError as error:
         raise ConfigError(
             f"{path!r} is no media file that FFmpeg can read ({error.strerror}): convert it first"
         ) from None
-    if not found:
-        raise ConfigError(f"{path!r} has no {wanted}: give a file with a {kind} stream")
+    if found is None:
+        raise ConfigError(
+            f"{path!r} has no {wanted} that FFmpeg can decode: give a file with a {kind} stream"
+        )
+    if isinstance(found, av.AudioStream) and found.rate not in _RATES_HZ:
+        raise ConfigError(f"{path!r} has sound at {found.rate} Hz: resample it to 48000 Hz")
+
+
+def _opened(path: str) -> av.container.InputContainer:
+    # Titles and comments come in any encoding, and are not used.
+    return av.open(f"file:{path}", metadata_errors="replace")
 
 
 def _stream(
     container: av.container.InputContainer, kind: Literal["video", "audio"]
 ) -> av.VideoStream | av.AudioStream | None:
-    if kind == "audio":
-        return container.streams.audio[0] if container.streams.audio else None
-    # Cover art is a video stream too, but not the one to play.
-    moving = (s for s in container.streams.video if not s.disposition & Disposition.attached_pic)
-    return next(moving, None)
+    """Return the first stream that can be decoded."""
+    streams: list[av.VideoStream] | list[av.AudioStream] = (
+        [*container.streams.audio]
+        if kind == "audio"
+        # Cover art is a video stream too, but not the one to play.
+        else [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
+    )
+    # PyAV's type does not say that a stream may have no decoder.
+    return next((s for s in streams if getattr(s, "codec_context", None) is not None), None)
 
 
 class _TimeLine:
@@ -181,7 +196,7 @@ class FileVideo(LoopedVideo):
         super().__init__(name, width, height, fps, clock, path)
 
     def _pass(self) -> Iterator[PlayedPicture]:
-        with av.open(f"file:{self._path}") as container:
+        with _opened(self._path) as container:
             reading = _Reading(container, "video")
             if reading.step_s is not None:
                 self._step_ns = int(reading.step_s * NS_PER_S)
@@ -270,7 +285,7 @@ class FileAudio(LoopedAudio):
         super().__init__(name, clock, path)
 
     def _pass(self) -> Iterator[Pcm]:
-        with av.open(f"file:{self._path}") as container:
+        with _opened(self._path) as container:
             reading = _Reading(container, "audio")
             resampling, played = _Resampling(), self._surplus
             for packet in reading.packets():
@@ -319,6 +334,8 @@ class _Resampling:
     def take(self, frame: av.AudioFrame) -> Iterator[Pcm]:
         form = frame.format.name, frame.layout.name, frame.sample_rate
         if form != self._form:
+            if frame.sample_rate not in _RATES_HZ:
+                raise ValueError(f"sound at {frame.sample_rate} Hz")
             yield from self.rest()
             self._form, self._resampler = form, av.AudioResampler("s16", "mono", AUDIO_CLOCK_HZ)
         frame.pts = None

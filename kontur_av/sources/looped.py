@@ -16,6 +16,8 @@ from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS
 
 #: A reader that is later than this resumes where it stopped, without decoding what it missed.
 CATCH_UP_NS = NS_PER_S
+#: A shorter file is not played again at once: each pass opens it anew.
+_LEAST_SAMPLES = BLOCK_SAMPLES // 4
 
 
 class PlayedPicture(NamedTuple):
@@ -190,7 +192,7 @@ class LoopedAudio(ABC):
         self._blocks.close()
 
     def _play(self) -> Generator[Pcm | None]:
-        """Yield all blocks repeatedly; None if the file has no sound."""
+        """Yield all blocks repeatedly; None at an end if the file has (next to) no sound."""
         rest = np.zeros(0, np.int16)
         while True:
             heard = 0
@@ -203,7 +205,7 @@ class LoopedAudio(ABC):
                         rest = rest[BLOCK_SAMPLES:]
             except (av.FFmpegError, OSError, ValueError) as error:
                 self._fault(error)
-            if not heard:
+            if heard < _LEAST_SAMPLES:
                 yield None
 
     def _fault(self, error: Exception) -> None:

@@ -484,7 +484,7 @@ def load_libraries() -> None:
     from kontur_av.codecs import libopus
 
     with suppress(ImportError):
-        import iceoryx2  # noqa: F401
+        import kontur_av.topics.iceoryx_node  # noqa: F401
     libopus.opuslib()
     cv2.setNumThreads(1)
     keep_memory()

@@ -6,31 +6,38 @@ each kind, and `KONTUR_FUZZ_SEED` chooses others.
 
 import contextlib
 import os
+import resource
+from pathlib import Path
 from random import Random
+from tempfile import TemporaryDirectory
 
+import av
+import numpy as np
 import pytest
 from aiortc.rtp import RtcpPsfbPacket, RtcpRrPacket
 from mutated_octets import mutate
 from recordings import Step, scanned, write
 from rtp_packets import PromptSender
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, ManualClock
 from kontur_av.errors import ConfigError, ProtocolError
-from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp, empty_picture
 from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.rtp.payload_h264 import join_annex_b
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
+from kontur_av.sources.file import FileAudio, FileVideo
 from kontur_av.sources.y4m import Y4mReader
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.partner.description import (
-    MediaLine,
     Transport,
     read_candidates,
     read_description,
+    wanted_line,
     write_candidates,
     write_description,
 )
+from pipelines.partner.ice_servers import servers_of_links
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.setup_text import setup_toml
 
@@ -67,6 +74,9 @@ def packets(payload_type, *, picture):
 class Receiving:
     """A receiver that is given packets and reports in turn."""
 
+    #: Some are whole, so that those that follow are judged by a healthy state.
+    whole = 0.2
+
     def __init__(self, receiver, seeds):
         self._receiver, self.seeds, self._now_ns = receiver, seeds, 0
 
@@ -94,6 +104,8 @@ def voice():
 class Listening:
     """What a sender hears of its receivers."""
 
+    whole = 0.2
+
     def __init__(self):
         self._listener, self._now_ns = PictureLossListener(ssrc=7), 0
         self.seeds = [bytes(RtcpRrPacket(9)) + bytes(RtcpPsfbPacket(1, 9, 7))]
@@ -105,6 +117,8 @@ class Listening:
 
 class Parsing:
     """A parser of texts or octets with one error of its own."""
+
+    whole = 0.0
 
     def __init__(self, parse, seeds, error):
         self._parse, self.seeds, self._error = parse, seeds, error
@@ -134,32 +148,33 @@ def whip():
         ufrag="user", password="password" * 3, fingerprints=(("sha-256", "AB:" * 31 + "AB"),)
     )
     lines = [
-        MediaLine(
-            mid=kind,
-            kind=kind,
-            sends=True,
-            receives=True,
-            payload_type=number,
-            extensions={},
-            feedback=frozenset(["nack pli"]),
-            ssrc=number,
-        )
-        for kind, number in (("audio", 111), ("video", 96))
+        wanted_line(kind, mid=kind, ssrc=number, sends=True, receives=True)
+        for kind, number in (("audio", 1), ("video", 2))
     ]
-    offer = write_description(lines, transport, session=1, cname="c", stream="s")
-    seeds = [offer.encode(), write_candidates(transport, mid="0").encode()]
+    offers = [
+        write_description(some, transport, session=1, cname="c", stream="s").encode()
+        for some in (lines, lines[:1], lines[1:])
+    ]
+    fragment = write_candidates(transport, mid="0").encode()
+    link = b'<turn:h:3478?transport=udp>; rel="ice-server"; username="u"; credential="c"'
 
     def parse(octets):
-        with contextlib.suppress(ProtocolError):
-            read_description(text_of(octets), answers=False, ssrcs={"audio": 1, "video": 2})
-        read_candidates(text_of(octets))
+        text = text_of(octets)
+        if text.startswith("v="):
+            read_description(text, answers=False, ssrcs={"audio": 1, "video": 2})
+        elif text.startswith("<"):
+            servers_of_links([text])
+        else:
+            read_candidates(text)
 
-    return Parsing(parse, seeds, ProtocolError)
+    return Parsing(parse, [*offers, fragment, fragment, link], ProtocolError)
 
 
 def mcap():
     script = [Step(210_000_000, count % 5, 0, bytes([count]) * 12) for count in range(14)]
-    return Parsing(scanned, [write(script).octets], ProtocolError)
+    # Most are short, because damage is searched for from octet to octet.
+    short = write(script[:2]).octets
+    return Parsing(scanned, [short] * 9 + [write(script).octets], ProtocolError)
 
 
 def y4m():
@@ -179,15 +194,112 @@ def y4m():
     return Parsing(parse, [head + (b"FRAME\n" + bytes(12)) * 3], ())
 
 
+#: Values in the place of others in a table.
+ODD = [
+    *("-1", "0", "1e300", "-0.0", "nan", "0x" + "f" * 600, "9" * 30, "true", "1979-05-27"),
+    *('""', '"\\u0000.toml"', '"none"', '"1x1"', '"/"', "[]", "[[1, 2]]", "{}", "{a = 1}"),
+    *("[" * 2000, '["static", "static"]'),
+]
+
+
 def toml():
-    seeds = [setup_toml(load_setup(name)).encode() for name in ("spacejustin", "taskboard")]
-    return Parsing(lambda octets: setup_from_text(text_of(octets)), seeds, ConfigError)
+    head, video, *tables = setup_toml(load_setup("spacejustin")).split("\n\n")
+    name, cameras = (line for line in head.splitlines() if line.startswith(("name", "cameras")))
+    seeds = []
+    # A table each, so that an input costs little.
+    for table in ["", head[head.index("radio =") :], *filter(str.strip, tables)]:
+        text = f"{name}\n{cameras}\n{table}\n{video}\n"
+        seeds.append(text)
+        for line in text.splitlines():
+            key, equals, _ = line.partition(" = ")
+            seeds += [text.replace(line, f"{key} = {odd}") for odd in ODD if equals]
+    seeds = [seed.encode() for seed in seeds]
+    parsing = Parsing(lambda octets: setup_from_text(text_of(octets)), seeds, ConfigError)
+    parsing.whole = 0.5
+    return parsing
 
 
-@pytest.mark.parametrize("kind", [video, voice, Listening, sdp, whip, mcap, y4m, toml])
+def sound(container, codec, rate_hz, layout="mono"):
+    stream = container.add_stream(codec, rate=rate_hz, layout=layout)
+    frame = av.AudioFrame(stream.format.name, layout, rate_hz * 30 // 1000)
+    frame.sample_rate = rate_hz
+    for plane in frame.planes:
+        plane.update(bytes(np.arange(plane.buffer_size, dtype=np.uint8)))
+    return stream, [frame]
+
+
+def moving(container, codec, pixels):
+    stream = container.add_stream(codec, rate=50)
+    stream.width, stream.height, stream.pix_fmt = 32, 32, pixels
+    frames = []
+    for level in (40, 80, 120):
+        frame = av.VideoFrame(32, 32, "yuv420p")
+        for plane in frame.planes:
+            plane.update(bytes([level]) * plane.buffer_size)
+        frames.append(frame.reformat(format=pixels))
+    return stream, frames
+
+
+class Playing:
+    """A media file as a source. It is played beyond its end, in bounded memory."""
+
+    whole = 0.0
+    #: The decoders and one resampler need less.
+    MOST_MB = 100
+
+    def __init__(self, name, open_source, into, writers):
+        self._folder = TemporaryDirectory()
+        self._path = Path(self._folder.name) / name
+        self._open, self._into = open_source, into
+        self.seeds = []
+        for suffix, *described in writers:
+            path = self._path.with_suffix(suffix)
+            with av.open(str(path), "w") as container:
+                streams = [add(container, *what) for add, *what in described]
+                for stream, frames in streams:
+                    for frame in (*frames, None):
+                        container.mux(stream.encode(frame))
+            self.seeds.append(path.read_bytes())
+        self._most_kb = None
+
+    def take(self, octets):
+        self._path.write_bytes(octets)
+        with contextlib.suppress(ConfigError):
+            source = self._open(str(self._path))
+            for _ in range(4):
+                source.read(*self._into, BLOCK_NS)
+            source.close()
+        peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        self._most_kb = self._most_kb or peak_kb + self.MOST_MB * 1000
+        assert peak_kb < self._most_kb
+
+
+def wav():
+    def opened(path):
+        return FileAudio("stranger", ManualClock(), path)
+
+    codecs = [("pcm_s16le", 8000), ("pcm_f32le", 44_100, "stereo"), ("adpcm_ms", 8000)]
+    return Playing("a.wav", opened, (), [(".wav", (sound, *codec)) for codec in codecs])
+
+
+def film():
+    def opened(path):
+        return FileVideo("stranger", 64, 48, 30, ManualClock(), path)
+
+    writers = [
+        (".avi", (moving, "mjpeg", "yuvj420p"), (sound, "pcm_s16le", 8000)),
+        (".mkv", (moving, "libx264", "yuv420p"), (sound, "pcm_s16le", 8000)),
+        (".mov", (moving, "mpeg4", "yuv420p"), (sound, "pcm_s16le", 8000)),
+    ]
+    return Playing("a.film", opened, (empty_picture(64, 48),), writers)
+
+
+KINDS = [video, voice, Listening, sdp, whip, mcap, y4m, toml, wav, film]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 def test_any_octets_are_understood_or_refused(kind):
     random, parser = Random(SEED), kind()
     for _ in range(INPUTS):
         octets = random.choice(parser.seeds)
-        # Some are whole, so that those that follow are judged by a healthy state.
-        parser.take(octets if random.random() < 0.2 else mutate(random, octets))
+        parser.take(octets if random.random() < parser.whole else mutate(random, octets))

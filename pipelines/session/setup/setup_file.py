@@ -3,7 +3,6 @@
 A mistake in the file is a ConfigError that names the field and the mend.
 """
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile import started
 from telepresence.link.radio.profile_file import load_radio
-from telepresence.toml_file import read_toml, typed
+from telepresence.toml_file import parse_toml, read_toml, typed
 
 _NOTHING: Mapping[str, Any] = {}
 
@@ -109,11 +108,9 @@ def setup_from_text(
 
     changes, radio_start_s: as of `load_setup`. Raises ConfigError for a text that is not a setup.
     """
-    try:
-        values = _values(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"its setup is no TOML: {error}") from None
-    return _built(values, _NOTHING, changes, radio_start_s)
+    return setup_from_table(
+        parse_toml(text, "its setup"), changes=changes, radio_start_s=radio_start_s
+    )
 
 
 def _built(
@@ -164,7 +161,7 @@ def setup_from_table(
 def setup_table(name: str) -> Mapping[str, Any]:
     """The table that the TOML file of a setup holds, also of one that is built in; ConfigError."""
     if name in BUILT_IN:
-        return tomllib.loads(setup_toml(BUILT_IN[name]))
+        return parse_toml(setup_toml(BUILT_IN[name]), name)
     return _table_of(name)
 
 

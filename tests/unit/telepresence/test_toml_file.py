@@ -3,6 +3,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import pytest
 
@@ -70,6 +71,8 @@ def test_valid_values_have_their_types():
             {"front": {"radius_m": float("inf")}},
             "front.radius_m is inf: it must be a finite number",
         ),
+        ({"front": {"radius_m": 1e300}}, "front.radius_m is too large"),
+        ({"front": {"radius_m": 1, "spokes": 16**5000}}, "front.spokes is too large"),
         (
             {"front": {"radius_m": 1, "spokes": 2.5}},
             "front.spokes must be a whole number, not 2.5",
@@ -111,3 +114,15 @@ def test_files_that_cannot_be_read(tmp_path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(ConfigError, match="is not TOML"):
         read_toml(tmp_path / "binary.toml", "cart")
+
+
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000])
+def test_texts_that_no_reader_takes_are_refused(tmp_path, value):
+    (tmp_path / "odd.toml").write_text(f"name = {value}")
+    with pytest.raises(ConfigError, match="is not TOML"):
+        read_toml(tmp_path / "odd.toml", "cart")
+
+
+def test_a_name_that_no_file_can_have():
+    with pytest.raises(ConfigError, match="is not TOML"):
+        read_toml(Path("\0.toml"), "cart")

@@ -242,3 +242,46 @@ def test_good_files_are_not_refused(tmp_path):
     write_tone(tmp_path / "tone.wav")
     check_spec(str(tmp_path / "clip.mkv"), "video")
     check_spec(str(tmp_path / "tone.wav"), "audio")
+
+
+def change_tone(path, at, octets):
+    """Write a tone with these octets at this place of its header."""
+    write_tone(path)
+    whole = bytearray(path.read_bytes())
+    whole[at : at + len(octets)] = octets
+    path.write_bytes(whole)
+
+
+#: Places in the header of WAVE: format, rate, and text of its LIST of comments.
+FORMAT_AT, RATE_AT, TEXT_AT = 20, 24, 56
+
+
+def test_comments_in_any_charset_play(tmp_path):
+    change_tone(tmp_path / "tone.wav", TEXT_AT, "Grün".encode("latin-1"))
+    source = open_audio(str(tmp_path / "tone.wav"), name="mic", clock=ManualClock(0))
+    assert source.read(NS_PER_S) is not None
+
+
+@pytest.mark.parametrize(
+    ("at", "octets", "words"),
+    [
+        (FORMAT_AT, b"\x34\x12", "no sound that FFmpeg can decode"),
+        (RATE_AT, b"\x00\x00\x00\x40", "sound at 1073741824 Hz: resample it"),
+        (RATE_AT, b"\x01\x00\x00\x00", "sound at 1 Hz: resample it"),
+    ],
+)
+def test_sound_that_cannot_be_played_is_refused(tmp_path, at, octets, words):
+    change_tone(tmp_path / "tone.wav", at, octets)
+    with pytest.raises(ConfigError, match=words):
+        check_spec(str(tmp_path / "tone.wav"), "audio")
+
+
+def test_sound_of_a_few_samples_is_not_opened_over_and_over(tmp_path, monkeypatch):
+    write_tone(tmp_path / "tone.wav", seconds=0.001)
+    clock = ManualClock(0)
+    source = open_audio(str(tmp_path / "tone.wav"), name="mic", clock=clock)
+    opened, before = [], av.open
+    monkeypatch.setattr(av, "open", lambda *args, **rest: opened.append(0) or before(*args, **rest))
+    while clock.now_ns() < NS_PER_S:
+        source.read(20 * NS_PER_MS)
+    assert len(opened) < 5
