@@ -78,13 +78,14 @@ def _opened(path: str) -> av.container.InputContainer:
 def _stream(
     container: av.container.InputContainer, kind: Literal["video", "audio"]
 ) -> av.VideoStream | av.AudioStream | None:
-    """Return the first stream that can be decoded."""
+    """Return the first stream that can be decoded, of those that the file calls default if any."""
     streams: list[av.VideoStream] | list[av.AudioStream] = (
         [*container.streams.audio]
         if kind == "audio"
         # Cover art is a video stream too, but not the one to play.
         else [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
     )
+    streams.sort(key=lambda stream: not stream.disposition & Disposition.default)
     # PyAV's type does not say that a stream may have no decoder.
     return next((s for s in streams if getattr(s, "codec_context", None) is not None), None)
 

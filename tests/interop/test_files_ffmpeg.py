@@ -36,7 +36,9 @@ VIDEO = {
     "wrap.ts": [*X264, "-output_ts_offset", "95442.9"],
     "444p12.y4m": ["-pix_fmt", "yuv444p12le", "-strict", "-1"],
 }
+TWO_TRACKS = ["-filter_complex", "asplit[a][b];[b]volume=0.2[c]", "-map", "[a]", "-map", "[c]"]
 AUDIO = {
+    "second.mkv": [*TWO_TRACKS, "-disposition:a:0", "0", "-disposition:a:1", "default"],
     "u8.wav": ["-c:a", "pcm_u8"],
     "float64.wav": ["-c:a", "pcm_f64le"],
     "law.wav": ["-c:a", "pcm_mulaw"],
