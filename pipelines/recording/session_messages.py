@@ -79,6 +79,10 @@ class SampleNumbers:
     def __contains__(self, topic: str) -> bool:
         return topic in self._newest
 
+    def forget(self, topic: str) -> None:
+        """A topic is read anew."""
+        self._newest.pop(topic, None)
+
     def handle_sample(self, topic: str, sequence: int) -> int:
         """Return how many samples are missing ahead of this one."""
         before = self._newest.get(topic)
