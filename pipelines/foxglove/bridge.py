@@ -269,11 +269,11 @@ class Bridge:
             )
             self._put_event(recorded, now_ns)
 
-    def handle_key_picture(self, channel: str, key: bytes | None, now_ns: int) -> None:
+    def handle_key_picture(self, asked: KeyAsked, key: bytes | None, now_ns: int) -> None:
         """The key picture that `next_event` asked for; None if it could not be made."""
         for video in self._videos.values():
-            if video.channel == channel:
-                video.handle_key(key, now_ns)
+            if video.channel == asked.channel:
+                video.handle_made(asked, key, now_ns)
 
     def handle_time(self, now_ns: int) -> None:
         """Drop what waits for too long, and hand over what became of services."""

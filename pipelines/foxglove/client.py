@@ -47,6 +47,10 @@ class Client:
         self._subscriptions: dict[str, int] = {}
         #: Channels of pictures in which it can decode the next unit.
         self._begun: set[str] = set()
+        #: Those in which it could, until a unit was dropped.
+        self._broken: set[str] = set()
+        #: Whether it has taken anything since a message was dropped.
+        self._takes = True
         #: Names of parameters that it follows.
         self.follows: set[str] = set()
         self._rate = MessageRate(_REQUESTS_HZ, _REQUESTS_BURST)
@@ -78,6 +82,7 @@ class Client:
         for channel in [name for name, one in self._subscriptions.items() if one == number]:
             del self._subscriptions[channel]
             self._begun.discard(channel)
+            self._broken.discard(channel)
             self._remove(channel)
 
     def reads(self, channel: str) -> bool:
@@ -85,15 +90,21 @@ class Client:
 
     def lacks(self, channel: str, now_ns: int) -> bool:
         """Whether it can begin with the next unit of a channel of pictures, and has not."""
-        keeps_up = self.oldest_age_ns(now_ns) < _KEEPS_UP_NS
+        keeps_up = self._takes and self.oldest_age_ns(now_ns) < _KEEPS_UP_NS
         return self.reads(channel) and channel not in self._begun and keeps_up
 
     def begin(self, channel: str) -> None:
         """Its next message of a channel of pictures is one at which a decoder can begin."""
         self._begun.add(channel)
+        self._broken.discard(channel)
 
     def has_begun(self, channel: str) -> bool:
         return channel in self._begun
+
+    def handle_withheld(self, channel: str) -> None:
+        """A unit cannot be sent, because one before it was dropped."""
+        if channel in self._broken:
+            self._drop(channel, 1)
 
     # What waits
 
@@ -136,6 +147,7 @@ class Client:
             self._drop(oldest.channel, 1)
             if oldest.channel in self._begun:
                 self._begun.discard(oldest.channel)
+                self._broken.add(oldest.channel)
                 self._drop(oldest.channel, self._remove(oldest.channel))
         if self._untold and (self._told_ns is None or now_ns - self._told_ns >= _TOLD_NS):
             self._told_ns, self._untold = now_ns, False
@@ -145,7 +157,7 @@ class Client:
 
     def _drop(self, channel: str, count: int) -> None:
         self.dropped[channel] += count
-        self._untold = True
+        self._untold, self._takes = True, False
 
     def _remove(self, channel: str) -> int:
         """Remove what waits of a channel; how many messages."""
@@ -157,6 +169,7 @@ class Client:
 
     def poll_transmit(self) -> bytes | str | None:
         """Return the next message, or None. Call it when the client can take one."""
+        self._takes = True
         if self._answers:
             return self._answers.popleft()
         if self._changed:

@@ -139,7 +139,7 @@ class _FoxgloveServer:
     async def _make_key(self, asked: KeyAsked) -> None:
         made = self._maker.of_units(asked.units, asked.width, asked.height)
         key = await asyncio.wrap_future(made)
-        self._bridge.handle_key_picture(asked.channel, key, self._now_ns())
+        self._bridge.handle_key_picture(asked, key, self._now_ns())
         self._settle()
 
     def _tell(self) -> None:

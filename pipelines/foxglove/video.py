@@ -30,6 +30,7 @@ class KeyAsked(NamedTuple):
     """Make a key picture of the last picture of these access units, in this size."""
 
     channel: str
+    number: int
     units: tuple[bytes, ...]
     width: int
     height: int
@@ -62,6 +63,8 @@ class LiveVideo:
         self._held: _Held | None = None
         self._key_ns: int | None = None
         self._asked: KeyAsked | None = None
+        #: Of the newest key picture that was asked for.
+        self._number = 0
 
     def handle_unit(self, unit: CodedUnit, stamp: CaptureStamp, at: Instants) -> None:
         """A unit of the stream."""
@@ -77,15 +80,20 @@ class LiveVideo:
         if not any(client.reads(name) for client, name in self._readers()):
             return
         picture, facts = self._messages.of_unit(self._source, unit, unit.data, stamp, at)
-        for client in self._clients.values():
+        waiting = takers if self._held is None else self._held.takers
+        for number, client in self._clients.items():
             client.put(facts, now_ns)
             # A client's decoder may close on a unit that ours refused.
-            if client.has_begun(self.channel) and not unit.refused:
+            if unit.refused:
+                continue
+            if client.has_begun(self.channel):
                 client.put(picture, now_ns)
+            elif number not in waiting:
+                client.handle_withheld(self.channel)
         if self._held is not None and not unit.refused:
             self._held.pictures.append(picture)
             if self._held.is_old:
-                self.handle_key(None, now_ns)
+                self._handle_key(None, now_ns)
         if begun is None:
             return
         if begun.data is not unit.data:
@@ -96,20 +104,25 @@ class LiveVideo:
             return
         self._key_ns = now_ns
         if isinstance(begun.key, bytes):
-            self.handle_key(begun.key, now_ns)
+            self._handle_key(begun.key, now_ns)
         else:
-            self._asked = KeyAsked(self.channel, begun.key, unit.width, unit.height)
+            self._number += 1
+            self._asked = KeyAsked(self.channel, self._number, begun.key, unit.width, unit.height)
 
     def next_event(self) -> KeyAsked | None:
         """Return the key picture that is to be made, or None."""
         asked, self._asked = self._asked, None
         return asked
 
-    def handle_key(self, key: bytes | None, now_ns: int) -> None:
+    def handle_made(self, asked: KeyAsked, key: bytes | None, now_ns: int) -> None:
         """The key picture is there; one that comes too late is left out.
 
         key: None if it could not be made; then a black one takes its place.
         """
+        if asked.number == self._number:
+            self._handle_key(key, now_ns)
+
+    def _handle_key(self, key: bytes | None, now_ns: int) -> None:
         held = self._held
         if held is not None:
             key = key or black_key(held.unit.width, held.unit.height)
@@ -118,7 +131,7 @@ class LiveVideo:
 
     def handle_time(self, now_ns: int) -> None:
         if self._held is not None and now_ns - self._held.at.now_ns >= KEY_PATIENCE_NS:
-            self.handle_key(None, now_ns)
+            self._handle_key(None, now_ns)
 
     def _release(self, key: Sequence[ChannelMessage], now_ns: int) -> None:
         held, self._held = self._held, None
