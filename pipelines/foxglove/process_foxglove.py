@@ -4,6 +4,7 @@
 """
 
 import asyncio
+import traceback
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -162,6 +163,12 @@ class _FoxgloveServer:
             return await self._serve(request, found.role)
         except AccessError as refusal:
             return self._site.refuse(refusal)
+        except (ConnectionError, asyncio.CancelledError):
+            raise
+        except Exception:
+            # Whatever one client caused ends its connection alone; the error stream has it.
+            traceback.print_exc()
+            raise
 
     async def _serve(self, request: web.BaseRequest, role: Role) -> web.StreamResponse:
         offered = request.headers.get("Sec-WebSocket-Protocol", "")
