@@ -26,7 +26,7 @@ from pipelines.media.figures import (
 )
 from pipelines.mission.figures import ComponentFigures, TaskFigures, TmtcFigures
 from pipelines.partner.figures import RtcFigures
-from pipelines.recording.figures import RecorderFigures
+from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.model import keys_of
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import LoopFigures, ProbeFigures, TrainerFigures
@@ -77,6 +77,7 @@ TOLD: tuple[type, ...] = (
     PageFigures,
     RtcFigures,
     RecorderFigures,
+    FoxgloveFigures,
 )
 _WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "true or false"}
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from pipelines.foxglove.rows import process_rows as foxglove_rows
 from pipelines.hand.rows import process_rows as hand
 from pipelines.link.rows import process_rows as link
 from pipelines.media.rows import process_rows as media
@@ -27,6 +28,7 @@ ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
     seats,
     partner,
     report,
+    foxglove_rows,
 )
 
 
@@ -42,6 +44,7 @@ def topology_of(
     trainer: bool = False,
     tasks: bool = False,
     metrics: bool = False,
+    foxglove: bool = False,
     components: tuple[Component, ...] = (),
     segments: tuple[Segment, ...] = tuple(Segment),
 ) -> Topology:
@@ -59,6 +62,7 @@ def topology_of(
         trainer=trainer,
         tasks=tasks,
         metrics=metrics,
+        foxglove=foxglove,
         components=components,
     )
     streams = Topology(setup=setup, options=options, segments=segments)

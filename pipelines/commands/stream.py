@@ -17,6 +17,11 @@ from pipelines.commands.end_options import (
     inputs_here,
     path_line,
 )
+from pipelines.commands.foxglove_options import (
+    add_foxglove_argument,
+    announced_foxglove,
+    bound_foxglove,
+)
 from pipelines.commands.live_session import (
     add_live_arguments,
     end_session,
@@ -130,6 +135,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_page_arguments(parser)
     add_rtc_arguments(parser)
     add_metrics_argument(parser)
+    add_foxglove_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -169,12 +175,14 @@ def run(args: argparse.Namespace) -> int:
         trainer=args.trainer,
         tasks=tasks is not None,
         metrics=args.metrics is not None,
+        foxglove=args.foxglove is not None,
         components=components,
         segments=plan.segments,
     )
     page_wish = bound_pages(args, plan.segments)
     rtc_wish = bound_rtc(args, setup, plan.segments)
     metrics = bound_metrics(args)
+    foxglove_wish = bound_foxglove(args)
     if one is not None:
         hold_listen_port(one)
     # After all in which an option could be wrong, whatever other sessions have.
@@ -191,6 +199,7 @@ def run(args: argparse.Namespace) -> int:
         announced_pages(page_wish, session, quiet=args.quiet, tasks=tasks is not None) as pages,
         announced_rtc(rtc_wish, session, quiet=args.quiet) as partners,
         announced_metrics(metrics, quiet=args.quiet),
+        announced_foxglove(foxglove_wish, session, quiet=args.quiet) as foxglove,
         live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         if wish is not None:
@@ -207,7 +216,7 @@ def run(args: argparse.Namespace) -> int:
             snapshots=snapshots,
             seed=args.seed,
             show=view.show,
-            pages={**pages, **partners, **metrics},
+            pages={**pages, **partners, **metrics, **foxglove},
             feed=SeatFeed(setup, collector),
         )
         launcher.run(args.seconds)

@@ -1,4 +1,4 @@
-"""What the recorder counts."""
+"""What the readers of a session's channels count."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,13 +8,13 @@ from kontur_av.figures import Newest
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedChannel:
-    """One channel of a recording, in messages."""
+    """One channel, in messages."""
 
-    #: In the file.
+    #: In the file, or sent to clients.
     kept: int = 0
     #: Gone before they were read.
     missed: int = 0
-    #: Dropped because the disk was too slow or full.
+    #: Dropped because the disk was too slow or full, or a client too slow.
     dropped: int = 0
 
     @property
@@ -53,3 +53,25 @@ class RecorderFigures:
     def lost(self) -> int:
         """How many messages are not in the files."""
         return sum(one.lost for one in self.channels.values())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoxgloveFigures:
+    """Clients of `--foxglove`."""
+
+    #: Web sockets opened.
+    connections: int = 0
+    #: Requests refused, by reason.
+    refused: Mapping[str, int] = field(default_factory=dict)
+    #: Malformed messages of clients; each closed its socket.
+    garbage: int = 0
+    #: Services called.
+    calls: int = 0
+    #: By channel, over all clients.
+    channels: Mapping[str, RecordedChannel] = field(default_factory=dict)
+    #: Clients now.
+    watching: Newest[int] = 0
+    #: What waits for all clients, at most 4 MiB or 2 s for each; the oldest is dropped.
+    waiting_octets: Newest[int] = 0
+    #: The age of the oldest.
+    oldest_age_ns: Newest[int] = 0

@@ -48,10 +48,10 @@ class KeyPictureWanted(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """What goes into the file for a unit.
+    """How a reader begins with a unit.
 
-    key: a key picture to write first, or the units whose last picture it is to show; None: none is
-    needed.
+    key: a key picture ahead of it, or the units whose last picture that is to show; None: none is
+    needed. data: what takes the unit's place.
     """
 
     key: bytes | tuple[bytes, ...] | None
@@ -59,31 +59,29 @@ class Begun(NamedTuple):
 
 
 class StreamStart:
-    """Follows the units of one stream in one channel. A new one begins a part."""
+    """Follows the units of one stream, so that a reader can begin with any of them."""
 
     def __init__(self) -> None:
         self._history = UnitHistory(pictures=False)
         self._sets = b""
-        self._fresh = True
 
-    def handle_part(self) -> None:
-        """A new part begins: the next unit is its first."""
-        self._fresh = True
+    def handle_unit(
+        self, unit: CodedUnit, stamp: CaptureStamp, now_ns: int, *, begins: bool
+    ) -> Begun | None:
+        """Take a unit. Return how a reader begins with it; None if no decoder can.
 
-    def handle_unit(self, unit: CodedUnit, stamp: CaptureStamp, now_ns: int) -> Begun:
-        """Return what to write for a unit."""
+        begins: whether anybody does; else None.
+        """
         self._sets = parameter_sets(unit.data) or unit.parameter_sets or self._sets
-        begun = self._begin(unit) if self._fresh else Begun(None, unit.data)
+        begun = self._begin(unit) if begins else None
         self._history.handle_unit(unit, stamp, now_ns)
         return begun
 
-    def _begin(self, unit: CodedUnit) -> Begun:
+    def _begin(self, unit: CodedUnit) -> Begun | None:
         if unit.key and not unit.damaged:
-            self._fresh = False
             return Begun(None, unit.data)
         if unit.refused or not self._sets or not (unit.width and unit.height):
-            return Begun(None, unit.data)  # no decoder can begin with it
-        self._fresh = False
+            return None
         data = unit.data if parameter_sets(unit.data) else self._sets + unit.data
         replay = self._history.replay()
         if replay and sum(each.pixels for each in replay) <= _MOST_PIXELS:

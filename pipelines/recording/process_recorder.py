@@ -18,10 +18,10 @@ from kontur_av import __version__
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.figures import plus
-from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
-from pipelines.recording.channels import Content, Source, sources_of
+from pipelines.recording.camera_reader import CameraReader
+from pipelines.recording.channels import Content, sources_of
 from pipelines.recording.desk import Ask, RecorderDesk, Start, Stop
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
@@ -200,7 +200,7 @@ class _Recording:
         ]
         self._selected = self._bus.reader(SELECTED_TOPIC)
         self._cameras = [
-            _Camera(self._bus, source, self._recorder)
+            CameraReader(self._bus, source, self._recorder.coder(source))
             for source in sources
             if source.content is Content.CAMERA
         ]
@@ -249,7 +249,8 @@ class _Recording:
             with chosen:
                 self._follow(Choice.unpack(chosen.octets()).camera)
         for camera in self._cameras:
-            camera.handle_wake(self._now_ns())
+            if (coded := camera.poll(self._now_ns())) is not None:
+                recorder.handle_camera(camera.source, *coded, self._now_ns())
         recorder.handle_time(self._now_ns())
         self._pump()
 
@@ -278,7 +279,7 @@ class _Recording:
     def _follow(self, camera: str) -> None:
         carried = self._carried.get(camera, ())
         for each in self._cameras:
-            each.handle_carried(each.name in carried)
+            each.handle_carried(each.source.name in carried)
 
     def _open_part(self) -> None:
         now_ns = self._now_ns()
@@ -303,47 +304,3 @@ class _Recording:
                 self._recorder.handle_fault(part, why, self._now_ns())
             else:
                 self._recorder.handle_written()
-
-
-class _Camera:
-    """A camera that is coded here while no stream carries it.
-
-    Its topic is joined for one picture at a time, so that a built-in scene draws only these.
-    """
-
-    def __init__(self, bus: TopicBus, source: Source, recorder: Recorder) -> None:
-        self.name = source.name
-        self._bus, self._source, self._recorder = bus, source, recorder
-        self._coder = recorder.coder(source)
-        self._reader: Reader | None = None
-        self._carried = True
-
-    def handle_carried(self, carried: bool) -> None:
-        if carried and not self._carried:
-            self._coder.handle_pause()
-            self._close()
-        self._carried = carried
-
-    def handle_wake(self, now_ns: int) -> None:
-        if self._carried:
-            return
-        if self._reader is None:
-            if self._coder.due(now_ns):
-                self._reader = self._bus.reader(self._source.topic)
-            return
-        lease = self._reader.latest()
-        if lease is None:
-            return
-        with lease:
-            stamp = lease.stamp
-            # A new reader is also given the newest picture of before.
-            if not self._coder.due(stamp.capture_ns):
-                return
-            unit = self._coder.encode(lease.video().data, stamp.capture_ns)
-        self._close()
-        self._recorder.handle_camera(self._source, unit, stamp, now_ns)
-
-    def _close(self) -> None:
-        if self._reader is not None:
-            self._reader.close()
-            self._reader = None

@@ -10,63 +10,36 @@ the stream's messages are held, and written behind it in their order.
 """
 
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
-import msgspec
-
-from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.black_key import black_key
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.hand.haptic_trace import rows_of
-from pipelines.link.frame_batch import unpack_frames
-from pipelines.recording.channels import (
-    EVENTS,
-    LOG_LINES,
-    RECEIVED,
-    RECORDER_LOSSES,
-    SENT,
-    SESSION_FIGURES,
-    Content,
-    Source,
-    channels_of,
-)
-from pipelines.recording.contacts import ContactWatch
+from pipelines.recording.channels import RECORDER_LOSSES, Content, Source, channels_of
 from pipelines.recording.facts import FACTS, LIBRARY, RecordingFacts
 from pipelines.recording.figures import RecordedChannel, RecorderFigures
 from pipelines.recording.mcap_stream import McapStream, Piece
-from pipelines.recording.messages import (
-    ChannelLoss,
-    LinkReceived,
-    LinkSent,
-    LogLevel,
-    LogLine,
-    RecordedEvent,
-    RecordedFigure,
-    RecordedFigures,
-    RecordedFrames,
-    RecordedPacket,
-    RecordedPicture,
-    RecordedSound,
-    RecorderLosses,
-    UnitFacts,
-    haptic_samples,
-    pack,
-    pack_haptics,
-    packet_words,
-)
+from pipelines.recording.messages import ChannelLoss, RecordedEvent, RecorderLosses, pack
 from pipelines.recording.own_pictures import (
     KEY_PATIENCE_NS,
     MOST_HELD_OCTETS,
+    Begun,
     CameraCoder,
     KeyPictureWanted,
     StreamStart,
 )
+from pipelines.recording.session_messages import (
+    ChannelMessage,
+    Figure,
+    Instants,
+    SampleNumbers,
+    SessionMessages,
+)
 from pipelines.session.recorder_requests import PartLimits
 from pipelines.session.topology import Topology
-from telepresence.link.figures import GatewayFigures
 
 #: After a fault of the disk, a new part is tried this often.
 RETRY_NS: Final = 2 * NS_PER_S
@@ -76,10 +49,6 @@ EVENTS_LATE_NS: Final = 3 * NS_PER_S
 _LOSSES_NS = NS_PER_S
 #: Octets that may wait for a slow disk: minutes of a session.
 MOST_WAITING_OCTETS: Final = 32 << 20
-#: A key picture that the recorder adds comes this long before its unit.
-_AHEAD_NS = NS_PER_US
-#: Kinds of events that are warnings in the log.
-_WARNINGS = frozenset({"process", "stale", "recorder"})
 
 
 class PartPiece(NamedTuple):
@@ -91,37 +60,19 @@ class PartPiece(NamedTuple):
     last: bool
 
 
-class _Instants(NamedTuple):
-    """When a sample was published, and when the recorder reads it."""
-
-    published_ns: int
-    now_ns: int
-
-
-class _Message(NamedTuple):
-    """A message for the file."""
-
-    channel: str
-    data: bytes
-    log_ns: int
-    sequence: int
-    at: _Instants
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Held:
     """Messages of a stream that wait for the key picture ahead of them.
 
-    facts, at: of the unit behind the key picture. log_ns, sequence: of the key picture.
+    unit, stamp, at: of the unit behind the key picture.
     """
 
     wanted: KeyPictureWanted
     source: Source
-    facts: UnitFacts
-    log_ns: int
-    sequence: int
-    at: _Instants
-    messages: list[_Message] = field(default_factory=list)
+    unit: CodedUnit
+    stamp: CaptureStamp
+    at: Instants
+    messages: list[ChannelMessage] = field(default_factory=list)
 
     @property
     def octets(self) -> int:
@@ -157,24 +108,21 @@ class Recorder:
         self._records = [row.records() for row in rows]
         self._numbers = {row.topic: row.number for row in rows}
         self._topics = {row.number: row.topic for row in rows}
+        self._told = SessionMessages(wall_offset_ns)
         self._starts: dict[str, StreamStart] = {}
+        #: Channels of units that this part has begun.
+        self._begun: set[str] = set()
         #: By channel of units: what waits for a key picture.
         self._held: dict[str, _Held] = {}
         self._wanted: deque[KeyPictureWanted] = deque()
         self._keys_wanted = self._keys_late = 0
         self._coders: dict[str, CameraCoder] = {}
         self._coded: Counter[str] = Counter()
-        self._contact = ContactWatch()
-        self._events = 0
         #: Events that wait for earlier ones, with the instants at which they came.
         self._events_due: list[tuple[RecordedEvent, int]] = []
-        #: By topic: the sequence number of its newest sample.
-        self._sequences: dict[str, int] = {}
+        self._sample_numbers = SampleNumbers()
         self._stream: McapStream | None = None
         self._part = 0
-        #: The figures that this part has, and how often any were told.
-        self._told_figures: dict[str, float | str | bool | None] = {}
-        self._figures = 0
         self._begun_ns = self._joined_ns = 0
         self._ended = False
         self._retry_ns: int | None = None
@@ -192,14 +140,6 @@ class Recorder:
 
     # Samples
 
-    def _handle_number(self, source: Source, stamp: CaptureStamp) -> None:
-        before = self._sequences.get(source.topic)
-        self._sequences[source.topic] = stamp.sequence
-        # A smaller number is that of a writer that was started again.
-        if before is not None and stamp.sequence > before + 1:
-            for channel in source.channels:
-                self._missed[self._numbers[channel]] += stamp.sequence - before - 1
-
     def handle_sample(
         self,
         source: Source,
@@ -210,30 +150,20 @@ class Recorder:
         published_ns: int | None = None,
     ) -> None:
         """A sample of a topic, other than a camera's. published_ns: when, if not just now."""
-        at = _Instants(now_ns if published_ns is None else published_ns, now_ns)
-        if source.topic not in self._sequences and at.published_ns < self._joined_ns:
+        at = Instants(now_ns if published_ns is None else published_ns, now_ns)
+        if source.topic not in self._sample_numbers and at.published_ns < self._joined_ns:
             # A topic gives a new reader its newest sample. That may be from the recording before:
             # those since then were counted, and not published.
             return
-        self._handle_number(source, stamp)
+        missed = self._sample_numbers.handle_sample(source.topic, stamp.sequence)
+        for channel in source.channels:
+            self._missed[self._numbers[channel]] += missed
         if source.content is Content.UNIT:
             self._handle_unit(source, CodedUnit.unpack(octets), stamp, at)
-        elif source.content is Content.HAPTICS:
-            self._handle_haptics(source, octets, stamp, at)
-        elif source.content is Content.SOUND:
-            self._handle_sound(source, octets, stamp, at)
-        elif source.content is Content.PACKET:
-            packet = RecordedPacket(
-                session_ns=stamp.capture_ns, data=octets, what=packet_words(octets)
-            )
-            wall_ns = stamp.capture_ns + self._offset_ns
-            self._put(source.channels[0], pack(packet), wall_ns, stamp.sequence, at)
-        elif source.content is Content.GATEWAY:
-            self._handle_gateway(source, octets, stamp, at)
-        elif source.content is Content.FRAMES:
-            self._handle_frames(source, octets, stamp, at)
-        else:
-            raise ValueError(f"{source.topic}: its samples are not octets")
+            return
+        self._put(self._told.of_sample(source, octets, stamp, at))
+        for event in self._told.touches(source, octets):
+            self.handle_event(event, now_ns)
 
     def coder(self, source: Source) -> CameraCoder:
         """Return what codes the pictures of a camera."""
@@ -241,12 +171,9 @@ class Recorder:
 
     def handle_camera(self, source: Source, unit: bytes, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture of a camera was coded. Pictures between two coded ones are not missed."""
-        at = _Instants(now_ns, now_ns)
-        wall_ns = stamp.capture_ns + self._offset_ns
         self._coded[source.name] += 1
-        picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=unit)
         number = self._coded[source.name]
-        self._put(source.channels[0], pack(picture), wall_ns, number, at)
+        self._put([self._told.of_camera(source, unit, stamp, number, now_ns)])
 
     def handle_event(self, event: RecordedEvent, now_ns: int) -> None:
         """Take an event. It is written when earlier ones have come, so that all are in order."""
@@ -257,54 +184,30 @@ class Recorder:
         due = self._events_due
         due.sort(key=lambda each: each[0].session_ns)
         while due and (until_ns is None or due[0][0].session_ns <= until_ns):
-            self._write_event(*due.pop(0))
+            self._put(self._told.of_event(*due.pop(0)))
 
-    def _write_event(self, event: RecordedEvent, now_ns: int) -> None:
-        at = _Instants(now_ns, now_ns)
-        wall_ns = event.session_ns + self._offset_ns
-        level = LogLevel.WARNING if event.what in _WARNINGS else LogLevel.INFO
-        line = LogLine(wall_ns=wall_ns, level=level, message=event.text, name=event.what)
-        self._events += 1
-        self._put(EVENTS, pack(event), wall_ns, self._events, at)
-        self._put(LOG_LINES, pack(line), wall_ns, self._events, at)
-
-    def handle_figures(
-        self, figures: Mapping[str, float | str | bool | None], session_ns: int, now_ns: int
-    ) -> None:
+    def handle_figures(self, figures: Mapping[str, Figure], session_ns: int, now_ns: int) -> None:
         """The figures of the session at `session_ns`, by name."""
-        if self._stream is None:
-            return
-        before = self._told_figures
-        fresh = {
-            name: value
-            for name, value in figures.items()
-            if name not in before or before[name] != value
-        }
-        self._told_figures = {**before, **fresh}
-        changed = [RecordedFigure.of(name, value) for name, value in fresh.items()]
-        told = RecordedFigures(session_ns=session_ns, figures=changed)
-        self._figures += 1
-        at = _Instants(now_ns, now_ns)
-        self._put(SESSION_FIGURES, pack(told), session_ns + self._offset_ns, self._figures, at)
+        if self._stream is not None:
+            self._put([self._told.of_figures(figures, session_ns, now_ns)])
 
     def _handle_unit(
-        self, source: Source, unit: CodedUnit, stamp: CaptureStamp, at: _Instants
+        self, source: Source, unit: CodedUnit, stamp: CaptureStamp, at: Instants
     ) -> None:
-        channel, facts_channel = source.channels
-        if channel not in self._starts:
-            self._starts[channel] = StreamStart()
-        wall_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns
-        key, data = self._starts[channel].handle_unit(unit, stamp, at.now_ns)
-        facts = UnitFacts.of(unit, stamp)
+        channel = source.channels[0]
+        start = self._starts.setdefault(channel, StreamStart())
+        begun = start.handle_unit(unit, stamp, at.now_ns, begins=channel not in self._begun)
+        if begun is not None:
+            self._begun.add(channel)
+        key, data = begun or Begun(None, unit.data)
         if key is not None and self._stream is not None:
             self._keys_wanted += 1
             units = key if isinstance(key, tuple) else ()
             ahead = _Held(
                 wanted=KeyPictureWanted(self._keys_wanted, units, unit.width, unit.height),
                 source=source,
-                facts=facts,
-                log_ns=wall_ns - _AHEAD_NS,
-                sequence=max(0, stamp.sequence - 1),
+                unit=unit,
+                stamp=stamp,
                 at=at,
             )
             if isinstance(key, bytes):
@@ -312,14 +215,9 @@ class Recorder:
             else:
                 self._held[channel] = ahead
                 self._wanted.append(ahead.wanted)
-        picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=data)
-        messages = (
-            _Message(channel, pack(picture), wall_ns, stamp.sequence, at),
-            _Message(facts_channel, pack(facts), wall_ns, stamp.sequence, at),
-        )
+        messages = self._told.of_unit(source, unit, data, stamp, at)
         if (held := self._held.get(channel)) is None:
-            for message in messages:
-                self._put(*message)
+            self._put(messages)
             return
         held.messages.extend(messages)
         if held.octets > MOST_HELD_OCTETS:
@@ -346,72 +244,21 @@ class Recorder:
 
     def _release(self, held: _Held, key: bytes) -> None:
         """Write a key picture, and what has waited for it."""
-        channel, facts_channel = held.source.channels
-        picture = RecordedPicture(wall_ns=held.log_ns, frame_id=held.source.name, data=key)
-        added = replace(held.facts, key=True, damaged=False, octets=len(key), added=True)
-        self._put(channel, pack(picture), held.log_ns, held.sequence, held.at)
-        self._put(facts_channel, pack(added), held.log_ns, held.sequence, held.at)
-        for message in held.messages:
-            self._put(*message)
+        self._put(self._told.of_key(held.source, held.unit, key, held.stamp, held.at))
+        self._put(held.messages)
 
-    def _handle_haptics(
-        self, source: Source, octets: bytes, stamp: CaptureStamp, at: _Instants
-    ) -> None:
-        rows = rows_of(octets)
-        if not len(rows):
-            return
-        wall_ns = int(rows["time_ns"][0]) + self._offset_ns
-        for channel, way in zip(source.channels, (SENT, RECEIVED), strict=True):
-            packed = pack_haptics(haptic_samples(rows, rows[way]))
-            self._put(channel, packed, wall_ns, stamp.sequence, at)
-        if source.name == "robot":
-            for at_ns, text in self._contact.handle_rows(rows):
-                event = RecordedEvent(session_ns=at_ns, number=0, what="touch", text=text)
-                self.handle_event(event, at.now_ns)
-
-    def _handle_sound(
-        self, source: Source, octets: bytes, stamp: CaptureStamp, at: _Instants
-    ) -> None:
-        # A receiver that has no sender report yet cannot date its packets.
-        wall_ns = (stamp.capture_ns or at.published_ns) + self._offset_ns
-        sound = RecordedSound(wall_ns=wall_ns, data=octets)
-        self._put(source.channels[0], pack(sound), wall_ns, stamp.sequence, at)
-
-    def _handle_gateway(
-        self, source: Source, octets: bytes, stamp: CaptureStamp, at: _Instants
-    ) -> None:
-        found = msgspec.msgpack.decode(octets, type=GatewayFigures)
-        at_ns, state = stamp.capture_ns, found.supervision
-        sent = LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
-        received = LinkReceived.of(found.receive, state, session_ns=at_ns)
-        for channel, told in zip(source.channels, (sent, received), strict=True):
-            self._put(channel, pack(told), at_ns + self._offset_ns, stamp.sequence, at)
-
-    def _handle_frames(
-        self, source: Source, octets: bytes, stamp: CaptureStamp, at: _Instants
-    ) -> None:
-        frames = unpack_frames(octets)
-        if not frames:
-            return
-        times, data = zip(*frames, strict=True)
-        told = RecordedFrames(time_ns=times, data=data)
-        wall_ns = times[0] + self._offset_ns
-        self._put(source.channels[0], pack(told), wall_ns, stamp.sequence, at)
-
-    def _put(self, channel: str, data: bytes, log_ns: int, sequence: int, at: _Instants) -> None:
-        number = self._numbers[channel]
-        if self._stream is None:
-            self._dropped[number] += 1
-            return
-        taken = self._stream.handle_message(
-            number,
-            data,
-            log_ns=max(0, log_ns),
-            publish_ns=at.published_ns + self._offset_ns,
-            sequence=sequence,
-            now_ns=at.now_ns,
-        )
-        self._dropped[number] += not taken
+    def _put(self, messages: Iterable[ChannelMessage]) -> None:
+        for message in messages:
+            number, at = self._numbers[message.channel], message.at
+            taken = self._stream is not None and self._stream.handle_message(
+                number,
+                message.data,
+                log_ns=max(0, message.log_ns),
+                publish_ns=at.published_ns + self._offset_ns,
+                sequence=message.sequence,
+                now_ns=at.now_ns,
+            )
+            self._dropped[number] += not taken
 
     # Files
 
@@ -439,13 +286,12 @@ class Recorder:
         stream.handle_metadata(FACTS, facts.items(), now_ns)
         for schema, channel in self._records:
             stream.handle_channel(schema, channel)
-        for start in self._starts.values():
-            start.handle_part()
+        self._begun.clear()
+        self._told.handle_fresh()
         for coder in self._coders.values():
             coder.handle_part()
         self._losses_ns = now_ns
         self._told_losses = 0
-        self._told_figures = {}
 
     def handle_fault(self, part: int | None, why: str, now_ns: int) -> None:
         """A file cannot be opened, or no more of a part be written.
@@ -513,8 +359,9 @@ class Recorder:
             ),
         )
         self._own_number += 1
-        at = _Instants(now_ns, now_ns)
-        self._put(RECORDER_LOSSES, pack(told), now_ns + self._offset_ns, self._own_number, at)
+        at = Instants(now_ns, now_ns)
+        wall_ns = now_ns + self._offset_ns
+        self._put([ChannelMessage(RECORDER_LOSSES, pack(told), wall_ns, self._own_number, at)])
 
     def handle_end(self, now_ns: int) -> None:
         """The recording ends: its last part is closed with a summary."""

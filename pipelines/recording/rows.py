@@ -26,6 +26,26 @@ from pipelines.session.topology.rows import RECORDER_PRIORITY, MediaRow, VideoRo
 from pipelines.session.topology.topics import Topic
 
 
+def shown_topics(session: Topology) -> tuple[Topic, ...]:
+    """The topics from which the channels of a session come, but for frames of the link."""
+    return (
+        ROBOT_TRACE_TOPIC,
+        JOYSTICK_TRACE_TOPIC,
+        SELECTED_TOPIC,
+        *(topic for row in session.media_streams for topic in (row.sent_topic, row.coded_topic)),
+        RTC_VIDEO_TOPIC,
+        RTC_CODED_CAMERA_TOPIC,
+        RTC_CODED_VOICE_TOPIC,
+        *(
+            packets_topic(name, sent=sent)
+            for name in (TELECOMMAND, TELEMETRY)
+            for sent in (True, False)
+        ),
+        *(gateway_topic(segment) for segment in Segment),
+        *(row.topic for row in session.inputs if row.kind is Kind.VIDEO),
+    )
+
+
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
     """The recorder. It is started first, so that it misses nothing."""
     return (
@@ -37,29 +57,12 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             run="pipelines.recording.process_recorder:run_recorder",
             priority=RECORDER_PRIORITY,
             reads=(
-                ROBOT_TRACE_TOPIC,
-                JOYSTICK_TRACE_TOPIC,
-                SELECTED_TOPIC,
-                *(
-                    topic
-                    for row in session.media_streams
-                    for topic in (row.sent_topic, row.coded_topic)
-                ),
-                RTC_VIDEO_TOPIC,
-                RTC_CODED_CAMERA_TOPIC,
-                RTC_CODED_VOICE_TOPIC,
-                *(
-                    packets_topic(name, sent=sent)
-                    for name in (TELECOMMAND, TELEMETRY)
-                    for sent in (True, False)
-                ),
-                *(gateway_topic(segment) for segment in Segment),
+                *shown_topics(session),
                 *(
                     topic
                     for link in session.links
                     for topic in (link.sent_frames_topic, link.received_frames_topic)
                 ),
-                *(row.topic for row in session.inputs if row.kind is Kind.VIDEO),
             ),
             what="records the session, if that is wished",
         ),

@@ -32,7 +32,7 @@ from pipelines.link.figures import SocketFigures, WayInFigures
 from pipelines.media.figures import DisplayFigures, GainFigures
 from pipelines.mission.figures import ComponentFigures
 from pipelines.partner.figures import RtcFigures
-from pipelines.recording.figures import RecorderFigures
+from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.session.figures import DatedEvent, LoopFigures
 from pipelines.session.task_journal import TaskRow
 from telepresence.haptics.envelope import SafetyFigures
@@ -609,6 +609,8 @@ class SessionReport(Report, frozen=True, kw_only=True):
     exercises: list[DatedEvent] | None = None
     #: The recording; left out without one.
     recorder: RecorderFigures | None = None
+    #: Clients of `--foxglove`; left out without it.
+    foxglove: FoxgloveFigures | None = None
     #: The leg to a partner; left out without one.
     rtc: RtcReport | None = None
     #: The runs of tasks, oldest first; only with a plan.

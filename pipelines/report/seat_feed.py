@@ -3,7 +3,7 @@
 import msgspec
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
-from pipelines.recording.figures import RecorderFigures
+from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
 from pipelines.report.health import SessionHealth
@@ -14,9 +14,9 @@ from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import Event, MonitoredSession, SessionEvents
 from pipelines.session.launcher import Launcher, launcher_cpu_s
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import METRICS, RECORDER
+from pipelines.session.topology import FOXGLOVE, METRICS, RECORDER
 
-#: How often the recorder is sent figures; a message for pages is made twice as often.
+#: How often these two are sent figures; a message for pages is made twice as often.
 _RECORDED_EVERY_NS = 9 * NS_PER_S // 10
 _MONITORED_EVERY_NS = 2 * NS_PER_S
 
@@ -37,8 +37,9 @@ def session_report(launcher: Launcher, collector: Collector) -> SessionReport:
 class SeatFeed:
     """Makes a message for each page process while somebody watches its pages.
 
-    Each life of a page process is sent every event once. So is the recorder while it records, with
-    the figures once a second. A monitoring system gets the report so far every two seconds.
+    Each life of a page process is sent every event once. So are the recorder while it records, and
+    the bridge to Foxglove while it has clients, with the figures once a second. A monitoring system
+    gets the report so far every two seconds.
     """
 
     def __init__(self, setup: Setup, collector: Collector) -> None:
@@ -47,7 +48,7 @@ class SeatFeed:
         #: By page process: its life, and the newest event that it was sent.
         self._told: dict[str, tuple[int | None, int]] = {}
         self._newest: dict[str, tuple[int | None, int]] = {}
-        #: When the recorder was sent figures last.
+        #: When recorder and bridge were sent figures last.
         self._recorded_ns = 0
         #: When a monitoring system was told last.
         self._monitored_ns = 0
@@ -74,14 +75,13 @@ class SeatFeed:
             for child in launcher.children
             if child.row.name in launcher.pages and self._watched(child.row.name)
         }
-        recorder = self._recorder(launcher)
-        figures_due = recorder is not None and now_ns >= self._recorded_ns + _RECORDED_EVERY_NS
+        followers = self._followers(launcher)
+        figures_due = bool(followers) and now_ns >= self._recorded_ns + _RECORDED_EVERY_NS
         messages = self._monitored(launcher, now_ns)
-        if recorder is not None and not figures_due:
-            events = self._events(RECORDER, recorder)
-            if events:
+        for name, pid in followers.items() if not figures_due else ():
+            if events := self._events(name, pid):
                 news = SessionEvents(at_us=now_ns // NS_PER_US, events=events)
-                messages[RECORDER] = msgspec.json.encode(news)
+                messages[name] = msgspec.json.encode(news)
         if not lives and not figures_due:
             return messages
         message = self._figures.message(
@@ -90,14 +90,14 @@ class SeatFeed:
             running_ns=launcher.switch.running_ns(launcher.started_ns, now_ns),
             now_ns=now_ns,
         )
-        if figures_due:
+        for name, pid in followers.items() if figures_due else ():
             self._recorded_ns = now_ns
             news = SessionEvents(
                 at_us=message.at_us,
-                events=self._events(RECORDER, recorder),
+                events=self._events(name, pid),
                 figures=dict(message.figures),
             )
-            messages[RECORDER] = msgspec.json.encode(news)
+            messages[name] = msgspec.json.encode(news)
         for name, pid in lives.items():
             events = self._events(name, pid)
             messages[name] = msgspec.json.encode(msgspec.structs.replace(message, events=events))
@@ -124,12 +124,18 @@ class SeatFeed:
         self._newest[process] = pid, events[-1].number if events else number
         return events
 
-    def _recorder(self, launcher: Launcher) -> int | None:
-        """The life of the recorder, while it records."""
-        if not self._collector.process(RECORDER).total(RecorderFigures).recording:
-            return None
-        (pid,) = (child.pid for child in launcher.children if child.row.name == RECORDER)
-        return pid
+    def _followers(self, launcher: Launcher) -> dict[str, int | None]:
+        """The lives of the recorder, while it records, and of the bridge with clients."""
+        process = self._collector.process
+        following = {
+            RECORDER: process(RECORDER).total(RecorderFigures).recording,
+            FOXGLOVE: process(FOXGLOVE).total(FoxgloveFigures).watching > 0,
+        }
+        return {
+            child.row.name: child.pid
+            for child in launcher.children
+            if following.get(child.row.name)
+        }
 
     def handle_sent(self, process: str) -> None:
         if process in self._newest:

@@ -12,6 +12,7 @@ from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.media.figures import GainFigures
+from pipelines.recording.figures import FoxgloveFigures
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import Pauses, StreamFigures
 from pipelines.report.link_report import gateway_figures, link_figures, punctuality_us
@@ -53,7 +54,7 @@ from pipelines.report.warnings import find_warnings
 from pipelines.session.figures import LoopFigures, ProbeFigures
 from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.topology import ROBOT, HapticRow
+from pipelines.session.topology import FOXGLOVE, ROBOT, HapticRow
 from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import JoystickFigures, PortFigures, SamplesReceived, SamplesSent
 from telepresence.link.profile import LinkProfile
@@ -121,6 +122,7 @@ def build_report(
             *task_warnings(collector),
         ],
         recorder=recorder_report(collector),
+        foxglove=collector.process(FOXGLOVE).find(FoxgloveFigures),
         exercises=exercises(collector, _radio_epoch_ns(collector)),
         rtc=rtc_report(collector, seconds),
         arm=arm_report(collector, _radio_epoch_ns(collector)),

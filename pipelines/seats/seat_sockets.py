@@ -2,7 +2,7 @@
 
 import asyncio
 import socket
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 
 from aiohttp import WSMsgType, web
@@ -36,11 +36,20 @@ class SeatSockets:
     def __len__(self) -> int:
         return len(self._open)
 
-    async def open(self, request: web.BaseRequest, most_octets: int) -> "SeatSocket":
-        """Answer a request with a web socket. most_octets: of a message of the page."""
+    async def open(
+        self, request: web.BaseRequest, most_octets: int, protocols: Sequence[str] = ()
+    ) -> "SeatSocket":
+        """Answer a request with a web socket.
+
+        most_octets: of a message of the page. protocols: of which the page must know one, if any.
+        """
         # aiohttp refuses messages of its limit, too.
         ws = web.WebSocketResponse(
-            timeout=_CLOSE_S, compress=False, max_msg_size=most_octets + 1, writer_limit=0
+            timeout=_CLOSE_S,
+            protocols=protocols,
+            compress=False,
+            max_msg_size=most_octets + 1,
+            writer_limit=0,
         )
         try:
             await ws.prepare(request)

@@ -100,6 +100,7 @@ class RunningSession:
             pages=pages,
             recorder=True,
             tasks=bool({"--plan", "--tasks"} & {*options}),
+            foxglove="--foxglove" in options,
         )
         words = ["stream", "--setup", setup, *options, *([] if pages else ["--no-page"])]
         self._begin(topology.processes, words, directory)

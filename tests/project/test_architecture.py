@@ -188,6 +188,7 @@ USERS_OF_SHELLS = {
     "pipelines/session/robot_state.py": "a topic",
     "pipelines/media/stream_figures.py": "sockets of a process",
     "pipelines/mission/tmtc_socket.py": "a Unix socket",
+    "pipelines/recording/camera_reader.py": "a topic",
 }
 
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
@@ -304,6 +305,7 @@ LIBRARIES = {
         {"av", "google", "io", "mcap", "msgspec", "zstandard"},
         "protobuf, MCAP and H.264: octets only; requests as JSON",
     ),
+    "pipelines/foxglove/": ({"msgspec", "tomllib"}, "messages as JSON, and the setup as a table"),
     "pipelines/report/": ({"msgspec", "rich"}, "the report as JSON and as text"),
     "pipelines/report/trace.py": ({"zlib"}, "rows as text"),
     "pipelines/report/live.py": ({"sys"}, "the terminal"),

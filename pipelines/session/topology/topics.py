@@ -19,6 +19,7 @@ TRAINER = "trainer"
 #: The process that records the session.
 RECORDER = "recorder"
 METRICS = "metrics"
+FOXGLOVE = "foxglove"
 #: By segment: the process that serves its browser pages.
 PAGES = {segment: f"page_{segment.value}" for segment in Segment}
 #: The process that has the connections to partners, and the one that shows the partner.

@@ -1,0 +1,331 @@
+"""What a session's clients of Foxglove's protocol are told, and what they ask. A core."""
+
+import tomllib
+from collections import Counter, deque
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
+from typing import Final
+
+from kontur_av.clock import NS_PER_US
+from kontur_av.errors import ProtocolError
+from kontur_av.media import CaptureStamp
+from kontur_av.rtp.payload_h264 import parameter_sets
+from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.foxglove.client import Client
+from pipelines.foxglove.protocol import (
+    FollowParameters,
+    GetParameters,
+    LeaveParameters,
+    SetParameters,
+    Subscribe,
+    Unsubscribe,
+    Value,
+    advertise,
+    advertise_services,
+    parameter_values,
+    parse_octets,
+    parse_text,
+    server_info,
+    service_failure,
+    status,
+)
+from pipelines.foxglove.services import Services
+from pipelines.foxglove.video import KeyAsked, LiveVideo
+from pipelines.recording.channels import (
+    EVENTS,
+    LOG_LINES,
+    SESSION_FIGURES,
+    ChannelRow,
+    Content,
+    Source,
+    channels_of,
+    sources_of,
+)
+from pipelines.recording.figures import FoxgloveFigures, RecordedChannel
+from pipelines.recording.messages import RecordedEvent
+from pipelines.recording.own_pictures import CameraCoder
+from pipelines.recording.session_messages import (
+    ChannelMessage,
+    Figure,
+    Instants,
+    SampleNumbers,
+    SessionMessages,
+)
+from pipelines.session.figures import SessionEvents
+from pipelines.session.seat_roles import VIEWER_WORDS
+from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.topology import Topology
+
+MOST_CLIENTS: Final = 8
+#: The newest events that a client is told when it subscribes to them.
+_KEPT_EVENTS = 200
+
+
+def live_channels(topology: Topology) -> tuple[ChannelRow, ...]:
+    """Return the channels of a session that have messages while it runs on this machine."""
+    topics = {name for source in sources_of(topology) for name in source.channels}
+    topics |= {EVENTS, LOG_LINES, SESSION_FIGURES}
+    return tuple(row for row in channels_of(topology) if row.topic in topics)
+
+
+class Bridge:
+    """All clients of one session.
+
+    Read the topics of `wanted`, and drain `next_event` after each input. Call `handle_time` often.
+
+    session: its name. wall_offset_ns: wall time less the session's clock. life: new in each life of
+    the process.
+    """
+
+    def __init__(self, topology: Topology, session: str, *, wall_offset_ns: int, life: int) -> None:
+        self._session = session
+        self._rows = {row.number: row.topic for row in live_channels(topology)}
+        self._advertised = advertise(live_channels(topology))
+        self._sources = sources_of(topology)
+        self._messages = SessionMessages(wall_offset_ns)
+        self._numbers = SampleNumbers()
+        self._clients: dict[int, Client] = {}
+        self._client_numbers = count(1)
+        self._videos = {
+            source.topic: LiveVideo(source, self._messages, self._clients)
+            for source in self._sources
+            if source.content is Content.UNIT
+        }
+        self._coders = {
+            source.channels[0]: CameraCoder()
+            for source in self._sources
+            if source.content is Content.CAMERA
+        }
+        self._coded = count(1)
+        self._events: deque[Sequence[ChannelMessage]] = deque(maxlen=_KEPT_EVENTS)
+        self._figures: Mapping[str, Figure] = {}
+        self._figures_ns = 0
+        self._setup = dict(_flat("setup", tomllib.loads(setup_toml(topology.setup))))
+        self.services = Services(topology, life)
+        #: By channel, of clients that have gone; missed: of all.
+        self._sent: Counter[str] = Counter()
+        self._dropped: Counter[str] = Counter()
+        self._missed: Counter[str] = Counter()
+
+    # Clients
+
+    @property
+    def is_full(self) -> bool:
+        return len(self._clients) >= MOST_CLIENTS
+
+    def handle_opened(self, *, commands: bool) -> int:
+        """A client has come; return its number. commands: whether it may call services."""
+        number = next(self._client_numbers)
+        client = self._clients[number] = Client(commands=commands)
+        name = f"kontur-av {self._session}"
+        client.put_answer(server_info(name, self._session, commands=commands))
+        client.put_answer(self._advertised)
+        if commands:
+            client.put_answer(advertise_services(self.services.rows))
+        return number
+
+    def handle_closed(self, number: int) -> None:
+        """A client has gone."""
+        client = self._clients.pop(number)
+        self._sent += client.sent
+        self._dropped += client.dropped
+
+    def handle_text(self, number: int, text: str, now_ns: int) -> None:
+        """A client's request. ProtocolError for anything else; then close it."""
+        client = self._clients[number]
+        client.handle_request(now_ns)
+        match parse_text(text):
+            case Subscribe(subscriptions):
+                for one in subscriptions:
+                    self._subscribe(client, one.id, one.channel_id, now_ns)
+            case Unsubscribe(numbers):
+                for one_number in numbers:
+                    client.unsubscribe(one_number)
+            case GetParameters(names, request):
+                client.put_answer(parameter_values(self._parameters(names), request))
+            case SetParameters():
+                client.put_answer(status("parameters are only to be read"))
+            case FollowParameters(names):
+                client.follows |= set(self._parameters(names))
+            case LeaveParameters(names):
+                client.follows -= set(names or client.follows)
+
+    def handle_octets(self, number: int, octets: bytes, now_ns: int) -> None:
+        """A client's call of a service. ProtocolError for anything else; then close it."""
+        client = self._clients[number]
+        client.handle_request(now_ns)
+        call = parse_octets(octets)
+        error = VIEWER_WORDS
+        if client.commands:
+            error = self.services.handle_call(number, call, now_ns)
+        if error:
+            client.put_answer(service_failure(call.service, call.call, error))
+
+    def waits(self, number: int) -> bool:
+        """Whether something waits for a client."""
+        return self._clients[number].waits
+
+    def poll_transmit(self, number: int) -> bytes | str | None:
+        """Return a client's next message, or None. Call it when the client can take one."""
+        return self._clients[number].poll_transmit()
+
+    def _subscribe(self, client: Client, subscription: int, channel: int, now_ns: int) -> None:
+        topic = self._rows.get(channel)
+        error = f"there is no channel {channel}"
+        if topic is not None:
+            error = client.subscribe(topic, subscription)
+        if error or topic is None:
+            client.put_answer(status(error))
+            return
+        if topic in self._coders:
+            self._coders[topic].handle_part()
+        if topic == SESSION_FIGURES and self._figures:
+            self._messages.handle_fresh()
+            told = self._messages.of_figures(self._figures, self._figures_ns, now_ns)
+            client.put(told, now_ns)
+        for event in self._events if topic in (EVENTS, LOG_LINES) else ():
+            for message in event:
+                if message.channel == topic:
+                    client.put(message, now_ns)
+
+    def _parameters(self, names: Sequence[str]) -> dict[str, Value]:
+        """The values of those that there are; all without any name."""
+        figures = {f"figures.{name}": value for name, value in self._figures.items()}
+        known = {**self._setup, **figures}
+        return {name: known[name] for name in names or known if name in known}
+
+    # The session
+
+    @property
+    def wanted(self) -> Iterator[Source]:
+        """What is to be read now: all units, so that a client can begin; else what is read."""
+        for source in self._sources:
+            channels = set(source.channels)
+            if source.content is Content.HAPTICS:
+                # Touches are found there.
+                channels |= {EVENTS, LOG_LINES}
+            if source.content is Content.UNIT or self._reads(channels):
+                yield source
+
+    def _reads(self, channels: set[str]) -> bool:
+        return any(client.reads(name) for client in self._clients.values() for name in channels)
+
+    def handle_joined(self, source: Source) -> None:
+        """From now on a topic is read."""
+        self._numbers.forget(source.topic)
+
+    def coder(self, source: Source) -> CameraCoder:
+        """Return what codes the pictures of a camera."""
+        return self._coders[source.channels[0]]
+
+    def handle_sample(
+        self, source: Source, octets: bytes, stamp: CaptureStamp, at: Instants
+    ) -> None:
+        """A sample of a topic, other than a camera's."""
+        missed = self._numbers.handle_sample(source.topic, stamp.sequence)
+        for channel in source.channels if missed else ():
+            self._missed[channel] += missed * sum(
+                client.reads(channel) for client in self._clients.values()
+            )
+        if source.content is Content.UNIT:
+            self._videos[source.topic].handle_unit(CodedUnit.unpack(octets), stamp, at)
+            return
+        if self._reads(set(source.channels)):
+            self._put(self._messages.of_sample(source, octets, stamp, at), at.now_ns)
+        for event in self._messages.touches(source, octets):
+            self._put_event(event, at.now_ns)
+
+    def handle_camera(self, source: Source, unit: bytes, stamp: CaptureStamp, now_ns: int) -> None:
+        """A picture of a camera was coded."""
+        message = self._messages.of_camera(source, unit, stamp, next(self._coded), now_ns)
+        key = bool(parameter_sets(unit))
+        for client in self._clients.values():
+            if key and client.lacks(message.channel, now_ns):
+                client.begin(message.channel)
+            if client.has_begun(message.channel):
+                client.put(message, now_ns)
+            elif client.lacks(message.channel, now_ns):
+                self.coder(source).handle_part()
+
+    def handle_told(self, told: SessionEvents, now_ns: int) -> None:
+        """The launcher tells figures, and what happened."""
+        at_ns = told.at_us * NS_PER_US
+        if told.figures:
+            before, self._figures, self._figures_ns = self._figures, told.figures, at_ns
+            self._put([self._messages.of_figures(told.figures, at_ns, now_ns)], now_ns)
+            changed: dict[str, Value] = {
+                f"figures.{name}": value
+                for name, value in told.figures.items()
+                if name not in before or before[name] != value
+            }
+            for client in self._clients.values():
+                client.put_parameters(changed)
+        for event in told.events:
+            recorded = RecordedEvent(
+                session_ns=event.at_us * NS_PER_US,
+                number=event.number,
+                what=event.what,
+                text=event.text,
+            )
+            self._put_event(recorded, now_ns)
+
+    def handle_key_picture(self, asked: KeyAsked, key: bytes | None, now_ns: int) -> None:
+        """The key picture that `next_event` asked for; None if it could not be made."""
+        for video in self._videos.values():
+            if video.channel == asked.channel:
+                video.handle_made(asked, key, now_ns)
+
+    def handle_time(self, now_ns: int) -> None:
+        """Drop what waits for too long, and hand over what became of services."""
+        for video in self._videos.values():
+            video.handle_time(now_ns)
+        for client in self._clients.values():
+            client.handle_time(now_ns)
+        while (answer := self.services.next_event()) is not None:
+            if (asking := self._clients.get(answer.client)) is not None:
+                try:
+                    asking.put_answer(answer.answer)
+                except ProtocolError:
+                    continue  # it does not read, and will be closed
+
+    def next_event(self) -> KeyAsked | None:
+        """Return a key picture that is to be made, or None."""
+        asked = (video.next_event() for video in self._videos.values())
+        return next((one for one in asked if one is not None), None)
+
+    def figures(self, now_ns: int) -> FoxgloveFigures:
+        """Return what was counted."""
+        clients = self._clients.values()
+        sent = sum((client.sent for client in clients), self._sent)
+        dropped = sum((client.dropped for client in clients), self._dropped)
+        return FoxgloveFigures(
+            watching=len(clients),
+            channels={
+                channel: RecordedChannel(
+                    kept=sent[channel], missed=self._missed[channel], dropped=dropped[channel]
+                )
+                for channel in sorted({*sent, *dropped, *(+self._missed)})
+            },
+            calls=self.services.calls,
+            waiting_octets=sum(client.waiting_octets for client in clients),
+            oldest_age_ns=max((client.oldest_age_ns(now_ns) for client in clients), default=0),
+        )
+
+    def _put(self, messages: Sequence[ChannelMessage], now_ns: int) -> None:
+        for message in messages:
+            for client in self._clients.values():
+                client.put(message, now_ns)
+
+    def _put_event(self, event: RecordedEvent, now_ns: int) -> None:
+        messages = self._messages.of_event(event, now_ns)
+        self._events.append(messages)
+        self._put(messages, now_ns)
+
+
+def _flat(name: str, value: object) -> Iterator[tuple[str, Value]]:
+    """The values of nested tables, by their whole names."""
+    if isinstance(value, dict):
+        for key, one in value.items():
+            yield from _flat(f"{name}.{key}", one)
+    else:
+        yield name, value  # type: ignore[misc]  # of TOML

@@ -1,0 +1,183 @@
+"""What waits for one client of Foxglove's protocol. A core.
+
+| what | most | when it is full |
+|---|---|---|
+| answers | 64 | the client is closed: it asks, and does not read |
+| changed parameters | one value each | the newest replaces it |
+| messages of channels | 4 MiB, 2 s | the oldest goes |
+
+With a picture, all later ones of its channel go. It begins again, with a key picture, when the
+client keeps up.
+"""
+
+from collections import Counter, deque
+from typing import Final, NamedTuple
+
+from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ProtocolError
+from pipelines.foxglove.protocol import Value, message_data, parameter_values, status
+from pipelines.recording.session_messages import ChannelMessage
+from pipelines.seats.open_page import MessageRate
+
+MOST_OCTETS: Final = 4 << 20
+MOST_AGE_NS: Final = 2 * NS_PER_S
+#: What waits for a client that keeps up is younger.
+_KEEPS_UP_NS = NS_PER_S // 5
+_MOST_ANSWERS = 64
+_REQUESTS_HZ, _REQUESTS_BURST = 50, 200
+#: A client is told this often at most that messages were dropped.
+_TOLD_NS = 5 * NS_PER_S
+
+
+class _Waiting(NamedTuple):
+    channel: str
+    data: bytes
+    since_ns: int
+
+
+class Client:
+    """One client. commands: whether it may call services."""
+
+    def __init__(self, *, commands: bool) -> None:
+        self.commands = commands
+        #: By channel: messages sent and dropped.
+        self.sent: Counter[str] = Counter()
+        self.dropped: Counter[str] = Counter()
+        #: By channel: the client's number for it.
+        self._subscriptions: dict[str, int] = {}
+        #: Channels of pictures in which it can decode the next unit.
+        self._begun: set[str] = set()
+        #: Those in which it could, until a unit was dropped.
+        self._broken: set[str] = set()
+        #: Whether it has taken anything since a message was dropped.
+        self._takes = True
+        #: Names of parameters that it follows.
+        self.follows: set[str] = set()
+        self._rate = MessageRate(_REQUESTS_HZ, _REQUESTS_BURST)
+        self._answers: deque[bytes | str] = deque()
+        self._changed: dict[str, Value] = {}
+        self._messages: deque[_Waiting] = deque()
+        self._octets = 0
+        self._untold = False
+        self._told_ns: int | None = None
+
+    def handle_request(self, now_ns: int) -> None:
+        """Something has come; ProtocolError if that is too often."""
+        if not self._rate.handle_message(now_ns):
+            raise ProtocolError("too many requests")
+
+    # Subscriptions
+
+    def subscribe(self, channel: str, number: int) -> str:
+        """Return why a channel cannot be subscribed, or ""."""
+        if channel in self._subscriptions:
+            return f"{channel} is subscribed already"
+        if number in self._subscriptions.values():
+            return f"the subscription {number} is in use"
+        self._subscriptions[channel] = number
+        return ""
+
+    def unsubscribe(self, number: int) -> None:
+        """Forget a subscription, and what waits for it."""
+        for channel in [name for name, one in self._subscriptions.items() if one == number]:
+            del self._subscriptions[channel]
+            self._begun.discard(channel)
+            self._broken.discard(channel)
+            self._remove(channel)
+
+    def reads(self, channel: str) -> bool:
+        return channel in self._subscriptions
+
+    def lacks(self, channel: str, now_ns: int) -> bool:
+        """Whether it can begin with the next unit of a channel of pictures, and has not."""
+        keeps_up = self._takes and self.oldest_age_ns(now_ns) < _KEEPS_UP_NS
+        return self.reads(channel) and channel not in self._begun and keeps_up
+
+    def begin(self, channel: str) -> None:
+        """Its next message of a channel of pictures is one at which a decoder can begin."""
+        self._begun.add(channel)
+        self._broken.discard(channel)
+
+    def has_begun(self, channel: str) -> bool:
+        return channel in self._begun
+
+    def handle_withheld(self, channel: str) -> None:
+        """A unit cannot be sent, because one before it was dropped."""
+        if channel in self._broken:
+            self._drop(channel, 1)
+
+    # What waits
+
+    @property
+    def waits(self) -> bool:
+        return bool(self._answers or self._changed or self._messages)
+
+    @property
+    def waiting_octets(self) -> int:
+        return self._octets
+
+    def oldest_age_ns(self, now_ns: int) -> int:
+        return now_ns - self._messages[0].since_ns if self._messages else 0
+
+    def put_answer(self, answer: bytes | str) -> None:
+        """ProtocolError if the client does not read its answers."""
+        if len(self._answers) >= _MOST_ANSWERS:
+            raise ProtocolError("answers are not read")
+        self._answers.append(answer)
+
+    def put_parameters(self, values: dict[str, Value]) -> None:
+        """These have changed; those that it does not follow are left out."""
+        self._changed.update({name: values[name] for name in values.keys() & self.follows})
+
+    def put(self, message: ChannelMessage, now_ns: int) -> None:
+        """A message of a channel, if it is subscribed."""
+        number = self._subscriptions.get(message.channel)
+        if number is None:
+            return
+        data = message_data(number, max(0, message.log_ns), message.data)
+        self._messages.append(_Waiting(message.channel, data, now_ns))
+        self._octets += len(data)
+        self.handle_time(now_ns)
+
+    def handle_time(self, now_ns: int) -> None:
+        """Drop what waits for too long."""
+        while self._octets > MOST_OCTETS or self.oldest_age_ns(now_ns) > MOST_AGE_NS:
+            oldest = self._messages.popleft()
+            self._octets -= len(oldest.data)
+            self._drop(oldest.channel, 1)
+            if oldest.channel in self._begun:
+                self._begun.discard(oldest.channel)
+                self._broken.add(oldest.channel)
+                self._drop(oldest.channel, self._remove(oldest.channel))
+        if self._untold and (self._told_ns is None or now_ns - self._told_ns >= _TOLD_NS):
+            self._told_ns, self._untold = now_ns, False
+            if len(self._answers) < _MOST_ANSWERS:
+                which = ", ".join(f"{name} {count}" for name, count in self.dropped.most_common(4))
+                self._answers.append(status(f"too slow; messages dropped so far: {which}"))
+
+    def _drop(self, channel: str, count: int) -> None:
+        self.dropped[channel] += count
+        self._untold, self._takes = True, False
+
+    def _remove(self, channel: str) -> int:
+        """Remove what waits of a channel; how many messages."""
+        kept = deque(one for one in self._messages if one.channel != channel)
+        removed = len(self._messages) - len(kept)
+        self._messages = kept
+        self._octets = sum(len(one.data) for one in kept)
+        return removed
+
+    def poll_transmit(self) -> bytes | str | None:
+        """Return the next message, or None. Call it when the client can take one."""
+        self._takes = True
+        if self._answers:
+            return self._answers.popleft()
+        if self._changed:
+            changed, self._changed = self._changed, {}
+            return parameter_values(changed)
+        if not self._messages:
+            return None
+        oldest = self._messages.popleft()
+        self._octets -= len(oldest.data)
+        self.sent[oldest.channel] += 1
+        return oldest.data

@@ -1,0 +1,265 @@
+"""The process of `--foxglove`: the channels of a recording over Foxglove's WebSocket protocol.
+
+`Bridge` decides; this module has the sockets, the topics and the sleep.
+"""
+
+import asyncio
+import traceback
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+
+import msgspec
+from aiohttp import web
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.topics.bus import Lease, Reader, TopicBus
+from pipelines.foxglove.bridge import Bridge
+from pipelines.foxglove.protocol import MOST_CLIENT_OCTETS, SUBPROTOCOLS
+from pipelines.foxglove.video import KeyAsked
+from pipelines.media.following import Choice
+from pipelines.media.key_picture_maker import KeyPictureMaker
+from pipelines.mission.tmtc_messages import CommandUpdate, unpack_news
+from pipelines.mission.tmtc_socket import send_to_tmtc
+from pipelines.recording.camera_reader import CameraReader
+from pipelines.recording.channels import Content, Source, sources_of
+from pipelines.recording.session_messages import Instants
+from pipelines.seats.seat_sockets import Message, SeatSockets
+from pipelines.session.access import AccessError, AccessKind
+from pipelines.session.feeds import Feed, TopicState
+from pipelines.session.figures import SessionEvents
+from pipelines.session.mission_messages import ExperimentShown, unpack
+from pipelines.session.process import Context
+from pipelines.session.seat_roles import Role
+from pipelines.session.serving_loop import ServingLoop
+from pipelines.session.topology import (
+    FOXGLOVE,
+    MISSION_GROUND_TOPIC,
+    SELECTED_TOPIC,
+    TMTC_TOPICS,
+    Segment,
+)
+from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
+
+#: How often topics are read, and without a client.
+_WAKE_NS, _IDLE_NS = 20 * NS_PER_MS, 50 * NS_PER_MS
+#: Unread samples of a topic that are kept: the most that there can be.
+_DEPTH = 32
+
+
+def run_foxglove(context: Context) -> None:
+    """Serve on the socket that the launcher has bound."""
+
+    async def serve() -> None:
+        with context.open_bus() as bus:
+            await _FoxgloveServer(context, bus).run()
+
+    asyncio.run(serve())
+
+
+class _FoxgloveServer:
+    def __init__(self, context: Context, bus: TopicBus) -> None:
+        self._context, self._now_ns, self._bus = context, context.clock.now_ns, bus
+        self._bridge = Bridge(
+            context.topology,
+            context.session,
+            wall_offset_ns=context.clock.wall_offset_ns,
+            life=self._now_ns(),
+        )
+        self._site = WebSite(context.pages[FOXGLOVE], seat=FOXGLOVE)
+        self._serving = ServingLoop(context, self._handle_time)
+        self._sockets = SeatSockets(self._now_ns)
+        self._wakes: dict[int, asyncio.Event] = {}
+        self._topics = _Topics(context, bus, self._bridge)
+        self._maker = KeyPictureMaker()
+        self._news = [
+            Feed(
+                self._serving.loop,
+                bus,
+                TMTC_TOPICS[segment],
+                partial(self._take_news, segment),
+                depth=_DEPTH,
+            )
+            for segment in self._bridge.services.segments
+        ]
+
+    async def run(self) -> None:
+        """Serve, and close all sockets in the end."""
+        self._context.on_flush(self._tell)
+        for feed in self._news:
+            feed.open()
+        if self._context.link is not None:
+            self._serving.loop.add_reader(self._context.link.fileno(), self._take_figures)
+        server = web.Server(self._handle, access_log=None, logger=quiet_log("pipelines.foxglove"))
+        runner = web.ServerRunner(server, shutdown_timeout=SHUTDOWN_S)
+        await self._site.start(runner)
+        self._serving.begin(self._read())
+        try:
+            await self._serving.run()
+        finally:
+            self._site.close()
+            await self._sockets.close()
+            await runner.cleanup()
+            for feed in self._news:
+                feed.close()
+            self._topics.close()
+            self._maker.close()
+
+    async def _read(self) -> None:
+        while True:
+            self._topics.read(self._now_ns())
+            self._settle()
+            await asyncio.sleep((_WAKE_NS if self._wakes else _IDLE_NS) / NS_PER_S)
+
+    def _handle_time(self, now_ns: int) -> None:
+        self._sockets.handle_time(now_ns)
+
+    def _take_figures(self) -> None:
+        while (text := self._context.receive_figures()) is not None:
+            self._bridge.handle_told(msgspec.json.decode(text, type=SessionEvents), self._now_ns())
+        self._settle()
+
+    def _take_news(self, segment: Segment, lease: Lease) -> None:
+        news = unpack_news(lease.octets())
+        if isinstance(news, CommandUpdate):
+            self._bridge.services.handle_update(segment, news)
+            self._settle()
+
+    def _settle(self) -> None:
+        """Do what was decided, and wake the clients for which something waits."""
+        now_ns, bridge = self._now_ns(), self._bridge
+        while (asked := bridge.next_event()) is not None:
+            self._serving.begin(self._make_key(asked))
+        while (request := bridge.services.poll_transmit(now_ns)) is not None:
+            send_to_tmtc(self._context.session, *request)
+        bridge.handle_time(now_ns)
+        for number, wake in self._wakes.items():
+            if bridge.waits(number):
+                wake.set()
+
+    async def _make_key(self, asked: KeyAsked) -> None:
+        made = self._maker.of_units(asked.units, asked.width, asked.height)
+        key = await asyncio.wrap_future(made)
+        self._bridge.handle_key_picture(asked, key, self._now_ns())
+        self._settle()
+
+    def _tell(self) -> None:
+        self._context.probe.tell(
+            replace(
+                self._bridge.figures(self._now_ns()),
+                connections=self._sockets.connections,
+                refused=dict(self._site.refused),
+                garbage=self._sockets.garbage,
+            )
+        )
+
+    # Clients
+
+    async def _handle(self, request: web.BaseRequest) -> web.StreamResponse:
+        try:
+            found = self._site.find(request)
+            if found.kind is not AccessKind.PAGE:
+                raise AccessError(404, f"only /{FOXGLOVE}")
+            return await self._serve(request, found.role)
+        except AccessError as refusal:
+            return self._site.refuse(refusal)
+        except (ConnectionError, asyncio.CancelledError):
+            raise
+        except Exception:
+            # Whatever one client caused ends its connection alone; the error stream has it.
+            traceback.print_exc()
+            raise
+
+    async def _serve(self, request: web.BaseRequest, role: Role) -> web.StreamResponse:
+        offered = request.headers.get("Sec-WebSocket-Protocol", "")
+        if not {one.strip() for one in offered.split(",")}.intersection(SUBPROTOCOLS):
+            raise AccessError(400, f"this address is for web sockets of {SUBPROTOCOLS[0]}")
+        if self._bridge.is_full:
+            raise AccessError(503, "too many clients", "clients")
+        socket = await self._sockets.open(request, MOST_CLIENT_OCTETS, SUBPROTOCOLS)
+        number = self._bridge.handle_opened(commands=role is Role.OPERATOR)
+        wake = self._wakes[number] = asyncio.Event()
+        # The launcher sends figures only when it knows.
+        self._context.flush(self._now_ns())
+        try:
+            await self._sockets.serve(
+                socket, partial(self._take, number), partial(self._next_message, number, wake)
+            )
+        finally:
+            del self._wakes[number]
+            self._bridge.handle_closed(number)
+        return socket.ws
+
+    def _take(self, number: int, message: Message) -> None:
+        if isinstance(message, bytes):
+            self._bridge.handle_octets(number, message, self._now_ns())
+        else:
+            self._bridge.handle_text(number, message, self._now_ns())
+        self._settle()
+
+    async def _next_message(self, number: int, wake: asyncio.Event) -> Message:
+        while (message := self._bridge.poll_transmit(number)) is None:
+            wake.clear()
+            await wake.wait()
+        return message
+
+
+class _Topics:
+    """The topics of the channels, read while somebody needs them."""
+
+    def __init__(self, context: Context, bus: TopicBus, bridge: Bridge) -> None:
+        self._bus, self._bridge = bus, bridge
+        topology = context.topology
+        self._sources = [
+            source for source in sources_of(topology) if source.content is not Content.CAMERA
+        ]
+        self._readers: dict[str, Reader] = {}
+        self._cameras = [
+            CameraReader(bus, source, bridge.coder(source))
+            for source in sources_of(topology)
+            if source.content is Content.CAMERA
+        ]
+        self._carried: Mapping[str, tuple[str, ...]] = {
+            camera.name: camera.inputs for camera in topology.cameras
+        }
+        self._camera = context.setup.cameras[0]
+        self._states = TopicState(bus, SELECTED_TOPIC), TopicState(bus, MISSION_GROUND_TOPIC)
+        for state in self._states:
+            state.open()
+
+    def read(self, now_ns: int) -> None:
+        """Read what has come."""
+        bridge = self._bridge
+        wanted = {source.topic for source in bridge.wanted}
+        for source in self._sources:
+            self._open(source, source.topic in wanted)
+            reader = self._readers.get(source.topic)
+            while reader is not None and (lease := reader.next()) is not None:
+                with lease:
+                    octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
+                bridge.handle_sample(source, octets, stamp, Instants(at_ns, now_ns))
+        selected, mission = (state.latest() for state in self._states)
+        if selected is not None:
+            self._camera = Choice.unpack(selected).camera
+        if mission is not None:
+            tasks = unpack(ExperimentShown, mission).tasks
+            bridge.services.tasks = [task.name for task in tasks]
+        for camera in self._cameras:
+            source = camera.source
+            carried = source.name in self._carried.get(self._camera, ())
+            camera.handle_carried(carried or source.topic not in wanted)
+            if (coded := camera.poll(now_ns)) is not None:
+                bridge.handle_camera(source, *coded, now_ns)
+
+    def close(self) -> None:
+        for reader in self._readers.values():
+            reader.close()
+        for state in self._states:
+            state.close()
+
+    def _open(self, source: Source, wanted: bool) -> None:
+        if wanted and source.topic not in self._readers:
+            self._readers[source.topic] = self._bus.reader(source.topic, depth=_DEPTH)
+            self._bridge.handle_joined(source)
+        elif not wanted and source.topic in self._readers:
+            self._readers.pop(source.topic).close()

@@ -1,0 +1,31 @@
+"""The process that serves the channels of a recording to Foxglove."""
+
+from pipelines.recording.rows import shown_topics
+from pipelines.session.topology import (
+    FOXGLOVE,
+    MISSION_GROUND_TOPIC,
+    TMTC_TOPICS,
+    ProcessRow,
+    Segment,
+    Stage,
+    Topology,
+)
+
+
+def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
+    """The process of `--foxglove`."""
+    return (
+        ProcessRow(
+            name=FOXGLOVE,
+            when=session.options.foxglove,
+            segment=None,
+            stage=Stage.SINK,
+            run="pipelines.foxglove.process_foxglove:run_foxglove",
+            reads=(
+                *shown_topics(session),
+                MISSION_GROUND_TOPIC,
+                *(TMTC_TOPICS[segment] for segment in Segment),
+            ),
+            what="serves the channels of a recording to Foxglove",
+        ),
+    )

@@ -1,0 +1,234 @@
+"""What becomes of a session's samples, events and figures: messages of its channels. A core.
+
+The recorder writes them into a file; others show them live.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import msgspec
+
+from kontur_av.clock import NS_PER_US
+from kontur_av.media import CaptureStamp
+from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.hand.haptic_trace import rows_of
+from pipelines.link.frame_batch import unpack_frames
+from pipelines.recording.channels import (
+    EVENTS,
+    LOG_LINES,
+    RECEIVED,
+    SENT,
+    SESSION_FIGURES,
+    Content,
+    Source,
+)
+from pipelines.recording.contacts import ContactWatch
+from pipelines.recording.messages import (
+    LinkReceived,
+    LinkSent,
+    LogLevel,
+    LogLine,
+    RecordedEvent,
+    RecordedFigure,
+    RecordedFigures,
+    RecordedFrames,
+    RecordedPacket,
+    RecordedPicture,
+    RecordedSound,
+    UnitFacts,
+    haptic_samples,
+    pack,
+    pack_haptics,
+    packet_words,
+)
+from telepresence.link.figures import GatewayFigures
+
+#: A key picture that is added comes this long before its unit.
+_AHEAD_NS = NS_PER_US
+#: Kinds of events that are warnings in the log.
+_WARNINGS = frozenset({"process", "stale", "recorder"})
+
+Figure = float | str | bool | None
+
+
+class Instants(NamedTuple):
+    """When a sample was published, and when it is read."""
+
+    published_ns: int
+    now_ns: int
+
+
+class ChannelMessage(NamedTuple):
+    """A message of a channel. log_ns: wall time of what it is about."""
+
+    channel: str
+    data: bytes
+    log_ns: int
+    sequence: int
+    at: Instants
+
+
+class SampleNumbers:
+    """Counts the samples of topics that were gone before they were read."""
+
+    def __init__(self) -> None:
+        #: By topic: the number of its newest sample.
+        self._newest: dict[str, int] = {}
+
+    def __contains__(self, topic: str) -> bool:
+        return topic in self._newest
+
+    def forget(self, topic: str) -> None:
+        """A topic is read anew."""
+        self._newest.pop(topic, None)
+
+    def handle_sample(self, topic: str, sequence: int) -> int:
+        """Return how many samples are missing ahead of this one."""
+        before = self._newest.get(topic)
+        self._newest[topic] = sequence
+        # A smaller number is that of a writer that was started again.
+        return 0 if before is None else max(0, sequence - before - 1)
+
+
+class SessionMessages:
+    """Makes the messages of one reader. wall_offset_ns: wall time less the session's clock."""
+
+    def __init__(self, wall_offset_ns: int) -> None:
+        self._offset_ns = wall_offset_ns
+        self._contact = ContactWatch()
+        self._events = self._figures = 0
+        #: The figures that were told.
+        self._told: Mapping[str, Figure] = {}
+
+    def of_sample(
+        self, source: Source, octets: bytes, stamp: CaptureStamp, at: Instants
+    ) -> Sequence[ChannelMessage]:
+        """Return what a sample becomes, other than an access unit or a camera's picture."""
+        if source.content is Content.HAPTICS:
+            return self._of_haptics(source, octets, stamp, at)
+        if source.content is Content.SOUND:
+            # A receiver that has no sender report yet cannot date its packets.
+            wall_ns = (stamp.capture_ns or at.published_ns) + self._offset_ns
+            told = [pack(RecordedSound(wall_ns=wall_ns, data=octets))]
+        elif source.content is Content.PACKET:
+            at_ns, what = stamp.capture_ns, packet_words(octets)
+            told = [pack(RecordedPacket(session_ns=at_ns, data=octets, what=what))]
+            wall_ns = at_ns + self._offset_ns
+        elif source.content is Content.GATEWAY:
+            found = msgspec.msgpack.decode(octets, type=GatewayFigures)
+            at_ns, state = stamp.capture_ns, found.supervision
+            sent = LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
+            received = LinkReceived.of(found.receive, state, session_ns=at_ns)
+            told = [pack(sent), pack(received)]
+            wall_ns = at_ns + self._offset_ns
+        elif source.content is Content.FRAMES:
+            frames = unpack_frames(octets)
+            if not frames:
+                return []
+            times, data = zip(*frames, strict=True)
+            told = [pack(RecordedFrames(time_ns=times, data=data))]
+            wall_ns = times[0] + self._offset_ns
+        else:
+            raise ValueError(f"{source.topic}: its samples are not octets")
+        return [
+            ChannelMessage(channel, data, wall_ns, stamp.sequence, at)
+            for channel, data in zip(source.channels, told, strict=True)
+        ]
+
+    def _of_haptics(
+        self, source: Source, octets: bytes, stamp: CaptureStamp, at: Instants
+    ) -> Sequence[ChannelMessage]:
+        rows = rows_of(octets)
+        if not len(rows):
+            return []
+        wall_ns = int(rows["time_ns"][0]) + self._offset_ns
+        return [
+            ChannelMessage(
+                channel,
+                pack_haptics(haptic_samples(rows, rows[way])),
+                wall_ns,
+                stamp.sequence,
+                at,
+            )
+            for channel, way in zip(source.channels, (SENT, RECEIVED), strict=True)
+        ]
+
+    def touches(self, source: Source, octets: bytes) -> Sequence[RecordedEvent]:
+        """Return the touches in a sample of the robot's haptics."""
+        if source.content is not Content.HAPTICS or source.name != "robot":
+            return []
+        return [
+            RecordedEvent(session_ns=at_ns, number=0, what="touch", text=text)
+            for at_ns, text in self._contact.handle_rows(rows_of(octets))
+        ]
+
+    def of_unit(
+        self, source: Source, unit: CodedUnit, data: bytes, stamp: CaptureStamp, at: Instants
+    ) -> tuple[ChannelMessage, ChannelMessage]:
+        """Return an access unit and its facts. data: what takes its place."""
+        channel, facts_channel = source.channels
+        wall_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns
+        picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=data)
+        facts = UnitFacts.of(unit, stamp)
+        return (
+            ChannelMessage(channel, pack(picture), wall_ns, stamp.sequence, at),
+            ChannelMessage(facts_channel, pack(facts), wall_ns, stamp.sequence, at),
+        )
+
+    def of_key(
+        self, source: Source, unit: CodedUnit, key: bytes, stamp: CaptureStamp, at: Instants
+    ) -> tuple[ChannelMessage, ChannelMessage]:
+        """Return a key picture that is added ahead of a unit, and its facts."""
+        added = replace(unit, key=True, damaged=False)
+        (_, _, log_ns, sequence, _), _ = self.of_unit(source, unit, b"", stamp, at)
+        log_ns, sequence = log_ns - _AHEAD_NS, max(0, sequence - 1)
+        picture = RecordedPicture(wall_ns=log_ns, frame_id=source.name, data=key)
+        facts = replace(UnitFacts.of(added, stamp), octets=len(key), added=True)
+        channel, facts_channel = source.channels
+        return (
+            ChannelMessage(channel, pack(picture), log_ns, sequence, at),
+            ChannelMessage(facts_channel, pack(facts), log_ns, sequence, at),
+        )
+
+    def of_camera(
+        self, source: Source, unit: bytes, stamp: CaptureStamp, number: int, now_ns: int
+    ) -> ChannelMessage:
+        """Return a picture of a camera that was coded. number: of those that were."""
+        wall_ns = stamp.capture_ns + self._offset_ns
+        picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=unit)
+        at = Instants(now_ns, now_ns)
+        return ChannelMessage(source.channels[0], pack(picture), wall_ns, number, at)
+
+    def of_event(self, event: RecordedEvent, now_ns: int) -> tuple[ChannelMessage, ChannelMessage]:
+        """Return an event, and its line for people."""
+        at = Instants(now_ns, now_ns)
+        wall_ns = event.session_ns + self._offset_ns
+        level = LogLevel.WARNING if event.what in _WARNINGS else LogLevel.INFO
+        line = LogLine(wall_ns=wall_ns, level=level, message=event.text, name=event.what)
+        self._events += 1
+        return (
+            ChannelMessage(EVENTS, pack(event), wall_ns, self._events, at),
+            ChannelMessage(LOG_LINES, pack(line), wall_ns, self._events, at),
+        )
+
+    def handle_fresh(self) -> None:
+        """Who reads the messages from now on has no figures."""
+        self._told = {}
+
+    def of_figures(
+        self, figures: Mapping[str, Figure], session_ns: int, now_ns: int
+    ) -> ChannelMessage:
+        """Return those of the session's figures at `session_ns` that have changed."""
+        before = self._told
+        fresh = {
+            name: value
+            for name, value in figures.items()
+            if name not in before or before[name] != value
+        }
+        self._told = {**before, **fresh}
+        changed = [RecordedFigure.of(name, value) for name, value in fresh.items()]
+        told = RecordedFigures(session_ns=session_ns, figures=changed)
+        self._figures += 1
+        at, wall_ns = Instants(now_ns, now_ns), session_ns + self._offset_ns
+        return ChannelMessage(SESSION_FIGURES, pack(told), wall_ns, self._figures, at)

@@ -1,0 +1,238 @@
+"""A session's channels in Foxglove's client, beside the recording; its pictures in Chromium."""
+
+import base64
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections import Counter
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from threading import Thread
+
+import browser as browsers
+import pytest
+from janus_room import free_port
+from mcap.reader import make_reader
+from places import ROOT
+from running_session import PATIENCE_S, assert_sound, eventually
+
+from kontur_av.rtp.payload_h264 import parameter_sets
+from pipelines.recording.messages import RecordedPicture, unpack
+
+pytestmark = pytest.mark.realtime
+
+CLIENT = ROOT / "tests" / "web" / "foxglove_client.mjs"
+PACKAGE = ROOT / ".ci" / "web" / "node_modules" / "@foxglove" / "ws-protocol"
+lacking = None if shutil.which("node") and PACKAGE.is_dir() else "run npm install in .ci/web"
+needs_client = pytest.mark.skipif(lacking is not None, reason=str(lacking))
+
+ONCE = ("/figures", "/events", "/log")
+#: Feeds a decoder with access units; how many pictures came, and each fault.
+DECODE = """
+const [units, done] = [arguments[0], arguments[1]];
+let pictures = 0; const faults = [];
+const decoder = new VideoDecoder({
+  output: (frame) => { pictures += 1; frame.close(); },
+  error: (fault) => faults.push(String(fault)),
+});
+decoder.configure({ codec: arguments[0][0].codec, optimizeForLatency: true });
+for (const [index, { data, key }] of units.entries()) {
+  if (decoder.state !== "configured") break;
+  const octets = Uint8Array.from(atob(data), (one) => one.charCodeAt(0));
+  decoder.decode(new EncodedVideoChunk(
+    { type: key ? "key" : "delta", timestamp: index * 33000, data: octets }));
+}
+decoder.flush().catch((fault) => faults.push(String(fault)))
+  .then(() => done([pictures, faults]));
+"""
+
+
+class Looker:
+    """One client. told: what it has written so far."""
+
+    def __init__(self, url, path, *pace):
+        self.path = path
+        with path.open("w") as out:
+            self.process = subprocess.Popen(
+                ["node", CLIENT, url, *pace], stdin=subprocess.PIPE, stdout=out
+            )
+
+    def told(self):
+        lines = self.path.read_text().splitlines(keepends=True)
+        return [json.loads(line) for line in lines if line.endswith("\n")]
+
+    def answers(self, key):
+        return [one for one in self.told() if key in one]
+
+    def messages(self):
+        return [
+            (one["topic"], int(one["log_ns"]), base64.b64decode(one["data"]))
+            for one in self.answers("topic")
+        ]
+
+    def end(self):
+        with contextlib.suppress(BrokenPipeError):
+            self.process.stdin.close()
+        self.process.wait(PATIENCE_S)
+
+
+def address(session):
+    (path,) = eventually(lambda: list(session.temporary.glob("*/*/foxglove.json")), "the address")
+    return json.loads(path.read_text())["foxglove"]
+
+
+def recorded(path):
+    with path.open("rb") as file:
+        return [
+            (channel.topic, message.log_time, message.data)
+            for _, channel, message in make_reader(file).iter_messages()
+        ]
+
+
+def is_video(topic):
+    return topic.startswith("/camera/") or ("_video/" in topic and not topic.endswith("/facts"))
+
+
+def compare(received, written, counts):
+    """Each message is in the recording, and each of the recording came, or was counted."""
+    found = Counter(written)
+    for topic in {topic for topic, *_ in received}:
+        # Both code the pictures of a camera that no stream carries.
+        if topic.startswith("/camera/"):
+            continue
+        own = [one for one in received if one[0] == topic]
+        same = [one for one in own if found[one]]
+        lost = counts[topic]["missed"] + counts[topic]["dropped"]
+        # A key picture, its unit with parameter sets; all figures; a touch that lasts already.
+        begun = 2 if is_video(topic) else topic.endswith("facts") or topic in ONCE
+        assert len(own) - len(same) <= begun * (1 + lost), topic
+        assert max(Counter(own).values()) == 1, topic
+        if topic in ("/events", "/log"):
+            continue  # touches of before are not told
+        first, last = min(log for _, log, _ in same), max(log for _, log, _ in same)
+        due = [one for one in written if one[0] == topic and first <= one[1] <= last]
+        assert len(due) - len(same) <= lost, (topic, len(due), len(same))
+
+
+@contextlib.contextmanager
+def page():
+    """The address of an empty page on this machine, which Chromium trusts."""
+
+    class Empty(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Empty) as server:
+        Thread(target=partial(server.serve_forever, 0.05), daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+
+
+def assert_decodes(received):
+    """Chromium's decoder, which starts with the first message, shows each of every channel."""
+    with browsers.Browser() as browser, page() as url:
+        shown = browser.open(url)
+        for topic in {topic for topic, *_ in received if is_video(topic)}:
+            units = [
+                unpack(RecordedPicture, data).data for name, _, data in received if name == topic
+            ]
+            assert parameter_sets(units[0]), topic
+            codec = parameter_sets(units[0]).split(b"\x67", 1)[1][:3].hex()
+            chunks = [
+                {
+                    "data": base64.b64encode(unit).decode(),
+                    "key": bool(parameter_sets(unit)) and b"\x00\x00\x01\x65" in unit,
+                    "codec": f"avc1.{codec}",
+                }
+                for unit in units
+            ]
+            pictures, faults = shown.driver().execute_async_script(DECODE, chunks)
+            assert (pictures, faults) == (len(units), []), topic
+
+
+@needs_client
+def test_foxgloves_client_gets_what_the_recording_has(start, tmp_path):
+    path = tmp_path / "run.mcap"
+    session = start("spacejustin", "--record", str(path), "--foxglove", str(free_port()))
+    session.wait_for_flow()
+    url = address(session)
+    looker = Looker(url, tmp_path / "looker.txt")
+    try:
+
+        def enough():
+            time.sleep(0.5)
+            counts = Counter(topic for topic, *_ in looker.messages())
+            wanted = ("/uplink_video/sent", "/downlink_video/received", "/haptic/up/received")
+            others = ("/figures", "/camera/static", "/uplink_voice/sent", "/telemetry/received")
+            return all(counts[one] > 60 for one in wanted) and all(counts[one] for one in others)
+
+        eventually(enough, "messages of all kinds")
+        answers = {one["callId"]: one for one in looker.answers("callId")}
+        (values,) = [
+            one["parameters"] for one in looker.answers("parameters") if one["id"] == "all"
+        ]
+    finally:
+        looker.end()
+    assert answers[0]["answer"]["round_trip_ms"] > 0
+    assert "nose" in answers[1]["failure"]
+    assert {"name": "setup.name", "value": "spacejustin"} in values
+    # A stranger without the token is refused, and garbage closes a socket of its own.
+    stranger = Looker(url.replace("token=", "token=x"), tmp_path / "stranger.txt")
+    assert "403" in str(eventually(lambda: stranger.answers("error"), "a refusal"))
+    stranger.end()
+    # A process that is killed comes again at the same address, and nothing else changes.
+    os.kill(session.pids()["foxglove"], signal.SIGKILL)
+
+    def comes_again():
+        again = Looker(url, tmp_path / "again.txt")
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            again.process.wait(2)
+        again.end()
+        return again.messages()
+
+    eventually(comes_again, "messages after the kill")
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    assert_sound(report)
+    assert report["processes"]["foxglove"]["restarts"] == 1
+    restarts = {name: one["restarts"] for name, one in report["processes"].items()}
+    assert sum(restarts.values()) == 1, restarts
+    received = looker.messages()
+    counts = Counter(topic for topic, *_ in received)
+    told = report["foxglove"]["channels"]
+    zero = {"missed": 0, "dropped": 0}
+    lost = {topic: told.get(topic, zero) for topic in counts}
+    compare(received, recorded(path), lost)
+    if browsers.missing() is None:
+        assert_decodes(received)
+
+
+@needs_client
+def test_a_client_that_does_not_read_loses_messages_and_nobody_else(start, tmp_path):
+    session = start("taskboard", "--foxglove", str(free_port()))
+    session.wait_for_flow()
+    looker = Looker(address(session), tmp_path / "slow.txt", "slow")
+    process = None
+    try:
+        eventually(lambda: looker.answers("channels"), "the channels")
+        before = session.shown()
+        eventually(lambda: session.shown()["haptic_up"] > before["haptic_up"] + 12_000, "12 s")
+        process = looker.process
+        process.kill()
+    finally:
+        looker.end()
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    assert_sound(report)
+    figures = report["foxglove"]
+    dropped = sum(one["dropped"] for one in figures["channels"].values())
+    assert dropped > 100 and figures["waiting_octets"] == 0
+    assert len(looker.messages()) > 0

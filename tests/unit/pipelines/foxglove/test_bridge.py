@@ -1,0 +1,214 @@
+"""The bridge to Foxglove on virtual time: who is told what, where decoders begin, what is lost."""
+
+import json
+import re
+import struct
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from places import ROOT
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.errors import ProtocolError
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
+from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.foxglove.bridge import Bridge, live_channels
+from pipelines.foxglove.client import MOST_AGE_NS
+from pipelines.media.key_picture_maker import last_key
+from pipelines.mission.tmtc_messages import CommandUpdate
+from pipelines.recording.channels import sources_of
+from pipelines.recording.messages import RecordedPicture, UnitFacts, unpack
+from pipelines.recording.session_messages import Instants
+from pipelines.session.figures import Event, SessionEvents
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.topology import Segment
+from pipelines.table import topology_of
+
+TOPOLOGY = topology_of(BUILT_IN["spacejustin"])
+SOURCES = {source.topic: source for source in sources_of(TOPOLOGY)}
+CHANNELS = {row.topic: row.number for row in live_channels(TOPOLOGY)}
+VIDEO, SENT = "/uplink_video/sent", "sent/uplink_video"
+HEAD = struct.Struct("<BIQ")
+
+
+def new_bridge():
+    return Bridge(TOPOLOGY, "test", wall_offset_ns=NS_PER_S, life=1)
+
+
+def joined(bridge, *topics, now_ns=0, commands=True):
+    """A client that has subscribed these channels, each by its channel's number."""
+    number = bridge.handle_opened(commands=commands)
+    subscriptions = [{"id": CHANNELS[one], "channelId": CHANNELS[one]} for one in topics]
+    text = json.dumps({"op": "subscribe", "subscriptions": subscriptions})
+    bridge.handle_text(number, text, now_ns)
+    taken(bridge, number)
+    return number
+
+
+def taken(bridge, number):
+    """Texts as tables, and messages of channels as (topic, log time, data)."""
+    topics = {channel: topic for topic, channel in CHANNELS.items()}
+    found = []
+    while (message := bridge.poll_transmit(number)) is not None:
+        if isinstance(message, str):
+            found.append(json.loads(message))
+        else:
+            _, subscription, log_ns = HEAD.unpack_from(message)
+            found.append((topics[subscription], log_ns, message[HEAD.size :]))
+    return found
+
+
+def units(count):
+    """A stream as it is sent: a key picture once, then refresh waves."""
+    encoder = H264Encoder(width=160, height=120, fps=Fraction(30), cap_bps=200_000)
+    for number in range(count):
+        picture = empty_picture(160, 120)
+        picture[:120] = (np.arange(160) * 2 + np.arange(120)[:, None] + 3 * number) % 200 + 20
+        picture[120:] = 128
+        stamp = CaptureStamp(number * NS_PER_S // 30, number, "test")
+        unit = encoder.encode(VideoFrame(picture, stamp))
+        width, height = encoder.unit_size
+        yield (
+            CodedUnit(data=unit.data, key=unit.keyframe, dated=True, width=width, height=height),
+            stamp,
+        )
+
+
+def show(bridge, unit, stamp, *, keys=True):
+    now_ns = stamp.capture_ns + NS_PER_MS
+    bridge.handle_sample(SOURCES[SENT], unit.pack(), stamp, Instants(now_ns, now_ns))
+    while keys and (asked := bridge.next_event()) is not None:
+        key = last_key(asked.units, asked.width, asked.height)
+        bridge.handle_key_picture(asked, key, now_ns)
+    bridge.handle_time(now_ns)
+
+
+def pictures(messages):
+    decoder, shown = H264Decoder(), 0
+    for _, _, data in messages:
+        shown += len(decoder.decode(unpack(RecordedPicture, data).data, 0))
+    return shown
+
+
+def test_who_joins_late_begins_with_a_key_picture_of_which_others_hear_nothing():
+    bridge = new_bridge()
+    first, late = joined(bridge, VIDEO), None
+    of_first, of_late = [], []
+    for unit, stamp in units(40):
+        if stamp.sequence == 20:
+            late = joined(bridge, VIDEO, f"{VIDEO}/facts", now_ns=stamp.capture_ns)
+        show(bridge, unit, stamp)
+        of_first += taken(bridge, first)
+        of_late += [] if late is None else taken(bridge, late)
+    assert len(of_first) == pictures(of_first) == 40
+    facts = [unpack(UnitFacts, data) for topic, _, data in of_late if topic.endswith("facts")]
+    of_late = [one for one in of_late if one[0] == VIDEO]
+    assert len(of_late) == pictures(of_late) == 21
+    assert [one.added for one in sorted(facts, key=lambda one: not one.added)] == [
+        True,
+        *[False] * 20,
+    ]
+    assert [one[1] for one in of_late[2:]] == [one[1] for one in of_first[21:]]
+    assert of_late[2:] == of_first[21:]
+
+
+def test_who_reads_nothing_loses_the_oldest_and_begins_anew():
+    bridge = new_bridge()
+    slow, fast = joined(bridge, VIDEO), joined(bridge, VIDEO)
+    of_fast, of_slow = [], []
+    for unit, stamp in units(150):
+        show(bridge, unit, stamp)
+        of_fast += taken(bridge, fast)
+        # After its pause of three seconds it keeps up.
+        if stamp.capture_ns > MOST_AGE_NS + NS_PER_S:
+            of_slow += taken(bridge, slow)
+    assert len(of_fast) == pictures(of_fast) == 150
+    figures = bridge.figures(5 * NS_PER_S).channels[VIDEO]
+    messages = [one for one in of_slow if isinstance(one, tuple)]
+    (told,) = [one for one in of_slow if isinstance(one, dict)]
+    assert "too slow" in told["message"] and VIDEO in told["message"]
+    assert len(messages) == pictures(messages) > 30
+    assert figures.kept == len(of_fast) + len(messages)
+    # One more, which is the key picture.
+    assert figures.kept + figures.dropped == 2 * 150 + 1 and figures.dropped > 55
+
+
+def test_figures_and_events_come_whole_to_who_joins_late():
+    bridge = new_bridge()
+    event = Event(number=1, at_us=3, what="link", text="signal")
+    bridge.handle_told(SessionEvents(at_us=5, events=[event], figures={"a": 1, "b": "x"}), 0)
+    number = joined(bridge)
+    bridge.handle_text(number, '{"op":"subscribeParameterUpdates","parameterNames":[]}', 0)
+    bridge.handle_told(SessionEvents(at_us=6, events=[], figures={"a": 2, "b": "x"}), 0)
+    assert taken(bridge, number) == [
+        {"op": "parameterValues", "parameters": [{"name": "figures.a", "value": 2}]}
+    ]
+    bridge.handle_text(number, '{"op":"getParameters","parameterNames":["setup.name"],"id":"q"}', 0)
+    assert taken(bridge, number) == [
+        {
+            "op": "parameterValues",
+            "id": "q",
+            "parameters": [{"name": "setup.name", "value": "spacejustin"}],
+        }
+    ]
+    subscriptions = [{"id": 1, "channelId": CHANNELS[one]} for one in ("/log",)]
+    bridge.handle_text(number, json.dumps({"op": "subscribe", "subscriptions": subscriptions}), 0)
+    assert len(taken(bridge, number)) == 1
+
+
+def call(service, text, number=9):
+    return struct.pack("<BIII", 2, service, number, 4) + b"json" + text.encode()
+
+
+def test_a_service_is_a_telecommand_that_who_only_watches_may_not_send():
+    bridge = new_bridge()
+    watcher, number = joined(bridge, commands=False), joined(bridge)
+    bridge.handle_octets(watcher, call(1, '{"camera": "head"}'), 0)
+    assert taken(bridge, watcher)[0]["op"] == "serviceCallFailure"
+    assert bridge.services.poll_transmit(0) is None
+    for wrong in ('{"camera": 1}', "{}", "x", '{"camera": "head", "more": "x"}'):
+        bridge.handle_octets(number, call(1, wrong), 0)
+        assert taken(bridge, number)[0]["op"] == "serviceCallFailure"
+    bridge.handle_octets(number, call(1, '{"camera": "head"}'), 0)
+    segment, command = bridge.services.poll_transmit(0)
+    assert (segment, command.application, command.name) == (Segment.SPACE, "camera", "select")
+    assert command.arguments == ("head",)
+    update = CommandUpdate(
+        command.client, command.id, "camera", "completed", done=True, ok=True, verified=True
+    )
+    bridge.services.handle_update(segment, update)
+    bridge.handle_time(0)
+    answer = bridge.poll_transmit(number)
+    assert struct.unpack_from("<BII", answer) == (3, 1, 9)
+
+
+@given(st.one_of(st.text(), st.binary(), st.from_regex(r'\{"op":"\w{1,30}"(,"\w+":\[?\w*)*')))
+def test_garbage_is_refused(garbage):
+    bridge = new_bridge()
+    number = joined(bridge)
+    if isinstance(garbage, bytes):
+        with pytest.raises(ProtocolError):
+            bridge.handle_octets(number, b"\x01" + garbage, 0)
+    else:
+        with pytest.raises(ProtocolError):
+            bridge.handle_text(number, garbage, 0)
+
+
+def test_who_asks_without_reading_is_closed():
+    bridge = new_bridge()
+    number = joined(bridge)
+    with pytest.raises(ProtocolError):
+        for _ in range(100):
+            bridge.handle_text(number, '{"op":"setParameters","parameters":[]}', 0)
+
+
+def test_the_layout_names_channels_and_services_that_there_are():
+    layout = (ROOT / "samples" / "foxglove" / "layout.json").read_text()
+    json.loads(layout)
+    named = set(re.findall(r'"(/[a-z_/]+)', layout))
+    services = {row.name for row in new_bridge().services.rows}
+    assert len(named) > 6 and named <= CHANNELS.keys() | services
