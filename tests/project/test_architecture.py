@@ -269,7 +269,7 @@ LIBRARIES = {
     "telepresence/tmtc/k2aci.py": ({"cbor2"}, "CBOR: octets only"),
     "telepresence/tmtc/pus/dictionary_file.py": ({"pathlib"}, "a file"),
     "telepresence/tmtc/pus/packets.py": ({"spacepackets"}, "PUS packets: octets only"),
-    "telepresence/tmtc/pus/xtce.py": ({"xml"}, "writes XML as text"),
+    "telepresence/tmtc/pus/xtce": ({"xml"}, "writes XML as text"),
     "telepresence/tasks/reader.py": ({"xml"}, "parses octets; no document types"),
     "telepresence/tasks/task_files.py": ({"pathlib"}, "a file"),
     "telepresence/toml_file.py": ({"msgspec", "pathlib", "tomllib"}, "a file"),
