@@ -96,9 +96,22 @@ TMTC_TOPICS = {
 }
 
 
-def packets_topic(stream: str, *, sent: bool) -> Topic:
-    way = "sent" if sent else "received"
-    return Topic(f"{stream}/{way}", f"space packet as {way}")
+TELECOMMAND_KIND, TELEMETRY_KIND = "telecommand", "telemetry"
+#: What becomes of a packet at an end, in words.
+PACKET_WAYS = {
+    "sent": "as sent to the other end",
+    "received": "as received from the other end",
+    "local": "from this end for this end",
+}
+
+
+def packet_topics(segment: Segment) -> dict[tuple[str, str], Topic]:
+    """By kind and way: the topics with the packets that an end handles."""
+    return {
+        (kind, way): Topic(f"{short}/{segment.value}/{way}", f"{kind} packet {words}")
+        for short, kind in (("tc", TELECOMMAND_KIND), ("tm", TELEMETRY_KIND))
+        for way, words in PACKET_WAYS.items()
+    }
 
 
 # The radio link.
