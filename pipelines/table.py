@@ -7,6 +7,7 @@ from pipelines.hand.rows import process_rows as hand
 from pipelines.link.rows import process_rows as link
 from pipelines.media.rows import process_rows as media
 from pipelines.mission.rows import process_rows as mission
+from pipelines.packets.rows import process_rows as packets
 from pipelines.partner.rows import process_rows as partner
 from pipelines.recording.rows import process_rows as recording
 from pipelines.report.rows import process_rows as report
@@ -29,6 +30,7 @@ ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
     partner,
     report,
     foxglove_rows,
+    packets,
 )
 
 
@@ -45,6 +47,7 @@ def topology_of(
     tasks: bool = False,
     metrics: bool = False,
     foxglove: bool = False,
+    packets: bool = False,
     components: tuple[Component, ...] = (),
     segments: tuple[Segment, ...] = tuple(Segment),
 ) -> Topology:
@@ -63,6 +66,7 @@ def topology_of(
         tasks=tasks,
         metrics=metrics,
         foxglove=foxglove,
+        packets=packets,
         components=components,
     )
     streams = Topology(setup=setup, options=options, segments=segments)

@@ -6,8 +6,7 @@ from kontur_av.media import CaptureStamp
 from pipelines.mission.tmtc_desk import TmtcDesk
 from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.topic_ends import SampleTopic
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, WALL_TOPIC, Segment, packets_topic
+from pipelines.session.topology import TELECOMMAND, TELEMETRY, WALL_TOPIC, Segment
 from telepresence.haptics.mediated.wall import WALL_OCTETS, is_wall
 
 
@@ -21,14 +20,7 @@ def run_console(context: Context) -> None:
         walls = None
         if context.setup.hand != "direct":
             walls = bus.writer(WALL_TOPIC, max_octets=WALL_OCTETS, wake=False)
-        sent = SampleTopic(bus, packets_topic(TELECOMMAND, sent=True))
-        received = SampleTopic(bus, packets_topic(TELEMETRY, sent=False))
-
-        def send(packet: bytes, now_ns: int) -> None:
-            to_gateway(packet)
-            sent.handle_sample(packet, now_ns)
-
-        desk = TmtcDesk(context, bus, Segment.SPACE, send)
+        desk = TmtcDesk(context, bus, Segment.SPACE, to_gateway)
         waiter = bus.waiter([], [udp.fileno(), desk.socket.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
@@ -37,7 +29,6 @@ def run_console(context: Context) -> None:
             while (datagram := receive(udp)) is not None:
                 if not desk.handle_packet(datagram, now_ns) and is_wall(datagram):
                     wall = datagram
-                received.handle_sample(datagram, now_ns)
             if wall is not None and walls is not None:
                 walls.publish_octets(wall, CaptureStamp(now_ns, next(numbers), "console"))
             desk.work(now_ns)

@@ -17,7 +17,6 @@ from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import CameraWish, unpack
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.reception import replace_file
-from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import (
     FOLLOWED_TOPIC,
     MISSION_CAMERA_TOPIC,
@@ -26,7 +25,6 @@ from pipelines.session.topology import (
     TELECOMMAND,
     TELEMETRY,
     Segment,
-    packets_topic,
 )
 
 
@@ -46,19 +44,12 @@ def run_selector(context: Context) -> None:
     with context.open_bus() as bus:
         writer = bus.writer(SELECTED_TOPIC, max_octets=CHOICE_OCTETS)
         reader = bus.reader(FOLLOWED_TOPIC)
-        received = SampleTopic(bus, packets_topic(TELECOMMAND, sent=False))
-        sent = SampleTopic(bus, packets_topic(TELEMETRY, sent=True))
         wished = None
         if MISSION_CAMERA_TOPIC in topology.reads(SELECTOR):
             wished = bus.reader(MISSION_CAMERA_TOPIC)
         newest_wish = -1
-
-        def send(packet: bytes, now_ns: int) -> None:
-            to_gateway(packet)
-            sent.handle_sample(packet, now_ns)
-
         asked: deque[FunctionAsked] = deque()
-        desk = TmtcDesk(context, bus, Segment.GROUND, send, asked.append)
+        desk = TmtcDesk(context, bus, Segment.GROUND, to_gateway, asked.append)
         waiter = bus.waiter([reader], [udp.fileno(), desk.socket.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
@@ -66,7 +57,6 @@ def run_selector(context: Context) -> None:
             changed = False
             while (datagram := receive(udp)) is not None:
                 desk.handle_packet(datagram, now_ns)
-                received.handle_sample(datagram, now_ns)
             if wished is not None and (octets := wished.latest_octets()) is not None:
                 wish = unpack(CameraWish, octets)
                 if wish.number > newest_wish:

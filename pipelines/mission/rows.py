@@ -19,8 +19,6 @@ from pipelines.session.topology import (
     SELECTED_TOPIC,
     SELECTOR,
     TASKS,
-    TELECOMMAND,
-    TELEMETRY,
     TMTC_TOPICS,
     TRAINER,
     TRAINER_TOPIC,
@@ -33,7 +31,7 @@ from pipelines.session.topology import (
     given,
     leds_port,
     link_state_topic,
-    packets_topic,
+    packet_topics,
 )
 
 
@@ -57,8 +55,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 SELECTED_TOPIC,
                 ROBOT_COMMAND_TOPIC,
                 TMTC_TOPICS[Segment.GROUND],
-                packets_topic(TELECOMMAND, sent=False),
-                packets_topic(TELEMETRY, sent=True),
+                *packet_topics(Segment.GROUND).values(),
             ),
             what="PUS of the ground; tells the sender which camera telecommands select",
         ),
@@ -72,8 +69,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 *given(setup.hand == "mediated", WALL_TOPIC),
                 JOYSTICK_COMMAND_TOPIC,
                 TMTC_TOPICS[Segment.SPACE],
-                packets_topic(TELECOMMAND, sent=True),
-                packets_topic(TELEMETRY, sent=False),
+                *packet_topics(Segment.SPACE).values(),
             ),
             what="PUS of space: sends telecommands",
         ),

@@ -4,10 +4,11 @@ from collections import OrderedDict, deque
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.mission.figures import TmtcFigures
 from pipelines.mission.tmtc_messages import (
     CommandUpdate,
+    ForwardCommand,
     FunctionAsked,
     FunctionDone,
     K2aciArrived,
@@ -33,6 +34,7 @@ from telepresence.tmtc.pus.application import FunctionRequest, PusApplication
 from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.pus.head import is_packet
 from telepresence.tmtc.pus.node import K2aciLink, PusNode
+from telepresence.tmtc.pus.packets import Telecommand, parse_packet
 from telepresence.tmtc.pus.user import (
     Alive,
     CommandProgress,
@@ -45,6 +47,7 @@ from telepresence.tmtc.pus.user import (
     UserEvent,
 )
 from telepresence.tmtc.pus.verification import VerificationStage
+from telepresence.tmtc.pus.xtce_commands import FOREIGN_SOURCES
 
 #: What PUS may take of its direction of the link: half of what the level TMTC may.
 PUS_RATE_BPS = 4_000
@@ -94,7 +97,11 @@ class TmtcEnd:
         }
         timeout_ns = _ANSWER_NS + 2 * delay_ns
         self._user = PusUser(
-            dictionary, source=_SOURCES[segment], first_count=first_count, timeout_ns=timeout_ns
+            dictionary,
+            source=_SOURCES[segment],
+            first_count=first_count,
+            timeout_ns=timeout_ns,
+            foreign=FOREIGN_SOURCES[segment.value],
         )
         self._k2aci = K2aciEndpoint(life=life, timeout_ns=timeout_ns)
         own, peer = (dictionary.application(_K2ACI[one]) for one in (segment, segment.peer))
@@ -151,7 +158,7 @@ class TmtcEnd:
                 self._asked.pop((request.application, request.token), None)
                 application = self._application(request.application)
                 application.handle_result(request.token, request.refusal, now_ns)
-        elif isinstance(request, SendCommand):
+        elif isinstance(request, SendCommand | ForwardCommand):
             self._command(request, now_ns)
         else:
             self._send_k2aci(request, now_ns)
@@ -192,6 +199,10 @@ class TmtcEnd:
         """When `poll_transmit` has something next, or None."""
         due = [*self._asked.values(), self._node.poll_timeout(now_ns)]
         return min((one for one in due if one is not None), default=None)
+
+    def next_local(self) -> bytes | None:
+        """Return the next packet that stays at this end, or None."""
+        return self._node.next_local()
 
     def next_event(self) -> TmtcNews | None:
         """Return the next news for the processes of this segment, or None."""
@@ -258,7 +269,7 @@ class TmtcEnd:
             self._add(known)
         return known is not None
 
-    def _command(self, request: SendCommand, now_ns: int) -> None:
+    def _command(self, request: SendCommand | ForwardCommand, now_ns: int) -> None:
         asked = (request.client, request.id)
         if self._repeats(asked):
             return
@@ -277,8 +288,16 @@ class TmtcEnd:
         self._commands[number] = asked
         self._answer(asked, CommandUpdate(*asked, request.application, "taken"))
 
-    def _send(self, request: SendCommand, now_ns: int) -> int | None:
+    def _send(self, request: SendCommand | ForwardCommand, now_ns: int) -> int | None:
         user, name = self._user, request.application
+        if isinstance(request, ForwardCommand):
+            try:
+                packet = parse_packet(request.packet)
+            except ProtocolError as error:
+                raise ConfigError(str(error)) from None
+            if not isinstance(packet, Telecommand):
+                raise ConfigError("no telecommand")
+            return user.forward(packet, now_ns=now_ns)
         match request.verb:
             case "call":
                 return user.call(name, request.name, request.arguments, now_ns=now_ns)

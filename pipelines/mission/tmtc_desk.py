@@ -22,17 +22,22 @@ from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotS
 from pipelines.session.mission_messages import MISSION_OCTETS, RobotStatus, pack, unpack
 from pipelines.session.process import Context
 from pipelines.session.robot_state import unpack_state
+from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import (
     JOYSTICK_COMMAND_TOPIC,
     JOYSTICK_STATE_TOPIC,
     ROBOT_COMMAND_TOPIC,
     ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
+    TELECOMMAND_KIND,
+    TELEMETRY_KIND,
     TMTC_TOPICS,
     Segment,
     link_state_topic,
+    packet_topics,
 )
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.head import is_telecommand
 from telepresence.tmtc.pus.packets import COUNT_MODULUS
 from telepresence.tmtc.telemetry_source import with_components
 
@@ -42,10 +47,24 @@ _STATES = 16
 Take = Callable[[bytes, int], None]
 
 
+class _PacketTopics:
+    """What becomes of the packets of an end, for the recorder and for other ground systems."""
+
+    def __init__(self, bus: TopicBus, segment: Segment) -> None:
+        self._topics = {
+            key: SampleTopic(bus, topic) for key, topic in packet_topics(segment).items()
+        }
+
+    def publish(self, packet: bytes, way: str, now_ns: int) -> None:
+        kind = TELECOMMAND_KIND if packet and is_telecommand(packet) else TELEMETRY_KIND
+        self._topics[kind, way].handle_sample(packet, now_ns)
+
+
 class TmtcDesk:
     """Call `handle_packet` for each datagram of the flow, and `work` at least every 100 ms.
 
-    send: gives a packet to the radio. ask: takes functions of applications in this process.
+    It publishes all packets. send: gives one to the radio. ask: takes functions of applications in
+    this process.
     """
 
     def __init__(
@@ -53,7 +72,7 @@ class TmtcDesk:
         context: Context,
         bus: TopicBus,
         segment: Segment,
-        send: Take,
+        send: Callable[[bytes], object],
         ask: Callable[[FunctionAsked], object] = lambda _asked: None,
     ) -> None:
         clock = context.clock
@@ -72,6 +91,7 @@ class TmtcDesk:
             delay_ns=context.setup.radio_profile.longest_delay_ns,
         )
         self._send, self._ask = send, ask
+        self._packets = _PacketTopics(bus, segment)
         self._source = f"tmtc.{segment.value}"
         self._numbers = count()
         self._news = bus.writer(TMTC_TOPICS[segment], max_octets=MAX_NEWS_OCTETS)
@@ -125,6 +145,7 @@ class TmtcDesk:
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> bool:
         """A datagram of the flow; False if it is not one of PUS. Call `work` afterwards."""
+        self._packets.publish(datagram, "received", now_ns)
         return self.end.handle_packet(datagram, now_ns)
 
     def work(self, now_ns: int) -> None:
@@ -136,7 +157,10 @@ class TmtcDesk:
         while (request := self._requests.receive()) is not None:
             end.handle_octets(request, now_ns)
         while (packet := end.poll_transmit(now_ns)) is not None:
-            self._send(packet, now_ns)
+            self._send(packet)
+            self._packets.publish(packet, "sent", now_ns)
+        while (packet := end.next_local()) is not None:
+            self._packets.publish(packet, "local", now_ns)
         while (news := end.next_event()) is not None:
             if isinstance(news, FunctionAsked):
                 self._ask(news)

@@ -69,6 +69,15 @@ class SendCommand(msgspec.Struct, frozen=True, tag=True):
     values: Values = {}
 
 
+class ForwardCommand(msgspec.Struct, frozen=True, tag=True):
+    """Send a telecommand of another ground system, for `application`. packet: its octets."""
+
+    client: str
+    id: int
+    application: str
+    packet: bytes
+
+
 class FunctionDone(msgspec.Struct, frozen=True, tag=True):
     """A function was carried out, or refused for a reason; answers `FunctionAsked`."""
 
@@ -86,7 +95,7 @@ class SendK2aci(msgspec.Struct, frozen=True, tag=True):
     fields: Fields
 
 
-TmtcRequest = SetValues | RaiseEvent | SendCommand | FunctionDone | SendK2aci
+TmtcRequest = SetValues | RaiseEvent | SendCommand | ForwardCommand | FunctionDone | SendK2aci
 
 
 class CommandUpdate(msgspec.Struct, frozen=True, tag=True, omit_defaults=True):

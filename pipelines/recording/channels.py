@@ -36,14 +36,12 @@ from pipelines.session.topology import (
     RTC_VIDEO,
     RTC_VIDEO_TOPIC,
     RTC_VOICE,
-    TELECOMMAND,
-    TELEMETRY,
     Kind,
     Segment,
     Topology,
     VideoRow,
     gateway_topic,
-    packets_topic,
+    packet_topics,
 )
 
 PROTOBUF = "protobuf"
@@ -178,10 +176,10 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
         if topology.media(row.stream).kind is Kind.VIDEO:
             what = "access unit, while no stream carries the camera"
             yield Source(row.topic, Content.CAMERA, row.name, {f"/camera/{row.name}": what})
-    for name in (TELECOMMAND, TELEMETRY):
-        for way in (SENT, RECEIVED):
-            messages = {f"/{name}/{way}": f"space packet as {way}"}
-            yield Source(packets_topic(name, sent=way == SENT), Content.PACKET, name, messages)
+    for segment in Segment:
+        for (kind, way), topic in packet_topics(segment).items():
+            messages = {f"/{kind}/{segment.value}/{way}": topic.sample}
+            yield Source(topic, Content.PACKET, kind, messages)
     for segment in Segment:
         out, back = segment.transmits.value, segment.transmits.opposite.value
         messages = {

@@ -35,9 +35,12 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
+from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 
 #: From picture to picture, until a stream has shown its own.
 _PICTURE_NS = NS_PER_S // 15
+#: By the end that sends packets: the stream that carries them.
+_STREAMS = {Segment.SPACE.value: TELECOMMAND, Segment.GROUND.value: TELEMETRY}
 
 
 class SentUnit(NamedTuple):
@@ -163,7 +166,10 @@ def _session(facts: RecordingFacts, messages: Mapping[str, list[JoinedMessage]])
                 session.haptics[name.rpartition("/")[2]] = rows
         elif schema == SPACE_PACKET.full_name:
             packets = [unpack(RecordedPacket, one.data) for one in found]
-            session.packets[name] = sorted(SentPacket(one.session_ns, one.data) for one in packets)
+            # Older recordings have the stream's name, whatever the packet is.
+            stream = _STREAMS.get(name.partition("/")[2], name)
+            sent = [SentPacket(one.session_ns, one.data) for one in packets]
+            session.packets[stream] = sorted(session.packets.get(stream, []) + sent)
         else:
             continue
         if way == SENT and instants.moved:

@@ -12,15 +12,13 @@ from pipelines.session.topology import (
     RTC_CODED_VOICE_TOPIC,
     RTC_VIDEO_TOPIC,
     SELECTED_TOPIC,
-    TELECOMMAND,
-    TELEMETRY,
     Kind,
     ProcessRow,
     Segment,
     Stage,
     Topology,
     gateway_topic,
-    packets_topic,
+    packet_topics,
 )
 from pipelines.session.topology.rows import RECORDER_PRIORITY, MediaRow, VideoRow
 from pipelines.session.topology.topics import Topic
@@ -36,11 +34,7 @@ def shown_topics(session: Topology) -> tuple[Topic, ...]:
         RTC_VIDEO_TOPIC,
         RTC_CODED_CAMERA_TOPIC,
         RTC_CODED_VOICE_TOPIC,
-        *(
-            packets_topic(name, sent=sent)
-            for name in (TELECOMMAND, TELEMETRY)
-            for sent in (True, False)
-        ),
+        *(topic for segment in Segment for topic in packet_topics(segment).values()),
         *(gateway_topic(segment) for segment in Segment),
         *(row.topic for row in session.inputs if row.kind is Kind.VIDEO),
     )

@@ -361,15 +361,15 @@ def command_messages(seconds, contacts):
     )
     done = bytes.fromhex("1933c007")
     answer = pack_packet(Telemetry(apid=0x133, count=1, service=1, subtype=7, data=done))
-    yield packet("/telecommand/sent", middle_ns, 0, select)
-    yield packet("/telecommand/received", middle_ns + LINK_NS, 0, select)
-    yield packet("/telemetry/sent", middle_ns + LINK_NS + 2 * MS, 0, answer)
-    yield packet("/telemetry/received", middle_ns + 2 * LINK_NS, 0, answer)
+    yield packet("/telecommand/space/sent", middle_ns, 0, select)
+    yield packet("/telecommand/ground/received", middle_ns + LINK_NS, 0, select)
+    yield packet("/telemetry/ground/sent", middle_ns + LINK_NS + 2 * MS, 0, answer)
+    yield packet("/telemetry/space/received", middle_ns + 2 * LINK_NS, 0, answer)
     for number, at_ns in enumerate(range(BEGIN_NS, BEGIN_NS + int(seconds * S), S // 2), 1):
         camera = b"\1stereo\0\0\0\0\0"
         state = pack_packet(Telemetry(apid=0x133, count=number, service=3, subtype=25, data=camera))
-        yield packet("/telemetry/sent", at_ns, number, state)
-        yield packet("/telemetry/received", at_ns + LINK_NS, number, state)
+        yield packet("/telemetry/ground/sent", at_ns, number, state)
+        yield packet("/telemetry/space/received", at_ns + LINK_NS, number, state)
     happened = [(BEGIN_NS, "link", "the link is up"), (middle_ns, "camera", "static is selected")]
     happened += [(first_ns, "touch", "the robot touches the board") for first_ns, _ in contacts]
     for number, (at_ns, what, text) in enumerate(sorted(happened), start=1):

@@ -41,7 +41,7 @@ def test_it_reads_every_kind_of_report(tmp_path: Path) -> None:
     states = [
         packet for packet in packets if "oven_temperature" in packet and "STRUCTURE" in packet
     ]
-    assert [(p["TIME_S"], p["oven_temperature"], p["oven_door"]) for p in states] == [
+    assert [(p["TIME"], p["oven_temperature"], p["oven_door"]) for p in states] == [
         (1, 21.5, "closed"),
         (2, 21.5, "closed"),
         (3, 230.0, "closed"),

@@ -22,7 +22,7 @@ from pipelines.recording.messages import RecordedEvent, RecordedPacket, unpack, 
 from pipelines.recording.scan import FoundMessage, Scan
 from telepresence.haptics.device.states import JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
-from telepresence.tmtc.pus.head import is_packet, is_telecommand
+from telepresence.tmtc.pus.head import is_packet
 
 pytestmark = pytest.mark.realtime
 
@@ -84,8 +84,9 @@ def test_the_file_has_what_the_report_says(start, tmp_path):
         assert found[f"/{way}_voice/sent"] > 0 and found[f"/{way}_voice/received"] > 0
         for what in ("sent", "received", "frames/sent", "frames/received"):
             assert found[f"/link/{way}/{what}"] > 0, (way, what)
-    for stream in ("telecommand", "telemetry"):
-        assert 0 < found[f"/{stream}/received"] <= found[f"/{stream}/sent"]
+    for above, below in (("space", "ground"), ("ground", "space")):
+        assert 0 < found[f"/telemetry/{below}/received"] <= found[f"/telemetry/{above}/sent"]
+    assert 0 < found["/telecommand/ground/received"] <= found["/telecommand/space/sent"]
     texts = [
         unpack(RecordedEvent, each.message.data).text
         for each in scanned(path)[1]
@@ -96,9 +97,9 @@ def test_the_file_has_what_the_report_says(start, tmp_path):
     packets = [
         unpack(RecordedPacket, each.message.data).data
         for each in scanned(path)[1]
-        if each.channel.topic == "/telecommand/received"
+        if each.channel.topic == "/telemetry/ground/received"
     ]
-    telemetry = [packet for packet in packets if is_packet(packet) and not is_telecommand(packet)]
+    telemetry = [packet for packet in packets if is_packet(packet)]
     states = [
         packet
         for packet in decoded(built_in_dictionary(), b"".join(telemetry), tmp_path)

@@ -52,7 +52,7 @@ def test_all_that_was_recorded_is_sent_and_nothing_is_coded(replay, recording):
         assert 0 < report["haptic"][key]["sent"] <= (rows < end_ns).sum()
         assert report["haptic"][key]["received"] > 0
     counts = {name: row["counts"] for name, row in report["processes"].items()}
-    sent = [told for told in recording.told["/telecommand/sent"] if told.log_ns < end_ns]
+    sent = [told for told in recording.told["/telecommand/space/sent"] if told.log_ns < end_ns]
     assert counts["selector"]["pus_executed"] + counts["selector"]["pus_duplicates"] == len(sent)
     assert counts["selector"]["switches"] == 1
     assert counts["console"]["pus_reports"] > 0

@@ -190,13 +190,21 @@ def rows_of_haptics(columns: Columns, haptics: Tables) -> Columns:
 
 
 def _commands(packets: Tables) -> Columns:
-    """Telecommands and telemetry in one table; kind and way say which is which."""
+    """Telecommands and telemetry in one table; kind, end and way say which is which."""
     blocks = []
     for topic, columns in packets.items():
-        kind, way = topic.strip("/").split("/")
+        kind, end, way = _packet_topic(topic)
         count = len(columns["session_ns"])
-        blocks.append(columns | {"kind": [kind] * count, "way": [way] * count})
+        told = {"kind": [kind] * count, "end": [end] * count, "way": [way] * count}
+        blocks.append(columns | told)
     return in_order(joined(blocks))
+
+
+def _packet_topic(topic: str) -> tuple[str, str, str]:
+    """Kind, end and way. Older recordings have no end: telecommands went down, telemetry up."""
+    kind, *end, way = topic.strip("/").split("/")
+    above = (kind == "telecommand") == (way == SENT)
+    return kind, end[0] if end else "space" if above else "ground", way
 
 
 def _numbers(column: Column) -> NDArray[Any]:

@@ -44,6 +44,7 @@ class SessionOptions:
     tasks: with the processes by which tasks are done.
     metrics: with the process that serves figures to a monitoring system.
     foxglove: with the process that serves the channels to Foxglove.
+    packets: with the process that another ground system talks to.
     components: of users, in the telemetry.
     """
 
@@ -57,6 +58,7 @@ class SessionOptions:
     tasks: bool = False
     metrics: bool = False
     foxglove: bool = False
+    packets: bool = False
     components: tuple[Component, ...] = ()
 
 

@@ -20,6 +20,8 @@ TRAINER = "trainer"
 RECORDER = "recorder"
 METRICS = "metrics"
 FOXGLOVE = "foxglove"
+#: The process that another ground system talks to.
+PACKETS = "packets"
 #: By segment: the process that serves its browser pages.
 PAGES = {segment: f"page_{segment.value}" for segment in Segment}
 #: The process that has the connections to partners, and the one that shows the partner.
@@ -97,9 +99,22 @@ TMTC_TOPICS = {
 }
 
 
-def packets_topic(stream: str, *, sent: bool) -> Topic:
-    way = "sent" if sent else "received"
-    return Topic(f"{stream}/{way}", f"space packet as {way}")
+TELECOMMAND_KIND, TELEMETRY_KIND = "telecommand", "telemetry"
+#: What becomes of a packet at an end, in words.
+_PACKET_WAYS = {
+    "sent": "as sent to the other end",
+    "received": "as received from the other end",
+    "local": "from this end for this end",
+}
+
+
+def packet_topics(segment: Segment) -> dict[tuple[str, str], Topic]:
+    """By kind and way: the topics with the packets that an end handles."""
+    return {
+        (kind, way): Topic(f"{short}/{segment.value}/{way}", f"{kind} packet {words}")
+        for short, kind in (("tc", TELECOMMAND_KIND), ("tm", TELEMETRY_KIND))
+        for way, words in _PACKET_WAYS.items()
+    }
 
 
 # The radio link.

@@ -23,6 +23,7 @@ from telepresence.tmtc.pus.verification import Failure, VerificationStage, verif
 #: The private service (clause 5.3.2.3: from 128 on) that carries K2ACI.
 K2ACI_SERVICE, K2ACI_SUBTYPE = 129, 1
 _FAILURES_DEPTH = 16
+_LOCAL_DEPTH = 64
 
 
 class K2aciLink:
@@ -76,7 +77,7 @@ class PusNode:
 
     A telecommand for no application at the other end is answered by a failure of routing. One for
     an application at this end is handed over here, and what it answers does not take the radio.
-    Reports for everybody go both ways.
+    Reports for everybody go both ways. `next_local` returns what stayed here, the newest 64.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class PusNode:
         self._bucket = TokenBucket(rate_bps, burst_octets)
         self._epoch_ns = epoch_ns
         self._failures: deque[bytes] = deque(maxlen=_FAILURES_DEPTH)
+        self._local: deque[bytes] = deque(maxlen=_LOCAL_DEPTH)
         self._failure_count = 0
         self._k2aci_was_last = False
         #: The packet that waits for the bucket, since when.
@@ -161,6 +163,10 @@ class PusNode:
         self.sent_octets += len(octets)
         return octets
 
+    def next_local(self) -> bytes | None:
+        """Return the next packet from this end for this end, or None."""
+        return self._local.popleft() if self._local else None
+
     def poll_timeout(self, now_ns: int) -> int | None:
         """When `poll_transmit` has something next, or None."""
         if self._next is not None:
@@ -177,6 +183,7 @@ class PusNode:
         while user is not None and (octets := user.poll_transmit(now_ns)) is not None:
             if apid_of(octets) not in self.applications:
                 return octets
+            self._local.append(octets)
             self._handle_own(octets, now_ns)
         if self._failures:
             return self._failures.popleft()
@@ -197,11 +204,12 @@ class PusNode:
         for application in self.applications.values():
             while (octets := application.poll_transmit(now_ns)) is not None:
                 destination = destination_of(octets)
-                if user is None or destination not in (0, user.source):
+                if user is None or destination not in (0, user.source, user.foreign):
                     return octets
                 self._handle_own(octets, now_ns)
                 if not destination:
                     return octets
+                self._local.append(octets)
         return None
 
     def _handle_own(self, octets: bytes, now_ns: int) -> None:

@@ -26,7 +26,7 @@ COUNT_MODULUS = 1 << 14
 
 _TIME_OCTETS = 6
 #: Acknowledgement of acceptance, start, progress and completion (clause 8.2.1).
-_ALL_FLAGS = 0x0F
+ALL_FLAGS = 0x0F
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +39,7 @@ class Telecommand:
     subtype: int
     data: bytes = b""
     source: int = 0
-    flags: int = _ALL_FLAGS
+    flags: int = ALL_FLAGS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -17,6 +17,7 @@ from telepresence.tmtc.pus.dictionary import (
     Structure,
 )
 from telepresence.tmtc.pus.packets import (
+    ALL_FLAGS,
     COUNT_MODULUS,
     MAX_COMMAND_OCTETS,
     Telecommand,
@@ -33,7 +34,7 @@ _T = TypeVar("_T", Parameter, Structure, FunctionDefinition)
 #: Why a telecommand ended without verification.
 UNANSWERED = "no verification came"
 SUPERSEDED = "a later request came"
-_MOST_OPEN = 16
+_MOST_OPEN, _MOST_FOREIGN = 16, 4
 _EVENTS_DEPTH = 256
 
 
@@ -125,9 +126,11 @@ class PusUser:
     A telecommand is repeated, unchanged, until its end is verified, each time after twice the time
     as before, up to 8 `timeout_ns`. After `patience_ns` it ends without verification.
 
-    source: this user's number, 1 to 65535. first_count: random, so that the first telecommands of
-    a restarted user are no repetitions. Raises ConfigError for a timeout that is not positive, and
-    for a patience of a minute or more: by then an application has forgotten the telecommand.
+    source: this user's number, 1 to 65535. foreign: the number of another ground system, whose
+    telecommands `forward` sends; None: there is none. first_count: random, so that the first
+    telecommands of a restarted user are no repetitions. Raises ConfigError for a timeout that is
+    not positive, and for a patience of a minute or more: by then an application has forgotten the
+    telecommand.
     """
 
     def __init__(
@@ -138,6 +141,7 @@ class PusUser:
         first_count: int,
         timeout_ns: int = 500 * NS_PER_MS,
         patience_ns: int = 30 * NS_PER_S,
+        foreign: int | None = None,
     ) -> None:
         if timeout_ns <= 0 or not timeout_ns <= patience_ns < 60 * NS_PER_S:
             raise ConfigError("telecommands need a timeout above 0, and a patience below 60 s")
@@ -147,7 +151,7 @@ class PusUser:
         self.dropped_events = 0
         self._dictionary = dictionary
         self._by_apid = dictionary.by_apid
-        self.source = source
+        self.source, self.foreign = source, foreign
         self._first_count = first_count % COUNT_MODULUS
         self._counts: dict[int, int] = {}
         self._open: Retransmission[_Open] = Retransmission(
@@ -220,6 +224,24 @@ class PusUser:
             data += bytes([parameter.number]) + parameter.pack(value)
         return self._send(table, 20, 3, data, now_ns)
 
+    def forward(self, command: Telecommand, *, now_ns: int) -> int | None:
+        """Send a telecommand of the other ground system, which keeps its count.
+
+        It gets `foreign` as its source, and asks for all reports. Of the 16 that may be open, 4 may
+        be such. ConfigError for an APID that the dictionary does not have.
+        """
+        table = self._by_apid.get(command.apid)
+        if table is None or self.foreign is None:
+            raise ConfigError(f"no application {command.apid}")
+        others = sum(one.item.command.source == self.foreign for _, one in self._open)
+        if self._open.full or others >= _MOST_FOREIGN:
+            return None
+        newest = {bytes([one.number]) for one in table.functions if one.newest}
+        if (command.service, command.subtype) == (8, 1) and command.data[:1] in newest:
+            self._supersede(table.apid, command.data[:1], now_ns)
+        own = replace(command, source=self.foreign, flags=ALL_FLAGS)
+        return self._open.handle_put(_Open(own, table.name), now_ns)
+
     def _send(
         self, table: Application, service: int, subtype: int, data: bytes, now_ns: int
     ) -> int | None:
@@ -260,9 +282,9 @@ class PusUser:
 
     def _handle_verification(self, packet: Telemetry, now_ns: int) -> None:
         report = verification.parse_verification(packet.subtype, packet.data)
-        if packet.destination != self.source:
+        if packet.destination not in (self.source, self.foreign):
             return
-        number = self._number_of(report)
+        number = self._number_of(report, packet.destination)
         if number is None:
             self.unexpected += 1
             return
@@ -277,10 +299,11 @@ class PusUser:
             return
         self._end(number, now_ns, ok=report.failure is None, verified=True, reason=report.reason)
 
-    def _number_of(self, report: verification.Verification) -> int | None:
+    def _number_of(self, report: verification.Verification, source: int) -> int | None:
+        about = (report.apid, report.count, source)
         for number, one in self._open:
             command = one.item.command
-            if (command.apid, command.count) == (report.apid, report.count) and one.tries:
+            if (command.apid, command.count, command.source) == about and one.tries:
                 return number
         return None
 

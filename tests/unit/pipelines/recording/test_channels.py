@@ -16,8 +16,14 @@ SESSIONS = [topology_of(setup) for setup in BUILT_IN.values()]
 def test_everything_that_crosses_the_link_is_recorded_as_sent_and_as_received(session):
     topics = {row.topic for row in channels_of(session)}
     for stream in session.streams:
-        if stream.kind in (Kind.VIDEO, Kind.VOICE, Kind.TMTC):
+        if stream.kind in (Kind.VIDEO, Kind.VOICE):
             assert {f"/{stream.name}/sent", f"/{stream.name}/received"} <= topics
+    assert {
+        f"/{kind}/{end}/{way}"
+        for kind in ("telecommand", "telemetry")
+        for end in ("space", "ground")
+        for way in ("sent", "received", "local")
+    } <= topics
     assert {
         f"/haptic/{key}/{way}" for key in ("up", "down") for way in ("sent", "received")
     } <= topics

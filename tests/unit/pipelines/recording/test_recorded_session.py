@@ -36,7 +36,7 @@ def test_all_that_was_sent_comes_back_with_its_instants(written):
     for key in ("up", "down"):
         assert (session.haptics[key] == written.haptics[f"/haptic/{key}/sent"]).all()
     assert [packet.sent_ns for packet in session.packets["telecommand"]] == [
-        told.log_ns for told in written.told["/telecommand/sent"]
+        told.log_ns for told in written.told["/telecommand/space/sent"]
     ]
     assert session.instants_ns[0] == FACTS_OF_SYNTHETIC.session_ns
     assert "/uplink_video/sent" not in session.missing
@@ -102,6 +102,20 @@ def test_cycles_without_a_sample_are_not_sent_and_gaps_are_counted(written):
     session = session_of(part_of(as_sent))
     assert (session.haptics["up"]["sequence"] != NO_SAMPLE).all()
     assert session.missing == {"/haptic/up/sent": 1}
+
+
+def test_packets_are_those_of_the_stream_that_carried_them_also_by_older_names(written):
+    """In older recordings telecommand/sent held all that space sent, its telemetry, too."""
+    (command,) = written.told["/telecommand/space/sent"]
+    report = replace(command, topic="/telemetry/space/sent", log_ns=command.log_ns - 1000)
+    old = "/telecommand/sent"
+    rows = [replace(one, topic=old) if one.topic == command.topic else one for one in ROWS]
+    told = [replace(one, topic=old) for one in (report, command)]
+    older = session_of(memoryview(octets_of_part(rows, FACTS_OF_SYNTHETIC, told, True)))
+    newer = session_of(part_of([report, command]))
+    assert newer.packets == older.packets
+    assert len(newer.packets["telecommand"]) == 2
+    assert [one.sent_ns for one in newer.packets["telecommand"]] == [command.log_ns] * 2
 
 
 def test_a_file_in_which_nothing_was_sent_is_refused(written):

@@ -503,7 +503,7 @@ def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
     figures = gateway.report(3 * NS_PER_MS)
     given = {
         "sent/uplink_voice": b"opus",
-        "telecommand/sent": b"no packet",
+        "tm/space/sent": b"no packet",
         "figures/ground": msgspec.msgpack.encode(figures),
         "frames/uplink/sent": pack_frames(gateway.frames_sent),
     }
@@ -517,7 +517,7 @@ def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
 
     assert only(RecordedSound, "/uplink_voice/sent").data == b"opus"
     assert only(RecordedSound, "/uplink_voice/sent").wall_ns == OFFSET_NS + 5 * NS_PER_MS
-    assert only(RecordedPacket, "/telecommand/sent").data == b"no packet"
+    assert only(RecordedPacket, "/telemetry/space/sent").data == b"no packet"
     assert only(LinkSent, "/link/uplink/sent").frames == figures.transmit.frames == 3
     assert only(LinkReceived, "/link/downlink/received").frames == 0
     frames = only(RecordedFrames, "/link/uplink/frames/sent")

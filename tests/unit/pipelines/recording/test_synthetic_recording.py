@@ -8,6 +8,8 @@ from synthetic_recording import BEGIN_NS, S, wall_ns, write_recording
 from pipelines.recording.inventory import take_inventory
 from pipelines.recording.messages import unpack_haptics
 
+KINDS = ("telecommand", "telemetry")
+
 
 @pytest.mark.parametrize("parts", [1, 2])
 def test_any_reader_finds_what_was_told(tmp_path, parts):
@@ -23,9 +25,14 @@ def test_any_reader_finds_what_was_told(tmp_path, parts):
                 found[channel.topic].append((message.log_time, message.sequence, message.data))
     for topic, told in recording.told.items():
         assert found[topic] == [(wall_ns(one.log_ns), one.sequence, one.data) for one in told]
-    # The synthetic recorder codes one camera of its own.
+    # The synthetic recorder codes one camera of its own; telecommands only go down.
     empty = {each.topic for each in inventory.channels if not each.messages} - {*recording.told}
-    assert empty == {f"/camera/{name}" for name in ("left", "right", "static", "iss_camera")}
+    assert empty == {
+        *(f"/camera/{name}" for name in ("left", "right", "static", "iss_camera")),
+        *(f"/{kind}/{end}/local" for kind in KINDS for end in ("space", "ground")),
+        *("/telecommand/ground/sent", "/telecommand/space/received"),
+        *("/telemetry/space/sent", "/telemetry/ground/received"),
+    }
 
 
 def test_every_part_begins_with_a_key_picture_of_each_stream(tmp_path):
