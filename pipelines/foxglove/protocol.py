@@ -118,7 +118,8 @@ Value = bool | int | float | str | list["Value"] | dict[str, "Value"] | None
 def parse_text(text: str) -> ClientText:
     """Return a client's request; ProtocolError for anything else."""
     try:
-        return _TEXTS.decode(text)
+        request: ClientText = _TEXTS.decode(text)
+        return request
     except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError) as error:
         raise ProtocolError(f"no request of a client: {error}") from None
 

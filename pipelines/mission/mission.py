@@ -135,10 +135,13 @@ class MissionGround:
         )
 
     @property
-    def telemetry(self) -> dict[str, str | int]:
+    def telemetry(self) -> dict[str, int | float | bool | str]:
         """The parameters of the application `tasks`; task: that of the newest run."""
         status = self.experiment.status
-        values: dict[str, str | int] = {"phase": status.phase.value, "run": status.run}
+        values: dict[str, int | float | bool | str] = {
+            "phase": status.phase.value,
+            "run": status.run,
+        }
         for row in self.journal.newest(1):
             values["task"] = self._names.index(row.name)
         return values

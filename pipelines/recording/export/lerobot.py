@@ -216,12 +216,15 @@ class _Hand:
         if not len(order):
             raise ConfigError("the robot acted on no sample of the joystick in this recording")
         self._acted_s = acted_s[order]
-        places = [name for name in ("x_m", "y_m") if name in robot]
-        forces = [name for name in ("fx_n", "fy_n") if name in robot]
+        places: list[str] = [name for name in ("x_m", "y_m") if name in robot]
+        forces: list[str] = [name for name in ("fx_n", "fy_n") if name in robot]
         for axis in AXIS_NAMES:
             places += [name for name in (f"{axis}_m", f"{axis}_rad") if name in robot]
             forces += [name for name in (f"{axis}_n", f"{axis}_n_m") if name in robot]
-        self.names = {STATE: list(dict.fromkeys(places)), FORCE: list(dict.fromkeys(forces))}
+        self.names: dict[str, list[str]] = {
+            STATE: list(dict.fromkeys(places)),
+            FORCE: list(dict.fromkeys(forces)),
+        }
         self.names[ACTION] = self.names[STATE]
         self._values = {
             STATE: _matrix(robot, self.names[STATE]),

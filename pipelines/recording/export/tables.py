@@ -196,7 +196,7 @@ def _commands(packets: Tables) -> Columns:
         kind, end, way = _packet_topic(topic)
         count = len(columns["session_ns"])
         told = {"kind": [kind] * count, "end": [end] * count, "way": [way] * count}
-        blocks.append(columns | told)
+        blocks.append({**columns, **told})
     return in_order(joined(blocks))
 
 
