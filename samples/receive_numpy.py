@@ -10,5 +10,6 @@ import kontur_av as av
 with av.StreamReceiver(sys.argv[1]) as pictures:
     for _, one in zip(range(int(sys.argv[2])), pictures, strict=False):
         mean = one.data.mean()  # RGB, shape (height, width, 3), dtype uint8
-        print(f"{one.data.shape}, {one.age_ms:.1f} ms old, {one.quality.name}, mean {mean:.0f}")
+        age = "no age yet" if one.age_ms is None else f"{one.age_ms:.1f} ms old"
+        print(f"{one.data.shape}, {age}, {one.quality.name}, mean {mean:.0f}")
 print(f"{pictures.skipped} skipped; {pictures.ended}")

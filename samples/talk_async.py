@@ -24,7 +24,8 @@ async def talk() -> None:
 async def listen() -> None:
     async with av.StreamReceiver(sdp) as sound:
         async for block in sound:
-            print(f"{block.age_ms:.0f} ms old, {block.quality.name}, peak {block.data.max()}")
+            age = "no age yet" if block.age_ms is None else f"{block.age_ms:.0f} ms old"
+            print(f"{age}, {block.quality.name}, peak {block.data.max()}")
 
 
 asyncio.run(talk())

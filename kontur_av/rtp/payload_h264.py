@@ -297,7 +297,7 @@ class H264Depacketizer:
         self._nal_units, self._ahead = self._ahead, []
         self._parts: list[bytes] = []
         self._octets = sum(map(len, self._nal_units)) if self._nal_units else 0
-        self._has_picture = self._marked = False
+        self._has_picture = self._has_first = self._marked = False
         self._damaged = False
         self._too_large = False
 
@@ -353,12 +353,15 @@ class H264Depacketizer:
         """Prepare for a NAL unit, or its first part; None: for a later part of the present one."""
         kind = 0 if unit is None else unit[0] & _TYPE_BITS
         goes_on = unit is None or _is_later_slice(unit)
+        ended_first = self._ended_at is not None and self._has_first
         if self._open:
             if self._parts and unit is not None and not lost:
                 # No packet is missing, so the sender forgot to mark the last part.
                 self._join_parts()
             later = packet.timestamp != self._timestamp
-            by_time = later and (lost or self._marked or not self._has_picture)
+            # A sender may date each slice: a later one belongs to the first one before it.
+            new = later and not (goes_on and self._has_first)
+            by_time = (later and lost) or (new and (self._marked or not self._has_picture))
             by_content = not goes_on and (later or kind in _SLICES or kind in _BEGINNERS)
             if by_time or (by_content and self._has_picture):
                 self._finish_before(lost)
@@ -370,7 +373,7 @@ class H264Depacketizer:
             self._break_part()
             self._damaged = True
         if goes_on:
-            if self._ended_at == packet.timestamp:
+            if self._ended_at == packet.timestamp or (ended_first and not lost):
                 self._markers, self._damaged = False, True
             elif self._marked:
                 self._markers = False
@@ -378,6 +381,7 @@ class H264Depacketizer:
         self._ended_at = None
         if kind in _SLICES:
             self._has_picture = True
+            self._has_first |= not goes_on
 
     def _finish_before(self, lost: int) -> None:
         """The next access unit begins. lost: packets directly before it."""
@@ -394,8 +398,9 @@ class H264Depacketizer:
             self._has_picture |= any(nal_type(unit) in _SLICES for unit in units)
 
     def _handle_marker(self) -> None:
-        self._join_parts()
         self._marked = True
+        if self._markers is not False or not self._has_picture:
+            self._join_parts()
         if self._markers or not self._has_picture:
             self._ended_at = self._timestamp if self._has_picture else None
             self._finish(complete=True)

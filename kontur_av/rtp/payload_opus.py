@@ -1,7 +1,15 @@
 """Opus in RTP (RFC 7587): each payload is one Opus packet, whose first octet tells its length."""
 
+from typing import TYPE_CHECKING
+
 from kontur_av.errors import ProtocolError
 from kontur_av.media import MAX_OPUS_SAMPLES
+
+if TYPE_CHECKING:
+    from kontur_av.rtp.receiver import RtpReceived
+
+#: Packets in a row that show by how much a clock is too slow.
+_SHOWN_BY = 3
 
 
 def opus_samples(payload: bytes) -> int:
@@ -28,6 +36,37 @@ def opus_samples(payload: bytes) -> int:
     if not 0 < samples <= MAX_OPUS_SAMPLES:
         raise ProtocolError(f"an Opus packet of {samples} samples; 120 ms is the most")
     return samples
+
+
+class SlowClock:
+    """Finds a sender whose timestamps advance too slowly.
+
+    They must count 48 kHz (RFC 7587 section 4.1), but some count their own samples, or the samples
+    of one of two channels. Then packets would overlap, which none does otherwise.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[int, int, int] | None = None
+        self._scale, self._shown = 1, 0
+
+    def handle_packet(self, packet: "RtpReceived") -> int:
+        """Return by which factor the timestamps must be multiplied anew from this packet on."""
+        try:
+            samples = opus_samples(packet.payload)
+        except ProtocolError:
+            return 1
+        last, self._last = self._last, (packet.extended_sequence, packet.timestamp, samples)
+        if last is None or packet.restart or packet.extended_sequence != last[0] + 1:
+            self._shown = 0
+            return 1
+        step = (packet.timestamp - last[1]) & 0xFFFF_FFFF
+        scale = last[2] // step if 0 < step < last[2] and last[2] % step == 0 else 1
+        self._shown = self._shown + 1 if scale == self._scale else 1
+        self._scale = scale
+        if scale == 1 or self._shown < _SHOWN_BY:
+            return 1
+        self._last = None
+        return scale
 
 
 def holds_copy(payload: bytes) -> bool:

@@ -171,6 +171,7 @@ class RtpReceiver:
         self._restart = False
         self._last_heard_ns = 0
         self._newest_timestamp: int | None = None
+        self._scale = 1
         #: Sequence numbers given up, and since when they were missed: they tell a late packet from
         #: a duplicate.
         self._given_up: dict[int, int] = {}
@@ -180,6 +181,15 @@ class RtpReceiver:
         """Interarrival jitter (RFC 3550 appendix A.8)."""
         ticks = 0 if self._log is None else self._log.jitter
         return ticks * NS_PER_S // self.clock_rate_hz
+
+    def scale_timestamps(self, scale: int) -> None:
+        """The stream's clock is slower than `clock_rate_hz` by this factor from the next packet on.
+
+        Timestamps come out multiplied.
+        """
+        self._scale = scale
+        self._newest_timestamp = None
+        self._captured.clear()
 
     @property
     def waiting(self) -> int:
@@ -196,6 +206,9 @@ class RtpReceiver:
         except ProtocolError:
             self.counts.garbage += 1
             return
+        if self._scale != 1 and packet.ssrc == self.ssrc:
+            timestamp = packet.timestamp * self._scale & 0xFFFF_FFFF
+            packet = packet._replace(timestamp=timestamp)
         if packet.payload_type != self.payload_type:
             self.counts.garbage += 1
             self.other_payload_type = packet.payload_type
@@ -412,6 +425,7 @@ class RtpReceiver:
         self.counts.sources += 1
         if self.ssrc is not None and self.ssrc != first.ssrc:
             self._former.append(self.ssrc)
+            self._scale = 1
         self._from = self._candidate_from
         self._newest_timestamp = None
         self._depth.begin(now_ns)
@@ -494,20 +508,32 @@ class RtpReceiver:
     def capture_ns(self, timestamp: int) -> int | None:
         """Return the instant of capture in ns of an RTP timestamp of the present source.
 
-        None before the first sender report or capture time. The timestamp must lie within half its
+        None before the first sender report or capture time, and while the report is of no use: its
+        NTP time is 0 (RFC 3550 section 6.4.1), or its RTP timestamp is none of the stream's. The
+        timestamp must lie within half its
         range (6.6 hours at 90 kHz) of the last one.
         """
         if self.ssrc is None:
             return None
         anchor = self._captured.get(self.ssrc)
         if anchor is None:
-            if (kept := self._reports.get(self.ssrc)) is None:
+            kept = self._reports.get(self.ssrc)
+            if kept is None or not self._dates(*kept):
                 return None
             info = kept[0].sender_info
-            anchor = info.rtp_timestamp, info.ntp_timestamp
+            anchor = info.rtp_timestamp * self._scale, info.ntp_timestamp
         ticks = signed_32(timestamp - anchor[0])
         anchor_ns = unix_ns_from_ntp(anchor[1]) - self._wall_offset_ns
         return anchor_ns + round(ticks * NS_PER_S / self.clock_rate_hz)
+
+    def _dates(self, report: RtcpSrPacket, came_ns: int) -> bool:
+        """Return whether a report tells the stream's time. Some senders tell 0, or rubbish."""
+        info = report.sender_info
+        if info.ntp_timestamp == 0 or self._newest_timestamp is None:
+            return False
+        ticks = signed_32(self._newest_timestamp - info.rtp_timestamp * self._scale)
+        passed_ns = self._last_heard_ns - came_ns
+        return abs(ticks * NS_PER_S // self.clock_rate_hz - passed_ns) <= _STEP_NS
 
     def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
         """Return the block of a receiver report (RFC 3550 section 6.4.1) since the last one.

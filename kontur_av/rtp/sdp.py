@@ -22,8 +22,10 @@ from kontur_av.rtp.payload_h264 import NAL_PPS, NAL_SPS, nal_type, split_annex_b
 _UDP_OCTETS, _RTP_OCTETS = 8, 12
 #: Three octets (RFC 6184 section 8.1).
 _LEVEL = re.compile("[0-9A-F]{6}")
-#: Plain RTP over UDP, or encrypted. Some cameras write "udp".
-_PROFILE = re.compile("((UDP/TLS/)?RTP/S?AVPF?(/UDP)?|udp)", re.IGNORECASE)
+#: Plain RTP over UDP, or encrypted. Some cameras write "udp", others more behind it.
+_PROFILE = re.compile("((UDP/TLS/)?RTP/.*|udp)", re.IGNORECASE)
+#: What may stand before the description: "SDP:" by ffmpeg, or the head of an RTSP server's answer.
+_BEGIN = re.compile("^[ \t]*(?=v=)", re.MULTILINE)
 #: Where a stream may be sent to that is described without an address.
 _ANY_HOST = "0.0.0.0"
 _NAL_EXT = 13  # extension of an SPS
@@ -35,7 +37,8 @@ _IDS = frozenset(map(str, range(1, 15)))
 class StreamDescription:
     """One stream of plain RTP over UDP.
 
-    kind: "video" is H.264 in packetization-mode 1 or 0, "audio" is Opus.
+    kind: "video" is H.264 in packetization-mode 1 or 0, "audio" is Opus. Of mode 2 the payloads of
+    the other modes are taken, which is all that some mean.
     host: the IP address to which the stream is sent.
     port: of RTP, from 1 to 65534.
     payload_type: of RTP, from 0 to 127.
@@ -150,20 +153,26 @@ def parse_sdp(text: str) -> StreamDescription:
     What is malformed and not needed is ignored, as FFmpeg does. Raises ConfigError if no stream of
     RTP without encryption can be received by it.
     """
-    # Users also copy the line "SDP:", which ffmpeg prints before the description.
-    text = text.removeprefix("\ufeff").lstrip().removeprefix("SDP:").lstrip()
-    if not text.startswith("v="):
-        raise ConfigError("this is no SDP: its first line must begin with v=")
+    begin = _BEGIN.search(text.removeprefix("\ufeff").replace("\r", "\n"))
+    if begin is None:
+        raise ConfigError("this is no SDP: no line begins with v=")
+    text = text.removeprefix("\ufeff")[begin.end() :]
     session_host: str | None = None
     session_name = "-"
     encrypted = False
+    fault: ConfigError | None = None
     for block in _blocks(text):
         host = next((_address(value) for key, value in block if key == "c"), session_host)
         if block[0][0] != "m":
             session_host = host
             session_name = next((value for key, value in block if key == "s"), session_name)
             continue
-        stream = _parse_media(block, host or _ANY_HOST, session_name)
+        try:
+            stream = _parse_media(block, host or _ANY_HOST, session_name)
+        except ConfigError as error:
+            # Port 0 rejects a medium, and another one may follow.
+            fault = fault or error
+            continue
         if stream is not None and "SAVP" not in block[0][1].split()[2].upper():
             return stream
         encrypted |= stream is not None
@@ -172,6 +181,8 @@ def parse_sdp(text: str) -> StreamDescription:
             "the SDP's stream is encrypted (RTP/SAVP), and kontur-av receive takes no keys: let "
             "the sender send RTP/AVP, or meet it by WebRTC (kontur-av rtc, kontur-av watch)"
         )
+    if fault is not None:
+        raise fault
     raise ConfigError(
         "the SDP describes no stream that can be received: it needs "
         "m=video with a=rtpmap H264/90000 or m=audio with a=rtpmap opus/48000/2"
@@ -222,8 +233,9 @@ def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDe
         elif key != "a":
             continue
         elif attribute == "rtpmap":
-            payload_type, _, encoding = rest.partition(" ")
-            maps[payload_type] = encoding.strip().lower()
+            payload_type, _, encoding = " ".join(rest.split()).partition(" ")
+            # Both have one clock only (RFC 6184, RFC 7587), whatever some write.
+            maps[payload_type] = encoding.partition("/")[0].lower()
         elif attribute == "fmtp":
             payload_type, _, values = rest.partition(" ")
             parameters[payload_type] = values
@@ -241,18 +253,13 @@ def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDe
     kind: Literal["video", "audio"]
     for payload_type in fields[3:]:
         encoding = maps.get(payload_type, "")
-        if fields[0] == "video" and encoding == f"h264/{VIDEO_CLOCK_HZ}":
+        if fields[0] == "video" and encoding == "h264":
             kind = "video"
-        elif fields[0] == "audio" and encoding.split("/")[:2] == ["opus", str(AUDIO_CLOCK_HZ)]:
+        elif fields[0] == "audio" and encoding == "opus":
             kind = "audio"
         else:
             continue
         formats = _parse_formats(parameters.get(payload_type, ""))
-        if kind == "video" and formats.get("packetization-mode", "0") not in ("0", "1"):
-            raise ConfigError(
-                f"SDP packetization-mode={formats['packetization-mode'][:20]}: "
-                "interleaved H.264 is not received; use packetization-mode=1"
-            )
         sets = _parse_parameter_sets(formats.get("sprop-parameter-sets", ""))
         level = formats.get("profile-level-id", "").upper()
         if not _LEVEL.fullmatch(level):
@@ -265,7 +272,7 @@ def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDe
             payload_type=_number(payload_type, "m=", 0, 127),
             rtcp_port=port if multiplexed else rtcp_port,
             bandwidth_bps=bandwidth_bps,
-            feedback=fields[2].endswith("AVPF"),
+            feedback="AVPF" in fields[2].upper(),
             reduced_size=reduced_size,
             capture_time_id=capture_time_id,
             parameter_sets=sets,

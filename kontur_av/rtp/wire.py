@@ -1,6 +1,7 @@
 """RTP and RTCP packets; aiortc parses the latter. Garbage raises ProtocolError."""
 
 import struct
+from contextlib import suppress
 from typing import NamedTuple
 
 from aiortc.rtp import (
@@ -63,6 +64,7 @@ SDES_CNAME, SDES_TOOL = 1, 6  # RFC 3550 sections 6.5.1 and 6.5.6
 TOOL = b"kontur-av"
 _MALFORMED = (ValueError, IndexError, struct.error)
 _RTP_HEADER = struct.Struct("!BBHLL")
+_RTCP_HEADER = struct.Struct("!HH")
 _RTP_VERSION = 2 << 6
 _PADDED = 1 << 5
 
@@ -110,14 +112,30 @@ def pack_rtp(
 def parse_rtcp(datagram: bytes) -> list[AnyRtcpPacket]:
     """Return the packets of a compound RTCP packet (RFC 3550 section 6.1), without unknown types.
 
-    Raises ProtocolError if `datagram` is not RTCP.
+    A length beyond the end means the rest, as FFmpeg reads it; what follows a good packet may be
+    malformed. Raises ProtocolError if `datagram` is not RTCP.
     """
     if not datagram:
         raise ProtocolError("an empty datagram is no RTCP packet")
     try:
         return RtcpPacket.parse(datagram)
     except _MALFORMED as error:
-        raise ProtocolError(f"not an RTCP packet: {error}") from error
+        packets = _parse_each(datagram)
+        if not packets:
+            raise ProtocolError(f"not an RTCP packet: {error}") from error
+        return packets
+
+
+def _parse_each(datagram: bytes) -> list[AnyRtcpPacket]:
+    """Parse one packet after the other until one is malformed."""
+    packets: list[AnyRtcpPacket] = []
+    with suppress(*_MALFORMED):
+        while datagram:
+            words = min(_RTCP_HEADER.unpack_from(datagram)[1], len(datagram) // 4 - 1)
+            size = 4 * (words + 1)
+            packets += RtcpPacket.parse(datagram[:2] + words.to_bytes(2, "big") + datagram[4:size])
+            datagram = datagram[size:]
+    return packets
 
 
 def cname_packet(ssrc: int, cname: bytes, *, tool: bytes = b"") -> bytes:

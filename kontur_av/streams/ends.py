@@ -55,11 +55,12 @@ class Received(NamedTuple):
 
     data: a picture, RGB, shape (height, width, 3), uint8; or sound, mono, 48 kHz, shape (n,),
         int16.
-    age_ms: since its capture, by the wall clocks of both hosts.
+    age_ms: since its capture, by the wall clocks of both hosts. None until a report of the sender
+        tells when that was; a sender without a clock never does.
     """
 
     data: Any
-    age_ms: float
+    age_ms: float | None
     quality: Quality
 
 
@@ -300,8 +301,9 @@ class SoundSender(_Sender[Sound]):
 class StreamReceiver(_AsyncClosing):
     """Receives the stream that an SDP describes: an iterator, sync or async, and a context manager.
 
-    It yields `Received`. A slow reader gets the newest picture; sound waits for two seconds.
-    Iteration ends with the stream: at its goodbye, or when it has been silent for 5 s.
+    It yields `Received`, from the first picture or sound on; the first ones have no age yet. A slow
+    reader gets the newest picture; sound waits for two seconds. Iteration ends with the stream: at
+    its goodbye, or when it has been silent for 5 s.
 
     sdp: a file. Raises ConfigError if it cannot be used, or its port not be opened.
 
@@ -317,7 +319,7 @@ class StreamReceiver(_AsyncClosing):
         self._clock = MonotonicClock()
         self._udp = UdpReceiver(stream.host, stream.port, stream.control_port)
         self._ready = threading.Condition()
-        self._waiting: deque[tuple[Any, int, Quality]] = deque()
+        self._waiting: deque[tuple[Any, int | None, Quality]] = deque()
         self._most = 1 if stream.kind == "video" else _MOST_BLOCKS
         self.skipped, self.ended = 0, ""
         self._error: BaseException | None = None
@@ -364,14 +366,19 @@ class StreamReceiver(_AsyncClosing):
             data, capture_ns, quality = self._waiting.popleft()
         if data.ndim == 2:
             data = cv2.cvtColor(data, cv2.COLOR_YUV2RGB_I420)
-        return Received(data, (self._clock.now_ns() - capture_ns) / NS_PER_MS, quality)
+        now_ns = self._clock.now_ns()
+        age_ms = None if capture_ns is None else (now_ns - capture_ns) / NS_PER_MS
+        return Received(data, age_ms, quality)
 
-    def _put(self, data: Any, stamp: CaptureStamp) -> None:
+    def _put(self, data: Any, stamp: CaptureStamp | None, undated: Quality) -> None:
+        """undated: the quality, if there is no stamp that tells it."""
         with self._ready:
             if len(self._waiting) >= self._most:
                 self._waiting.popleft()
                 self.skipped += 1
-            self._waiting.append((data, stamp.capture_ns, stamp.quality))
+            self._waiting.append(
+                (data, None, undated) if stamp is None else (data, stamp.capture_ns, stamp.quality)
+            )
             self._ready.notify()
 
     def _end(self, why: str) -> None:
@@ -394,8 +401,8 @@ class StreamReceiver(_AsyncClosing):
         def drain() -> None:
             for _, pictures in decoding.units():
                 for picture, stamp in pictures:
-                    if stamp is not None:
-                        self._put(picture.to_i420(), stamp)
+                    damaged = Quality.DAMAGED if picture.corrupt else Quality.FRESH
+                    self._put(picture.to_i420(), stamp, damaged)
 
         self._follow(decoding.receiver, drain)
 
@@ -404,9 +411,8 @@ class StreamReceiver(_AsyncClosing):
 
         def drain() -> None:
             decoding.receiver.take_arrivals()
-            for _, sound, _, stamp in decoding.blocks():
-                if stamp is not None:
-                    self._put(sound, stamp)
+            for _, sound, decoded, stamp in decoding.blocks():
+                self._put(sound, stamp, Quality.FRESH if decoded else Quality.CONCEALED)
 
         self._follow(decoding.receiver, drain)
 

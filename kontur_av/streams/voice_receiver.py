@@ -8,6 +8,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.figures import Flat, Newest
 from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, CaptureStamp, Quality
 from kontur_av.rtp.feedback import ReceptionReporter
+from kontur_av.rtp.payload_opus import SlowClock
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.rtp.report_timer import AVPF_LEAST_NS
@@ -104,6 +105,7 @@ class VoiceReceiver:
         )
         self._name = name
         self._playout = PlayoutBuffer()
+        self._clock = SlowClock()
         self._lip_sync = LipSync(
             oldest_picture_ns=oldest_picture_ns, oldest_sound_ns=oldest_sound_ns
         )
@@ -224,6 +226,13 @@ class VoiceReceiver:
 
     def _take_packets(self, now_ns: int) -> None:
         while (packet := self._receiver.next_event()) is not None:
+            if not packet.payload:
+                continue  # padding that probes the path
+            if (scale := self._clock.handle_packet(packet)) != 1:
+                self._receiver.scale_timestamps(scale)
+                packet = packet._replace(
+                    timestamp=packet.timestamp * scale & 0xFFFF_FFFF, restart=True
+                )
             self._arrivals.append(VoicePacketArrival(packet.timestamp, packet.received_ns))
             self._playout.handle_packet(packet)
             self._hold(packet.timestamp, now_ns)

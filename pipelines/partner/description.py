@@ -59,6 +59,17 @@ _PROFILES = ("42e0", "4200", "4d00", "6400")
 _DISCARD_PORT = 9
 _ANY_HOST = "0.0.0.0"
 _MDNS = re.compile(r"[0-9a-f-]{36}\.local")
+#: Of an address without a foundation, as cameras write it: one is as good as another.
+_UNFOUNDED = re.compile("^a=candidate: +(?=[0-9]+ )", re.MULTILINE)
+#: Attributes that may be left out, and how the parser wants them.
+_OPTIONAL = {
+    "extmap": re.compile("[0-9]+(/[a-z]+)? [^ ]+"),
+    "fmtp": re.compile("[0-9]+ .+"),
+    "rtcp-fb": re.compile("([0-9]+|[*]) .+"),
+    "ssrc": re.compile("[0-9]+ [^ :]+:.*"),
+    "ssrc-group": re.compile("[^ ]+( [0-9]+)+"),
+}
+_MAPPED = re.compile("^a=rtpmap:([0-9]+) ", re.MULTILINE)
 _BROADCAST = IPv4Address("255.255.255.255")
 #: What the parser raises for garbage.
 MALFORMED = (
@@ -109,9 +120,26 @@ def clean_candidates(text: str, *, loopback: bool = True) -> str:
     without `loopback` also those of loopback, at which a partner elsewhere would have us send to
     our own programs. Names of mDNS stay.
     """
+    text = _UNFOUNDED.sub("a=candidate:0 ", text)
     return "".join(
         line for line in text.splitlines(keepends=True) if _may_stay(line.strip(), loopback)
     )
+
+
+def _readable(text: str) -> str:
+    """Return a description without the lines that only the parser refuses, and nobody needs."""
+    kept: list[str] = []
+    for section in re.split("^(?=m=)", text, flags=re.MULTILINE):
+        mapped = set(_MAPPED.findall(section))
+        for line in section.splitlines(keepends=True):
+            name, _, value = line.strip().partition(":")
+            form = _OPTIONAL.get(name.removeprefix("a="))
+            if form is None or (
+                form.fullmatch(value)
+                and (name != "a=fmtp" or not mapped or value.split()[0] in mapped)
+            ):
+                kept.append(line)
+    return "".join(kept)
 
 
 def _may_stay(line: str, loopback: bool) -> bool:
@@ -230,7 +258,7 @@ def read_description(text: str, *, answers: bool, ssrcs: dict[Kind, int]) -> Off
     if len(text) > MOST_SDP_OCTETS:
         raise ProtocolError(f"a description of {len(text)} octets: {MOST_SDP_OCTETS} are most")
     try:
-        parsed = SessionDescription.parse(clean_candidates(text))
+        parsed = SessionDescription.parse(_readable(clean_candidates(text)))
         return _read(parsed, answers=answers, ssrcs=ssrcs)
     except MALFORMED as error:
         raise ProtocolError(f"not a session description: {error}") from error
@@ -294,7 +322,7 @@ def _read(parsed: SessionDescription, *, answers: bool, ssrcs: dict[Kind, int]) 
         mid = media.rtp.muxId
         rest = f"{media.profile} {' '.join(map(str, media.fmt))}"
         sections.append((mid, media.kind, rest))
-        line = _read_section(media, ssrcs) if mid in bundled or len(mids) == 1 else None
+        line = _read_section(media, ssrcs, answers) if mid in bundled or len(mids) == 1 else None
         if line is None or any(line.kind == other.kind for other in lines):
             continue
         lines.append(line)
@@ -326,12 +354,14 @@ def _transport(media: MediaDescription, answers: bool) -> Transport:
     )
 
 
-def _read_section(media: MediaDescription, ssrcs: dict[Kind, int]) -> MediaLine | None:
+def _read_section(
+    media: MediaDescription, ssrcs: dict[Kind, int], answers: bool
+) -> MediaLine | None:
     """Return the line seen from this end; None for one that cannot be used."""
     if media.kind not in ("audio", "video") or not media.rtcp_mux:
         return None
     kind: Kind = "video" if media.kind == "video" else "audio"
-    codec = _codec(media.rtp.codecs, kind)
+    codec = _codec(media.rtp.codecs, kind, answers)
     direction = media.direction or "sendrecv"
     sends = direction in ("recvonly", "sendrecv")
     receives = direction in ("sendonly", "sendrecv")
@@ -356,12 +386,16 @@ def _read_section(media: MediaDescription, ssrcs: dict[Kind, int]) -> MediaLine 
     )
 
 
-def _codec(codecs: Iterable[RTCRtpCodecParameters], kind: Kind) -> RTCRtpCodecParameters | None:
+def _codec(
+    codecs: Iterable[RTCRtpCodecParameters], kind: Kind, answers: bool
+) -> RTCRtpCodecParameters | None:
     name, clock_hz = _CODECS[kind]
     usable = [one for one in codecs if (one.name.lower(), one.clockRate) == (name, clock_hz)]
     if kind == "audio":
         return usable[0] if usable else None
-    usable = [one for one in usable if str(one.parameters.get("packetization-mode", "0")) == "1"]
+    exact = [one for one in usable if str(one.parameters.get("packetization-mode", "0")) == "1"]
+    # An answer need not repeat the mode that was offered.
+    usable = exact or (usable if answers else [])
     names = [str(one.parameters.get("profile-level-id", "42e01f")).lower()[:4] for one in usable]
     ranks = [_PROFILES.index(name) if name in _PROFILES else len(_PROFILES) for name in names]
     return usable[ranks.index(min(ranks))] if usable else None

@@ -86,9 +86,10 @@ class WhipClient:
         """
         headers = {"Content-Type": _SDP, "Accept": _SDP}
         status, told, answer = await self._ask("POST", self._url, offer.encode(), headers)
-        if status != 201:
+        # It should be 201 and application/sdp. Older servers answer otherwise.
+        if status not in (200, 201, 202):
             raise ConnectionError(f"the media server answers {status}")
-        if told.get("Content-Type", "").partition(";")[0].strip().lower() != _SDP:
+        if not answer.lstrip().startswith("v="):
             raise ProtocolError("the media server's answer is no session description")
         location = told.get("Location")
         self._resource = None if location is None else urljoin(self._answered, location)

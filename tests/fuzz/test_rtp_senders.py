@@ -1,5 +1,6 @@
 """Invariants: however others packetize and mark a stream, the same pictures come out in order."""
 
+import itertools
 import struct
 
 from hypothesis import given, settings
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 from kontur_av.clock import NS_PER_MS
 from kontur_av.rtp.payload_h264 import H264Depacketizer, split_annex_b
 from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.streams.voice_receiver import VoiceReceiver
 
 PERIOD_TICKS, PERIOD_NS = 3000, 33_333_333
 HERE, ELSEWHERE = ("192.0.2.1", 5004), ("192.0.2.2", 5004)
@@ -36,6 +38,8 @@ WAY = st.fixed_dictionaries(
         "zeros": st.integers(0, 3),
         "heads_earlier": st.sampled_from([0, 1, 1500]),
         "empty_packets": st.booleans(),
+        # Some date each slice.
+        "slice_ticks": st.sampled_from([0, 10]),
     }
 )
 
@@ -78,12 +82,13 @@ def packets_of(pictures, way):
                 for payload in payloads:
                     marker = marked_heads and payload is payloads[-1]
                     packets.append((payload, timestamp - early, marker))
-        for unit in slices:
+        for number_of_slice, unit in enumerate(slices):
             payloads = parts_of(unit, way)
+            dated = timestamp + number_of_slice * way["slice_ticks"]
             last = way["markers"] == "last" and unit is slices[-1]
             for payload in payloads:
                 marker = payload is payloads[-1] and (last or way["markers"].startswith("each"))
-                packets.append((payload, timestamp, marker))
+                packets.append((payload, dated, marker))
         if way["empty_packets"]:
             packets.append((b"", timestamp, False))
     return packets
@@ -127,6 +132,23 @@ def test_any_way_to_packetize_gives_the_same_pictures(pictures, way, first):
     assert depacketizer.garbage == 0
 
 
+@settings(max_examples=100, deadline=None)
+@given(st.lists(PICTURE, min_size=4, max_size=12), WAY, st.sets(st.integers(0, 200), min_size=1))
+def test_markers_amid_pictures_cost_one_picture_at_most(pictures, way, astray):
+    way = way | {"markers": "last", "empty_packets": False, "heads_earlier": 0, "end_bit": True}
+    depacketizer, receiver = H264Depacketizer(), RtpReceiver(payload_type=96, clock_rate_hz=90_000)
+    for number, (payload, timestamp, marker) in enumerate(packets_of(pictures, way)):
+        receiver.handle_packet(rtp(payload, timestamp, marker or number in astray, number), number)
+        while (event := receiver.next_event()) is not None:
+            depacketizer.handle_packet(event)
+    depacketizer.handle_timeout(10**18)
+    units = []
+    while (unit := depacketizer.next_event()) is not None:
+        units.append([one for one in split_annex_b(unit.data) if one[0] == 0x41])
+    sent = [slices for _, slices in pictures]
+    assert len([one for one in sent if one in units]) >= len(sent) - 1
+
+
 LIFE = st.fixed_dictionaries(
     {
         "count": st.integers(2, 12),
@@ -162,6 +184,78 @@ def test_a_sender_that_begins_anew_goes_on_and_a_stranger_stays_out(lives, stran
         came.append(event.payload)
     assert came == sent
     assert receiver.counts.rtp_lost == 0
+
+
+def report(timestamp, *, ntp=1 << 60, ssrc=7):
+    return struct.pack("!BBHIQIII", 0x80, 200, 6, ssrc, ntp, timestamp & 0xFFFF_FFFF, 0, 0)
+
+
+def begun(first=0, timestamp=0):
+    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
+    for number in range(2):
+        receiver.handle_packet(rtp(b"\x41", timestamp, True, first + number), number)
+    return receiver
+
+
+@given(st.binary(max_size=40), st.integers(0, 60))
+def test_a_report_counts_whatever_is_behind_it(behind, words):
+    receiver = begun()
+    # Some cameras count the words of the whole datagram, or more.
+    told = report(0)[:2] + struct.pack("!H", max(words, 6)) + report(0)[4:]
+    assert receiver.handle_report(report(0) + behind, 5)
+    assert receiver.handle_report(told, 5)
+    assert receiver.capture_ns(0) is not None
+
+
+@given(
+    st.integers(-(2**31), 2**31 - 1),
+    st.sampled_from([0, 1 << 60]),
+    st.integers(0, 2**32 - 1),
+)
+def test_a_report_of_another_time_line_or_without_a_clock_dates_nothing(away, ntp, timestamp):
+    receiver = begun(timestamp=timestamp)
+    assert receiver.handle_report(report(timestamp + away, ntp=ntp), 5)
+    dated = receiver.capture_ns(timestamp) is not None
+    assert dated == (ntp != 0 and abs(away) <= 10 * 90_000)
+    # The next good one does.
+    receiver.handle_report(report(timestamp), 10)
+    assert receiver.capture_ns(timestamp) is not None
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from([1, 2, 3, 6]),
+    st.sampled_from([(b"\x00", 480), (b"\x08", 960), (b"\x18", 2880)]),
+    st.integers(0, 2**32 - 1),
+    st.sets(st.integers(10, 60), max_size=5),
+)
+def test_sound_is_whole_and_dated_at_any_clock_of_its_timestamps(slow, packet, first, lost):
+    head, samples = packet
+    receiver = VoiceReceiver(payload_type=96)
+    played, stamps = [], []
+
+    def take():
+        while (block := receiver.next_event()) is not None:
+            if block.payload is not None:
+                played.append(block.payload)
+                stamps.append(receiver.capture_ns(block.timestamp))
+
+    for number in range(80):
+        now_ns = number * samples * NS_PER_MS // 48
+        while (due_ns := receiver.poll_timeout()) is not None and due_ns <= now_ns:
+            receiver.handle_timeout(due_ns)
+            take()
+        timestamp = first + number * samples // slow
+        if number == 0:
+            receiver.handle_report(report(timestamp), now_ns)
+        if number not in lost:
+            sound = rtp(head + bytes([1, number]), timestamp, number == 0, number)
+            receiver.handle_packet(sound, now_ns, HERE)
+        take()
+    expected = [head + bytes([1, n]) for n in range(8, 70) if n not in lost]
+    assert [one for one in played if 8 <= one[2] < 70] == expected
+    steps = {round((b - a) / NS_PER_MS) for a, b in itertools.pairwise(stamps[8:])}
+    assert all(step % (samples // 48) == 0 and step > 0 for step in steps)
 
 
 @settings(max_examples=60, deadline=None)

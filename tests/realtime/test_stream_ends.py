@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,6 +89,28 @@ def test_a_slow_reader_gets_the_newest_picture_and_the_end(tmp_path):
     assert abs(int(seen[0].data.mean()) - 59) <= 8
     assert seen[0].age_ms > 400
     assert "goodbye" in pictures.ended
+
+
+@pytest.mark.parametrize("kind", ["pictures", "sound"])
+def test_what_no_report_dates_comes_without_an_age(tmp_path, kind):
+    port, sdp, elsewhere = free_port(), tmp_path / "s.sdp", free_port()
+    while elsewhere == port + 1:
+        elsewhere = free_port()
+    cls, item = (
+        (av.PictureSender, GREY)
+        if kind == "pictures"
+        else (av.SoundSender, np.ones(960, dtype=np.int16))
+    )
+    with cls(f"127.0.0.1:{port}", cap_bps=300_000, sdp=sdp) as end:
+        end.send(item)
+        # Its reports go where nobody hears them, and its packets' own dates are not told.
+        stream = av.parse_sdp(sdp.read_text())
+        sdp.write_text(av.write_sdp(replace(stream, rtcp_port=elsewhere, capture_time_id=None)))
+        with av.StreamReceiver(sdp) as received:
+            for _ in range(30):
+                end.send(item)
+            first = next(received)
+    assert first.age_ms is None and first.data.size
 
 
 def test_an_async_reader_is_ended_from_outside(tmp_path):

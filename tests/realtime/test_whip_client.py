@@ -89,6 +89,21 @@ def test_an_answer_in_any_charset_is_read(charset):
     asyncio.run(run())
 
 
+@pytest.mark.parametrize("status", [200, 202])
+@pytest.mark.parametrize("kind", ["application/sdp", "text/plain", "application/json"])
+def test_an_answer_of_an_older_server_is_taken_if_it_is_one(status, kind):
+    async def run(body):
+        def answer(_):
+            return web.Response(status=status, text=body, content_type=kind)
+
+        async with serving(answer) as (url, _):
+            return await posted(url)
+
+    assert asyncio.run(run(ANSWER)) == ANSWER
+    with pytest.raises(ProtocolError, match="no session description"):
+        asyncio.run(run('{"code": 0}'))
+
+
 @pytest.mark.parametrize("status", [400, 406])
 @pytest.mark.parametrize(
     ("body", "shown"),

@@ -1,6 +1,8 @@
 """What is written into a session description, and what is read from those of other programs."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from kontur_av.errors import ConfigError
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, session_bandwidth_bps, write_sdp
@@ -205,6 +207,21 @@ def test_text_that_is_no_description_is_refused():
         parse_sdp(VIDEO)
     # As ffmpeg prints it, and as Windows stores it.
     assert parse_sdp("\ufeff SDP:\n" + HEAD + VIDEO) == stream(name="Room")
+
+
+@given(
+    st.sampled_from(["", "SDP:\n", "RTSP/1.0 200 OK\r\nCSeq: 2\r\n\r\n", "\ufeff \n"]),
+    st.sampled_from(
+        ["", "m=video 0 RTP/AVP 97\na=rtpmap:97 H264/90000\n", "m=audio 0 RTP/AVP (x)\n"]
+    ),
+    st.sampled_from(["RTP/AVP", "rtp/avp", "udp", "RTP/AVP/UDP", "RTP/AVP/UDP;unicast"]),
+    st.sampled_from([" ", "\t", "  "]),
+    st.sampled_from(["H264/90000", "h264/90000/1", "H264", "H264/9000"]),
+    st.sampled_from(["", "packetization-mode=2", "profile-level-id=ffffc016", "profile-level-id="]),
+)
+def test_what_ffmpeg_plays_is_read(head, rejected, profile, blank, encoding, formats):
+    text = f"m=video 5004 {profile} 96\na=rtpmap:96{blank}{encoding}\na=fmtp:96 {formats}\n"
+    assert parse_sdp(head + HEAD + rejected + text) == stream(name="Room")
 
 
 def test_the_bandwidth_has_the_headers_of_ip_udp_and_rtp():

@@ -1,6 +1,7 @@
 """Offers and answers: what a browser says, what is refused, and garbage."""
 
 import contextlib
+import re
 
 import pytest
 from hypothesis import given, settings
@@ -226,6 +227,35 @@ def test_a_candidate_that_no_datagram_may_go_to_is_left_out(address, port):
     assert read_description(text, answers=False, ssrcs=SSRCS).transport.candidates == ()
     fragment = f"a=ice-ufrag:a\r\na=ice-pwd:b\r\n{candidate(address, port)}\r\n"
     assert read_candidates(fragment).candidates == ()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("a=fmtp:96", "a=fmtp:18 annexb=no", "a=fmtp:", "a=rtcp-fb:96", "a=rtcp-fb:*"),
+        *("a=ssrc:7", "a=ssrc:7 cname", "a=ssrc:x cname:y", "a=ssrc-group:FID 1 x"),
+        *("a=extmap:9 urn:x some more", "a=extmap:x urn:x", "a=extmap-allow-mixed"),
+    ],
+)
+def test_a_line_that_is_malformed_and_not_needed_refuses_nothing(line):
+    plain = read_description(BROWSER, answers=False, ssrcs=SSRCS)
+    text = BROWSER.replace("a=mid:1\r\n", f"a=mid:1\r\n{line}\r\n")
+    assert read_description(text, answers=False, ssrcs=SSRCS) == plain
+
+
+def test_a_candidate_without_a_foundation_is_taken():
+    # As cameras by Google write it.
+    line = "a=candidate: 1 udp 2113932031 192.0.2.1 19305 typ host generation 0\r\n"
+    text = BROWSER.replace("a=mid:0\r\n", f"a=mid:0\r\n{line}")
+    read = read_description(text, answers=False, ssrcs=SSRCS)
+    assert [(one.ip, one.port) for one in read.transport.candidates] == [("192.0.2.1", 19305)]
+
+
+def test_an_answer_need_not_repeat_the_mode_of_h264():
+    bare = re.sub("packetization-mode=.;", "", BROWSER.replace("actpass", "active"))
+    assert "packetization-mode" not in bare
+    kinds = [line.kind for line in read_description(bare, answers=True, ssrcs=SSRCS).lines]
+    assert "video" in kinds
 
 
 def test_loopback_is_for_a_partner_on_this_machine():

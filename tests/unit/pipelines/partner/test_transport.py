@@ -2,8 +2,10 @@
 
 import asyncio
 
+import aioice.ice
 import pytest
 
+from kontur_av.errors import ConfigError
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.transport import RtcTransport
 
@@ -36,5 +38,21 @@ def test_a_way_that_is_found_after_the_end_is_not_taken():
         await other.close()
         names = [task.get_coro().__qualname__ for task in asyncio.all_tasks()]
         assert not [name for name in names if "_receive" in name], names
+
+    asyncio.run(run())
+
+
+def test_a_host_with_loopback_only_is_told_so(monkeypatch):
+    monkeypatch.setattr(aioice.ice, "get_host_addresses", lambda **_: [])
+
+    async def run():
+        end = RtcTransport(
+            controlling=True, servers=IceServers(), handle_rtp=print, handle_rtcp=print
+        )
+        try:
+            with pytest.raises(ConfigError, match="this host has loopback only"):
+                await end.gather()
+        finally:
+            await end.close()
 
     asyncio.run(run())
