@@ -25,6 +25,7 @@ from pipelines.media.figures import (
     StereoFigures,
 )
 from pipelines.mission.figures import ComponentFigures, TaskFigures, TmtcFigures
+from pipelines.packets.figures import PacketsFigures
 from pipelines.partner.figures import RtcFigures
 from pipelines.recording.figures import RecorderFigures
 from pipelines.report.model import keys_of
@@ -71,6 +72,7 @@ TOLD: tuple[type, ...] = (
     OwnershipFigures,
     SafetyFigures,
     TmtcFigures,
+    PacketsFigures,
     TaskFigures,
     ComponentFigures,
     TrainerFigures,

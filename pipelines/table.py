@@ -6,6 +6,7 @@ from pipelines.hand.rows import process_rows as hand
 from pipelines.link.rows import process_rows as link
 from pipelines.media.rows import process_rows as media
 from pipelines.mission.rows import process_rows as mission
+from pipelines.packets.rows import process_rows as packets
 from pipelines.partner.rows import process_rows as partner
 from pipelines.recording.rows import process_rows as recording
 from pipelines.report.rows import process_rows as report
@@ -27,6 +28,7 @@ ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
     seats,
     partner,
     report,
+    packets,
 )
 
 
@@ -42,6 +44,7 @@ def topology_of(
     trainer: bool = False,
     tasks: bool = False,
     metrics: bool = False,
+    packets: bool = False,
     components: tuple[Component, ...] = (),
     segments: tuple[Segment, ...] = tuple(Segment),
 ) -> Topology:
@@ -59,6 +62,7 @@ def topology_of(
         trainer=trainer,
         tasks=tasks,
         metrics=metrics,
+        packets=packets,
         components=components,
     )
     streams = Topology(setup=setup, options=options, segments=segments)

@@ -28,6 +28,7 @@ from pipelines.commands.metrics_options import (
     announced_metrics,
     bound_metrics,
 )
+from pipelines.commands.packets_options import add_packets_arguments, bound_packets
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
 from pipelines.commands.record_options import add_record_arguments, wish_of
 from pipelines.commands.rtc_leg import (
@@ -65,7 +66,7 @@ from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import STEREO, Setup, VideoStream
-from pipelines.session.topology import RECORDER, RTC, Segment, Topology
+from pipelines.session.topology import PACKETS, RECORDER, RTC, Segment, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
@@ -130,6 +131,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_page_arguments(parser)
     add_rtc_arguments(parser)
     add_metrics_argument(parser)
+    add_packets_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -169,6 +171,7 @@ def run(args: argparse.Namespace) -> int:
         trainer=args.trainer,
         tasks=tasks is not None,
         metrics=args.metrics is not None,
+        packets=args.packets is not None,
         components=components,
         segments=plan.segments,
     )
@@ -191,6 +194,7 @@ def run(args: argparse.Namespace) -> int:
         announced_pages(page_wish, session, quiet=args.quiet, tasks=tasks is not None) as pages,
         announced_rtc(rtc_wish, session, quiet=args.quiet) as partners,
         announced_metrics(metrics, quiet=args.quiet),
+        bound_packets(args, setup, components) as packets,
         live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         if wish is not None:
@@ -201,7 +205,10 @@ def run(args: argparse.Namespace) -> int:
             topology=topology,
             processes=topology.processes_here,
             awaited=None if wish is None else RECORDER,
-            arguments=_arguments(topology, None if one is None else one.plan, rtc_wish, tasks),
+            arguments={
+                **_arguments(topology, None if one is None else one.plan, rtc_wish, tasks),
+                PACKETS: {"plan": packets},
+            },
             clock=clock,
             listener=collector,
             snapshots=snapshots,

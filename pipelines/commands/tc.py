@@ -88,7 +88,7 @@ def _print_known(args: argparse.Namespace) -> None:
     if running:
         dictionary = read_dictionary(acting_on(args.session, running))
     if args.xtce:
-        print_data(dictionary_xtce(dictionary))
+        print_data(dictionary_xtce(dictionary, args.origin or Segment.GROUND.value))
     elif args.application is not None:
         _list(dictionary.application(args.application))
     else:

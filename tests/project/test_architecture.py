@@ -80,6 +80,7 @@ SHELLS = {
     "pipelines/session/launcher.py": "processes",
     "pipelines/session/serving_loop.py": "an event loop",
     "pipelines/commands/link.py": "a command",
+    "pipelines/commands/packets_options.py": "binds a socket",
     "pipelines/session/process.py": "what every process has",
     "pipelines/commands/raw_pictures.py": "a file or a FIFO",
     "pipelines/commands/receive.py": "a command",

@@ -19,6 +19,8 @@ TRAINER = "trainer"
 #: The process that records the session.
 RECORDER = "recorder"
 METRICS = "metrics"
+#: The process that another ground system talks to.
+PACKETS = "packets"
 #: By segment: the process that serves its browser pages.
 PAGES = {segment: f"page_{segment.value}" for segment in Segment}
 #: The process that has the connections to partners, and the one that shows the partner.
@@ -98,7 +100,7 @@ TMTC_TOPICS = {
 
 TELECOMMAND_KIND, TELEMETRY_KIND = "telecommand", "telemetry"
 #: What becomes of a packet at an end, in words.
-PACKET_WAYS = {
+_PACKET_WAYS = {
     "sent": "as sent to the other end",
     "received": "as received from the other end",
     "local": "from this end for this end",
@@ -110,7 +112,7 @@ def packet_topics(segment: Segment) -> dict[tuple[str, str], Topic]:
     return {
         (kind, way): Topic(f"{short}/{segment.value}/{way}", f"{kind} packet {words}")
         for short, kind in (("tc", TELECOMMAND_KIND), ("tm", TELEMETRY_KIND))
-        for way, words in PACKET_WAYS.items()
+        for way, words in _PACKET_WAYS.items()
     }
 
 

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 from telepresence.haptics.mediated.wall import WALL_APID
 from telepresence.tmtc.pus.dictionary import Application, Dictionary
-from telepresence.tmtc.pus.xtce_commands import add_commands
+from telepresence.tmtc.pus.xtce_commands import FOREIGN_SOURCES, add_commands
 from telepresence.tmtc.pus.xtce_types import add, add_integer_type, add_type
 
 NAMESPACE = "http://www.omg.org/spec/XTCE/20180204"
@@ -69,15 +69,18 @@ _WITH_NUMBERS = (
 Criteria = tuple[tuple[str, int], ...]
 
 
-def dictionary_xtce(dictionary: Dictionary) -> str:
-    """Return the telemetry and the telecommands of `dictionary` as an XTCE document."""
+def dictionary_xtce(dictionary: Dictionary, end: str = "ground") -> str:
+    """Return the telemetry and the telecommands of `dictionary` as an XTCE document.
+
+    end: where the other ground system is joined to a session, "ground" or "space".
+    """
     root = ElementTree.Element(
         "SpaceSystem",
         {
             "xmlns": NAMESPACE,
             "xmlns:xsi": _INSTANCE,
             "xsi:schemaLocation": f"{NAMESPACE} {_SCHEMA}",
-            "name": "kontur-av",
+            "name": "kontur_av",
         },
     )
     telemetry = add(root, "TelemetryMetaData")
@@ -124,7 +127,7 @@ def dictionary_xtce(dictionary: Dictionary) -> str:
     _container(containers, "Wall", _WALL, "CCSDSPacket", wall)
     for application in dictionary.applications:
         _application(containers, application)
-    add_commands(add(root, "CommandMetaData"), dictionary)
+    add_commands(add(root, "CommandMetaData"), dictionary, FOREIGN_SOURCES[end])
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'

@@ -19,14 +19,8 @@ FOREIGN_SOURCES = {"ground": 3, "space": 4}
 
 #: What all telecommands begin with, also in telemetry's containers.
 _BASE = "PusTelecommand"
-#: Argument of every telecommand -> its bits, and its value unless a telecommand says otherwise.
-_HEADER = {
-    "APID": (11, ""),
-    "ACKNOWLEDGE": (4, "15"),
-    "SERVICE": (8, ""),
-    "SUBTYPE": (8, ""),
-    "SOURCE": (16, str(FOREIGN_SOURCES["ground"])),
-}
+#: Argument of every telecommand -> its bits.
+_HEADER = {"APID": 11, "ACKNOWLEDGE": 4, "SERVICE": 8, "SUBTYPE": 8, "SOURCE": 16}
 #: In the order of the headers: an argument, or bits with their value.
 _LAYOUT = (
     *((3, "00"), (1, "01"), (1, "01"), "APID", (2, "03"), (14, "0000"), (16, "0000")),
@@ -51,22 +45,26 @@ _SENT = {
 }
 
 
-def add_commands(commands: ElementTree.Element, dictionary: Dictionary) -> None:
-    """Add the telecommands of all applications: those of `kontur-av tc`, under the same names."""
+def add_commands(commands: ElementTree.Element, dictionary: Dictionary, source: int) -> None:
+    """Add the telecommands of all applications: those of `kontur-av tc`, under the same names.
+
+    source: one of `FOREIGN_SOURCES`.
+    """
     types = add(commands, "ArgumentTypeSet")
     metas = add(commands, "MetaCommandSet")
-    for name, (bits, _) in _HEADER.items():
+    for name, bits in _HEADER.items():
         add_integer_type(types, "Argument", f"{name}_TYPE", bits)
-    _base(metas)
+    _base(metas, source)
     for application in dictionary.applications:
         _Commands(types, metas, application).add_all()
 
 
-def _base(metas: ElementTree.Element) -> None:
+def _base(metas: ElementTree.Element, source: int) -> None:
     meta = add(metas, "MetaCommand", name=_BASE, abstract="true")
     arguments = add(meta, "ArgumentList")
-    for name, (_, value) in _HEADER.items():
-        known = {"initialValue": value} if value else {}
+    initial = {"ACKNOWLEDGE": "15", "SOURCE": str(source)}
+    for name in _HEADER:
+        known = {"initialValue": initial[name]} if name in initial else {}
         add(arguments, "Argument", name=name, argumentTypeRef=f"{name}_TYPE", **known)
     entries = add(add(meta, "CommandContainer", name=_BASE), "EntryList")
     for field in _LAYOUT:

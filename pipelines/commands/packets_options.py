@@ -1,0 +1,108 @@
+"""The options of a session's space packets for another ground system."""
+
+import argparse
+import re
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+from kontur_av.errors import ConfigError
+from pipelines.commands.common import output_that_may_fail, resolve
+from pipelines.mission.choosing import session_dictionary
+from pipelines.packets.allowed import allowed_commands
+from pipelines.packets.process_packets import PacketsPlan
+from pipelines.session.datagrams import Address, is_loopback
+from pipelines.session.setup.table import Setup
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.telemetry_source import Component, with_components
+
+_OPTION = "--packets"
+_WAITING = 8
+#: The one after it must be a port, too.
+_LAST_PORT = 65_534
+#: In the instance of YAMCS that `kontur-av yamcs new` writes.
+DEFAULT_PACKETS = "tcp:127.0.0.1:10015"
+
+
+def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        _OPTION,
+        metavar="tcp:[HOST:]PORT|udp:HOST:PORT",
+        help="give telemetry to another ground system, and take its telecommands: tcp listens; udp "
+        "sends to PORT, and takes telecommands of HOST at PORT + 1",
+    )
+    parser.add_argument(
+        "--packets-allow",
+        action="append",
+        default=[],
+        metavar="WHAT",
+        help="telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
+        "may be given several times (default: questions alone)",
+    )
+
+
+@contextmanager
+def bound_packets(
+    args: argparse.Namespace, setup: Setup, components: tuple[Component, ...]
+) -> Iterator[PacketsPlan | None]:
+    """Yield what the options ask for, with its socket; ConfigError if that cannot be."""
+    if args.packets is None:
+        if args.packets_allow:
+            raise ConfigError(f"--packets-allow needs {_OPTION}")
+        yield None
+        return
+    known = with_components(built_in_dictionary(), components)
+    dictionary = session_dictionary(known, setup.cameras)
+    allowed = allowed_commands(args.packets_allow, dictionary)
+    wish = parse_packets(args.packets)
+    host, port = wish.address
+    if wish.udp:
+        local = "127.0.0.1" if is_loopback(host) else ""
+        bound = _bind(socket.SOCK_DGRAM, (local, port + 1))
+        said = f"packets udp to {host}:{port}, telecommands at port {port + 1}"
+    else:
+        bound = _bind(socket.SOCK_STREAM, wish.address)
+        bound.listen(_WAITING)
+        said = f"packets tcp {host}:{port}"
+    with bound:
+        if not args.quiet:
+            with output_that_may_fail():
+                print(said, flush=True)
+        peer = wish.address if wish.udp else None
+        yield PacketsPlan(socket=bound, peer=peer, dictionary=dictionary, allowed=allowed)
+
+
+class PacketsWish(NamedTuple):
+    """address: by UDP of the other system, else of the session."""
+
+    address: Address
+    udp: bool
+
+
+def parse_packets(text: str) -> PacketsWish:
+    """Return what `text` asks for; ConfigError."""
+    match = re.fullmatch(r"(tcp|udp):(?:([^:]+):)?(\d{1,5})", text)
+    if (
+        match is None
+        or not 1 <= int(match[3]) <= _LAST_PORT
+        or (match[1] == "udp" and not match[2])
+    ):
+        raise ConfigError(f"{_OPTION} {text!r}: write tcp:[HOST:]PORT or udp:HOST:PORT")
+    host = resolve(match[2] or "127.0.0.1", text, _OPTION, socket.AF_INET)
+    return PacketsWish((host, int(match[3])), match[1] == "udp")
+
+
+def _bind(kind: socket.SocketKind, address: tuple[str, int]) -> socket.socket:
+    bound = socket.socket(socket.AF_INET, kind)
+    if kind is socket.SOCK_STREAM:
+        # A session that ended a moment ago must not take the port from the next one.
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        bound.bind(address)
+    except OSError as error:
+        bound.close()
+        where = address[0] or "this machine"
+        raise ConfigError(f"{_OPTION}: port {address[1]} of {where}: {error.strerror}") from None
+    bound.setblocking(False)
+    return bound

@@ -1,0 +1,61 @@
+"""`kontur-av yamcs new`: the directory of a YAMCS instance that reads a session's space packets."""
+
+import argparse
+from pathlib import Path
+
+from kontur_av.errors import ConfigError
+from pipelines.commands.packets_options import DEFAULT_PACKETS, parse_packets
+from pipelines.packets.yamcs import instance_files
+from pipelines.session.output import print_data
+from pipelines.session.setup.segments import Segment
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.xtce import dictionary_xtce
+from telepresence.tmtc.telemetry_source import load_components, with_components
+
+_HTTP_PORT = 8090
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    text = "write the instance's directory: etc/ and mdb/"
+    new = actions.add_parser("new", help=text, description=text)
+    new.add_argument("directory", type=Path, metavar="DIR")
+    new.add_argument(
+        "--packets",
+        metavar="tcp:[HOST:]PORT|udp:HOST:PORT",
+        default=DEFAULT_PACKETS,
+        help=f"as of `stream`, with the session's host (default: {DEFAULT_PACKETS})",
+    )
+    new.add_argument(
+        "--end",
+        choices=[segment.value for segment in Segment],
+        default=Segment.GROUND.value,
+        help="the session's end that it is joined to (default: ground)",
+    )
+    new.add_argument(
+        "--telemetry", action="append", default=[], metavar="SPEC", help="as of `stream`"
+    )
+    new.add_argument("--http-port", type=int, metavar="PORT", default=_HTTP_PORT, help="of YAMCS")
+
+
+def run(args: argparse.Namespace) -> int:
+    wish = parse_packets(args.packets)
+    dictionary = built_in_dictionary()
+    dictionary = with_components(dictionary, load_components(args.telemetry, dictionary))
+    files = instance_files(
+        dictionary_xtce(dictionary, args.end),
+        wish.address,
+        udp=wish.udp,
+        http_port=args.http_port,
+    )
+    directory: Path = args.directory
+    if taken := [name for name in files if (directory / name).exists()]:
+        raise ConfigError(f"{directory / taken[0]} is there already: name another directory")
+    try:
+        for name, text in files.items():
+            (directory / name).parent.mkdir(parents=True, exist_ok=True)
+            (directory / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{directory}: {error.strerror}") from None
+    print_data(f"{directory} is written. In it start org.yamcs.YamcsServer: docs/yamcs.md\n")
+    return 0

@@ -1,0 +1,1 @@
+"""Space packets for another ground system: telemetry out, telecommands in."""

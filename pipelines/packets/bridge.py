@@ -1,0 +1,218 @@
+"""Another ground system between its sockets and an end of TM/TC. A core."""
+
+from collections import deque
+from dataclasses import replace
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ProtocolError
+from pipelines.mission.tmtc_messages import CommandUpdate, ForwardCommand, TmtcNews
+from pipelines.packets.allowed import AllowedCommands
+from pipelines.packets.figures import PacketsFigures
+from pipelines.session.probe import Probe
+from telepresence.link.bucket import TokenBucket
+from telepresence.tmtc.pus import verification
+from telepresence.tmtc.pus.dictionary import Dictionary
+from telepresence.tmtc.pus.head import HEADER_OCTETS, MAX_PACKET_OCTETS, is_packet, is_telecommand
+from telepresence.tmtc.pus.packets import (
+    COUNT_MODULUS,
+    Telecommand,
+    Telemetry,
+    cuc_from_ns,
+    pack_packet,
+    parse_packet,
+)
+from telepresence.tmtc.pus.verification import Failure, VerificationStage, verification_of
+
+#: So many telecommands at once, then so many a second.
+COMMANDS_AT_ONCE, COMMANDS_PER_S = 8, 4
+#: Telecommands that wait for the end of TM/TC, or for its answer.
+_WAITING_DEPTH, _ASKED_DEPTH = 16, 64
+_REPORTS_DEPTH = 64
+
+
+class PacketBridge:
+    """Passes telecommands on, if they are allowed and not too many, and says which are not.
+
+    Hand it what comes from the other system with `handle_command`, and the news of the end with
+    `handle_news`. Then give the end what `poll_request` returns, until None, and the other system
+    what `poll_report` returns, until None.
+
+    A telecommand that is not allowed is answered by a failed acceptance. One beyond the rate is
+    dropped and counted, without an answer. At most 16 wait for the end; beyond that they fail.
+
+    client: names this life. source: of the other system's telecommands. epoch_ns: Unix time minus
+    this clock.
+    """
+
+    def __init__(
+        self,
+        dictionary: Dictionary,
+        allowed: AllowedCommands,
+        *,
+        client: str,
+        source: int,
+        epoch_ns: int,
+    ) -> None:
+        self.figures = PacketsFigures()
+        self._names = {apid: one.name for apid, one in dictionary.by_apid.items()}
+        self._allowed, self._client, self._source = allowed, client, source
+        self._epoch_ns = epoch_ns
+        # A telecommand counts as one octet.
+        self._bucket = TokenBucket(8 * COMMANDS_PER_S, COMMANDS_AT_ONCE)
+        self._number = self._count = 0
+        self._waiting: deque[ForwardCommand] = deque()
+        self._asked: dict[int, Telecommand] = {}
+        self._reports: deque[bytes] = deque(maxlen=_REPORTS_DEPTH)
+
+    def handle_command(self, octets: bytes, now_ns: int) -> None:
+        """A packet of the other system. Garbage is counted; this never raises."""
+        if not self._bucket.holds(1, now_ns):
+            self._add(outside_excess=1)
+            return
+        self._bucket.take(1, now_ns)
+        try:
+            command = parse_packet(octets)
+        except ProtocolError:
+            self._add(outside_garbage=1)
+            return
+        if not isinstance(command, Telecommand):
+            self._add(outside_garbage=1)
+            return
+        name = self._names.get(command.apid)
+        if name is None:
+            self._refuse(command, Failure.UNKNOWN_APID, "no such application", now_ns)
+        elif not self._allowed.allows(command):
+            self._refuse(command, Failure.REFUSED, "--packets-allow does not name it", now_ns)
+        elif len(self._waiting) == _WAITING_DEPTH:
+            self._refuse(command, Failure.BUSY, "telecommands of this end do not answer", now_ns)
+        else:
+            self._number += 1
+            if len(self._asked) == _ASKED_DEPTH:
+                self._asked.pop(next(iter(self._asked)))
+            self._asked[self._number] = command
+            self._waiting.append(ForwardCommand(self._client, self._number, name, octets))
+
+    def handle_news(self, news: TmtcNews | None, now_ns: int) -> None:
+        """What the end has published; most of it is for others."""
+        if not isinstance(news, CommandUpdate) or news.client != self._client:
+            return
+        if news.stage == "refused" and (command := self._asked.get(news.id)) is not None:
+            self._refuse(command, Failure.BUSY, news.reason, now_ns)
+        if news.done:
+            self._asked.pop(news.id, None)
+
+    def poll_request(self) -> ForwardCommand | None:
+        """Return the next request for the end, or None; the same again until `handle_sent`."""
+        return self._waiting[0] if self._waiting else None
+
+    def handle_sent(self) -> None:
+        """The end has taken the request."""
+        self._waiting.popleft()
+        self._add(outside_commands=1)
+
+    def poll_report(self) -> bytes | None:
+        """Return the next report for the other system about a refused telecommand, or None."""
+        return self._reports.popleft() if self._reports else None
+
+    def handle_telemetry(self, octets: bytes) -> bool:
+        """A packet of the end; whether it is telemetry after PUS, for the other system."""
+        if not is_packet(octets) or is_telecommand(octets):
+            return False
+        self._add(outside_packets=1)
+        return True
+
+    def handle_peer(self) -> None:
+        """A connection was opened."""
+        self._add(outside_peers=1)
+
+    def handle_garbage(self) -> None:
+        """What came in a connection is no packet, so that it ends."""
+        self._add(outside_garbage=1)
+
+    def handle_dropped(self, count: int, waited_ns: int) -> None:
+        """A peer took so many packets not in time, and one after `waited_ns`."""
+        waited_ms = max(self.figures.outside_waited_ms, round(waited_ns / NS_PER_MS, 1))
+        self.figures = replace(self.figures, outside_waited_ms=waited_ms)
+        self._add(outside_dropped=count)
+
+    def tell(self, probe: Probe) -> None:
+        """Put the counters into the probe."""
+        probe.tell(self.figures)
+
+    def _add(self, **counts: int) -> None:
+        now = {name: getattr(self.figures, name) + count for name, count in counts.items()}
+        self.figures = replace(self.figures, **now)
+
+    def _refuse(self, command: Telecommand, failure: Failure, reason: str, now_ns: int) -> None:
+        self._add(outside_refused=1)
+        report = verification_of(command, VerificationStage.ACCEPTED, failure, reason)
+        packet = Telemetry(
+            apid=command.apid,
+            count=self._count,
+            service=verification.SERVICE,
+            subtype=report.subtype,
+            data=verification.pack_verification(report),
+            counter=self._count,
+            destination=self._source,
+            cuc=cuc_from_ns(now_ns + self._epoch_ns),
+        )
+        self._count = (self._count + 1) % COUNT_MODULUS
+        self._reports.append(pack_packet(packet))
+
+
+class PacketSplitter:
+    """Finds packets in a stream of octets, by the lengths in their headers (CCSDS 133.0-B-2)."""
+
+    def __init__(self) -> None:
+        self._octets = bytearray()
+
+    def handle_octets(self, octets: bytes) -> list[bytes]:
+        """Return the packets that are complete now. ProtocolError: this is no stream of them."""
+        self._octets += octets
+        found = []
+        while len(self._octets) >= HEADER_OCTETS:
+            length = HEADER_OCTETS + 1 + int.from_bytes(self._octets[4:6], "big")
+            if length > MAX_PACKET_OCTETS:
+                raise ProtocolError(f"a packet of {length} octets")
+            if len(self._octets) < length:
+                break
+            found.append(bytes(self._octets[:length]))
+            del self._octets[:length]
+        return found
+
+
+class PeerQueue:
+    """What waits for a peer: at most 256 packets. Beyond that the oldest goes, and is counted.
+
+    Write what `octets` holds, and say with `handle_written` how much of it was taken.
+    """
+
+    DEPTH = 256
+
+    def __init__(self) -> None:
+        self._packets: deque[tuple[bytes, int]] = deque()
+        self._written = 0
+        self.dropped = 0
+        self.max_age_ns = 0
+
+    def put(self, packet: bytes, now_ns: int) -> None:
+        """Add a packet."""
+        if len(self._packets) == self.DEPTH:
+            # The first one may be half written, and must then be ended.
+            del self._packets[1 if self._written else 0]
+            self.dropped += 1
+        self._packets.append((packet, now_ns))
+
+    @property
+    def octets(self) -> bytes:
+        """What to write next; empty if nothing waits."""
+        return self._packets[0][0][self._written :] if self._packets else b""
+
+    def handle_written(self, octets: int, now_ns: int) -> None:
+        """So many octets of `octets` were taken."""
+        self._written += octets
+        packet, since_ns = self._packets[0]
+        if self._written == len(packet):
+            self._packets.popleft()
+            self._written = 0
+            self.max_age_ns = max(self.max_age_ns, now_ns - since_ns)

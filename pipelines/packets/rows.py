@@ -1,0 +1,32 @@
+"""The process that another ground system talks to."""
+
+from pipelines.session.topology import (
+    PACKETS,
+    TELEMETRY_KIND,
+    TMTC_TOPICS,
+    ProcessRow,
+    Segment,
+    Stage,
+    Topology,
+    packet_topics,
+)
+
+
+def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
+    """The process of `--packets`. With both ends here it has the ground's view."""
+    segment = session.alone or Segment.GROUND
+    topics = packet_topics(segment).items()
+    return (
+        ProcessRow(
+            name=PACKETS,
+            when=session.options.packets,
+            segment=segment,
+            stage=Stage.SINK,
+            run="pipelines.packets.process_packets:run_packets",
+            reads=(
+                *(topic for (kind, _), topic in topics if kind == TELEMETRY_KIND),
+                TMTC_TOPICS[segment],
+            ),
+            what="gives telemetry to another ground system, and takes its telecommands",
+        ),
+    )
