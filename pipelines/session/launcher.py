@@ -480,7 +480,7 @@ def load_libraries() -> None:
     import av  # noqa: F401
     import cv2
 
-    import kontur_av.codecs.opus  # noqa: F401
+    import kontur_av.codecs.opus
     from kontur_av.codecs import libopus
 
     with suppress(ImportError):
