@@ -177,6 +177,10 @@ class VideoReceiver:
                     self._hurt.popitem(last=False)
         return unit
 
+    def handle_new_viewer(self) -> None:
+        """Ask for a key picture with the next unit: who begins to watch needs one."""
+        self._begun = False
+
     def capture_ns(self, timestamp: int) -> int | None:
         """Return when the picture of this RTP timestamp was captured, in ns.
 

@@ -107,6 +107,21 @@ class SavedReport(Report, frozen=True, kw_only=True):
     packets: int
 
 
+class ForwardedReport(Report, frozen=True, kw_only=True):
+    """What `--to` handed on. left_out: access units or packets of sound that did not go there.
+
+    They came while there was no connection, before a key picture, or were not taken in time.
+    connections: how often the stream began there. faults: attempts or connections that failed.
+    """
+
+    to: str
+    packets: int
+    left_out: int
+    connections: int
+    faults: int
+    last_fault: str
+
+
 class RawReport(Report, frozen=True, kw_only=True):
     """The pictures that `--raw` wrote or dropped."""
 
@@ -143,4 +158,5 @@ class ReceiveEnd(Report, frozen=True, kw_only=True):
     cpu_s: float
     failed: list[str]
     saved: SavedReport | None = None
+    forwarded: ForwardedReport | None = None
     raw: RawReport | None = None

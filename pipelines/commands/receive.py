@@ -18,6 +18,7 @@ from pipelines.commands.common import (
     output_that_may_fail,
     stopped_by_signals,
 )
+from pipelines.commands.live_output import LiveWriter
 from pipelines.commands.media_reports import (
     ReceivedLatency,
     ReceivedStages,
@@ -43,6 +44,11 @@ _SAVED_AT_LEAST = 0.9
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sdp", metavar="FILE", required=True, help="describes the stream")
     parser.add_argument("--save", metavar="FILE.mkv", help="write the stream as it comes")
+    parser.add_argument(
+        "--to",
+        metavar="URL",
+        help="hand the stream on as it comes: MPEG-TS to udp://HOST:PORT, or rtsp://HOST/NAME",
+    )
     add_raw_argument(parser)
     parser.add_argument(
         "--size", metavar="WxH", help="of the pictures of --raw (default: that of the first one)"
@@ -73,15 +79,19 @@ def run(args: argparse.Namespace) -> int:
         if args.save:
             writer = MatroskaWriter(args.save)
             stack.callback(writer.close)
+        live = LiveWriter(args.to) if args.to else None
+        if live is not None:
+            stack.callback(live.close)
+        writers = [one for one in (writer, live) if one is not None]
         raw = _open_raw(args, stream)
         if raw is not None:
             stack.callback(raw.close)
         clock = MonotonicClock()
         output: PictureOutput | SoundOutput
         if stream.kind == "video":
-            output = PictureOutput(stream, clock, writer, raw)
+            output = PictureOutput(stream, clock, writers, raw)
         else:
-            output = SoundOutput(stream, clock, writer)
+            output = SoundOutput(stream, clock, writers)
         rtp, latency, failed = _ReceiveShell(stream, output, udp, clock, raw).run(args.seconds)
     if writer is not None and writer.written < _SAVED_AT_LEAST * output.decoded:
         failed.append(
@@ -90,8 +100,9 @@ def run(args: argparse.Namespace) -> int:
     end = ReceiveEnd(
         latency_ms=latency,
         cpu_s=time.process_time(),
-        failed=failed + [one.fault for one in (writer, raw) if one is not None and one.fault],
+        failed=failed + [one.fault for one in (writer, live, raw) if one is not None and one.fault],
         saved=None if writer is None else SavedReport(file=args.save, packets=writer.written),
+        forwarded=None if live is None else live.report(),
         raw=None if raw is None else raw.report(),
     )
     # One object with the keys of all parts.

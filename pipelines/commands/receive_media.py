@@ -1,4 +1,6 @@
-"""The output of a received stream: pictures or sound, figures, and perhaps a file."""
+"""The output of a received stream: pictures or sound, figures, perhaps a file and a player."""
+
+from collections.abc import Sequence
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.h264 import DecodedPicture
@@ -7,6 +9,7 @@ from kontur_av.meters import Histogram
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
+from pipelines.commands.live_output import LiveWriter
 from pipelines.commands.media_reports import PicturesReport, SoundReport
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.remux import MatroskaWriter
@@ -46,7 +49,7 @@ class PictureOutput:
         self,
         stream: StreamDescription,
         clock: MonotonicClock,
-        writer: MatroskaWriter | None,
+        writers: Sequence[MatroskaWriter | LiveWriter],
         raw: RawPictures | None = None,
     ) -> None:
         self._decoding = PictureDecoding(stream, clock)
@@ -56,7 +59,7 @@ class PictureOutput:
         self._clock = clock
         self._raw = raw
         self._time_line = _TimeLine(stream.clock_rate_hz)
-        self._writer = writer
+        self._writers = writers
         self._size: tuple[int, int] | None = None
 
     @property
@@ -72,11 +75,13 @@ class PictureOutput:
                 self._show(picture)
                 if stamp is not None:
                     self.decoded_ns.add(self._clock.now_ns() - stamp.capture_ns)
-            if self._writer is not None:
-                ticks = self._time_line.ticks(
-                    unit.timestamp, unit.received_ns, follows_all=unit.keyframe
-                )
-                self._writer.add_unit(unit.data, ticks, keyframe=unit.keyframe)
+            ticks = self._time_line.ticks(
+                unit.timestamp, unit.received_ns, follows_all=unit.keyframe
+            )
+            for writer in self._writers:
+                writer.add_unit(unit.data, ticks, keyframe=unit.keyframe)
+                if writer.needs_key:
+                    self.receiver.handle_new_viewer()
 
     def finish(self) -> None:
         """Show the pictures that the decoder has held back."""
@@ -105,7 +110,10 @@ class SoundOutput:
     """Plays the sound of its receiver. received_ns, decoded_ns: since the capture."""
 
     def __init__(
-        self, stream: StreamDescription, clock: MonotonicClock, writer: MatroskaWriter | None
+        self,
+        stream: StreamDescription,
+        clock: MonotonicClock,
+        writers: Sequence[MatroskaWriter | LiveWriter],
     ) -> None:
         self._decoding = SoundDecoding(stream, clock)
         self.receiver = self._decoding.receiver
@@ -114,7 +122,7 @@ class SoundOutput:
         self.decoded = 0
         self._concealed = 0
         self._time_line = _TimeLine(AUDIO_CLOCK_HZ)
-        self._writer = writer
+        self._writers = writers
 
     def drain(self) -> None:
         receiver = self.receiver
@@ -130,9 +138,10 @@ class SoundOutput:
             self.decoded += 1
             if stamp is not None:
                 self.decoded_ns.add(block.play_ns - stamp.capture_ns)
-            if self._writer is not None and block.payload is not None and not block.recovered:
+            if block.payload is not None and not block.recovered:
                 ticks = self._time_line.ticks(block.timestamp, block.play_ns, follows_all=True)
-                self._writer.add_opus(block.payload, ticks, block.samples)
+                for writer in self._writers:
+                    writer.add_opus(block.payload, ticks, block.samples)
 
     def finish(self) -> None:
         """All that was decoded was played."""

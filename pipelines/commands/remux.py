@@ -1,4 +1,4 @@
-"""Writes a received stream into a Matroska file as it came, without coding it again."""
+"""Writes a received stream as it came, without coding it again: into a file, or to a player."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,36 +7,31 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
-from pipelines.recording.matroska import MatroskaFile
+from pipelines.recording.matroska import CodedContainer, MatroskaFile
 
 #: Pictures by which decoding order may run ahead of display order, if a sender has B pictures.
 _REORDERED_PICTURES = 4
 
 
-class MatroskaWriter:
-    """One H.264 or Opus stream in a Matroska file.
+class Remuxer:
+    """One H.264 or Opus stream in a container.
 
     Pictures are written from the first one with an SPS on, because no player can show earlier ones.
-    Raises ConfigError when the file cannot be written.
+    Raises OSError when the container cannot be written.
     """
 
-    def __init__(self, path: str) -> None:
-        try:
-            self._file = MatroskaFile(Path(path))
-        except OSError as error:
-            raise ConfigError(f"--save {path!r} cannot be written: {error.strerror}") from None
-        self._begun = False
+    def __init__(self, container: CodedContainer) -> None:
+        self._file = container
         self._display_order: list[int] = []
-        self._path = path
+        self.begun = False
         self.written = 0
-        #: Why the file cannot be written any more; empty if it can.
-        self.fault = ""
 
     def add_unit(self, data: bytes, ticks: int, *, keyframe: bool) -> None:
         """Write an access unit (Annex B), shown at `ticks` of 90 kHz."""
-        if self.fault or (not self._begun and not self._file.begin_video(data)):
-            return
-        self._begun = True
+        if not self.begun:
+            if not self._file.begin_video(data):
+                return
+            self._begin()
         # Sorted display times, delayed by some pictures, serve as decoding times: they never run
         # backwards, and never exceed the display time of their picture.
         heappush(self._display_order, ticks)
@@ -45,25 +40,61 @@ class MatroskaWriter:
         else:
             decode_ticks = self._display_order[0] - _REORDERED_PICTURES + self.written
         # A time runs backwards after a loss in a stream with B pictures.
-        with self._faults():
-            self.written += self._file.write_picture(
-                data, ticks, min(decode_ticks, ticks), VIDEO_CLOCK_HZ, keyframe=keyframe
-            )
+        self.written += self._file.write_picture(
+            data, ticks, min(decode_ticks, ticks), VIDEO_CLOCK_HZ, keyframe=keyframe
+        )
 
     def add_opus(self, payload: bytes, ticks: int, samples: int) -> None:
         """Write an Opus packet of `samples` samples, played at `ticks` of 48 kHz."""
-        if self.fault:
-            return
-        if not self._begun:
+        if not self.begun:
             self._file.begin_sound()
-            self._begun = True
-        with self._faults():
-            self.written += self._file.write_sound(payload, ticks, AUDIO_CLOCK_HZ, samples)
+            self._begin()
+        self.written += self._file.write_sound(payload, ticks, AUDIO_CLOCK_HZ, samples)
+
+    def close(self) -> None:
+        """Finish the container. May be called twice."""
+        self._file.close()
+
+    def _begin(self) -> None:
+        self._file.start()
+        self.begun = True
+
+
+class MatroskaWriter:
+    """One H.264 or Opus stream in a Matroska file. ConfigError when it cannot be written."""
+
+    #: It asks for no picture with which to begin.
+    needs_key = False
+
+    def __init__(self, path: str) -> None:
+        try:
+            self._remuxer = Remuxer(MatroskaFile(Path(path)))
+        except OSError as error:
+            raise ConfigError(f"--save {path!r} cannot be written: {error.strerror}") from None
+        self._path = path
+        #: Why the file cannot be written any more; empty if it can.
+        self.fault = ""
+
+    @property
+    def written(self) -> int:
+        return self._remuxer.written
+
+    def add_unit(self, data: bytes, ticks: int, *, keyframe: bool) -> None:
+        """Write an access unit, as `Remuxer.add_unit`."""
+        if not self.fault:
+            with self._faults():
+                self._remuxer.add_unit(data, ticks, keyframe=keyframe)
+
+    def add_opus(self, payload: bytes, ticks: int, samples: int) -> None:
+        """Write an Opus packet, as `Remuxer.add_opus`."""
+        if not self.fault:
+            with self._faults():
+                self._remuxer.add_opus(payload, ticks, samples)
 
     def close(self) -> None:
         """Finish the file. May be called twice."""
         with self._faults():
-            self._file.close()
+            self._remuxer.close()
 
     @contextmanager
     def _faults(self) -> Iterator[None]:

@@ -1,4 +1,4 @@
-"""Matroska files of coded pictures and sound as they are, by PyAV. A shell."""
+"""Coded pictures and sound as they are in a container, such as a Matroska file. A shell."""
 
 import io
 from fractions import Fraction
@@ -12,18 +12,20 @@ from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.rtp.payload_h264 import NAL_SPS, nal_type, split_annex_b
 
 
-class MatroskaFile:
+def begins_stream(unit: bytes) -> bool:
+    """Whether a player can begin with an access unit (Annex B): it has an SPS."""
+    return any(nal_type(nal) == NAL_SPS for nal in split_annex_b(unit))
+
+
+class CodedContainer:
     """At most one H.264 stream and one Opus stream.
 
-    Call `begin_video` or `begin_sound`, or both, before the first `write_...`. Matroska keeps times
-    in ms. Raises OSError when the file cannot be written.
+    Call `begin_video` or `begin_sound`, or both, before the first `write_...`. Raises OSError when
+    the file or connection cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
-        # PyAV opens the file with the first packet: too late to refuse.
-        path.write_bytes(b"")
-        # Without file: a name with a colon would be a protocol.
-        self._container: OutputContainer = av.open(f"file:{path}", "w", format="matroska")
+    def __init__(self, container: OutputContainer) -> None:
+        self._container = container
         self._video: Stream | None = None
         self._sound: Stream | None = None
         self._template: InputContainer | None = None
@@ -35,7 +37,7 @@ class MatroskaFile:
 
     def begin_video(self, unit: bytes) -> bool:
         """Declare the H.264 stream after an access unit (Annex B); False if it has no SPS."""
-        if not any(nal_type(nal) == NAL_SPS for nal in split_annex_b(unit)):
+        if not begins_stream(unit):
             return False
         # FFmpeg reads size and profile from the SPS when it opens the access unit as a file. They
         # are the template of the Matroska stream.
@@ -53,6 +55,13 @@ class MatroskaFile:
     def begin_sound(self) -> None:
         """Declare the Opus stream: mono."""
         self._sound = self._container.add_stream("libopus", rate=AUDIO_CLOCK_HZ, layout="mono")
+
+    def start(self) -> None:
+        """Connect, and write the head. The first `write_...` does so otherwise."""
+        try:
+            self._container.start_encoding()
+        except av.FFmpegError as error:
+            raise OSError(error.errno, error.strerror) from None
 
     def write_picture(
         self, data: bytes, ticks: int, decode_ticks: int, rate_hz: int, *, keyframe: bool
@@ -97,3 +106,13 @@ class MatroskaFile:
         except av.FFmpegError as error:
             raise OSError(error.errno, error.strerror) from None
         return True
+
+
+class MatroskaFile(CodedContainer):
+    """A Matroska file, which keeps times in ms."""
+
+    def __init__(self, path: Path) -> None:
+        # PyAV opens the file with the first packet: too late to refuse.
+        path.write_bytes(b"")
+        # Without file: a name with a colon would be a protocol.
+        super().__init__(av.open(f"file:{path}", "w", format="matroska"))

@@ -2,10 +2,8 @@
 
 import contextlib
 import json
-import shutil
 import socket
 import subprocess
-import sys
 import time
 import wave
 from fractions import Fraction
@@ -14,6 +12,16 @@ import av
 import numpy as np
 import pytest
 from aiortc.rtp import RtcpPacket, RtcpRrPacket, RtcpSdesPacket
+from media_commands import (
+    finish,
+    free_ports,
+    needs,
+    needs_ffmpeg,
+    ours,
+    started,
+    wait_for_file,
+    wait_for_line,
+)
 from rtp_packets import PromptSender
 
 from kontur_av.media import CaptureStamp
@@ -22,80 +30,12 @@ from kontur_av.rtp.sdp import StreamDescription, write_sdp
 pytestmark = pytest.mark.interop
 
 WIDTH, HEIGHT, FPS = 320, 240, 30
-COMMAND = """
-import argparse, importlib, sys
-module = importlib.import_module("pipelines.commands." + sys.argv.pop(1))
-parser = argparse.ArgumentParser()
-module.add_arguments(parser)
-sys.exit(module.run(parser.parse_args()))
-"""
-
-
-def needs(*elements: str) -> None:
-    if shutil.which("gst-launch-1.0") is None:
-        pytest.skip("gst-launch-1.0 is missing: install gstreamer1.0-tools")
-    for element in elements:
-        if subprocess.run(["gst-inspect-1.0", "--exists", element], check=False).returncode:
-            pytest.skip(f"GStreamer has no {element}")
-
-
-def needs_ffmpeg() -> None:
-    if shutil.which("ffmpeg") is None:
-        pytest.skip("ffmpeg is missing: install it")
-
-
-def free_ports() -> int:
-    """Return the first of two neighbouring UDP ports that are free."""
-    for _ in range(50):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as first:
-            first.bind(("127.0.0.1", 0))
-            port = first.getsockname()[1]
-            with (
-                contextlib.suppress(OSError, OverflowError),
-                socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second,
-            ):
-                second.bind(("127.0.0.1", port + 1))
-                return port
-    raise AssertionError("no two free ports")
-
-
-@contextlib.contextmanager
-def started(*command: object):
-    process = subprocess.Popen(
-        [str(part) for part in command],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-def ours(name: str, *options: object):
-    return started(sys.executable, "-c", COMMAND, name, *options)
-
-
-def finish(process, seconds: float = 30) -> str:
-    output, _ = process.communicate(timeout=seconds)
-    assert process.returncode == 0, output
-    return output
 
 
 def finish_or_kill(process, seconds: float = 8) -> None:
     """For a pipeline with rtpbin: about one in ten of them hangs after everything was sent."""
     with contextlib.suppress(subprocess.TimeoutExpired):
         finish(process, seconds)
-
-
-def wait_for_line(process, text: str) -> None:
-    for line in process.stdout:
-        if text in line:
-            return
-    raise AssertionError(f"never said {text!r}")
 
 
 def scene(number: int) -> np.ndarray:
@@ -159,13 +99,6 @@ def send_film(film, port, sdp, seconds=6):
         *("send", "--video", film, "--to", f"127.0.0.1:{port}", "--cap-kbps", 400),
         *("--size", f"{WIDTH}x{HEIGHT}", "--fps", FPS, "--seconds", seconds, "--sdp", sdp),
     )
-
-
-def wait_for_file(path) -> None:
-    deadline = time.monotonic() + 10
-    while not (path.exists() and path.stat().st_size):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def test_gstreamer_shows_what_we_send(film, tmp_path):

@@ -1,0 +1,31 @@
+"""Where `receive --to` can hand a stream, and what it says of a URL that cannot work."""
+
+import av
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.commands import live_output
+from pipelines.commands.live_output import LiveWriter
+
+
+@pytest.mark.parametrize(
+    "url",
+    ["127.0.0.1:5004", "http://127.0.0.1:80", "udp://127.0.0.1", "udp://:5004", "udp://h:x"],
+)
+def test_a_url_that_no_player_has_is_refused_with_those_that_work(url):
+    with pytest.raises(ConfigError, match=r"write udp://HOST:PORT, .* or rtsp://HOST/NAME"):
+        LiveWriter(url)
+
+
+def test_a_host_that_nobody_knows_is_refused():
+    with pytest.raises(ConfigError, match="no host is known by the name"):
+        LiveWriter("udp://nobody.invalid:5004")
+
+
+def test_srt_is_refused_with_the_way_round_where_ffmpeg_has_none(monkeypatch):
+    def opened(*_args, **_options):
+        raise av.error.ProtocolNotFoundError(1, "Protocol not found")
+
+    monkeypatch.setattr(live_output.av, "open", opened)
+    with pytest.raises(ConfigError, match="has no SRT; give --to udp://"):
+        LiveWriter("srt://127.0.0.1:5004")
