@@ -67,7 +67,7 @@ _COMMANDS = {
     "info": "list what is in a recording, gaps and losses included",
     "replay": "send a recorded session through a link again",
     "recover": "make a whole recording of a torn one",
-    "export": "make MATLAB tables, CSV and video files of a recording",
+    "export": "make MATLAB tables, CSV and video files, or a data set for learning, of a recording",
     "doctor": "check what this machine can do",
     "devices": "list cameras, microphones and scenes",
 }

@@ -1,4 +1,4 @@
-"""`kontur-av export`: a recording as MATLAB tables, CSV files and Matroska files."""
+"""`kontur-av export`: a recording as tables, as Matroska files, as a data set for learning."""
 
 import argparse
 from collections.abc import Iterator, Sequence
@@ -10,9 +10,11 @@ from rich.progress import Progress
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import output_that_may_fail
 from pipelines.commands.recorded_parts import read_recording
+from pipelines.recording.export import lerobot, mat_file
 from pipelines.recording.export.csv_files import CsvExport
 from pipelines.recording.export.films import MatroskaExport
-from pipelines.recording.export.mat_file import MatExport, check_packages
+from pipelines.recording.export.lerobot import LeRobotExport
+from pipelines.recording.export.mat_file import MatExport
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.recording_file import Outputs
 
@@ -35,25 +37,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--mkv", metavar="DIR", type=Path, help="a Matroska file for each camera and stream"
     )
     parser.add_argument("--csv", metavar="DIR", type=Path, help="a CSV file for each channel")
+    parser.add_argument(
+        "--lerobot", metavar="DIR", type=Path, help="a LeRobot data set, for learning by imitation"
+    )
+    parser.add_argument(
+        "--fps", metavar="N", type=int, help="rows a second of --lerobot (default: as its pictures)"
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write all that was asked for, or nothing."""
-    if args.mat is None and args.mkv is None and args.csv is None:
-        raise ConfigError("give at least one of --mat OUT.mat, --mkv DIR and --csv DIR")
+    if all(one is None for one in (args.mat, args.mkv, args.csv, args.lerobot)):
+        raise ConfigError("give at least one of --mat OUT.mat, --mkv, --csv and --lerobot DIR")
     if args.mat73 and args.mat is None:
         raise ConfigError("--mat73 is a format of --mat: give --mat OUT.mat, too")
+    if args.fps is not None and args.lerobot is None:
+        raise ConfigError("--fps is the rate of --lerobot: give --lerobot DIR, too")
     if args.mat is not None:
-        check_packages()
+        mat_file.check_packages()
+    if args.lerobot is not None:
+        lerobot.check_packages()
     paths, recording = read_recording(args.file)
-    exports: list[MatExport | MatroskaExport | CsvExport] = []
+    exports: list[MatExport | MatroskaExport | CsvExport | LeRobotExport] = []
     if args.mat is not None:
         exports.append(MatExport(args.mat, recording, v73=args.mat73))
     if args.mkv is not None:
         exports.append(MatroskaExport(args.mkv, recording))
     if args.csv is not None:
         exports.append(CsvExport(args.csv, recording))
+    if args.lerobot is not None:
+        exports.append(LeRobotExport(args.lerobot, recording, fps=args.fps))
     with Outputs(overwrite=args.overwrite) as outputs:
         for export in exports:
             outputs.check(export.paths, paths)

@@ -128,7 +128,7 @@ class Outputs:
             for path in self._paths:
                 with suppress(OSError):
                     _unfinished(path).unlink(missing_ok=True)
-            for directory in self._made:
+            for directory in reversed(self._made):
                 with suppress(OSError):
                     directory.rmdir()
         if isinstance(error, OSError):
