@@ -31,7 +31,7 @@ _TOO_LARGE = 1 << 64
 _MESSAGE = re.compile(r"(.*?)(?: - at `\$(.*)`)?")
 
 
-def read_toml(path: Path, what: str) -> dict[str, Any]:
+def read_toml(path: Path, what: str) -> Mapping[str, Any]:
     """Return the table in a file; ConfigError. what: the kind of file, such as "radio"."""
     try:
         text = path.read_text(encoding="utf-8")
@@ -42,7 +42,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     return parse_toml(text, f"{what} {path}")
 
 
-def parse_toml(text: str, what: str) -> dict[str, Any]:
+def parse_toml(text: str, what: str) -> Mapping[str, Any]:
     """Return the table in a text; ConfigError. what: the text, for errors."""
     try:
         return tomllib.loads(text)

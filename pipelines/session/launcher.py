@@ -480,11 +480,11 @@ def load_libraries() -> None:
     import av  # noqa: F401
     import cv2
 
-    import kontur_av.codecs.opus
+    import kontur_av.codecs.opus  # noqa: F401
     from kontur_av.codecs import libopus
 
     with suppress(ImportError):
-        import kontur_av.topics.iceoryx_node  # noqa: F401
+        import iceoryx2  # noqa: F401
     libopus.opuslib()
     cv2.setNumThreads(1)
     keep_memory()
