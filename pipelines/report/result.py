@@ -64,6 +64,41 @@ def titled_table(title: str, *headings: str, left: Container[str] = (), **style:
     return table
 
 
+def headline_tables(found: Sequence[Headline]) -> Iterator[Table]:
+    """A table for each group: a row for each figure, a column for each thing that is compared."""
+    for group in dict.fromkeys(one.group for one in found):
+        rows = [one for one in found if one.group == group]
+        columns = list(dict.fromkeys(one.who for one in rows))
+        judged = any(one.target for one in rows)
+        headings = ("", *(who or "found" for who in columns), *["target"] * judged)
+        table = titled_table(group, *headings, left=("target",))
+        for what, unit in dict.fromkeys((one.what, one.unit) for one in rows):
+            cells = {one.who: one for one in rows if (one.what, one.unit) == (what, unit)}
+            values = (_figure(cells[who].value) if who in cells else "" for who in columns)
+            verdicts = (_verdict(one) for one in cells.values() if one.target)
+            named = f"{what}, {unit}" if unit else what
+            table.add_row(named, *values, *[next(verdicts, "")] * judged)
+        yield table
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.{decimals([value])}f}"
+
+
+def _verdict(one: Headline) -> str:
+    if one.met is None:
+        return one.target
+    return f"{one.target}: {'met' if one.met else 'missed'}"
+
+
+def decimals(values: Sequence[float]) -> int:
+    """Decimals for about three digits of the largest value; none for whole numbers."""
+    if all(value == round(value) for value in values if math.isfinite(value)):
+        return 0
+    largest = max(abs(value) for value in values)
+    return next((digits for digits, least in ((0, 1000), (1, 10), (2, 1)) if largest >= least), 3)
+
+
 def as_json(value: object, *, digits: int | None = None) -> Json:
     """`value` as JSON holds it: a dataclass as an object of its fields, NaN and infinity as null.
 
