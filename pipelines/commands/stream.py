@@ -208,7 +208,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             show=view.show,
             pages={**pages, **partners, **metrics},
-            feed=SeatFeed(setup, collector),
+            feed=SeatFeed(collector),
         )
         launcher.run(args.seconds)
     held.close()
