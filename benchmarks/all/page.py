@@ -6,7 +6,7 @@ from itertools import groupby
 from statistics import median
 
 from benchmarks.all.records import Record
-from pipelines.report.result import Headline
+from pipelines.report.result import Headline, decimals
 
 _HEAD = """# Measurements
 
@@ -18,7 +18,7 @@ speech, pages and protection only the main figures are here; the files have all.
 """
 #: By measurement: figures, as `GROUP: WHAT`, that are in the files only.
 _IN_FILES_ONLY = {
-    "video": re.compile(r"(?!clips|targets).*: (SSIM|.*worst|displayed|payload|CPU)"),
+    "video": re.compile(r"(?!clips|targets).*: (?!.*, p50|.*, p99|(PSNR|VMAF), mean)"),
     "voice": re.compile(r".*p50"),
     "page": re.compile(r".*p95"),
     "rtc": re.compile(r".*p95"),
@@ -84,7 +84,7 @@ def _cell(values: Sequence[float | None]) -> str:
     known = [value for value in values if value is not None]
     if not known:
         return "–" if values else ""
-    digits = _digits(known)
+    digits = decimals(known)
     middle, least, largest = (f"{of(known):.{digits}f}" for of in (median, min, max))
     return middle if least == largest else f"{middle} ({least}…{largest})"
 
@@ -98,14 +98,6 @@ def _verdict(row: Sequence[Headline]) -> str:
         return f"{judged[0].target}: met"
     part = "" if missed == len(judged) else f" in {missed} of {len(judged)} runs"
     return f"{judged[0].target}: **missed**{part}"
-
-
-def _digits(values: Sequence[float]) -> int:
-    """Decimals for about three digits of the largest value; none for whole numbers."""
-    if all(value == round(value) for value in values):
-        return 0
-    largest = max(abs(value) for value in values)
-    return next((digits for digits, least in ((0, 1000), (1, 10), (2, 1)) if largest >= least), 3)
 
 
 def _safe(text: str) -> str:

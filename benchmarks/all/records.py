@@ -5,10 +5,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.json_reader import JsonReader
 from benchmarks.machine import Machine
 from kontur_av.errors import ConfigError
 from pipelines.report.report_file import write_report
-from pipelines.report.result import Headline, JsonReader, as_json
+from pipelines.report.result import Headline, as_json
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.all.plan import Measurement
 from benchmarks.all.records import Record, read_headlines
+from benchmarks.json_reader import JsonReader
 from benchmarks.machine import this_machine
-from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all, ended_alike
 
 

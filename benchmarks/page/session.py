@@ -9,12 +9,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic, sleep
 
+from benchmarks.json_reader import JsonReader
 from benchmarks.page.alone import forked
 from benchmarks.page.browser import Browser
 from benchmarks.page.figures import SessionRun
 from benchmarks.page.watcher import watch_seat
 from kontur_av.topics.session_files import session_root
-from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all
 
 #: For a session to begin or to end, and for a page to show a picture.

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.json_reader import JsonReader
 from kontur_av.clock import NS_PER_MS
 from pipelines.recording.messages import (
     NO_SAMPLE,
@@ -22,7 +23,6 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
-from pipelines.report.result import JsonReader
 
 #: Samples and frames of a quarter of a second, at 1 kHz.
 _EDGE = 250

@@ -4,11 +4,13 @@ With `--compare`: whether a recording says the same as the report of its session
 """
 
 import argparse
+import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from rich.table import Table
 
+from benchmarks.json_reader import JsonReader
 from benchmarks.record.agreement import compare
 from benchmarks.record.figures import (
     Cuts,
@@ -98,6 +100,10 @@ def run(args: argparse.Namespace) -> int:
     return 0 if result.sound else 1
 
 
+def _session(words: list[str], seconds: float) -> JsonReader:
+    return JsonReader(json.loads(live_report(words, seconds=seconds)))
+
+
 def _compare(recording: Path, report: Path, *, console: TableConsole) -> int:
     """All figures of both; 1 if one of them differs by more than is explained."""
     found = compare_files(recording, report)
@@ -124,9 +130,9 @@ def _pairs(
     with TemporaryDirectory() as name:
         path = Path(name) / "run.mcap"
         for number in range(1, args.pairs + 1):
-            without.append(read_session(live_report(words, seconds=args.seconds)))
+            without.append(read_session(_session(words, args.seconds)))
             record = ["--record", str(path), "--overwrite"]
-            report = live_report([*words, *record], seconds=args.seconds)
+            report = _session([*words, *record], args.seconds)
             recorded.append(read_session(report))
             cost = recorded[-1].recorder_cores
             console.print(f"pair {number}: recorder {cost:.3f} cores", highlight=False)

@@ -7,11 +7,12 @@ from statistics import median
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
+from benchmarks.json_reader import JsonReader
 from kontur_av.clock import NS_PER_S
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.mcap_stream import HEAD, MAGIC
 from pipelines.recording.scan import FoundMessage, Scan
-from pipelines.report.result import Headline, JsonReader, spread
+from pipelines.report.result import Headline, spread
 
 #: What is promised.
 MOST_LOST_S, MOST_CORES = 1.0, 0.15

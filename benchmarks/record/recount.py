@@ -6,10 +6,10 @@ from pathlib import Path
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
+from benchmarks.json_reader import JsonReader
 from benchmarks.record.agreement import Comparison, Recount, compare
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.recording.part_files import present_parts
-from pipelines.report.result import JsonReader
 
 
 def recount(first: Path) -> Recount:

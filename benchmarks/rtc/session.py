@@ -10,12 +10,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic, sleep
 
+from benchmarks.json_reader import JsonReader
 from benchmarks.page.session import PATIENCE_S, Session, live_session
 from benchmarks.rtc.figures import CUT, FULL, IDLE, NO_LEG, SessionRun
 from benchmarks.rtc.network import HOST, Network
 from benchmarks.rtc.partner import write_units
 from kontur_av.topics.session_files import session_root
-from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all
 
 _PERCENTILES = ("p50", "p99")

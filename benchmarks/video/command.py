@@ -42,15 +42,13 @@ from pipelines.bench.video.contenders import Contender, ContenderError
 from pipelines.bench.video.run import Trial, TrialTerms, measure
 from pipelines.bench.video.targets import (
     VideoVerdict,
-    figures_table,
     headlines,
     judge,
     notes,
-    verdicts_table,
 )
 from pipelines.report.charts import distributions, save
 from pipelines.report.report_file import open_console, write_result
-from pipelines.report.result import Headline, Json, as_json
+from pipelines.report.result import Headline, Json, as_json, headline_tables
 
 _WIDE_KBPS = (512.0, 530.0)
 _LONGEST_LEAD_S = 60
@@ -148,16 +146,12 @@ def run(args: argparse.Namespace) -> int:
             failed |= len(measured) < len(contenders)
             figures = {who: trial.figures for who, trial in measured.items()}
             rate = f"{these.cap_kbps:g} kbit/s through {these.channel_kbps:g}"
-            console.print(figures_table(f"{name}, {rate}", figures))
             for who, result in figures.items():
                 for note in notes(who, result):
                     say(note)
             targets = WIDE if these.wide else NARROW if clip.tuned_on else STRANGE
             verdicts = judge(figures, targets, these.cap_kbps)
-            if verdicts:
-                console.print(
-                    verdicts_table(f"{name}, {rate}: kontur-av against its targets", verdicts)
-                )
+            console.print(*headline_tables(headlines(f"{name}, {rate}", figures, verdicts)))
             if args.crops:
                 kept = {who: trial.shots for who, trial in measured.items()}
                 for path in write_crops(args.crops, clip, these.cap_kbps, kept):

@@ -1,6 +1,5 @@
 """Live sessions of a bench: a command of `kontur-av` in a process of its own, and its report."""
 
-import json
 import os
 import subprocess
 import sys
@@ -9,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.errors import ConfigError
-from pipelines.report.result import JsonReader
+from pipelines.report.model import SessionReport, from_json
 from pipelines.session.children import end_all, ended_alike
 
 #: How much longer than the session the command may take to start and to end.
@@ -18,8 +17,8 @@ _PATIENCE_S = 60
 _USERS_FAULT = 2
 
 
-def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = None) -> JsonReader:
-    """Run `kontur-av` with `words` for `seconds`; the report that it wrote.
+def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = None) -> bytes:
+    """Run `kontur-av` with `words` for `seconds`; the report that it wrote, as JSON.
 
     tree: the checkout whose code runs; None: the one that Python finds. ConfigError, in the words
     of the command, when the session could not begin; RuntimeError when it failed or did not end.
@@ -54,7 +53,7 @@ def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = Non
             raise ConfigError(output.rpartition("\n")[2].removeprefix("kontur-av: "))
         if not report_file.exists():
             raise RuntimeError(f"the live session failed: {output}")
-        return JsonReader(json.loads(report_file.read_text(encoding="utf-8")))
+        return report_file.read_bytes()
 
 
 def live_session(
@@ -65,9 +64,9 @@ def live_session(
     radio: str,
     base_port: int,
     deadband: str | None = None,
-) -> JsonReader:
+) -> SessionReport:
     """The report of a live session of the setup called `setup`; errors as of `live_report`."""
     words = ["stream", "--setup", setup, "--seed", str(seed), "--radio", radio]
     words += ["--base-port", str(base_port)]
     words += [] if deadband is None else ["--deadband", deadband]
-    return live_report(words, seconds=seconds)
+    return from_json(live_report(words, seconds=seconds), SessionReport)

@@ -92,7 +92,6 @@ def run(args: argparse.Namespace) -> int:
     for udp in held:
         udp.close()
     report = build_link_report(
-        setup,
         collector,
         ends,
         seconds=launcher.seconds,

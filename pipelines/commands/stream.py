@@ -224,7 +224,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             show=view.show,
             pages={**pages, **partners, **metrics, **foxglove},
-            feed=SeatFeed(setup, collector),
+            feed=SeatFeed(collector),
         )
         launcher.run(args.seconds)
     held.close()

@@ -40,7 +40,7 @@ class Collector:
     """Takes the messages of every process of `topology`."""
 
     def __init__(self, topology: Topology) -> None:
-        self.topology = topology
+        self.topology, self.setup = topology, topology.setup
         self.streams = {row.name: StreamFigures() for row in topology.media_streams}
         #: By process: the stream of which it is one end.
         self._ends = {

@@ -16,7 +16,6 @@ from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
 from pipelines.session.figures import Event, TrainerFigures
 from pipelines.session.session_switch import Activity, SessionSwitch
-from pipelines.session.setup.table import Setup
 from pipelines.session.task_journal import KEPT, OPEN
 from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
 from telepresence.haptics.figures import JoystickFigures
@@ -47,9 +46,9 @@ class ProcessNow:
 class EventLog:
     """Finds events, and keeps the newest 200. Call `handle_look` about twice a second."""
 
-    def __init__(self, setup: Setup, collector: Collector) -> None:
+    def __init__(self, collector: Collector) -> None:
         self.events: deque[Event] = deque(maxlen=DEPTH)
-        self._setup, self._collector = setup, collector
+        self._collector = collector
         self._number = 0
         self._running = True
         #: By record: until when it has been told.
@@ -57,7 +56,7 @@ class EventLog:
         #: Run and stage of a task until which they have been told.
         self._task_told = 0, 0
         self._pass_s: float | None = None
-        self._camera = setup.cameras[0] if setup.cameras else ""
+        self._camera = collector.setup.cameras[0] if collector.setup.cameras else ""
         self._restarts: dict[str, int] = {}
         self._stale: dict[str, bool] = {}
         self._joystick: tuple[str, str] | None = None
@@ -168,7 +167,7 @@ class EventLog:
         channel = None if link is None else link.radio.channel
         if channel is None or channel.contact is None:
             return
-        start_s = self._setup.radio_profile.start_s
+        start_s = self._collector.setup.radio_profile.start_s
         pass_s = start_s + (now_ns - started_ns) / NS_PER_S
         before_s, self._pass_s = self._pass_s, pass_s
         for at_s, text in (
@@ -204,29 +203,29 @@ class EventLog:
             yield now_ns, "joystick", f"joystick: {state}" + (f" ({reason})" if reason else "")
 
     def _staleness(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
-        for stream in self._setup.streams:
-            state, age_ns = shown_now(stream, self._setup, self._collector, now_ns)
+        for stream in self._collector.setup.streams:
+            state, age_ns = shown_now(stream, self._collector, now_ns)
             if state is State.NOTHING:
                 continue
             stale = state is State.STALE
             if stale and not self._stale.get(stream.name, False):
                 since_ns = now_ns
                 if age_ns is not None:
-                    since_ns -= age_ns - self._setup.stale_after_ns(stream)
+                    since_ns -= age_ns - self._collector.setup.stale_after_ns(stream)
                 yield since_ns, "stale", f"{stream.name} is stale"
             elif not stale and self._stale.get(stream.name, False):
                 yield now_ns, "stale", f"{stream.name} is fresh again ({age_words(age_ns)} old)"
             self._stale[stream.name] = stale
 
     def _inputs(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
-        silent = {each.process: each for each in silences(self._setup, self._collector, now_ns)}
+        silent = {each.process: each for each in silences(self._collector, now_ns)}
         for name, silence in silent.items():
             if name not in self._silent:
                 yield now_ns, "input", str(silence)
         for name in sorted(self._silent - silent.keys()):
             yield now_ns, "input", f"{name} gives again"
         self._silent = set(silent)
-        for name in self._setup.inputs:
+        for name in self._collector.setup.inputs:
             process = self._collector.topology.input(name).process
             fault = self._collector.process(process).source_fault
             if fault and fault != self._faults.get(process):

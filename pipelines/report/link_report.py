@@ -34,7 +34,6 @@ _LEVELS = ("haptic", "tmtc", "voice", "video", "maintenance")
 
 
 def build_link_report(
-    setup: Setup,
     collector: Collector,
     ends: Sequence[Segment],
     *,
@@ -49,13 +48,12 @@ def build_link_report(
     seconds: how long the link ran. cpu_s, restarts: of each process, over all its lives.
     """
     return LinkReport(
-        setup=setup.name,
+        setup=collector.setup.name,
         seconds=round(seconds, 3),
         ends=[end.value for end in ends],
-        radio=LinkRadio(profile=setup.radio_profile.name, seed=seed),
+        radio=LinkRadio(profile=collector.setup.radio_profile.name, seed=seed),
         link={
-            direction: link_figures(setup, collector, direction)
-            for direction in ("uplink", "downlink")
+            direction: link_figures(collector, direction) for direction in ("uplink", "downlink")
         },
         gateways={end.value: gateway_figures(collector, end.value) for end in ends},
         cpu=cpu_report(cpu_s, launcher_cpu_s, seconds),
@@ -249,8 +247,9 @@ def end_line(end: str, gateway: GatewayReport) -> str:
 RecordT = TypeVar("RecordT")
 
 
-def link_figures(setup: Setup, collector: Collector, direction: str) -> DirectionReport:
+def link_figures(collector: Collector, direction: str) -> DirectionReport:
     """One direction of the link, from what its two gateways have reported."""
+    setup = collector.setup
     up = direction == "uplink"
     link = collector.topology.link(Direction(direction))
     near, far = collector.process(link.sender), collector.process(link.receiver)

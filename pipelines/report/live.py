@@ -195,7 +195,7 @@ def _percentile_ms(histogram: Histogram, percent: float) -> str:
 def _age(launcher: Launcher, collector: Collector, stream: VideoStream | VoiceStream) -> Text:
     """How old what is shown is, with a word and a colour."""
     now_ns = launcher.clock.now_ns()
-    state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
+    state, age_ns = shown_now(stream, collector, now_ns)
     if state is State.NOTHING:
         return Text(NO_SAMPLE)
     return Text(f"{age_words(age_ns)} {state.value}", _COLOURS[state])
@@ -206,7 +206,7 @@ def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
     setup = launcher.setup
     if not _runs(launcher):
         return []
-    silent = silences(setup, collector, launcher.clock.now_ns())
+    silent = silences(collector, launcher.clock.now_ns())
     lines = [Text(str(silence), "dim" if silence.waits else "bold red") for silence in silent]
     for name in setup.inputs:
         process = collector.topology.input(name).process
@@ -256,7 +256,7 @@ def _line(launcher: Launcher, collector: Collector) -> str:
         late = f" {NO_SAMPLE if newest is None else f'{newest:.0f}'}{_error(figures)} ms"
         known = {None: sent + came + late, "sender": sent, "receiver": came + late}
         parts.append(stream.name + known[topology.side_here(topology.media(stream.name))])
-        state, age_ns = shown_now(stream, launcher.setup, collector, now_ns)
+        state, age_ns = shown_now(stream, collector, now_ns)
         if state is State.STALE and _runs(launcher):
             parts[-1] += f" STALE {age_words(age_ns)}"
     for haptic in topology.haptics:
@@ -271,7 +271,7 @@ def _line(launcher: Launcher, collector: Collector) -> str:
     parts += clock_lines(collector)
     if not _runs(launcher):
         return "  ".join([*parts, "stopped from a page"])
-    parts += map(str, silences(launcher.setup, collector, now_ns))
+    parts += map(str, silences(collector, now_ns))
     if (recording := recording_line(collector)) is not None and recording[1]:
         parts.append(recording[0])
     if down := [child.row.name for child in launcher.children if child.pid is None]:

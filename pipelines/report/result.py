@@ -64,6 +64,41 @@ def titled_table(title: str, *headings: str, left: Container[str] = (), **style:
     return table
 
 
+def headline_tables(found: Sequence[Headline]) -> Iterator[Table]:
+    """A table for each group: a row for each figure, a column for each thing that is compared."""
+    for group in dict.fromkeys(one.group for one in found):
+        rows = [one for one in found if one.group == group]
+        columns = list(dict.fromkeys(one.who for one in rows))
+        judged = any(one.target for one in rows)
+        headings = ("", *(who or "found" for who in columns), *["target"] * judged)
+        table = titled_table(group, *headings, left=("target",))
+        for what, unit in dict.fromkeys((one.what, one.unit) for one in rows):
+            cells = {one.who: one for one in rows if (one.what, one.unit) == (what, unit)}
+            values = (_figure(cells[who].value) if who in cells else "" for who in columns)
+            verdicts = (_verdict(one) for one in cells.values() if one.target)
+            named = f"{what}, {unit}" if unit else what
+            table.add_row(named, *values, *[next(verdicts, "")] * judged)
+        yield table
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.{decimals([value])}f}"
+
+
+def _verdict(one: Headline) -> str:
+    if one.met is None:
+        return one.target
+    return f"{one.target}: {'met' if one.met else 'missed'}"
+
+
+def decimals(values: Sequence[float]) -> int:
+    """Decimals for about three digits of the largest value; none for whole numbers."""
+    if all(value == round(value) for value in values if math.isfinite(value)):
+        return 0
+    largest = max(abs(value) for value in values)
+    return next((digits for digits, least in ((0, 1000), (1, 10), (2, 1)) if largest >= least), 3)
+
+
 def as_json(value: object, *, digits: int | None = None) -> Json:
     """`value` as JSON holds it: a dataclass as an object of its fields, NaN and infinity as null.
 
@@ -89,70 +124,3 @@ def as_json(value: object, *, digits: int | None = None) -> Json:
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"{type(value).__name__} has no JSON form")
-
-
-class JsonReader:
-    """A JSON value whose parts are read by their keys, with the type checked.
-
-    Every method raises ValueError, with the keys, where the value is missing or of another type.
-    """
-
-    def __init__(self, value: object, where: str = "report") -> None:
-        self.value = value
-        self._where = where
-
-    @property
-    def json(self) -> Json:
-        return as_json(self.value)
-
-    def at(self, *keys: str) -> "JsonReader":
-        """The part under `keys`, one after the other."""
-        part = self
-        for key in keys:
-            if not isinstance(part.value, Mapping) or key not in part.value:
-                raise ValueError(f"{part._where}: it has no {key!r}")
-            part = JsonReader(part.value[key], f"{part._where}.{key}")
-        return part
-
-    def has(self, *keys: str) -> bool:
-        """Whether there is a value other than null under `keys`."""
-        try:
-            return self.at(*keys).value is not None
-        except ValueError:
-            return False
-
-    def number(self, *keys: str) -> float:
-        value = self.at(*keys).value
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"{self._where}.{'.'.join(keys)}: {value!r} is no number")
-        return value
-
-    def count(self, *keys: str) -> int:
-        """The whole number under `keys`."""
-        return round(self.number(*keys))
-
-    def number_or_none(self, *keys: str) -> float | None:
-        """The number under `keys`; None where there is none."""
-        return self.number(*keys) if self.has(*keys) else None
-
-    def text(self, *keys: str) -> str:
-        value = self.at(*keys).value
-        if not isinstance(value, str):
-            raise ValueError(f"{self._where}.{'.'.join(keys)}: {value!r} is no text")
-        return value
-
-    def items(self, *keys: str) -> Iterator[tuple[str, "JsonReader"]]:
-        """Names and parts of the object under `keys`."""
-        part = self.at(*keys)
-        if not isinstance(part.value, Mapping):
-            raise ValueError(f"{part._where}: no object")
-        for name, value in part.value.items():
-            yield str(name), JsonReader(value, f"{part._where}.{name}")
-
-    def elements(self, *keys: str) -> Iterator["JsonReader"]:
-        """The parts of the list under `keys`."""
-        part = self.at(*keys)
-        if isinstance(part.value, str) or not isinstance(part.value, Sequence):
-            raise ValueError(f"{part._where}: no list")
-        for number, value in enumerate(part.value):
-            yield JsonReader(value, f"{part._where}[{number}]")

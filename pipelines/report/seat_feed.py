@@ -13,7 +13,6 @@ from pipelines.report.session_report import build_report
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import Event, MonitoredSession, SessionEvents
 from pipelines.session.launcher import Launcher, launcher_cpu_s
-from pipelines.session.setup.table import Setup
 from pipelines.session.topology import FOXGLOVE, METRICS, RECORDER
 
 #: How often these two are sent figures; a message for pages is made twice as often.
@@ -24,7 +23,6 @@ _MONITORED_EVERY_NS = 2 * NS_PER_S
 def session_report(launcher: Launcher, collector: Collector) -> SessionReport:
     """The report of what `launcher` runs or has run, until now."""
     return build_report(
-        collector.topology.setup,
         collector,
         seconds=launcher.seconds,
         cpu_s=launcher.cpu_s(),
@@ -42,8 +40,8 @@ class SeatFeed:
     gets the report so far every two seconds.
     """
 
-    def __init__(self, setup: Setup, collector: Collector) -> None:
-        self._figures = SeatFigures(setup, collector)
+    def __init__(self, collector: Collector) -> None:
+        self._figures = SeatFigures(collector)
         self._collector = collector
         #: By page process: its life, and the newest event that it was sent.
         self._told: dict[str, tuple[int | None, int]] = {}
@@ -52,7 +50,7 @@ class SeatFeed:
         self._recorded_ns = 0
         #: When a monitoring system was told last.
         self._monitored_ns = 0
-        self._health = SessionHealth(setup.radio_profile.start_s)
+        self._health = SessionHealth(collector.setup.radio_profile.start_s)
 
     def poll_messages(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
         """Return the messages of now; none while nobody watches."""

@@ -39,7 +39,6 @@ from pipelines.report.sync_figures import LIMITS
 from pipelines.seats.figures import HOLDER, PageFigures
 from pipelines.session.figures import Event
 from pipelines.session.session_switch import Activity, SessionSwitch
-from pipelines.session.setup.table import Setup
 from pipelines.session.topology import PAGES, Segment
 
 Figure = int | float | str | bool | None
@@ -94,9 +93,9 @@ class SeatMessage(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", t
 class SeatFigures:
     """Makes the messages. Call `handle_look` about twice a second, also while nobody watches."""
 
-    def __init__(self, setup: Setup, collector: Collector) -> None:
-        self.log = EventLog(setup, collector)
-        self._setup, self._collector = setup, collector
+    def __init__(self, collector: Collector) -> None:
+        self.log = EventLog(collector)
+        self._collector = collector
         self._topology = collector.topology
         self._processes: Sequence[ProcessNow] = ()
         self._activity = Activity.RUNNING
@@ -128,14 +127,14 @@ class SeatFigures:
             for end in self._topology.segments
         }
         directions = {
-            link.direction.value: link_figures(self._setup, self._collector, link.direction.value)
+            link.direction.value: link_figures(self._collector, link.direction.value)
             for link in self._topology.links
         }
         seconds = running_ns / NS_PER_S
         figures = dict(self._figures(directions, ends, seconds, now_ns))
         total = cpu_report(cpu_s, launcher_cpu_s, seconds)
         figures |= _flat("cpu", to_builtins(total))
-        silent = {one.process: one for one in silences(self._setup, self._collector)}
+        silent = {one.process: one for one in silences(self._collector)}
         for process in self._processes:
             spent_s = cpu_s.get(process.name, 0.0)
             told = self._collector.process(process.name)
@@ -158,11 +157,11 @@ class SeatFigures:
         seconds: float,
         now_ns: int,
     ) -> Iterator[tuple[str, Figure]]:
-        setup, collector = self._setup, self._collector
-        for stream in setup.streams:
-            report = stream_report(stream, setup, collector, seconds)
+        collector = self._collector
+        for stream in collector.setup.streams:
+            report = stream_report(stream, collector, seconds)
             yield from _flat(stream.name, to_builtins(report)).items()
-            state, age_ns = shown_now(stream, setup, collector, now_ns)
+            state, age_ns = shown_now(stream, collector, now_ns)
             age_ms = None if age_ns is None else round(age_ns / NS_PER_MS, 1)
             yield f"{stream.name}.age_ms", age_ms
             yield f"{stream.name}.state", state.value
@@ -170,7 +169,7 @@ class SeatFigures:
             yield f"{stream.name}.rate_bps", round(rate_bps)
         for row in self._topology.haptics:
             name = f"haptic.{row.key}"
-            samples = haptic_report(row, setup, collector, seconds)
+            samples = haptic_report(row, collector, seconds)
             yield from _flat(name, to_builtins(samples)).items()
             rate_bps = last_bps(collector.haptics[row.key].rate, now_ns)
             yield f"{name}.rate_bps", round(rate_bps)
@@ -193,7 +192,7 @@ class SeatFigures:
             yield from _flat(f"gateways.{name}", to_builtins(end)).items()
         contact = next(iter(ends.values())).contact
         if contact is not None:
-            pass_s = setup.radio_profile.start_s + (now_ns - self._started_ns) / NS_PER_S
+            pass_s = collector.setup.radio_profile.start_s + (now_ns - self._started_ns) / NS_PER_S
             yield "contact.since_acquisition_s", round(pass_s - contact.acquisition_s, 1)
             yield "contact.until_loss_s", round(contact.loss_s - pass_s, 1)
 

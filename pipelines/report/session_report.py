@@ -53,7 +53,7 @@ from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
 from pipelines.session.figures import LoopFigures, ProbeFigures
 from pipelines.session.session_switch import lacks_room
-from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import FOXGLOVE, ROBOT, HapticRow
 from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import JoystickFigures, PortFigures, SamplesReceived, SamplesSent
@@ -61,7 +61,6 @@ from telepresence.link.profile import LinkProfile
 
 
 def build_report(
-    setup: Setup,
     collector: Collector,
     *,
     seconds: float,
@@ -77,25 +76,23 @@ def build_report(
     media: False if the session had no streams, whatever its setup says.
     stopped_s: from when to when it was stopped on request. That time is in no mean and no failure.
     """
+    setup = collector.setup
     streams = setup.streams if media else ()
     whole_s, seconds = seconds, seconds - sum(end_s - begin_s for begin_s, end_s in stopped_s)
-    uplink = link_figures(setup, collector, "uplink")
+    uplink = link_figures(collector, "uplink")
     topology, alone = collector.topology, collector.topology.alone
-    silent = {one.process: one for one in silences(setup, collector)}
+    silent = {one.process: one for one in silences(collector)}
     return SessionReport(
         setup=setup.name,
         end=None if alone is None else alone.value,
         seconds=round(whole_s, 3),
         stopped_s=[(round(begin, 3), round(end, 3)) for begin, end in stopped_s] or None,
-        streams={
-            stream.name: stream_report(stream, setup, collector, seconds) for stream in streams
-        },
+        streams={stream.name: stream_report(stream, collector, seconds) for stream in streams},
         haptic={
-            row.key: haptic_report(row, setup, collector, seconds)
-            for row in collector.topology.haptics
+            row.key: haptic_report(row, collector, seconds) for row in collector.topology.haptics
         },
         joystick=joystick_report(collector),
-        link={"uplink": uplink, "downlink": link_figures(setup, collector, "downlink")},
+        link={"uplink": uplink, "downlink": link_figures(collector, "downlink")},
         gateways={end.value: gateway_figures(collector, end.value) for end in topology.segments},
         skew_ms=skew_reports(collector),
         video_lead=video_lead(
@@ -115,9 +112,9 @@ def build_report(
             )
             for name in cpu_s
         },
-        failures=failures(setup, collector, seconds, media=media),
+        failures=failures(collector, seconds, media=media),
         warnings=[
-            *find_warnings(setup, collector, seconds=seconds, restarts=restarts, media=media),
+            *find_warnings(collector, seconds=seconds, restarts=restarts, media=media),
             *recorder_warnings(collector),
             *task_warnings(collector),
         ],
@@ -164,7 +161,7 @@ def _pauses_s(pauses: Pauses, collector: Collector) -> list[tuple[float, float]]
 
 
 def stream_report(
-    stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, seconds: float
+    stream: VideoStream | VoiceStream, collector: Collector, seconds: float
 ) -> StreamReport:
     """One media stream in a session that ran for `seconds`."""
     figures = collector.streams[stream.name]
@@ -189,7 +186,7 @@ def stream_report(
         decoder=receiver.find(DecoderCounts),
         display=display,
         displayed_hz=round(display.frames_displayed / seconds, 2),
-        stale_after_ms=_ms(setup.stale_after_ns(stream)),
+        stale_after_ms=_ms(collector.setup.stale_after_ns(stream)),
         latency_ms=stream_latency_ms(figures),
         latency_error_ms=_ms(figures.error_ns) if figures.error_ns else None,
         pauses_s=_pauses_s(figures.pauses, collector),
@@ -214,12 +211,10 @@ def joystick_report(collector: Collector) -> JoystickFigures | None:
     return collector.process("joystick").find(JoystickFigures)
 
 
-def haptic_report(
-    row: HapticRow, setup: Setup, collector: Collector, seconds: float
-) -> HapticReport:
+def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> HapticReport:
     """One direction of haptics in a session that ran for `seconds`."""
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
-    profile, figures = setup.profile(row.direction), collector.haptics[row.key]
+    profile, figures = collector.setup.profile(row.direction), collector.haptics[row.key]
     sent, received = sender.total(SamplesSent), receiver.total(SamplesReceived)
     left_out = sent.left_out
     return HapticReport(
@@ -234,7 +229,7 @@ def haptic_report(
         lateness_us=punctuality_us(sender.lateness),
         loop=sender.total(LoopFigures),
         port=sender.total(PortFigures),
-        axes={name: sender.total(PortFigures, name) for name in setup.more_axes} or None,
+        axes={name: sender.total(PortFigures, name) for name in collector.setup.more_axes} or None,
     )
 
 
@@ -247,10 +242,9 @@ def haptic_bps(profile: LinkProfile, samples: int, seconds: float) -> int:
     return round(samples * profile.insert_octets * 8 / max(seconds, 1e-9))
 
 
-def failures(
-    setup: Setup, collector: Collector, seconds: float, *, media: bool = True
-) -> list[str]:
+def failures(collector: Collector, seconds: float, *, media: bool = True) -> list[str]:
     """What broke a promise of the project; empty for a good run."""
+    setup = collector.setup
     found = never_met(collector, seconds)
     topology = collector.topology
     delay_ns = setup.radio_profile.longest_delay_ns
@@ -265,11 +259,11 @@ def failures(
         if topology.alone is not None:
             # Whether the other machine sends or shows anything is not known here.
             continue
-        still_ns = stopped_ns(stream, setup, collector)
+        still_ns = stopped_ns(stream, collector)
         heard_ns = signals_ns[collector.topology.media(stream.name).direction.receiver.value]
         long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
         if long_enough and collector.shown(stream.name).frames_displayed == 0:
-            if not waits_for_page(stream, setup, collector):
+            if not waits_for_page(stream, collector):
                 found.append(f"{stream.name}: nothing was displayed")
         elif min(still_ns, heard_ns) >= missed_ns(stream) + delay_ns:
             found.append(

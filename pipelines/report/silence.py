@@ -42,8 +42,9 @@ class Silence:
         return f"{line} ({self.fault})" if self.fault else line
 
 
-def silences(setup: Setup, collector: Collector, now_ns: int | None = None) -> list[Silence]:
+def silences(collector: Collector, now_ns: int | None = None) -> list[Silence]:
     """The inputs that have delivered nothing for too long by `now_ns`, or by their last report."""
+    setup = collector.setup
     found = []
     for name in setup.inputs:
         process = collector.topology.input(name).process
@@ -58,11 +59,11 @@ def silences(setup: Setup, collector: Collector, now_ns: int | None = None) -> l
     return found
 
 
-def waits_for_page(stream: VideoStream | VoiceStream, setup: Setup, collector: Collector) -> bool:
+def waits_for_page(stream: VideoStream | VoiceStream, collector: Collector) -> bool:
     """Whether a stream's inputs have no source but browser pages, and none has given anything."""
-    inputs = _chosen_inputs(stream, setup, collector)
+    inputs = _chosen_inputs(stream, collector)
     return all(
-        setup.source(name) in FILLED_BY_OTHERS
+        collector.setup.source(name) in FILLED_BY_OTHERS
         and collector.process(collector.topology.input(name).process).captured_ns is None
         for name in inputs
     )
@@ -144,15 +145,15 @@ def _is_usable(at_ns: int, setup: Setup) -> bool:
     return _usable_ns(at_ns, setup) > _usable_ns(at_ns - _STEP_NS, setup)
 
 
-def stopped_ns(stream: VideoStream | VoiceStream, setup: Setup, collector: Collector) -> int:
+def stopped_ns(stream: VideoStream | VoiceStream, collector: Collector) -> int:
     """How long (ns) a stream has shown nothing while its input delivered; 0 if it never showed."""
     shown_ns = collector.streams[stream.name].last_shown_ns
     if shown_ns is None:
         return 0
-    if stream.name == setup.uplink_video.name:
+    if stream.name == collector.setup.uplink_video.name:
         shown_ns = max(shown_ns, collector.process("selector").selected_ns)
     longest_ns = 0
-    for name in _chosen_inputs(stream, setup, collector):
+    for name in _chosen_inputs(stream, collector):
         figures = collector.process(collector.topology.input(name).process)
         if figures.captured_ns is not None:
             given_ns = figures.captured_ns - max(shown_ns, figures.gives_since_ns)
@@ -160,13 +161,11 @@ def stopped_ns(stream: VideoStream | VoiceStream, setup: Setup, collector: Colle
     return longest_ns
 
 
-def _chosen_inputs(
-    stream: VideoStream | VoiceStream, setup: Setup, collector: Collector
-) -> tuple[str, ...]:
+def _chosen_inputs(stream: VideoStream | VoiceStream, collector: Collector) -> tuple[str, ...]:
     """The inputs of a stream; of the uplink's picture, those of the selected camera."""
-    if stream.name != setup.uplink_video.name:
+    if stream.name != collector.setup.uplink_video.name:
         return collector.topology.media(stream.name).inputs
-    camera = collector.process("selector").selected or setup.cameras[0]
+    camera = collector.process("selector").selected or collector.setup.cameras[0]
     return collector.topology.camera(camera).inputs
 
 
@@ -180,7 +179,7 @@ def last_bps(rate: RateMeter, now_ns: int) -> float:
 
 
 def shown_now(
-    stream: VideoStream | VoiceStream, setup: Setup, collector: Collector, now_ns: int
+    stream: VideoStream | VoiceStream, collector: Collector, now_ns: int
 ) -> tuple[State, int | None]:
     """The state of what is shown of `stream`, and its age in ns.
 
@@ -191,6 +190,6 @@ def shown_now(
     if reported.age_ns is None:
         return reported.state, None
     age_ns = reported.age_ns + max(0, now_ns - display.told_ns - _TOLD_AFTER_NS)
-    if age_ns >= setup.stale_after_ns(stream):
+    if age_ns >= collector.setup.stale_after_ns(stream):
         return State.STALE, age_ns
     return reported.state, age_ns

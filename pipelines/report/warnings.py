@@ -14,7 +14,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
 from pipelines.session.figures import LoopFigures
 from pipelines.session.session_switch import lacks_room
-from pipelines.session.setup.table import Setup, VideoStream
+from pipelines.session.setup.table import VideoStream
 from pipelines.session.topology import LOOP_PRIORITY, Segment
 from telepresence.link.peer.figures import PeerFigures
 
@@ -35,7 +35,6 @@ _TOO_SLOW = "use fewer cameras, or a faster machine"
 
 
 def find_warnings(
-    setup: Setup,
     collector: Collector,
     *,
     seconds: float,
@@ -54,13 +53,13 @@ def find_warnings(
             last_error = collector.process(name).last_error or ""
             found.append(restart_warning(name, count, last_error))
     free = _free_channel(collector, seconds)
-    for stream in setup.streams if media else ():
+    for stream in collector.setup.streams if media else ():
         if isinstance(stream, VideoStream) and free:
             found += picture_warnings(
                 stream.name,
                 fps=stream.fps,
                 seconds=seconds,
-                captured=_captured(stream.name, setup, collector),
+                captured=_captured(stream.name, collector),
                 refused=collector.process(topology.media(stream.name).sender)
                 .total(SenderCounts)
                 .frames_refused,
@@ -173,12 +172,12 @@ def picture_warnings(
     return []
 
 
-def _captured(stream: str, setup: Setup, collector: Collector) -> int:
+def _captured(stream: str, collector: Collector) -> int:
     """What the busiest input of a stream captured, without those that only pages fill."""
     inputs = (
         name
         for name in collector.topology.media(stream).inputs
-        if setup.source(name) not in FILLED_BY_OTHERS
+        if collector.setup.source(name) not in FILLED_BY_OTHERS
     )
     processes = (collector.topology.input(name).process for name in inputs)
     return max(

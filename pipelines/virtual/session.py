@@ -266,7 +266,6 @@ class Simulation:
         self.collector.handle_end()
         processes = self._telling.processes
         report = build_report(
-            self.setup,
             self.collector,
             seconds=(self._now_ns - self.start_ns) / NS_PER_S,
             cpu_s=dict.fromkeys(processes, 0.0),

@@ -167,12 +167,7 @@ class PortController:
 
     @property
     def credit_uj(self) -> float:
-        """Energy that may still leave the network here."""
-        return self.port.credit_j * _UJ_PER_J
-
-    @property
-    def observed_uj(self) -> float:
-        """The passivity observer. Below 0 the port has given out energy that nobody granted."""
+        """Energy that may still leave here. Below 0 the port gave out more than was granted."""
         return self.port.credit_j * _UJ_PER_J
 
     @property

@@ -34,7 +34,6 @@ TEXT_OCTETS = 80
 LONGEST_OCTETS = 200
 
 _HEAD = struct.Struct(">BBBB")
-_NONCE = struct.Struct(f">{NONCE_OCTETS}s")
 _FACTS = struct.Struct(f">5fBB{AXES}f")
 _COMMAND = struct.Struct(f">QHH{3 * AXES}f")
 _READING = struct.Struct(f">QQHHf{3 * AXES}f")

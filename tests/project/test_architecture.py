@@ -277,7 +277,6 @@ LIBRARIES = {
     "telepresence/toml_file.py": ({"msgspec", "pathlib", "tomllib"}, "a file"),
     "telepresence/world/": ({"cv2"}, "draws"),
     "pipelines/report/result.py": ({"pathlib"}, "writes a path as text"),
-    "pipelines/bench/video/targets.py": ({"rich"}, "tables as text"),
     "pipelines/bench/video/figures.py": ({"cv2"}, "compares pictures"),
     "telepresence/world/scenes.py": ({"av", "pathlib"}, "files"),
     "pipelines/session/probe.py": ({"pickle"}, "a message as octets"),

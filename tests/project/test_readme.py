@@ -111,7 +111,6 @@ def test_every_key_of_the_report_is_in_the_document():
     setup = load_setup("spacejustin")
     report = to_builtins(
         build_report(
-            setup,
             Collector(topology_of(setup)),
             seconds=1,
             cpu_s={"robot": 0.1},

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 
-from pipelines.report.result import JsonReader, as_json
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.virtual.campaign.figures import (
     faults,
@@ -26,7 +25,7 @@ def test_a_force_that_begins_late_or_stops_for_good_is_stuck(silent, monkeypatch
 
     monkeypatch.setattr(HapticLink, "poll_transmit", poll_transmit)
     setup = replace(BUILT_IN["spacejustin"], radio="clean")
-    figures = pass_figures(JsonReader(as_json(simulate(setup, seconds=6.0, seed=1, media=False))))
+    figures = pass_figures(simulate(setup, seconds=6.0, seed=1, media=False))
     assert "stuck" in faults(figures)
     longest_s = min(silent[1], 6) - max(silent[0], 0)
     assert figures.longest_pause_s["felt"] == pytest.approx(longest_s, abs=0.2)
@@ -34,7 +33,7 @@ def test_a_force_that_begins_late_or_stops_for_good_is_stuck(silent, monkeypatch
 
 def test_the_delay_of_a_far_orbit_does_not_count_as_lost_signal():
     setup = replace(BUILT_IN["spacejustin"], radio="geo")
-    figures = pass_figures(JsonReader(as_json(simulate(setup, seconds=2.0, seed=1, media=False))))
+    figures = pass_figures(simulate(setup, seconds=2.0, seed=1, media=False))
     assert figures.usable_s < 1.8
     assert faults(figures) == []
     assert faults(replace(figures, usable_s=figures.usable_s - 0.2)) == ["unusable"]

@@ -61,7 +61,6 @@ class Twice(Collector):
         end = self.ends[segment]
         names = list(end.processes)
         report = build_report(
-            self.setup,
             end,
             seconds=seconds,
             cpu_s=dict.fromkeys(names, 0.0),

@@ -16,8 +16,17 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.latency.targets import MEANT_FOR, LatencyVerdict, judge
 from pipelines.bench.session import live_session
 from pipelines.report.charts import check_plot, lead_chart, save
+from pipelines.report.journeys import STAGES
+from pipelines.report.model import (
+    ContentSkew,
+    Ranks,
+    SessionReport,
+    SkewReport,
+    Spread,
+    VideoLead,
+)
 from pipelines.report.report_file import check_writable, open_console, write_result
-from pipelines.report.result import Headline, JsonReader, as_json, titled_table
+from pipelines.report.result import Headline, titled_table
 from pipelines.report.sync_figures import LIMITS
 from pipelines.report.terms import TERMS
 from pipelines.session.options import (
@@ -34,6 +43,7 @@ from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.simulate import simulate
 
 _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max")
+_NOTHING = [""] * (1 + len(_PERCENTILES))
 #: A longer lead of the force over its picture is noticeable.
 _NOTICED_MS = LIMITS["video_haptic"].most_ns / NS_PER_MS
 _HISTOGRAM_PERCENT = 0.4
@@ -96,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     console = open_console(args)
     setup = setups[0]
     console.print(_heading(args, setup), markup=False, highlight=False)
-    runs = {"virtual": virtual_run(setup, seconds=args.seconds, seed=args.seed)}
+    runs = {"virtual": simulate(setup, seconds=args.seconds, seed=args.seed)}
     clocks = {"virtual": VIRTUAL_CLOCK}
     live = None if args.no_live else _live(args)
     if live is not None:
@@ -106,24 +116,24 @@ def run(args: argparse.Namespace) -> int:
     verdicts = judge(runs["virtual"])
     console.print(_targets(setup, args.radio, verdicts, live))
     others = {
-        other.name: virtual_run(other, seconds=args.seconds, seed=args.seed) for other in setups[1:]
+        other.name: simulate(other, seconds=args.seconds, seed=args.seed) for other in setups[1:]
     }
-    leads = {f"{setup.name}, {kind}": report.at("video_lead") for kind, report in runs.items()}
-    leads |= {f"{name}, virtual": report.at("video_lead") for name, report in others.items()}
+    leads = {f"{setup.name}, {kind}": report.video_lead for kind, report in runs.items()}
+    leads |= {f"{name}, virtual": report.video_lead for name, report in others.items()}
     console.print(_leads(leads))
     console.print(_LEAD_NOTE, markup=False, highlight=False)
     failures = [
-        f"{name} session failed: {failure.text()}"
+        f"{name} session failed: {failure}"
         for name, report in runs.items()
-        for failure in report.elements("failures")
+        for failure in report.failures
     ]
     for failure in failures:
         console.print(failure, markup=False)
     if args.plot is not None:
         shown = {
-            label: {term: lead.number("lead_ms", term) for term in (*TERMS, "total")}
+            label: {term: getattr(lead.lead_ms, term) for term in (*TERMS, "total")}
             for label, lead in leads.items()
-            if lead.value is not None
+            if lead is not None
         }
         limits = {f"noticeable from {_NOTICED_MS:g} ms": _NOTICED_MS}
         save(lead_chart(shown, limits), args.plot)
@@ -134,17 +144,17 @@ def run(args: argparse.Namespace) -> int:
         "seed": args.seed,
         "clocks": clocks,
         "targets": verdicts,
-        "leads": {label: lead.json for label, lead in leads.items()},
-        "virtual": runs["virtual"].json,
-        "live": None if live is None else live.json,
-        "other_setups": {name: report.json for name, report in others.items()},
+        "leads": leads,
+        "virtual": runs["virtual"],
+        "live": live,
+        "other_setups": others,
     }
     judged = (setup.name, args.radio) == MEANT_FOR
     write_result(args.report, result, _headlines(verdicts, live, runs, judged=judged))
     return 1 if failures else 0
 
 
-def _live(args: argparse.Namespace) -> JsonReader:
+def _live(args: argparse.Namespace) -> SessionReport:
     try:
         return live_session(
             args.setup,
@@ -160,8 +170,8 @@ def _live(args: argparse.Namespace) -> JsonReader:
 
 def _headlines(
     verdicts: Sequence[LatencyVerdict],
-    live: JsonReader | None,
-    runs: Mapping[str, JsonReader],
+    live: SessionReport | None,
+    runs: Mapping[str, SessionReport],
     *,
     judged: bool,
 ) -> list[Headline]:
@@ -170,8 +180,8 @@ def _headlines(
         found += [verdict.headline("live", judged=False) for verdict in judge(live)]
     for kind, report in runs.items():
         name = "virtual time" if kind == "virtual" else kind
-        if report.has("video_lead"):
-            lead_ms = report.number("video_lead", "lead_ms", "total")
+        if report.video_lead is not None:
+            lead_ms = report.video_lead.lead_ms.total
             what = "force before the picture of the same event, mean"
             found.append(Headline(what=what, who=name, unit="ms", value=lead_ms))
     return found
@@ -203,7 +213,7 @@ def _heading(args: argparse.Namespace, setup: Setup) -> str:
     )
 
 
-def _latencies(runs: Mapping[str, JsonReader]) -> Table:
+def _latencies(runs: Mapping[str, SessionReport]) -> Table:
     headings = [heading for name in runs for heading in (f"{name}\nn", *_PERCENTILES)]
     title = "latency, ms: capture to display, mouth to ear, sample to sample"
     table = _table(title, "", *headings)
@@ -213,23 +223,22 @@ def _latencies(runs: Mapping[str, JsonReader]) -> Table:
     return table
 
 
-def _clocks(runs: Mapping[str, JsonReader], clocks: Mapping[str, ClockMethod]) -> str:
+def _clocks(runs: Mapping[str, SessionReport], clocks: Mapping[str, ClockMethod]) -> str:
     lines = [
-        f"{name}: {report.number('seconds'):.0f} s; radio {_range(radio_delay_ms(report))} ms "
+        f"{name}: {report.seconds:.0f} s; radio {_range(radio_delay_ms(report))} ms "
         f"one way; {clocks[name].method}, error <= {clocks[name].error_us:g} µs"
         for name, report in runs.items()
     ]
     return "\n".join([*lines, f"max is exact, percentiles to {_HISTOGRAM_PERCENT} %\n"])
 
 
-def _cells(summary: JsonReader | None, *, sign: str, counted: str = "count") -> list[str]:
-    if summary is None or summary.value is None:
-        return [""] * (1 + len(_PERCENTILES))
-    count = summary.number_or_none(counted)
-    if count == 0:
-        return [""] * (1 + len(_PERCENTILES))
-    values = [_digits(summary.number_or_none(name), sign) for name in _PERCENTILES]
-    return ["" if count is None else f"{count:.0f}", *values]
+def _cells(
+    of: Spread | Ranks | SkewReport | ContentSkew, count: int, *, sign: str = ""
+) -> list[str]:
+    if not count:
+        return _NOTHING
+    names = ("p50", "p95", "p99", "p99_9", "max")
+    return [str(count), *(_digits(getattr(of, name, None), sign) for name in names)]
 
 
 def _digits(value: float | None, sign: str) -> str:
@@ -243,45 +252,41 @@ def _range(limits: tuple[float, float]) -> str:
     return f"{most:.1f}" if most - least < 0.05 else f"{least:.1f} to {most:.1f}"
 
 
-def _rows(runs: Mapping[str, JsonReader]) -> Iterator[tuple[str, list[list[str]]]]:
-    first, reports = next(iter(runs.values())), list(runs.values())
+def _rows(runs: Mapping[str, SessionReport]) -> Iterator[tuple[str, list[list[str]]]]:
+    reports = list(runs.values())
     for direction in ("up", "down"):
         name = "force (haptic_up)" if direction == "up" else "command (haptic_down)"
-        yield (
-            name,
-            [_cells(report.at("haptic", direction, "latency_ms"), sign="") for report in reports],
-        )
-    for name, stream in first.items("streams"):
-        latencies = [report.at("streams", name, "latency_ms") for report in reports]
-        yield name, [_cells(latency, sign="") for latency in latencies]
-        for stage, _ in stream.items("latency_ms", "stages"):
+        yield name, [_spread_cells(report.haptic[direction].latency_ms) for report in reports]
+    for name in reports[0].streams:
+        latencies = [report.streams[name].latency_ms for report in reports]
+        yield name, [_spread_cells(latency) for latency in latencies]
+        for stage in STAGES:
             label = f"  {stage.replace('_', ' ')}"
-            yield label, [_cells(latency.at("stages", stage), sign="") for latency in latencies]
+            yield label, [_spread_cells(getattr(latency.stages, stage)) for latency in latencies]
+    found = [report.sync for report in reports]
     for sense, word in (("force", "felt"), ("light", "seen"), ("click", "heard")):
-        senses = [_part(report, "sync", "senses", sense) for report in reports]
-        if any(of is not None and of.number("perceived") for of in senses):
-            yield f"contact until {word} (content)", [_sense_cells(of) for of in senses]
+        senses = [None if sync is None else sync.senses.get(sense) for sync in found]
+        if any(of is not None and of.perceived for of in senses):
+            cells = [_cells(of.latency_ms, of.perceived) if of else _NOTHING for of in senses]
+            yield f"contact until {word} (content)", cells
     for name, (first_sense, second) in _SKEWS.items():
-        for source, *place in (("stamps", "skew_ms"), ("content", "sync", "skew_ms")):
-            skews = [_part(report, *place, name) for report in reports]
-            if any(skew is not None for skew in skews):
-                label = f"{first_sense} after {second} ({source})"
-                counted = "count" if source == "stamps" else "events"
-                yield label, [_cells(skew, sign="+", counted=counted) for skew in skews]
+        label = f"{first_sense} after {second}"
+        stamps = [report.skew_ms.get(name) for report in reports]
+        if any(stamps):
+            cells = [_cells(of, of.count, sign="+") if of else _NOTHING for of in stamps]
+            yield f"{label} (stamps)", cells
+        content = [None if sync is None else sync.skew_ms.get(name) for sync in found]
+        if any(content):
+            cells = [_cells(of, of.events, sign="+") if of else _NOTHING for of in content]
+            yield f"{label} (content)", cells
 
 
-def _part(report: JsonReader, *keys: str) -> JsonReader | None:
-    return report.at(*keys) if report.has(*keys) else None
-
-
-def _sense_cells(of: JsonReader | None) -> list[str]:
-    if of is None or not of.number("perceived"):
-        return [""] * (1 + len(_PERCENTILES))
-    return [f"{of.number('perceived'):.0f}", *_cells(of.at("latency_ms"), sign="")[1:]]
+def _spread_cells(of: Spread) -> list[str]:
+    return _cells(of, of.count)
 
 
 def _targets(
-    setup: Setup, radio: str, verdicts: Sequence[LatencyVerdict], live: JsonReader | None
+    setup: Setup, radio: str, verdicts: Sequence[LatencyVerdict], live: SessionReport | None
 ) -> Table:
     headings = ["", "bound", "found", "", *["live, for information"] * (live is not None)]
     title = f"targets of {MEANT_FOR[0]} on {MEANT_FOR[1]}, virtual time"
@@ -295,8 +300,8 @@ def _targets(
     return table
 
 
-def _leads(leads: Mapping[str, JsonReader]) -> Table:
-    found = {label: lead for label, lead in leads.items() if lead.value is not None}
+def _leads(leads: Mapping[str, VideoLead | None]) -> Table:
+    found = {label: lead for label, lead in leads.items() if lead is not None}
     headings = ["term"]
     for label in found:
         setup, _, kind = label.rpartition(", ")
@@ -307,9 +312,9 @@ def _leads(leads: Mapping[str, JsonReader]) -> Table:
         if term == "total":
             table.add_section()
         cells = [
-            f"{lead.number(key, term):.1f}"
+            f"{getattr(terms, term):.1f}"
             for lead in found.values()
-            for key in ("video_ms", "force_ms", "lead_ms")
+            for terms in (lead.video_ms, lead.force_ms, lead.lead_ms)
         ]
         table.add_row(term, *cells)
     return table
@@ -318,11 +323,7 @@ def _leads(leads: Mapping[str, JsonReader]) -> Table:
 _READINGS = 2000
 
 
-def virtual_run(setup: Setup, *, seconds: float, seed: int) -> JsonReader:
-    return JsonReader(as_json(simulate(setup, seconds=seconds, seed=seed)))
-
-
-def live_clock(report: JsonReader) -> ClockMethod:
+def live_clock(report: SessionReport) -> ClockMethod:
     """The clock of a live session, and the largest error of a difference of two readings.
 
     The error is the time that a reading takes (p99) or the clock's resolution, whichever is
@@ -332,14 +333,14 @@ def live_clock(report: JsonReader) -> ClockMethod:
     steps = sorted(after - before for before, after in pairwise(readings))
     resolution_ns = time.get_clock_info("monotonic").resolution * NS_PER_S
     reading_us = max(resolution_ns, steps[len(steps) * 99 // 100]) / NS_PER_US
-    stamps = [of.number("capture_stamp_error_us") for _, of in report.items("streams")]
+    stamps = [of.capture_stamp_error_us for of in report.streams.values()]
     error_us = reading_us + max(stamps, default=0.0)
     return ClockMethod("CLOCK_MONOTONIC, one for all processes of the host", round(error_us, 2))
 
 
-def radio_delay_ms(report: JsonReader) -> tuple[float, float]:
+def radio_delay_ms(report: SessionReport) -> tuple[float, float]:
     """The least and the largest delay of the radio, ground to space."""
-    if not report.has("gateways", "ground", "radio"):
+    radio = report.gateways["ground"].radio
+    if radio is None:
         return 0.0, 0.0
-    radio = report.at("gateways", "ground", "radio")
-    return radio.number("delay_min_ns") / NS_PER_MS, radio.number("delay_max_ns") / NS_PER_MS
+    return radio.delay_min_ns / NS_PER_MS, radio.delay_max_ns / NS_PER_MS

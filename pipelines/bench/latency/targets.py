@@ -6,7 +6,8 @@ The bounds hold for `spacejustin` on the radio `clean`, on virtual time.
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.report.result import Headline, JsonReader
+from pipelines.report.model import SessionReport
+from pipelines.report.result import Headline
 
 #: In ms. Force: p99.9, above the delay of the radio. Pictures and voice: p99, the delay of the
 #: radio included. Skew: p95.
@@ -38,20 +39,25 @@ class LatencyVerdict:
         )
 
 
-def judge(report: JsonReader) -> list[LatencyVerdict]:
+def judge(report: SessionReport) -> list[LatencyVerdict]:
     """A verdict on each target of which the report of a run has a figure."""
-    verdicts: list[LatencyVerdict | None] = [_force(report)]
-    for name, stream in report.items("streams"):
+    verdicts = []
+    force, radio = report.haptic["up"].latency_ms, report.gateways["ground"].radio
+    if radio is not None and force.count:
+        above_ms = force.p99_9 - radio.delay_max_ns / NS_PER_MS
+        what = "force, one way, above the radio's delay, p99.9"
+        verdicts.append(_at_most(what, FORCE_MS, above_ms))
+    for name, stream in report.streams.items():
         video = name.endswith("video")
-        if stream.number("latency_ms", "count"):
+        if stream.latency_ms.count:
             bound_ms = VIDEO_MS if video else VOICE_MS
             what = f"{name}, {'capture to display' if video else 'mouth to ear'}, p99"
-            verdicts.append(_at_most(what, bound_ms, stream.number("latency_ms", "p99")))
-    if report.has("skew_ms", "video_haptic"):
-        skew_ms = report.number("skew_ms", "video_haptic", "p95")
-        verdicts.append(_at_most("video after force, p95", SKEW_MS, skew_ms))
-    if report.has("lip_sync"):
-        within = report.number("lip_sync", "within")
+            verdicts.append(_at_most(what, bound_ms, stream.latency_ms.p99))
+    skew = report.skew_ms.get("video_haptic")
+    if skew is not None:
+        verdicts.append(_at_most("video after force, p95", SKEW_MS, skew.p95))
+    if report.lip_sync is not None:
+        within = report.lip_sync.within
         verdicts.append(
             LatencyVerdict(
                 "sound -45 to +125 ms after picture (ITU-R BT.1359)",
@@ -62,16 +68,7 @@ def judge(report: JsonReader) -> list[LatencyVerdict]:
                 100 * within,
             )
         )
-    return [verdict for verdict in verdicts if verdict is not None]
-
-
-def _force(report: JsonReader) -> LatencyVerdict | None:
-    latency = report.at("haptic", "up", "latency_ms")
-    if not report.has("gateways", "ground", "radio") or not latency.number("count"):
-        return None
-    radio = report.at("gateways", "ground", "radio")
-    above_ms = latency.number("p99.9") - radio.number("delay_max_ns") / NS_PER_MS
-    return _at_most("force, one way, above the radio's delay, p99.9", FORCE_MS, above_ms)
+    return verdicts
 
 
 def _at_most(what: str, bound_ms: float, found_ms: float) -> LatencyVerdict:

@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
@@ -27,7 +26,14 @@ from pipelines.bench.link.virtual import (
     voice_waits,
 )
 from pipelines.report.report_file import check_writable, open_console, write_result
-from pipelines.report.result import Headline, Json, Percentiles, as_json, spread, titled_table
+from pipelines.report.result import (
+    Headline,
+    Json,
+    Percentiles,
+    as_json,
+    headline_tables,
+    spread,
+)
 from pipelines.session.setup.setup_file import load_setup
 from telepresence.link.profile import DOWNLINK, UPLINK
 
@@ -35,9 +41,8 @@ from telepresence.link.profile import DOWNLINK, UPLINK
 #: `spacejustin`, and files.
 _PACKETS = ((VIDEO, 354), (VIDEO, 1000), (VOICE, 19), (FILE, 200), (FILE, 1000))
 _DELAY_NS = 3 * NS_PER_MS
-#: Headings of columns with words.
-_WORDS = {"", "traffic", "direction", "packets", "what", "first event", "task", "unit"}
-_table = partial(titled_table, left=_WORDS)
+#: With their tags and headers; the rest is framing, supervision and fill.
+GOODPUT = "one kind of packet saturates the link: its share of the octets left to it"
 _BLACKOUTS_S = (0.1, 1.0, 10.0)
 
 
@@ -81,23 +86,18 @@ def run(args: argparse.Namespace) -> int:
         profile.name: spread(voice_waits(args.seconds, profile), per_unit=NS_PER_MS)
         for profile in (UPLINK, DOWNLINK)
     }
-    console.print(_delay_table(difference, waits_ms, args.seconds))
     headers = header_octets(args.seconds)
-    console.print(_header_table(headers))
     goodputs = _measure_goodputs(min(args.seconds, 5.0))
-    console.print(_goodput_table(goodputs))
     resumed = {
         f"{length_s:g} s": resumptions(length_s, blackouts=args.blackouts, delay_ns=_DELAY_NS)
         for length_s in _BLACKOUTS_S
     }
-    console.print(_resumption_table(resumed, args.blackouts))
     costs = [
         cost
         for profile in (UPLINK, DOWNLINK)
         for busy in (False, True)
         for cost in slot_costs(profile, slots=round(1000 * args.seconds), busy=busy)
     ]
-    console.print(_cost_table(costs))
     figures: dict[str, Json] = {
         "delays": {
             "haptic_difference": as_json(difference),
@@ -117,9 +117,11 @@ def run(args: argparse.Namespace) -> int:
         live[name] = live_punctuality(
             args.seconds, args.setup, media=media, base_port=args.base_port
         )
-        console.print(_punctuality_table(live[name], args.setup, media=media))
         figures[f"live_{name}_media"] = as_json(live[name])
-    found = _headlines(difference, waits_ms, headers, resumed, costs, live)
+    found = _headlines(difference, waits_ms, headers, goodputs, resumed, costs, live)
+    console.print(*headline_tables(found))
+    if live and not any(task.name == "cyclictest" for tasks in live.values() for task in tasks):
+        console.print("cyclictest is not installed or not permitted (Debian package rt-tests)")
     write_result(args.report, figures, found)
     return 0
 
@@ -140,32 +142,16 @@ def _run_protected(args: argparse.Namespace, console: Console) -> int:
                 highlight=False,
             )
     found = headlines(runs)
-    table = _table(f"{args.runs} runs of {args.seconds:g} s each", "what", *WAYS)
-    for what in dict.fromkeys(line.what for line in found if line.who):
-        cells = {line.who: line for line in found if line.what == what}
-        table.add_row(what, *(_cell(cells[way]) for way in WAYS))
-    console.print(table)
-    for line in found:
-        if not line.who:
-            console.print(f"{line.what}: {_cell(line)}{_verdict(line)}", highlight=False)
+    console.print(*headline_tables(found))
     write_result(args.report, {"runs": as_json(runs)}, found)
     return 0
-
-
-def _verdict(line: Headline) -> str:
-    if line.met is None:
-        return ""
-    return f"; {line.target} {line.unit}: {'met' if line.met else 'missed'}"
-
-
-def _cell(line: Headline) -> str:
-    return "–" if line.value is None else f"{line.value:.1f} {line.unit}".strip()
 
 
 def _headlines(
     difference: HapticDifference,
     waits_ms: Mapping[str, Percentiles],
     headers: Mapping[str, HeaderOctets],
+    goodputs: Sequence[Goodput],
     resumed: Mapping[str, Resumptions],
     costs: Sequence[Cost],
     live: Mapping[str, Sequence[LoopPunctuality]],
@@ -179,11 +165,23 @@ def _headlines(
     for traffic, counted in headers.items():
         what = f"header octets of {traffic} (of 40), mean"
         found.append(virtual(what=what, unit="octets", value=counted.mean))
+    found += [
+        Headline(
+            group=GOODPUT,
+            what=f"{of.direction}, {of.flow} of {of.octets} octets",
+            who="with samples" if of.haptics else "without",
+            unit="%",
+            value=100 * of.packets,
+        )
+        for of in goodputs
+    ]
     group = "from the first good frame after a blackout, p99"
     for length, recovery in resumed.items():
         for event, of in recovery.times_ms.items():
             who = f"of {length}"
             found.append(Headline(group=group, what=event, who=who, unit="ms", value=of.p99))
+        what, who = f"packets over 100 ms old, of {recovery.packets}", f"of {length}"
+        found.append(Headline(group=group, what=what, who=who, unit="", value=recovery.stale))
     for cost in costs:
         what, group = f"{cost.direction}, {cost.traffic}", "cost of a slot, p50"
         found.append(Headline(group=group, what=what, who=cost.what, unit="µs", value=cost.us.p50))
@@ -198,39 +196,6 @@ def _headlines(
     return found
 
 
-def _delay_table(
-    difference: HapticDifference, waits_ms: Mapping[str, Percentiles], seconds: float
-) -> Table:
-    table = _table(f"delays on virtual time, {seconds:g} s", "", "p50", "p99", "max", "unit")
-    table.add_row(
-        f"haptic sample: saturated link less idle link, {difference.samples} samples",
-        *("", "", f"{difference.largest_slots:g}", "slots"),
-    )
-    for name, waits in waits_ms.items():
-        table.add_row(
-            f"{name} voice until its first slot, video and files saturated",
-            *(f"{value:.2f}" for value in (waits.p50, waits.p99, waits.max)),
-            "ms",
-        )
-    return table
-
-
-def _header_table(headers: Mapping[str, HeaderOctets]) -> Table:
-    table = _table(
-        "octets that replace the 40 of IP, UDP and RTP, tag included",
-        *("traffic", "packets", "mean", "most", "whole headers"),
-    )
-    for traffic, counted in headers.items():
-        table.add_row(
-            traffic,
-            str(counted.packets),
-            f"{counted.mean:.2f}",
-            str(counted.most_compressed),
-            str(counted.whole),
-        )
-    return table
-
-
 def _measure_goodputs(seconds: float) -> list[Goodput]:
     return [
         goodput(seconds, profile, flow=flow, payload_octets=octets, haptics=haptics)
@@ -238,75 +203,3 @@ def _measure_goodputs(seconds: float) -> list[Goodput]:
         for flow, octets in _PACKETS
         for haptics in (True, False)
     ]
-
-
-def _goodput_table(goodputs: Sequence[Goodput]) -> Table:
-    table = _table(
-        "one kind of packet saturates the link; shares of the octets left to it",
-        *("direction", "packets", "haptics", "left kbit/s", "payloads kbit/s"),
-        *("packets %", "framing %", "supervision %", "idle %"),
-    )
-    for of in goodputs:
-        table.add_row(
-            of.direction,
-            f"{of.flow}, {of.octets}",
-            "yes" if of.haptics else "no",
-            f"{of.zone_bps / 1000:.1f}",
-            f"{of.payload_bps / 1000:.1f}",
-            *(f"{100 * share:.2f}" for share in of.shares()),
-        )
-    table.caption = (
-        "left: all but frame headers, checks and samples; payloads: of UDP, so RTP counts "
-        "its 12 octets of header, of which 1 to 3 travel; packets: with their tags and headers; "
-        "framing: M_PDU headers and the lengths of packets that end within a frame"
-    )
-    return table
-
-
-def _resumption_table(found: Mapping[str, Resumptions], blackouts: int) -> Table:
-    table = _table(
-        f"{blackouts} blackouts of both directions each; ms from the first good frame",
-        *("blackout", "first event", "count", "p50", "p99", "max"),
-    )
-    for length, of in found.items():
-        counts = (len(of.noticed), *map(len, of.first.values()))
-        for count, (name, times) in zip(counts, of.times_ms.items(), strict=True):
-            values = (f"{value:.1f}" for value in (times.p50, times.p99, times.max))
-            table.add_row(length, name, str(count), *values)
-        table.add_row(length, f"packets over 100 ms old, of {of.packets}", str(of.stale))
-    return table
-
-
-def _cost_table(costs: Sequence[Cost]) -> Table:
-    table = _table(
-        "cost of a slot on this machine, µs",
-        *("direction", "traffic", "what", "p50", "p95", "p99", "max"),
-    )
-    for cost in costs:
-        times = (cost.us.p50, cost.us.p95, cost.us.p99, cost.us.max)
-        cells = (f"{value:.1f}" for value in times)
-        table.add_row(cost.direction, cost.traffic, cost.what, *cells)
-    return table
-
-
-def _punctuality_table(found: Sequence[LoopPunctuality], setup: str, *, media: bool) -> Table:
-    beside = f"the whole session of {setup} beside it" if media else "the link alone"
-    table = _table(
-        f"live, 1 kHz, {beside}; µs after the deadline",
-        *("task", "p50", "p99", "p99.9", "max"),
-        *("slips", "p99 / cyclictest's"),
-    )
-    peer = next((task for task in found if task.name == "cyclictest"), None)
-    for task in found:
-        ratio = ""
-        if peer is not None and task is not peer and peer.lateness_us["p99"]:
-            ratio = f"{task.lateness_us['p99'] / peer.lateness_us['p99']:.2f}"
-        table.add_row(
-            task.name,
-            *(f"{task.lateness_us[key]:.0f}" for key in ("p50", "p99", "p99.9", "max")),
-            "" if task.slips is None else f"{task.slips} of {task.cycles}",
-            ratio,
-        )
-    if peer is None:
-        table.caption = "cyclictest is not installed or not permitted (Debian package rt-tests)"
-    return table

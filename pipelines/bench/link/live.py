@@ -9,7 +9,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_US, MonotonicClock
 from kontur_av.meters import Histogram
 from pipelines.bench.link.virtual import FILE, FLOWS, VIDEO, VOICE, Talker
 from pipelines.bench.session import live_report
-from pipelines.report.result import JsonReader, Percentiles
+from pipelines.report.model import DirectionReport, LinkReport, SessionReport, from_json
+from pipelines.report.result import Percentiles
 from telepresence.link.flows import Level
 from telepresence.link.profile import LinkProfile
 from telepresence.link.receiver import LinkReceiver
@@ -45,21 +46,22 @@ def live_punctuality(
     words = ["stream" if media else "link", "--setup", setup, "--base-port", str(base_port)]
     peer = _start_cyclictest(seconds)
     try:
-        report = live_report(words, seconds=seconds)
+        text = live_report(words, seconds=seconds)
     finally:
         figures = [] if peer is None else _finish_cyclictest(peer)
-    return [*figures, *_gateways(report)]
+    links = from_json(text, SessionReport).link if media else from_json(text, LinkReport).link
+    ends = {"ground": links["uplink"], "space": links["downlink"]}
+    gateways = [
+        LoopPunctuality(f"{end} gateway", lateness_us(link), link.loop.slips, link.sender.frames)
+        for end, link in ends.items()
+    ]
+    return [*figures, *gateways]
 
 
-def _gateways(report: JsonReader) -> list[LoopPunctuality]:
-    found = []
-    for end, direction in (("ground", "uplink"), ("space", "downlink")):
-        link = report.at("link", direction)
-        names = ("p50", "p99", "p99.9", "max")
-        lateness_us = {name: link.number("lateness_us", name) for name in names}
-        slips, frames = round(link.number("slips")), round(link.number("frames"))
-        found.append(LoopPunctuality(f"{end} gateway", lateness_us, slips, frames))
-    return found
+def lateness_us(link: DirectionReport) -> dict[str, float]:
+    """How late the slots of a direction began."""
+    late = link.lateness_us
+    return {"p50": late.p50, "p99": late.p99, "p99.9": late.p99_9, "max": late.max}
 
 
 def _start_cyclictest(seconds: float) -> "subprocess.Popen[str] | None":

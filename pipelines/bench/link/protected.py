@@ -4,7 +4,6 @@ As a program, `python -m pipelines.bench.link.protected SECONDS link ...` is `ko
 with new keys every SECONDS; 0 for the channel's own interval.
 """
 
-import json
 import select
 import socket
 import subprocess
@@ -15,9 +14,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.bench.link.live import lateness_us
 from pipelines.bench.link.paired import PLAIN, REKEYED, EndFigures, PairedRun, delays_us
 from pipelines.link.key_files import make_key, trust
-from pipelines.report.result import JsonReader
+from pipelines.report.model import LinkReport, from_json
 from pipelines.session.children import end_all, ended_alike
 from pipelines.session.datagrams import LOOPBACK
 from pipelines.session.setup.setup_file import load_setup
@@ -73,29 +73,28 @@ def paired_run(way: str, *, setup: str, seconds: float, base_port: int) -> Paire
         finally:
             end_all(list(processes.values()))
         reports = {
-            end: JsonReader(json.loads((directory / f"{end}.json").read_text())) for end in keys
+            end: from_json((directory / f"{end}.json").read_bytes(), LinkReport) for end in keys
         }
     return PairedRun(
         way=way,
         delay_us={direction: delays_us(found) for direction, found in delays.items()},
         samples=sum(map(len, delays.values())),
         frames_lost=sum(
-            round(reports[end].number("link", direction, "frames_lost"))
+            reports[end].link[direction].receiver.frames_lost
             for end, direction in (("ground", "downlink"), ("space", "uplink"))
         ),
         ends={end: _end(report, end, whole_s) for end, report in reports.items()},
     )
 
 
-def _end(report: JsonReader, end: str, seconds: float) -> EndFigures:
-    direction = "uplink" if end == "ground" else "downlink"
-    cpu_s = report.number("processes", f"{end}_gateway", "cpu_s")
-    names = ("p50", "p99", "p99.9", "max")
+def _end(report: LinkReport, end: str, seconds: float) -> EndFigures:
+    link = report.link["uplink" if end == "ground" else "downlink"]
+    peer = report.gateways[end].peer
     return EndFigures(
-        cpu_percent=100 * cpu_s / seconds,
-        lateness_us={name: report.number("link", direction, "lateness_us", name) for name in names},
-        slips=round(report.number("link", direction, "slips")),
-        sessions=round(report.number("gateways", end, "peer", "sessions")),
+        cpu_percent=100 * report.processes[f"{end}_gateway"].cpu_s / seconds,
+        lateness_us=lateness_us(link),
+        slips=link.loop.slips,
+        sessions=0 if peer is None else peer.sessions,
     )
 
 

@@ -18,8 +18,9 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_session
 from pipelines.bench.sync.footage import clicks, joined, lights, steps
 from pipelines.report.charts import check_plot, distributions, save
+from pipelines.report.model import ContentSkew, SyncReport
 from pipelines.report.report_file import check_writable, open_console, write_result
-from pipelines.report.result import Headline, Json, JsonReader, as_json, titled_table
+from pipelines.report.result import Headline, Json, as_json, titled_table
 from pipelines.report.sync_figures import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
 from pipelines.report.sync_matching import Matched
 from pipelines.session.options import radio_change
@@ -100,59 +101,51 @@ def _run_session(args: argparse.Namespace, console: Console) -> int:
         )
     else:
         check_virtual_sources(setup)
-        report = JsonReader(as_json(simulate(setup, seconds=seconds, seed=args.seed)))
-    if not report.has("sync"):
+        report = simulate(setup, seconds=seconds, seed=args.seed)
+    sync = report.sync
+    if sync is None:
         raise ConfigError(f"--seconds {seconds:g}: no target was touched; give more")
-    sync = report.at("sync")
     where = "live" if args.live else "on virtual time"
     console.print(f"{setup.name}, {seconds:g} s {where}, radio {radio}, seed {args.seed}")
     console.print(
-        f"{sync.number('events'):.0f} touches of a target, "
-        f"{sync.number('touches_beside_targets'):.0f} beside one, "
-        f"{sync.number('bounces'):.0f} bounces"
+        f"{sync.events} touches of a target, {sync.touches_beside_targets} beside one, "
+        f"{sync.bounces} bounces"
     )
     console.print(_senses(sync))
-    console.print(_skews(sync.at("skew_ms")))
-    failures = [failure.text() for failure in report.elements("failures")]
-    for failure in failures:
+    console.print(_skews(sync.skew_ms))
+    for failure in report.failures:
         console.print(f"failed: {failure}", style="bold red", markup=False)
-    body = sync.json
+    body = as_json(sync)
     assert isinstance(body, dict)
     head: dict[str, Json] = {"setup": setup.name, "radio": radio, "seconds": seconds}
     write_result(args.report, head | body, _headlines(sync))
     if args.plot is not None:
         pairs = {pair: _listed_skews(sync, *senses) for pair, senses in PAIRS.items()}
         _plot(args.plot, pairs, f"{setup.name}, {where}, radio {radio}")
-    disagrees = any(
-        of.value is not None and of.at("agrees").value is False for _, of in sync.items("senses")
-    )
-    return 1 if disagrees or failures else 0
+    disagrees = any(of is not None and of.agrees is False for of in sync.senses.values())
+    return 1 if disagrees or report.failures else 0
 
 
-def _listed_skews(sync: JsonReader, first: str, second: str) -> list[float]:
+def _listed_skews(sync: SyncReport, first: str, second: str) -> list[float]:
     """Of the events that both senses perceived, in ms."""
-    return [
-        event.number(f"{first}_ms") - event.number(f"{second}_ms")
-        for event in sync.elements("listed")
-        if event.has(f"{first}_ms") and event.has(f"{second}_ms")
-    ]
+    both = (
+        (getattr(event, f"{first}_ms"), getattr(event, f"{second}_ms")) for event in sync.listed
+    )
+    return [one - other for one, other in both if one is not None and other is not None]
 
 
-def _headlines(sync: JsonReader) -> list[Headline]:
-    found = [Headline(what="touches of a target", unit="", value=sync.number("events"))]
-    for sense, of in sync.items("senses"):
-        if of.value is not None and of.number("perceived"):
-            for name in ("p50", "p99"):
-                value = of.number("latency_ms", name)
+def _headlines(sync: SyncReport) -> list[Headline]:
+    found = [Headline(what="touches of a target", unit="", value=sync.events)]
+    for sense, of in sync.senses.items():
+        if of is not None and of.perceived:
+            for name, value in (("p50", of.latency_ms.p50), ("p99", of.latency_ms.p99)):
                 what = f"contact until {sense} at the operator, {name}"
                 found.append(Headline(what=what, unit="ms", value=value))
-    for pair, of in sync.items("skew_ms"):
-        if of.value is None:
-            continue
-        found.append(Headline(what=f"{_WORDS[pair]}, p95", unit="ms", value=of.number("p95")))
-        within = 100 * of.number("within")
-        what = f"{_WORDS[pair]}, share that is not noticeable"
-        found.append(Headline(what=what, unit="%", value=within))
+    for pair, skew in sync.skew_ms.items():
+        if skew is not None:
+            found.append(Headline(what=f"{_WORDS[pair]}, p95", unit="ms", value=skew.p95))
+            what = f"{_WORDS[pair]}, share that is not noticeable"
+            found.append(Headline(what=what, unit="%", value=100 * skew.within))
     return found
 
 
@@ -177,8 +170,8 @@ def _run_footage(args: argparse.Namespace, recordings: Mapping[str, Path], conso
         found[sense] = [replace(one, instant_ns=one.instant_ns + offset_ns) for one in some]
     events = joined(found)
     console.print(_events(events))
-    skews = as_json({pair: skew_summary(pair, skews_ns(pair, events)) for pair in PAIRS})
-    console.print(_skews(JsonReader(skews)))
+    skews = {pair: skew_summary(pair, skews_ns(pair, events)) for pair in PAIRS}
+    console.print(_skews(skews))
     # Events: instants in s on the clock of the recordings; null where nothing was found.
     result = {
         "recordings": recordings,
@@ -223,7 +216,7 @@ def _roi(text: str | None) -> Roi | None:
     return Roi(left, top, width, height)
 
 
-def _senses(sync: JsonReader) -> Table:
+def _senses(sync: SyncReport) -> Table:
     table = titled_table(
         "from the contact to the operator, ms",
         *("sense", "perceived", "missed", "p50", "p95", "p99", "max", "by stamps p50"),
@@ -234,46 +227,44 @@ def _senses(sync: JsonReader) -> Table:
         "clearest; for a light up to one picture period",
         caption_justify="left",
     )
-    for sense, figures in sync.items("senses"):
-        if figures.value is None:
+    for sense, of in sync.senses.items():
+        if of is None:
             continue
-        latency = figures.at("latency_ms")
-        agrees = figures.at("agrees").value
+        latency = of.latency_ms
         table.add_row(
             sense,
-            f"{figures.number('perceived'):.0f}",
-            f"{figures.number('missed'):.0f}",
-            *(_ms(latency.number_or_none(key)) for key in ("p50", "p95", "p99", "max")),
-            _ms(figures.number_or_none("stamped_latency_ms", "p50")),
-            _ms(figures.number_or_none("judged_error_ms"), signed=True),
-            _limits(figures.at("allowed_error_ms")),
-            "too few to say" if agrees is None else "agree" if agrees else "DISAGREE",
+            str(of.perceived),
+            str(of.missed),
+            *(_ms(value) for value in (latency.p50, latency.p95, latency.p99, latency.max)),
+            _ms(of.stamped_latency_ms.p50),
+            _ms(of.judged_error_ms, signed=True),
+            _limits(of.allowed_error_ms),
+            "too few to say" if of.agrees is None else "agree" if of.agrees else "DISAGREE",
         )
     return table
 
 
-def _limits(limits: JsonReader) -> str:
-    least, most = (limit.number() for limit in limits.elements())
-    return f"{least:+.0f} to {most:+.0f}"
+def _limits(limits: tuple[float, float]) -> str:
+    return f"{limits[0]:+.0f} to {limits[1]:+.0f}"
 
 
-def _skews(skews: JsonReader) -> Table:
+def _skews(skews: Mapping[str, ContentSkew | None]) -> Table:
     table = titled_table(
         "skew at the operator, ms",
         *("skew", "events", "p50", "p95", "p99", "max", "unnoticed", "limits", "of"),
         left=("skew", "of"),
         box=SIMPLE_HEAD,
     )
-    for name, figures in skews.items():
-        if figures.value is None:
+    for name, of in skews.items():
+        if of is None:
             continue
         table.add_row(
             _WORDS[name],
-            f"{figures.number('events'):.0f}",
-            *(_ms(figures.number(key), signed=True) for key in ("p50", "p95", "p99", "max")),
-            f"{100 * figures.number('within'):.0f} %",
-            _limits(figures.at("limits_ms")),
-            figures.text("source"),
+            str(of.events),
+            *(_ms(value, signed=True) for value in (of.p50, of.p95, of.p99, of.max)),
+            f"{100 * of.within:.0f} %",
+            _limits(of.limits_ms),
+            of.source,
         )
     return table
 

@@ -28,15 +28,13 @@ from pipelines.bench.video.run import TrialTerms, measure
 from pipelines.bench.video.targets import (
     ALONE,
     OURS,
-    figures_table,
     headlines,
     judge,
     notes,
-    verdicts_table,
 )
 from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.report_file import check_writable, open_console, write_result
-from pipelines.report.result import Headline, Json, as_json
+from pipelines.report.result import Headline, Json, as_json, headline_tables
 
 FPS = 30
 
@@ -82,16 +80,16 @@ def run(args: argparse.Namespace) -> int:
             return 1
         measured = {OURS: trial.figures}
         title = f"{name}, {rate}"
-        console.print(figures_table(title, measured))
         for note in notes(OURS, trial.figures):
             say(note)
         verdicts = judge(measured, ALONE, args.cap_kbps)
-        console.print(verdicts_table(f"{title}: targets", verdicts))
+        lines = headlines(title, measured, verdicts)
+        console.print(*headline_tables(lines))
         row = as_json(trial.figures)
         assert isinstance(row, dict)
         latencies: dict[str, Json] = {"latencies_ms": as_json(trial.latencies_ms)}
         body[name] = {"targets": as_json(verdicts), OURS: row | latencies}
-        found += headlines(title, measured, verdicts)
+        found += lines
         write_result(args.report, {rate: body}, found, digits=4)
         panels[f"{title}: capture to displayed"] = {OURS: trial.latencies_ms}
     if args.plot is not None:

@@ -1,12 +1,10 @@
-"""The targets of `bench video`, whether a run reached them, and its tables. A core."""
+"""The targets of `bench video`, whether a run reached them. A core."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from rich.table import Table
-
 from pipelines.bench.video.figures import ContenderFigures
-from pipelines.report.result import Headline, titled_table
+from pipelines.report.result import Headline
 
 #: The contender of this project.
 OURS = "kontur-av"
@@ -142,39 +140,29 @@ def _verdict(
     )
 
 
-#: Heading of a row, and its text from the figures.
-_ROWS: tuple[tuple[str, Callable[[ContenderFigures], str]], ...] = (
+#: A figure of a contender: what, its unit, and its value.
+_FIGURES: tuple[tuple[str, str, Callable[[ContenderFigures], float | None]], ...] = (
     *(
-        (f"capture to displayed, {key}, ms", lambda found, key=key: f"{found.latency_ms[key]:.1f}")
+        (f"capture to displayed, {key}", "ms", lambda found, key=key: found.latency_ms[key])
         for key in ("p50", "p95", "p99", "max")
     ),
-    ("PSNR, mean, dB", lambda found: f"{found.psnr_db.mean:.2f}"),
-    ("PSNR, worst 5 %, dB", lambda found: f"{found.psnr_db.worst:.2f}"),
-    ("SSIM, mean", lambda found: f"{found.ssim.mean:.3f}"),
-    ("SSIM, worst 5 %", lambda found: f"{found.ssim.worst:.3f}"),
-    ("VMAF, mean", lambda found: f"{found.vmaf.mean:.1f}" if found.vmaf else "–"),
-    ("VMAF, worst 5 %", lambda found: f"{found.vmaf.worst:.1f}" if found.vmaf else "–"),
-    ("displayed pictures a second", lambda found: f"{found.per_second:.1f}"),
-    ("longest gap, ms", lambda found: f"{found.longest_gap_ms:.0f}"),
-    ("payload, mean, kbit/s", lambda found: _kbps(found.payload_bps)),
-    ("largest 1 s of payload, kbit/s", lambda found: _kbps(found.payload_1s_bps)),
-    ("largest 1 s with RTP headers", lambda found: _kbps(found.rtp_1s_bps)),
-    ("largest 0.1 s of payload", lambda found: _kbps(found.payload_100ms_bps)),
-    ("largest 0.1 s with RTP headers", lambda found: _kbps(found.rtp_100ms_bps)),
-    ("CPU of the sender, s", lambda found: f"{found.sender_cpu_s:.2f}"),
-    ("CPU of the receiver, s", lambda found: f"{found.receiver_cpu_s:.2f}"),
+    ("PSNR, mean", "dB", lambda found: found.psnr_db.mean),
+    ("PSNR, worst 5 %", "dB", lambda found: found.psnr_db.worst),
+    ("SSIM, mean", "", lambda found: found.ssim.mean),
+    ("SSIM, worst 5 %", "", lambda found: found.ssim.worst),
+    ("VMAF, mean", "", lambda found: found.vmaf.mean if found.vmaf else None),
+    ("VMAF, worst 5 %", "", lambda found: found.vmaf.worst if found.vmaf else None),
+    ("displayed", "pictures/s", lambda found: found.per_second),
+    ("longest gap", "ms", lambda found: found.longest_gap_ms),
+    ("payload, mean", "kbit/s", lambda found: found.payload_bps / 1000),
+    ("largest 1 s of payload", "kbit/s", lambda found: found.payload_1s_bps / 1000),
+    ("largest 1 s with RTP headers", "kbit/s", lambda found: found.rtp_1s_bps / 1000),
+    ("largest 0.1 s of payload", "kbit/s", lambda found: found.payload_100ms_bps / 1000),
+    ("largest 0.1 s with RTP headers", "kbit/s", lambda found: found.rtp_100ms_bps / 1000),
+    ("CPU of the sender", "s", lambda found: found.sender_cpu_s),
+    ("CPU of the receiver", "s", lambda found: found.receiver_cpu_s),
+    ("CPU of both ends", "s", lambda found: found.cpu_s),
 )
-
-
-def _kbps(rate_bps: float) -> str:
-    return f"{rate_bps / 1000:.1f}"
-
-
-def figures_table(title: str, measured: Mapping[str, ContenderFigures]) -> Table:
-    table = titled_table(title, "", *measured)
-    for heading, value in _ROWS:
-        table.add_row(heading, *(value(found) for found in measured.values()))
-    return table
 
 
 def notes(name: str, found: ContenderFigures) -> list[str]:
@@ -204,45 +192,22 @@ def notes(name: str, found: ContenderFigures) -> list[str]:
     return said
 
 
-def verdicts_table(title: str, verdicts: Sequence[VideoVerdict]) -> Table:
-    table = titled_table(title, "", "target", "found", "against", "")
-    for verdict in verdicts:
-        table.add_row(
-            verdict.what,
-            verdict.target,
-            verdict.found,
-            verdict.against,
-            "met" if verdict.met else "[red]missed[/red]",
-        )
-    return table
-
-
 def headlines(
     group: str, measured: Mapping[str, ContenderFigures], verdicts: Sequence[VideoVerdict]
 ) -> list[Headline]:
     """Of one clip at one rate."""
-    found = []
-    for who, figures in measured.items():
-        for what, unit, value in (
-            ("capture to displayed, p50", "ms", figures.latency_ms["p50"]),
-            ("capture to displayed, p99", "ms", figures.latency_ms["p99"]),
-            ("PSNR, mean", "dB", figures.psnr_db.mean),
-            ("PSNR, worst 5 %", "dB", figures.psnr_db.worst),
-            ("SSIM, mean", "", figures.ssim.mean),
-            ("VMAF, mean", "", figures.vmaf.mean if figures.vmaf else None),
-            ("VMAF, worst 5 %", "", figures.vmaf.worst if figures.vmaf else None),
-            ("displayed", "pictures/s", figures.per_second),
-            ("payload, mean", "kbit/s", figures.payload_bps / 1000),
-            ("CPU of both ends", "s", figures.cpu_s),
-        ):
-            found.append(Headline(group=group, what=what, who=who, unit=unit, value=value))
+    found = [
+        Headline(group=group, what=what, who=who, unit=unit, value=value(figures))
+        for who, figures in measured.items()
+        for what, unit, value in _FIGURES
+    ]
     found += [
         Headline(
             group=f"targets: {group}",
             what=verdict.what,
             unit=verdict.unit,
             value=verdict.value,
-            target=verdict.target,
+            target=verdict.target + f" ({verdict.against})" * bool(verdict.against),
             met=verdict.met,
         )
         for verdict in verdicts

@@ -1,13 +1,21 @@
 """A session of a campaign, its figures and those of its tasks, and the verdict. A core."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
+from typing import Any
 
 from kontur_av.clock import NS_PER_S
-from pipelines.report.result import JsonReader
+from pipelines.report.model import (
+    GatewayReport,
+    HapticReport,
+    SessionReport,
+    StreamReport,
+    to_builtins,
+)
 from pipelines.session.setup.table import Setup
-from pipelines.session.task_journal import OPEN, STEPS
+from pipelines.session.task_journal import OPEN, STEPS, TaskRow
+from telepresence.link.figures import ContactFigures
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.experiment import RunStep
 from telepresence.tasks.plan import SessionPlan
@@ -37,7 +45,7 @@ class Crash:
 
 
 #: What became of a session: its report, or none.
-Result = JsonReader | Crash
+Result = SessionReport | Crash
 
 
 #: The least share of the usable time that the orbit predicts.
@@ -74,103 +82,97 @@ class PassFigures:
     failed: bool
 
 
-def pass_figures(report: JsonReader, *, start_s: float = 0.0) -> PassFigures:
+def pass_figures(report: SessionReport, *, start_s: float = 0.0) -> PassFigures:
     """The figures of a session.
 
     start_s: when the session began, after the acquisition of signal.
     """
-    window = usable_window(report, start_s)
-    delay_ns = report.at("gateways", "ground").number_or_none("radio", "delay_max_ns")
+    window, radio = usable_window(report, start_s), report.gateways["ground"].radio
     return PassFigures(
-        seconds=report.number("seconds"),
+        seconds=report.seconds,
         predicted_s=None if window is None else round(window[1] - window[0], 3),
         usable_s=None if window is None else round(signal_s(report, *window), 3),
-        longest_delay_s=(delay_ns or 0) / NS_PER_S,
+        longest_delay_s=0.0 if radio is None else radio.delay_max_ns / NS_PER_S,
         longest_pause_s={
-            name: _longest_pause_s(report, channels, window)
-            for name, channels in (("shown", "streams"), ("felt", "haptic"))
+            "shown": _longest_pause_s(report, report.streams, window),
+            "felt": _longest_pause_s(report, report.haptic, window),
         },
         cap_pct=cap_pct(report, "1s"),
         burst_pct=cap_pct(report, "100ms"),
         least_energy_uj=least_energy_uj(report),
-        failed=any(True for _ in report.elements("failures")),
+        failed=bool(report.failures),
     )
 
 
-def cap_pct(report: JsonReader, over: str) -> float | None:
+def cap_pct(report: SessionReport, over: str) -> float | None:
     """The largest rate of any stream over "1s" or "100ms" in % of its cap."""
     shares = (
-        round(stream.number(f"payload_bps_max_{over}") / stream.number("cap_bps"), 4)
-        for _, stream in report.items("streams")
+        round(getattr(stream, f"payload_bps_max_{over}") / stream.cap_bps, 4)
+        for stream in report.streams.values()
     )
     return max((100.0 * share for share in shares), default=None)
 
 
-def usable_window(report: JsonReader, start_s: float) -> tuple[float, float] | None:
+def usable_window(report: SessionReport, start_s: float) -> tuple[float, float] | None:
     """Begin and end (s) of the usable contact in the session, as the orbit predicts it.
 
     The whole session where the radio has no orbit; None where the session misses the contact.
     """
-    ground, seconds = report.at("gateways", "ground"), report.number("seconds")
-    if not ground.has("radio", "contact"):
-        return 0.0, seconds
-    contact = ground.at("radio", "contact")
-    begin_s = max(0.0, contact.number("usable_from_s") - start_s)
-    end_s = min(seconds, contact.number("usable_to_s") - start_s)
+    contact = report.gateways["ground"].contact
+    if contact is None:
+        return 0.0, report.seconds
+    if contact.usable_from_s is None or contact.usable_to_s is None:
+        return None
+    begin_s = max(0.0, contact.usable_from_s - start_s)
+    end_s = min(report.seconds, contact.usable_to_s - start_s)
     return (begin_s, end_s) if end_s > begin_s else None
 
 
-def signal_s(report: JsonReader, begin_s: float, end_s: float) -> float:
+def signal_s(report: SessionReport, begin_s: float, end_s: float) -> float:
     """The time (s) between two instants in which an end had a signal, at the end that had less."""
     heard = []
-    for _, gateway in report.items("gateways"):
+    for gateway in report.gateways.values():
         total_ns = 0.0
-        for acquired_ns, lost_ns in _windows_ns(gateway):
-            last_ns = end_s * NS_PER_S if lost_ns is None else min(lost_ns, end_s * NS_PER_S)
-            total_ns += max(0, last_ns - max(acquired_ns, begin_s * NS_PER_S))
+        for contact in _contacts(gateway):
+            lost_ns, last_ns = contact.lost_ns, end_s * NS_PER_S
+            last_ns = last_ns if lost_ns is None else min(lost_ns, last_ns)
+            total_ns += max(0, last_ns - max(contact.acquired_ns, begin_s * NS_PER_S))
         heard.append(total_ns / NS_PER_S)
     return min(heard, default=0.0)
 
 
-def _windows_ns(gateway: JsonReader) -> Iterator[tuple[float, float | None]]:
-    """(acquisition, loss) of each contact of one end; None for one that lasts."""
-    if gateway.has("supervision", "contacts"):
-        for window in gateway.elements("supervision", "contacts"):
-            yield window.number("acquired_ns"), window.number_or_none("lost_ns")
+def _contacts(gateway: GatewayReport) -> Sequence[ContactFigures]:
+    return () if gateway.supervision is None else gateway.supervision.contacts
 
 
 def _longest_pause_s(
-    report: JsonReader, channels: str, window: tuple[float, float] | None
+    report: SessionReport,
+    channels: Mapping[str, StreamReport] | Mapping[str, HapticReport],
+    window: tuple[float, float] | None,
 ) -> float:
     """The longest part of a pause of one of `channels` with a signal throughout, in the window."""
     if window is None:
         return 0.0
     longest_s = 0.0
-    for name, channel in report.items(channels):
+    for name, channel in channels.items():
         # The signal at the receiving end counts.
-        end = "space" if name.startswith("up") else "ground"
-        contacts = list(_windows_ns(report.at("gateways", end)))
-        for pause in channel.elements("pauses_s"):
-            begin_s, end_s = (instant.number() for instant in pause.elements())
-            for acquired_ns, lost_ns in contacts:
-                last_s = report.number("seconds") if lost_ns is None else lost_ns / NS_PER_S
-                first_s = max(begin_s, acquired_ns / NS_PER_S, window[0])
+        contacts = _contacts(report.gateways["space" if name.startswith("up") else "ground"])
+        for begin_s, end_s in channel.pauses_s:
+            for contact in contacts:
+                lost_ns = contact.lost_ns
+                last_s = report.seconds if lost_ns is None else lost_ns / NS_PER_S
+                first_s = max(begin_s, contact.acquired_ns / NS_PER_S, window[0])
                 longest_s = max(longest_s, min(end_s, last_s, window[1]) - first_s)
     return round(longest_s, 3)
 
 
-def least_energy_uj(report: JsonReader) -> float | None:
+def least_energy_uj(report: SessionReport) -> float | None:
     """The least energy (µJ) that a passivity observer has seen; None if there is none."""
-    places = (report.at(name) for name in ("haptic", "processes") if report.has(name))
-    return min((least for place in places for least in _values("least_uj", place)), default=None)
-
-
-def _values(name: str, table: JsonReader) -> Iterator[float]:
-    for key, part in table.items():
-        if isinstance(part.value, Mapping):
-            yield from _values(name, part)
-        elif key == name and part.value is not None:
-            yield part.number()
+    ports = [
+        port for way in report.haptic.values() for port in (way.port, *(way.axes or {}).values())
+    ]
+    ports += [] if report.second_arm is None else [report.second_arm.port]
+    return min((port.least_uj for port in ports), default=None)
 
 
 def faults(session: PassFigures | Crash) -> list[str]:
@@ -210,63 +212,22 @@ _PANEL = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Run:
-    """One run of a task. seconds: from its start to its end; None if it never started."""
-
-    name: str
-    result: str
-    seconds: float | None
-    steps: list[str]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TaskRunFigures:
-    """What was done in one session.
-
-    quiet_s: from the ground's last loss of signal to the end of the session, 0 if there was a
-    signal at the end.
-    """
-
-    runs: list[Run]
-    quiet_s: float
-
-
-def task_figures(report: JsonReader) -> TaskRunFigures:
-    return TaskRunFigures(
-        runs=[
-            Run(
-                name=run.text("name"),
-                result=run.text("result"),
-                seconds=run.number_or_none("seconds"),
-                steps=[step.text("step") for step in run.elements("steps")],
-            )
-            for run in report.elements("tasks")
-        ],
-        quiet_s=_quiet_s(report),
-    )
-
-
-def _quiet_s(report: JsonReader) -> float:
-    ground, seconds = report.at("gateways", "ground"), report.number("seconds")
-    if not ground.has("supervision", "contacts"):
+def _quiet_s(report: SessionReport) -> float:
+    """From the ground's last loss of signal to the end of the session; 0 with a signal at it."""
+    contacts = _contacts(report.gateways["ground"])
+    lost_ns = [contact.lost_ns for contact in contacts if contact.lost_ns is not None]
+    if not contacts or len(lost_ns) < len(contacts):
         return 0.0
-    lost_s = 0.0
-    for window in ground.elements("supervision", "contacts"):
-        lost_ns = window.number_or_none("lost_ns")
-        if lost_ns is None:
-            return 0.0
-        lost_s = max(lost_s, lost_ns / NS_PER_S)
-    return max(0.0, seconds - lost_s)
+    return max(0.0, report.seconds - max(lost_ns) / NS_PER_S)
 
 
-def in_order(run: Run) -> bool:
+def in_order(run: TaskRow) -> bool:
     """Whether each step of Fig. 14 is logged once, in its order, and none left out if finished.
 
     The panel hears and is heard only with a signal. So if a run ended without one, the panel's
     steps may come after its end, in their own order.
     """
-    places = [STEPS.index(step) for step in run.steps]
+    places = [STEPS.index(step.step) for step in run.steps]
     if run.result == TaskResult.FINISHED:
         whole = list(range(_TOLD_END + 1))
         return places == sorted(set(places)) and places[: _TOLD_END + 1] == whole
@@ -275,13 +236,13 @@ def in_order(run: Run) -> bool:
     return all(part == sorted(set(part)) for part in (panel, robot))
 
 
-def task_faults(tasks: TaskRunFigures) -> list[str]:
-    found = []
-    if not any(run.result == TaskResult.FINISHED for run in tasks.runs):
+def task_faults(report: SessionReport) -> list[str]:
+    found, runs = [], report.tasks or ()
+    if not any(run.result == TaskResult.FINISHED for run in runs):
         found.append("no task finished")
-    if not all(map(in_order, tasks.runs)):
+    if not all(map(in_order, runs)):
         found.append("out of order")
-    if tasks.quiet_s > LONGEST_END_S and any(run.result == OPEN for run in tasks.runs):
+    if _quiet_s(report) > LONGEST_END_S and any(run.result == OPEN for run in runs):
         found.append("left hanging")
     return found
 
@@ -294,14 +255,14 @@ def task_names(plan: SessionPlan | None) -> tuple[str, ...]:
     return ("tasks_begun", "tasks_finished", *(f"{name}_s" for name in names))
 
 
-def task_numbers(tasks: TaskRunFigures) -> dict[str, float | None]:
+def task_numbers(report: SessionReport) -> dict[str, float | None]:
     """The figures of `task_names`: of a task the median time of its finished runs."""
     took_s: dict[str, list[float]] = {}
-    for run in tasks.runs:
+    for run in report.tasks or ():
         if run.result == TaskResult.FINISHED and run.seconds is not None:
             took_s.setdefault(f"{run.name}_s", []).append(run.seconds)
     return {
-        "tasks_begun": len(tasks.runs),
+        "tasks_begun": len(report.tasks or ()),
         "tasks_finished": sum(map(len, took_s.values())),
         **{name: median(times_s) for name, times_s in took_s.items()},
     }
@@ -313,50 +274,53 @@ class SweepFigure:
 
     name: str
     heading: str
-    of: Callable[[JsonReader], float | None]
+    of: Callable[[SessionReport], float | None]
 
 
-def _latency(percentile: str, *place: str) -> Callable[[JsonReader], float | None]:
+def _latency(channel: StreamReport | HapticReport | None, percentile: str = "p99") -> float | None:
     """None for what carried nothing."""
-
-    def found(report: JsonReader) -> float | None:
-        carried = report.number_or_none(*place, "latency_ms", "count")
-        return report.number(*place, "latency_ms", percentile) if carried else None
-
+    if channel is None or not channel.latency_ms.count:
+        return None
+    found: float = getattr(channel.latency_ms, percentile)
     return found
 
 
-def _lost(number: int) -> Callable[[JsonReader], float | None]:
-    def found(report: JsonReader) -> float | None:
-        _, link = list(report.items("link"))[number]
-        frames = link.count("frames")
-        return 100.0 * link.count("frames_lost") / frames if frames else None
-
-    return found
+def _lost(report: SessionReport, direction: str) -> float | None:
+    link = report.link[direction]
+    frames = link.sender.frames
+    return 100.0 * link.receiver.frames_lost / frames if frames else None
 
 
-def _shown_hz(report: JsonReader) -> float | None:
+def _shown_hz(report: SessionReport) -> float | None:
     """Pictures a second with a signal, at the end that had less of it."""
-    ends = [of for _, of in report.items("gateways") if of.has("supervision")]
-    contact_ns = min((of.number("supervision", "contact_ns") for of in ends), default=0.0)
-    shown = report.number_or_none("streams", "uplink_video", "frames_displayed")
-    return None if shown is None or not contact_ns else shown / (contact_ns / NS_PER_S)
+    ends = [of.supervision for of in report.gateways.values() if of.supervision is not None]
+    contact_ns = min((of.contact_ns for of in ends), default=0)
+    stream = report.streams.get(VIDEO)
+    if stream is None or not contact_ns:
+        return None
+    return stream.display.frames_displayed / (contact_ns / NS_PER_S)
 
 
+def _skew_p95(report: SessionReport) -> float | None:
+    skew = report.skew_ms.get("video_haptic")
+    return None if skew is None else skew.p95
+
+
+VIDEO, VOICE = "uplink_video", "uplink_voice"
 #: In the order of the table. lost: of all frames. skew: the picture after the force. cap: the
 #: largest second of any stream, as a share of its cap.
 FIGURES = (
-    SweepFigure("lost_up_pct", "lost up %", _lost(0)),
-    SweepFigure("lost_down_pct", "lost down %", _lost(1)),
-    SweepFigure("force_p99_ms", "force p99 ms", _latency("p99", "haptic", "up")),
-    SweepFigure("position_p99_ms", "position p99 ms", _latency("p99", "haptic", "down")),
-    SweepFigure("video_p50_ms", "video p50 ms", _latency("p50", "streams", "uplink_video")),
-    SweepFigure("video_p99_ms", "video p99 ms", _latency("p99", "streams", "uplink_video")),
-    SweepFigure("shown_hz", "shown/s", _shown_hz),
-    SweepFigure("voice_p99_ms", "voice p99 ms", _latency("p99", "streams", "uplink_voice")),
+    SweepFigure("lost_up_pct", "lost up %", lambda of: _lost(of, "uplink")),
+    SweepFigure("lost_down_pct", "lost down %", lambda of: _lost(of, "downlink")),
+    SweepFigure("force_p99_ms", "force p99 ms", lambda of: _latency(of.haptic["up"])),
     SweepFigure(
-        "skew_p95_ms", "skew p95 ms", lambda of: of.number_or_none("skew_ms", "video_haptic", "p95")
+        "position_p99_ms", "position p99 ms", lambda of: _latency(of.haptic["down"], "p99")
     ),
+    SweepFigure("video_p50_ms", "video p50 ms", lambda of: _latency(of.streams.get(VIDEO), "p50")),
+    SweepFigure("video_p99_ms", "video p99 ms", lambda of: _latency(of.streams.get(VIDEO))),
+    SweepFigure("shown_hz", "shown/s", _shown_hz),
+    SweepFigure("voice_p99_ms", "voice p99 ms", lambda of: _latency(of.streams.get(VOICE))),
+    SweepFigure("skew_p95_ms", "skew p95 ms", _skew_p95),
     SweepFigure("cap_pct", "cap %", lambda of: cap_pct(of, "1s")),
     SweepFigure("least_uj", "least µJ", least_energy_uj),
 )
@@ -380,16 +344,17 @@ class RunFigures:
     error: str = ""
 
 
-def run_figures(task: SessionTask, key: str, report: JsonReader, keys: Sequence[str]) -> RunFigures:
+def run_figures(
+    task: SessionTask, key: str, report: SessionReport, keys: Sequence[str]
+) -> RunFigures:
     """The figures of the run of `task`. keys: of further numbers in the report, with dots."""
     figures = {figure.name: _rounded(figure.of(report)) for figure in FIGURES}
     wrong = faults(pass_figures(report, start_s=task.setup.radio_profile.start_s))
     if task.plan is not None:
-        tasks = task_figures(report)
-        wrong += task_faults(tasks)
-        figures |= {name: _rounded(value) for name, value in task_numbers(tasks).items()}
-    for name in keys:
-        figures[name] = _number(report, name)
+        wrong += task_faults(report)
+        figures |= {name: _rounded(value) for name, value in task_numbers(report).items()}
+    table = to_builtins(report) if keys else {}
+    figures |= {name: _number(table, name) for name in keys}
     return RunFigures(key=key, seed=task.seed, faults=tuple(wrong), figures=figures)
 
 
@@ -403,8 +368,10 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else round(value, 3)
 
 
-def _number(report: JsonReader, key: str) -> float | None:
-    try:
-        return report.number(*key.split("."))
-    except ValueError:
-        return None
+def _number(table: Any, key: str) -> float | None:
+    """The number under keys with dots between them; None if there is none."""
+    for part in key.split("."):
+        if not isinstance(table, Mapping) or part not in table:
+            return None
+        table = table[part]
+    return table if isinstance(table, int | float) and not isinstance(table, bool) else None

@@ -5,7 +5,6 @@ The process of one is `python -m pipelines.virtual.campaign.sessions REPORT`. It
 ends when that input is closed, so that no session outlives its starter.
 """
 
-import json
 import os
 import pickle
 import select
@@ -18,8 +17,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.errors import ConfigError
+from pipelines.report.model import SessionReport, from_json
 from pipelines.report.report_file import write_report
-from pipelines.report.result import JsonReader
 from pipelines.session.children import end_all
 from pipelines.virtual.campaign.figures import Crash, Result, SessionTask
 from pipelines.virtual.campaign.places import Cluster
@@ -97,10 +96,10 @@ class _Session:
             raise ConfigError(line)
         if not self._report.exists():
             return Crash(line or f"ended with {self.process.returncode}")
-        report = JsonReader(json.loads(self._report.read_text(encoding="utf-8")))
+        report = from_json(self._report.read_bytes(), SessionReport)
         self._report.unlink()
-        if report.number("seconds") < round(self._task.seconds, 3):
-            return Crash(f"ended early, after {report.number('seconds'):g} s")
+        if report.seconds < round(self._task.seconds, 3):
+            return Crash(f"ended early, after {report.seconds:g} s")
         return report
 
     def close(self) -> None:

@@ -6,9 +6,9 @@ import pytest
 from synthetic_recording import LINK_CYCLES, LINK_NS, MS, PUBLISHED_NS, write_recording
 
 from benchmarks.__main__ import main
+from benchmarks.json_reader import JsonReader
 from benchmarks.record.agreement import compare
 from benchmarks.record.recount import recount
-from pipelines.report.result import JsonReader
 
 SECONDS = 3.0
 

@@ -1,4 +1,4 @@
-"""The common parts of benches: percentiles, JSON, and reading a report by its keys."""
+"""The common parts of benches: percentiles and JSON."""
 
 import json
 import math
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 
 from pipelines.report.report_file import write_result
-from pipelines.report.result import Headline, JsonReader, as_json, spread
+from pipelines.report.result import Headline, as_json, spread
 
 
 @dataclass
@@ -44,24 +44,3 @@ def test_a_result_is_written_with_its_headlines(tmp_path):
     assert written["ratio"] == 1.5
     assert written["headlines"][0]["value"] == 2.0
     write_result(None, Inner(1.5, ()), [])
-
-
-def test_a_report_is_read_by_its_keys_and_missing_ones_are_named():
-    report = JsonReader({"a": {"b": 1.5, "c": None, "d": "text", "e": [1, 2]}})
-    assert report.number("a", "b") == 1.5
-    assert report.number_or_none("a", "c") is None
-    assert report.text("a", "d") == "text"
-    assert [one.number() for one in report.elements("a", "e")] == [1, 2]
-    assert [name for name, _ in report.items("a")] == ["b", "c", "d", "e"]
-    assert report.has("a", "b")
-    assert not report.has("a", "c")
-    assert not report.has("a", "z")
-    for read in (
-        lambda: report.number("a", "z"),
-        lambda: report.number("a", "d"),
-        lambda: report.text("a", "b"),
-        lambda: list(report.items("a", "b")),
-        lambda: list(report.elements("a", "d")),
-    ):
-        with pytest.raises(ValueError, match=r"report\.a"):
-            read()

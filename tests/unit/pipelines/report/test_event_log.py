@@ -32,7 +32,7 @@ class Session:
 
     def __init__(self, setup=SETUP):
         self.collector = Collector(topology_of(setup))
-        self.log = EventLog(setup, self.collector)
+        self.log = EventLog(self.collector)
         self.switch = SessionSwitch()
 
     def told(self, process, *figures, at_s=1.0, stream=""):

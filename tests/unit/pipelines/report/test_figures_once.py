@@ -70,10 +70,8 @@ def told(record):
         collector.handle_message(process, message(record), NS_PER_S)
     look = [ProcessNow(name=name, restarts=0, running=True, error="") for name in PROCESSES]
     zeros = dict.fromkeys(PROCESSES, 0)
-    report = build_report(
-        SETUP, collector, seconds=1.0, cpu_s=zeros, restarts=zeros, launcher_cpu_s=0.0
-    )
-    seats = SeatFigures(SETUP, collector)
+    report = build_report(collector, seconds=1.0, cpu_s=zeros, restarts=zeros, launcher_cpu_s=0.0)
+    seats = SeatFigures(collector)
     switch = SessionSwitch()
     seats.handle_look(look, switch=switch, started_ns=0, now_ns=NS_PER_S)
     seat = seats.message(zeros, launcher_cpu_s=0.0, running_ns=NS_PER_S, now_ns=NS_PER_S)

@@ -61,7 +61,6 @@ class Link:
     def report(self, ends=ENDS, restarts=0):
         names = [f"{end.value}_gateway" for end in ends]
         return build_link_report(
-            SETUP,
             self.collector,
             ends,
             seconds=self.now_ns / NS_PER_S,

@@ -31,10 +31,10 @@ SETUP = BUILT_IN["taskboard"]
 PARTS = ("uplink_video_send", "uplink_video_receive", "space_display", "robot", "joystick")
 
 
-def told(octets_a_packet=300, displayed=30, received=1000):
+def told(octets_a_packet=300, displayed=30, received=1000, setup=SETUP):
     """A collector after a second of 30 packets."""
-    collector = Collector(topology_of(SETUP))
-    cap_bps = SETUP.uplink_video.cap_bps
+    collector = Collector(topology_of(setup))
+    cap_bps = setup.uplink_video.cap_bps
     out = [OutRow(k * 33 * NS_PER_MS, octets_a_packet, cap_bps) for k in range(30)]
     totals = {
         "uplink_video_send": SenderCounts(frames_captured=31, frames_encoded=30, frames_sent=30),
@@ -58,7 +58,6 @@ def show(collector, now_ns, displayed, *rows):
 
 def report_of(collector, seconds=5.0, **others):
     return build_report(
-        SETUP,
         collector,
         seconds=seconds,
         cpu_s=dict.fromkeys(PARTS, 0.5),
@@ -87,16 +86,16 @@ def test_the_report_contains_the_counts():
 
 
 def test_a_broken_cap_is_a_failure():
-    (failure,) = failures(SETUP, told(octets_a_packet=376), 5.0)
+    (failure,) = failures(told(octets_a_packet=376), 5.0)
     assert failure.startswith("uplink_video: 90240 bit/s")
-    assert failures(SETUP, told(octets_a_packet=375), 5.0) == []
+    assert failures(told(octets_a_packet=375), 5.0) == []
 
 
 def test_a_stream_that_was_never_displayed_is_a_failure():
-    (failure,) = failures(SETUP, told(displayed=0), 5.0)
+    (failure,) = failures(told(displayed=0), 5.0)
     assert failure == "uplink_video: nothing was displayed"
     # The session is too short for a verdict.
-    assert failures(SETUP, told(displayed=0), 1.0) == []
+    assert failures(told(displayed=0), 1.0) == []
 
 
 def hearing(collector, since_ns, *, signal=True):
@@ -115,13 +114,13 @@ def test_a_stream_without_a_radio_signal_is_no_failure():
     unseen = told(displayed=0, received=0)
     in_space = ["uplink_video: nothing was displayed", "haptic_up: no sample was received"]
     down = ["haptic_down: no sample was received"]
-    assert failures(SETUP, hearing(unseen, 2 * NS_PER_S), 9.0) == in_space + down
-    assert failures(SETUP, hearing(unseen, 8 * NS_PER_S), 9.0) == down
-    assert failures(SETUP, hearing(unseen, 2 * NS_PER_S, signal=False), 9.0) == down
+    assert failures(hearing(unseen, 2 * NS_PER_S), 9.0) == in_space + down
+    assert failures(hearing(unseen, 8 * NS_PER_S), 9.0) == down
+    assert failures(hearing(unseen, 2 * NS_PER_S, signal=False), 9.0) == down
 
 
 def test_a_session_without_haptic_samples_is_a_failure():
-    assert len(failures(SETUP, told(received=0), 5.0)) == 2
+    assert len(failures(told(received=0), 5.0)) == 2
 
 
 def test_a_session_that_ended_at_once_still_has_a_report():
@@ -149,9 +148,9 @@ def test_an_input_is_silent_only_since_it_was_started_again():
     collector = told()
     collector.handle_message("camera_left", message(CaptureFigures(captured_ns=NS_PER_S)), NS_PER_S)
     collector.handle_resumed(60 * NS_PER_S)
-    silent = [str(one) for one in silences(SETUP, collector, 61 * NS_PER_S)]
+    silent = [str(one) for one in silences(collector, 61 * NS_PER_S)]
     assert silent == []
-    silent = [str(one) for one in silences(SETUP, collector, 63 * NS_PER_S)]
+    silent = [str(one) for one in silences(collector, 63 * NS_PER_S)]
     assert silent == ["camera_left: no picture for 3 s"]
 
 
@@ -211,14 +210,14 @@ def test_a_report_that_lacks_values_is_a_failure():
     collector = told()
     lost = ProbeFigures(probe_values_dropped=60)
     collector.handle_message("space_display", message(lost), NS_PER_S)
-    (failure,) = failures(SETUP, collector, 5.0)
+    (failure,) = failures(collector, 5.0)
     assert failure == "space_display: 60 values for this report were lost"
 
 
 def test_a_negative_latency_is_a_failure():
     collector = told()
     show(collector, NS_PER_S, 30, ShownRow(1, 2 * NS_PER_S, NS_PER_S))
-    (failure,) = failures(SETUP, collector, 5.0)
+    (failure,) = failures(collector, 5.0)
     assert failure == "uplink_video: 1 latencies below 0 (capture_to_displayed)"
 
 
@@ -235,22 +234,22 @@ def run_on(collector, *, shown_until_s, captured_until_s, seconds=8, camera="lef
 
 
 def test_a_stream_that_stopped_in_the_middle_is_a_failure():
-    (failure,) = failures(SETUP, run_on(told(), shown_until_s=3, captured_until_s=8), 8.0)
+    (failure,) = failures(run_on(told(), shown_until_s=3, captured_until_s=8), 8.0)
     assert failure.startswith("uplink_video: nothing was displayed in the last 5.0 s")
     # A short gap is no failure yet.
-    assert failures(SETUP, run_on(told(), shown_until_s=6.5, captured_until_s=8), 8.0) == []
+    assert failures(run_on(told(), shown_until_s=6.5, captured_until_s=8), 8.0) == []
     # Pictures on a slow radio are not missed yet.
     slow = replace(SETUP, radio_delay_ms=4000)
-    assert failures(slow, run_on(told(), shown_until_s=3, captured_until_s=8), 8.0) == []
+    assert failures(run_on(told(setup=slow), shown_until_s=3, captured_until_s=8), 8.0) == []
 
 
 def test_a_stream_whose_input_stopped_is_no_failure():
     collector = run_on(told(), shown_until_s=3, captured_until_s=3)
-    assert failures(SETUP, collector, 8.0) == []
+    assert failures(collector, 8.0) == []
     # It is no failure either if the input has just returned.
     gauges = CaptureFigures(captured_ns=8 * NS_PER_S)
     collector.handle_message("camera_left", message(gauges), 8 * NS_PER_S)
-    assert failures(SETUP, collector, 8.0) == []
+    assert failures(collector, 8.0) == []
 
 
 def test_a_stream_is_judged_by_the_camera_that_is_selected():
@@ -263,35 +262,36 @@ def test_a_stream_is_judged_by_the_camera_that_is_selected():
     collector = Collector(topology_of(setup))
     select(collector, "head", 3)
     run_on(collector, shown_until_s=3, captured_until_s=8, camera="static")
-    found = [failure for failure in failures(setup, collector, 8.0) if "uplink_video" in failure]
+    found = [failure for failure in failures(collector, 8.0) if "uplink_video" in failure]
     assert found == [], "the selected camera has no pictures"
     select(collector, "static", 7.5)
-    found = [failure for failure in failures(setup, collector, 8.0) if "uplink_video" in failure]
+    found = [failure for failure in failures(collector, 8.0) if "uplink_video" in failure]
     assert found == [], "half a second after the switch no picture is due yet"
     select(collector, "head", 3)
     select(collector, "static", 5)
-    (found,) = [failure for failure in failures(setup, collector, 8.0) if "uplink_video" in failure]
+    (found,) = [failure for failure in failures(collector, 8.0) if "uplink_video" in failure]
     assert "in the last 3.0 s" in found
 
 
 def test_an_input_that_no_page_has_given_anything_is_no_failure():
+    def without_pictures(setup):
+        collector = told(displayed=0, setup=setup)
+        for name in setup.camera_inputs:
+            for half in range(1, 21):
+                process = collector.topology.input(name).process
+                collector.handle_message(process, message(CaptureFigures()), half * NS_PER_S // 2)
+        return collector
+
     cameras = dict.fromkeys(SETUP.camera_inputs, "page")
-    setup = replace(SETUP, sources=cameras)
-    collector = told(displayed=0)
-    for name in setup.camera_inputs:
-        for half in range(1, 21):
-            process = collector.topology.input(name).process
-            collector.handle_message(process, message(CaptureFigures()), half * NS_PER_S // 2)
-    assert failures(setup, collector, 10.0) == []
-    assert (
-        str(silences(setup, collector)[0]) == "camera_left: no picture for 10 s (no page gives it)"
-    )
-    assert all(silence.waits for silence in silences(setup, collector))
-    assert failures(SETUP, collector, 10.0) == ["uplink_video: nothing was displayed"]
+    collector = without_pictures(replace(SETUP, sources=cameras))
+    assert failures(collector, 10.0) == []
+    assert str(silences(collector)[0]) == "camera_left: no picture for 10 s (no page gives it)"
+    assert all(silence.waits for silence in silences(collector))
+    assert failures(without_pictures(SETUP), 10.0) == ["uplink_video: nothing was displayed"]
     # From what a page gave, something must be shown.
     given = message(CaptureFigures(captured_ns=9 * NS_PER_S))
     collector.handle_message("camera_left", given, 10 * NS_PER_S)
-    assert failures(setup, collector, 10.0) == ["uplink_video: nothing was displayed"]
+    assert failures(collector, 10.0) == ["uplink_video: nothing was displayed"]
 
 
 def test_an_input_that_stopped_is_named():
@@ -299,12 +299,11 @@ def test_an_input_that_stopped_is_named():
     # The camera was restarted, and has captured nothing since.
     fault = CaptureFigures(source_fault="the writer has gone")
     collector.handle_message("camera_left", message(fault), 8 * NS_PER_S)
-    (silence,) = silences(SETUP, collector)
+    (silence,) = silences(collector)
     assert str(silence) == "camera_left: no picture for 5 s (the writer has gone)"
-    (silence,) = silences(SETUP, collector, 10 * NS_PER_S)
+    (silence,) = silences(collector, 10 * NS_PER_S)
     assert silence.silent_ns == 7 * NS_PER_S
     report = build_report(
-        SETUP,
         collector,
         seconds=8.0,
         cpu_s={"camera_left": 1.0},
@@ -313,7 +312,7 @@ def test_an_input_that_stopped_is_named():
     )
     assert report.processes["camera_left"].silent_s == 5.0
     # While pictures come there is no silence.
-    assert silences(SETUP, run_on(told(), shown_until_s=8, captured_until_s=8)) == []
+    assert silences(run_on(told(), shown_until_s=8, captured_until_s=8)) == []
 
 
 def test_an_input_that_never_delivered_is_named():
@@ -321,7 +320,7 @@ def test_an_input_that_never_delivered_is_named():
     for now_ns in (NS_PER_S, 4 * NS_PER_S):
         told_now = message(CaptureFigures(), CaptureFigures())
         collector.handle_message("camera_left", told_now, now_ns)
-    (silence,) = silences(SETUP, collector)
+    (silence,) = silences(collector)
     assert str(silence) == "camera_left: no picture for 3 s"
 
 
@@ -340,7 +339,7 @@ def test_the_arithmetic_of_a_direction_adds_up_to_its_capacity():
     for name in ("spacejustin", "taskboard"):
         setup = BUILT_IN[name]
         for direction, profile in (("uplink", setup.uplink), ("downlink", setup.downlink)):
-            lines = link_figures(setup, Collector(topology_of(setup)), direction).arithmetic
+            lines = link_figures(Collector(topology_of(setup)), direction).arithmetic
             assert sum(line.bps for line in lines) == profile.media_bps
             assert lines[-1].what == "spare"
             assert lines[-1].bps > 0

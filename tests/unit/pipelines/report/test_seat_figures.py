@@ -84,12 +84,11 @@ def at(report, key):
 
 
 def test_every_figure_is_that_of_the_report(collector):
-    figures = SeatFigures(SETUP, collector)
+    figures = SeatFigures(collector)
     look(figures)
     found = told(figures).figures
     report = to_builtins(
         build_report(
-            SETUP,
             collector,
             seconds=2.0,
             cpu_s=CPU_S,
@@ -117,7 +116,7 @@ def test_every_figure_is_that_of_the_report(collector):
 
 
 def test_what_is_true_now_is_there_beside_it(collector):
-    figures = SeatFigures(SETUP, collector)
+    figures = SeatFigures(collector)
     look(figures)
     found = told(figures).figures
     assert (found["uplink_video.age_ms"], found["uplink_video.state"]) == (45.0, "fresh")
@@ -130,7 +129,7 @@ def test_what_is_true_now_is_there_beside_it(collector):
 
 
 def test_the_share_of_a_core_is_that_of_the_last_two_seconds(collector):
-    figures = SeatFigures(SETUP, collector)
+    figures = SeatFigures(collector)
 
     def robot(at_s, spent_s):
         look(figures, at_s)
@@ -149,7 +148,7 @@ def test_the_share_of_a_core_is_that_of_the_last_two_seconds(collector):
 
 
 def test_ground_control_is_told_which_page_holds_the_handle(collector):
-    figures = SeatFigures(SETUP, collector)
+    figures = SeatFigures(collector)
     for holder in (0, 3):
         at_ns = round((2 + holder) * NS_PER_S)
         collector.handle_message(
@@ -160,7 +159,7 @@ def test_ground_control_is_told_which_page_holds_the_handle(collector):
 
 
 def test_a_message_has_the_fields_that_pages_rely_on(collector):
-    figures = SeatFigures(SETUP, collector)
+    figures = SeatFigures(collector)
     look(figures, robot={"restarts": 2, "running": False, "error": "ended by SIGKILL"})
     found = json.loads(msgspec.json.encode(told(figures)))
     assert list(found) == [
@@ -221,7 +220,7 @@ def events(feed, launcher, at_s):
 
 
 def test_without_a_watcher_there_is_no_message_and_no_cost(collector):
-    feed, launcher = SeatFeed(SETUP, collector), Launcher()
+    feed, launcher = SeatFeed(collector), Launcher()
     assert feed.poll_messages(launcher, 2 * NS_PER_S) == {}
     watched(collector, "page_space", 0)
     # The other page has no listener here.
@@ -233,7 +232,7 @@ def test_without_a_watcher_there_is_no_message_and_no_cost(collector):
 
 
 def test_each_life_of_a_page_process_gets_every_event_once(collector):
-    feed, launcher = SeatFeed(SETUP, collector), Launcher()
+    feed, launcher = SeatFeed(collector), Launcher()
     # Something happens before anybody watches.
     launcher.switch.handle_order(Order.STOP, 0)
     feed.poll_messages(launcher, 2 * NS_PER_S)

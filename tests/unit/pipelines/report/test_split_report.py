@@ -51,7 +51,6 @@ def alone(segment):
 def report_of(collector):
     names = [row.name for row in collector.topology.processes_here]
     report = build_report(
-        SETUP,
         collector,
         seconds=SECONDS,
         cpu_s=dict.fromkeys(names, 1.0),
@@ -116,7 +115,7 @@ def test_a_path_without_protection_is_warned_of_and_stands_in_the_event_log():
     (warning,) = find_path_warnings(collector, Segment)
     assert (warning.what, warning.where) == ("not_protected", "ground_gateway")
     assert report_of(collector).gateways["ground"].peer.protected is False
-    log = EventLog(SETUP, collector)
+    log = EventLog(collector)
     for now_ns in (NS_PER_S, 2 * NS_PER_S):
         log.handle_look((), switch=SessionSwitch(), started_ns=0, now_ns=now_ns)
         # Each event is told once.

@@ -3,8 +3,8 @@
 import copy
 
 import pytest
+from partial_report import partial_report
 
-from pipelines.report.result import JsonReader
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.virtual.campaign.figures import (
     Crash,
@@ -23,7 +23,11 @@ TASK = SessionTask(setup=BUILT_IN["spacejustin"], seconds=100.0, seed=1)
 def report(seconds=100.0, windows=((10, 90),), contact=None):
     """The report of a session without media and with a signal in `windows` (s)."""
     contacts = [
-        {"acquired_ns": begin * S, "lost_ns": None if end is None else end * S}
+        {
+            "acquired_ns": begin * S,
+            "connected_ns": None,
+            "lost_ns": None if end is None else end * S,
+        }
         for begin, end in windows
     ]
     heard_s = sum((seconds if end is None else end) - begin for begin, end in windows)
@@ -33,7 +37,7 @@ def report(seconds=100.0, windows=((10, 90),), contact=None):
             "contact_ns": heard_s * S,
             "contacts": contacts,
         },
-        "radio": {"frames_hit": 3} | ({} if contact is None else {"contact": contact}),
+        "radio": {"frames_hit": 3, "contact": contact},
     }
     samples = round(1000 * seconds)
     haptic = {
@@ -75,23 +79,23 @@ def video(**changed):
 
 
 def test_the_usable_window_is_that_of_the_orbit_within_the_session():
-    assert usable_window(JsonReader(report()), 0.0) == (0.0, 100.0)
-    assert usable_window(JsonReader(report(contact=CONTACT)), 0.0) == (30.0, 100.0)
-    assert usable_window(JsonReader(report(contact=CONTACT)), 50.0) == (0.0, 100.0)
-    assert usable_window(JsonReader(report(contact=CONTACT)), 250.0) == (0.0, 50.0)
-    assert usable_window(JsonReader(report(contact=CONTACT)), 400.0) is None
+    assert usable_window(partial_report(report()), 0.0) == (0.0, 100.0)
+    assert usable_window(partial_report(report(contact=CONTACT)), 0.0) == (30.0, 100.0)
+    assert usable_window(partial_report(report(contact=CONTACT)), 50.0) == (0.0, 100.0)
+    assert usable_window(partial_report(report(contact=CONTACT)), 250.0) == (0.0, 50.0)
+    assert usable_window(partial_report(report(contact=CONTACT)), 400.0) is None
 
 
 def test_signal_counts_in_the_window_and_at_the_end_with_less():
     found = report(windows=((10, 40), (50, None)))
-    assert signal_s(JsonReader(found), 30.0, 100.0) == pytest.approx(60.0)
+    assert signal_s(partial_report(found), 30.0, 100.0) == pytest.approx(60.0)
     found["gateways"]["space"] = copy.deepcopy(found["gateways"]["space"])
     found["gateways"]["space"]["supervision"]["contacts"].pop()
-    assert signal_s(JsonReader(found), 30.0, 100.0) == pytest.approx(10.0)
+    assert signal_s(partial_report(found), 30.0, 100.0) == pytest.approx(10.0)
 
 
 def test_a_pass_that_kept_its_signal_is_usable():
-    figures = pass_figures(JsonReader(report(windows=((10, 20), (29, None)), contact=CONTACT)))
+    figures = pass_figures(partial_report(report(windows=((10, 20), (29, None)), contact=CONTACT)))
     assert (figures.predicted_s, figures.usable_s) == (70.0, 70.0)
     assert faults(figures) == []
 
@@ -102,7 +106,7 @@ def test_a_pass_that_kept_its_signal_is_usable():
         (lambda it: it.update(failures=["something"]), "failed"),
         (lambda it: it["haptic"]["up"].update(pauses_s=[[50, 51.1]]), "stuck"),
         (lambda it: it["streams"]["uplink_video"].update(pauses_s=[[25, 33.1]]), "stuck"),
-        (lambda it: it["haptic"]["down"]["energy"].update(least_uj=-3), "unstable"),
+        (lambda it: it["haptic"]["down"]["port"].update(least_uj=-3), "unstable"),
         (lambda it: it["streams"].update(uplink_video=video(payload_bps_max_1s=85_100)), "cap"),
         (lambda it: it["streams"].update(uplink_video=video(payload_bps_max_100ms=128_000)), "cap"),
     ],
@@ -110,10 +114,10 @@ def test_a_pass_that_kept_its_signal_is_usable():
 def test_each_fault_has_its_word(change, word):
     found = report(windows=((20, None),), contact=CONTACT)
     found["streams"]["uplink_video"] = video()
-    found["haptic"]["down"]["energy"] = {"least_uj": -2}
-    assert faults(pass_figures(JsonReader(found))) == []
+    found["haptic"]["down"]["port"] = {"least_uj": -2}
+    assert faults(pass_figures(partial_report(found))) == []
     change(found)
-    named = faults(pass_figures(JsonReader(found)))
+    named = faults(pass_figures(partial_report(found)))
     assert len(named) == 1
     assert word in named[0]
 
@@ -122,18 +126,18 @@ def test_a_pause_counts_only_while_there_is_a_signal_in_the_usable_window():
     found = report(windows=((20, 50), (50.5, None)), contact=CONTACT)
     # Of these 12, 5 and 3 s no more than 2.9 at a time were with a signal from second 30 on.
     found["streams"]["uplink_video"] = video(pauses_s=[[20, 32.9], [47.5, 52.5], [97.1, 100.0]])
-    figures = pass_figures(JsonReader(found))
+    figures = pass_figures(partial_report(found))
     assert figures.longest_pause_s == {"shown": 2.9, "felt": 0.0}
     assert faults(figures) == []
     found["gateways"]["ground"]["radio"]["contact"] = CONTACT | {"usable_to_s": 99.0}
-    assert pass_figures(JsonReader(found)).longest_pause_s["shown"] == 2.9
+    assert pass_figures(partial_report(found)).longest_pause_s["shown"] == 2.9
     found["streams"]["uplink_video"]["pauses_s"] = [[95.1, 100.0]]
-    assert pass_figures(JsonReader(found)).longest_pause_s["shown"] == 3.9
+    assert pass_figures(partial_report(found)).longest_pause_s["shown"] == 3.9
 
 
 def test_a_signal_lost_for_more_than_a_hundredth_of_the_window_is_unusable():
     lost = report(windows=((20, 50), (51, None)), contact=CONTACT)
-    assert faults(pass_figures(JsonReader(lost))) == ["unusable"]
+    assert faults(pass_figures(partial_report(lost))) == ["unusable"]
     assert faults(Crash("killed")) == ["crashed"]
 
 
@@ -142,7 +146,7 @@ def test_an_empty_stream_has_no_latencies():
     none = dict.fromkeys(("p50", "p99", "p99.9", "max"), 0.0) | {"count": 0}
     silent["haptic"]["up"]["latency_ms"] = none
     silent["streams"]["uplink_video"] = video(latency_ms=none)
-    found = run_figures(TASK, "key", JsonReader(silent), ())
+    found = run_figures(TASK, "key", partial_report(silent), ())
     assert found.faults == ()
     assert found.figures["force_p99_ms"] is None
     assert found.figures["video_p50_ms"] is None

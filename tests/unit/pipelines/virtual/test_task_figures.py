@@ -1,12 +1,11 @@
 """Figures and verdict of a pass with a plan of tasks."""
 
 import pytest
+from partial_report import partial_report
 
-from pipelines.report.result import JsonReader
 from pipelines.session.task_journal import STEPS
 from pipelines.virtual.campaign.figures import (
     task_faults,
-    task_figures,
     task_names,
     task_numbers,
 )
@@ -16,9 +15,19 @@ from telepresence.tasks.plan import PlannedTask, SessionPlan
 def run(name="aiming", result="finished", seconds=20.0, steps=STEPS):
     return {
         "name": name,
+        "run": 1,
         "result": result,
         "reason": "",
+        "selected_ns": 0,
         "seconds": seconds,
+        "path_m": 1.0,
+        "force_max_n": 1.0,
+        "force_mean_n": 1.0,
+        "error_mean": None,
+        "error_max": None,
+        "frames": 1000,
+        "frames_lost": 0,
+        "delay_ms": 10.0,
         "steps": [{"at_ns": 1_000_000_000, "step": step} for step in steps],
     }
 
@@ -30,7 +39,7 @@ def of(*runs, seconds=100.0, signal_s=100.0):
         "supervision": {
             "counts": {"signals_acquired": 1},
             "contact_ns": signal_s * 1e9,
-            "contacts": [{"acquired_ns": 0, "lost_ns": lost_ns}],
+            "contacts": [{"acquired_ns": 0, "connected_ns": None, "lost_ns": lost_ns}],
         },
         "radio": {"frames_hit": 0, "contact": {"usable_from_s": 0.0, "usable_to_s": signal_s}},
     }
@@ -45,7 +54,7 @@ def of(*runs, seconds=100.0, signal_s=100.0):
         "failures": [],
         "tasks": list(runs),
     }
-    return task_figures(JsonReader(body))
+    return partial_report(body)
 
 
 def test_a_pass_is_usable_if_a_task_is_finished_in_the_order_of_the_steps():

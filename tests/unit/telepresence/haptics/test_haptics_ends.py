@@ -332,7 +332,7 @@ def test_a_hand_that_yields_at_once_receives_no_more_than_the_credit() -> None:
             # First at rest, then with the greatest acceleration that the controller allows for.
             v_m_s += joystick_side.model.acceleration_m_s2 * 1e-3 if 50 <= k < 60 else 0.0
             x_m += v_m_s * 1e-3
-            assert joystick_side.observed_uj >= -1.0
+            assert joystick_side.credit_uj >= -1.0
 
 
 @pytest.mark.parametrize(
@@ -358,7 +358,7 @@ def test_without_a_valid_command_the_robot_holds_and_its_pressure_decays(
     assert max(forces) > 5.0
     assert forces[-1] < 0.2
     assert 0.059 < min(places[500:]) <= max(places) < 0.08
-    assert robot_side.observed_uj >= 0.0
+    assert robot_side.credit_uj >= 0.0
 
 
 def test_a_blocked_reference_pulls_only_with_its_spring() -> None:

@@ -205,8 +205,8 @@ def test_without_the_controllers_the_observers_only_observe() -> None:
     robot_side = RobotController(passive=False)
     for k in range(200):
         robot_side.step(Command(1e-4 * k, 0.0, 0), 0.0, 0.0, 0.0, 0.0, MS)
-    assert robot_side.observed_uj < -10_000
-    assert robot_side.least_observed_uj == robot_side.observed_uj
+    assert robot_side.credit_uj < -10_000
+    assert robot_side.least_observed_uj == robot_side.credit_uj
     assert robot_side.acted == 0
     held = RobotController()
     for k in range(200):
