@@ -9,6 +9,7 @@ from pipelines.mission.rows import process_rows as mission
 from pipelines.partner.rows import process_rows as partner
 from pipelines.recording.rows import process_rows as recording
 from pipelines.report.rows import process_rows as report
+from pipelines.ros2.rows import process_rows as ros2_room
 from pipelines.seats.rows import process_rows as seats
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
@@ -27,6 +28,7 @@ ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
     seats,
     partner,
     report,
+    ros2_room,
 )
 
 
@@ -42,6 +44,7 @@ def topology_of(
     trainer: bool = False,
     tasks: bool = False,
     metrics: bool = False,
+    ros2: bool = False,
     components: tuple[Component, ...] = (),
     segments: tuple[Segment, ...] = tuple(Segment),
 ) -> Topology:
@@ -59,6 +62,7 @@ def topology_of(
         trainer=trainer,
         tasks=tasks,
         metrics=metrics,
+        ros2=ros2,
         components=components,
     )
     streams = Topology(setup=setup, options=options, segments=segments)

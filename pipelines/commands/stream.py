@@ -30,6 +30,7 @@ from pipelines.commands.metrics_options import (
 )
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
 from pipelines.commands.record_options import add_record_arguments, wish_of
+from pipelines.commands.ros2_options import add_ros2_argument, ros2_arguments
 from pipelines.commands.rtc_leg import (
     RtcWish,
     add_rtc_arguments,
@@ -103,7 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--joystick",
         default=SIMULATED,
         metavar="SPEC",
-        help="sim, page (the hand of who sits at the operator's page), evdev, "
+        help="sim, page (the hand of who sits at the operator's page), ros2 (a node's), evdev, "
         "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: "
         "sim); see `kontur-av joystick list`",
     )
@@ -130,6 +131,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_page_arguments(parser)
     add_rtc_arguments(parser)
     add_metrics_argument(parser)
+    add_ros2_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -149,6 +151,7 @@ def run(args: argparse.Namespace) -> int:
         check_robot(args.robot, setup.more_axes)
         check_robot(args.second_robot)
     say_unprotected(args.joystick, args.robot)
+    ros2 = ros2_arguments(args)
     components = load_components(args.telemetry, built_in_dictionary())
     tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
@@ -169,6 +172,7 @@ def run(args: argparse.Namespace) -> int:
         trainer=args.trainer,
         tasks=tasks is not None,
         metrics=args.metrics is not None,
+        ros2=bool(ros2),
         components=components,
         segments=plan.segments,
     )
@@ -201,7 +205,10 @@ def run(args: argparse.Namespace) -> int:
             topology=topology,
             processes=topology.processes_here,
             awaited=None if wish is None else RECORDER,
-            arguments=_arguments(topology, None if one is None else one.plan, rtc_wish, tasks),
+            arguments={
+                **_arguments(topology, None if one is None else one.plan, rtc_wish, tasks),
+                **ros2,
+            },
             clock=clock,
             listener=collector,
             snapshots=snapshots,

@@ -90,6 +90,7 @@ class RunningSession:
             pages=pages,
             recorder=True,
             tasks=bool({"--plan", "--tasks"} & {*options}),
+            ros2="--ros2" in options,
         )
         words = ["stream", "--setup", setup, *options, *([] if pages else ["--no-page"])]
         self._begin(topology.processes, words, directory)

@@ -43,6 +43,7 @@ class SessionOptions:
     trainer: with the process that takes a trainer's requests.
     tasks: with the processes by which tasks are done.
     metrics: with the process that serves figures to a monitoring system.
+    ros2: with the process that is a node of a ROS 2 system.
     components: of users, in the telemetry.
     """
 
@@ -55,6 +56,7 @@ class SessionOptions:
     trainer: bool = False
     tasks: bool = False
     metrics: bool = False
+    ros2: bool = False
     components: tuple[Component, ...] = ()
 
 
