@@ -29,7 +29,7 @@ KEPT: Final = 5
 _NO_LIMITS = ",:,:,,"
 
 
-class Quality(Enum):
+class RosQuality(Enum):
     """Quality of service; the value is its text in a token.
 
     ROS 2 numbers: reliable 1, best effort 2; transient local 1, volatile 2.
@@ -47,7 +47,7 @@ class Endpoint:
     topic: str
     type: str
     type_hash: str
-    quality: Quality
+    quality: RosQuality
 
 
 @dataclass(frozen=True, kw_only=True)

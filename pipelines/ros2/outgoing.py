@@ -22,9 +22,9 @@ from pipelines.ros2.publications import (
     JOY,
     POSE,
     TWIST,
-    Content,
     Publication,
-    Source,
+    RosContent,
+    RosSource,
 )
 from pipelines.session.figures import MonitoredSession
 from telepresence.tmtc.k2aci import Chat
@@ -37,7 +37,7 @@ _PICTURE_NS: Final = 90 * NS_PER_MS
 _TOLD: Final = ("streams", "haptics", "link", "processes")
 
 
-class Outgoing(NamedTuple):
+class Outbound(NamedTuple):
     """A message to publish."""
 
     publication: Publication
@@ -56,25 +56,25 @@ class SessionMessages:
         self.missed: Counter[str] = Counter()
         self._sequences: dict[str, int] = {}
         #: By source of access units.
-        self._streams: dict[Source, JoinedStream] = {}
+        self._streams: dict[RosSource, JoinedStream] = {}
         #: By topic of pictures: when the next one is due.
         self._due: dict[str, int] = {}
         #: Half of the range of each axis of the joystick; {} until it is known.
         self._halves: dict[str, float] = {}
 
-    def handle_joined(self, source: Source) -> None:
+    def handle_joined(self, source: RosSource) -> None:
         """The topic is read from now on."""
         self._sequences.pop(source.topic, None)
 
-    def handle_subscriber(self, source: Source, now_ns: int) -> None:
+    def handle_subscriber(self, source: RosSource, now_ns: int) -> None:
         """Somebody has subscribed to access units."""
         self._stream(source).handle_subscriber(now_ns)
 
-    def due(self, source: Source, captured_ns: int) -> bool:
+    def due(self, source: RosSource, captured_ns: int) -> bool:
         """Whether to code a picture that was captured then."""
         return captured_ns >= self._due.get(source.topic, 0)
 
-    def picture(self, source: Source, picture: I420, stamp: CaptureStamp) -> Iterator[Outgoing]:
+    def picture(self, source: RosSource, picture: I420, stamp: CaptureStamp) -> Iterator[Outbound]:
         """Yield a picture's message. Ask `due` before."""
         self._due[source.topic] = stamp.capture_ns + _PICTURE_NS
         image = cv2.cvtColor(picture, cv2.COLOR_YUV2BGR_I420)
@@ -82,30 +82,29 @@ class SessionMessages:
         assert made
         for publication in source.publications:
             octets = self._messages.image(jpeg.reshape(-1), source.name, stamp.capture_ns)
-            yield Outgoing(publication, octets)
+            yield Outbound(publication, octets)
 
     def octets(
         self,
-        source: Source,
+        source: RosSource,
         octets: bytes,
         stamp: CaptureStamp,
         wanted: Collection[Publication],
         now_ns: int,
-    ) -> Iterator[Outgoing]:
+    ) -> Iterator[Outbound]:
         """Yield the messages of any other sample. wanted: publications that have subscribers."""
         chosen = [one for one in source.publications if one in wanted]
-        if source.content is Content.UNIT:
-            if not chosen:
-                self._sequences.pop(source.topic, None)
-            else:
-                self._count(source, stamp)
+        if source.content is RosContent.UNIT and not chosen:
+            self._sequences.pop(source.topic, None)
+        else:
+            self._count(source, stamp)
+        if source.content is RosContent.UNIT:
             stream, unit = self._stream(source), CodedUnit.unpack(octets)
             stream.handle_unit(unit, stamp, now_ns, subscribed=bool(chosen))
             yield from self._units(source, stream)
-        elif source.content is Content.HAPTICS:
-            self._count(source, stamp)
+        elif source.content is RosContent.HAPTICS:
             yield from self._haptics(source, octets, chosen)
-        elif source.content is Content.JOYSTICK:
+        elif source.content is RosContent.JOYSTICK:
             status = unpack_status(octets)
             if status is not None:
                 self._halves = {"x": status.half_width_m, "y": status.half_height_m}
@@ -114,22 +113,22 @@ class SessionMessages:
             news = unpack_news(octets)
             if isinstance(news, K2aciArrived) and news.kind == Chat.__name__:
                 line = f"{news.fields['sender']}: {news.fields['text']}"
-                yield Outgoing(CHAT_TOPIC, self._messages.text(line))
+                yield Outbound(CHAT_TOPIC, self._messages.text(line))
 
-    def next_event(self) -> tuple[Source, KeyPictureWanted] | None:
+    def next_event(self) -> tuple[RosSource, KeyPictureWanted] | None:
         """Return a key picture that is wanted for those who subscribed, or None."""
         for source, stream in self._streams.items():
             if (wanted := stream.next_event()) is not None:
                 return source, wanted
         return None
 
-    def key_picture(self, source: Source, number: int, key: bytes | None) -> Iterator[Outgoing]:
+    def key_picture(self, source: RosSource, number: int, key: bytes | None) -> Iterator[Outbound]:
         """Yield the messages that waited for a key picture; None: it could not be made."""
         stream = self._stream(source)
         stream.handle_key_picture(number, key)
         yield from self._units(source, stream)
 
-    def figures(self, told: bytes, now_ns: int) -> Outgoing:
+    def figures(self, told: bytes, now_ns: int) -> Outbound:
         """Return the diagnostics of what the launcher has told: a `MonitoredSession`."""
         news = msgspec.json.decode(told, type=MonitoredSession)
         report = msgspec.json.decode(news.report)
@@ -138,34 +137,34 @@ class SessionMessages:
             for part in _TOLD
             for name, figures in report.get(part, {}).items()
         }
-        return Outgoing(DIAGNOSTICS_TOPIC, self._messages.diagnostics(news.problems, parts, now_ns))
+        return Outbound(DIAGNOSTICS_TOPIC, self._messages.diagnostics(news.problems, parts, now_ns))
 
-    def _stream(self, source: Source) -> JoinedStream:
+    def _stream(self, source: RosSource) -> JoinedStream:
         return self._streams.setdefault(source, JoinedStream())
 
-    def _units(self, source: Source, stream: JoinedStream) -> Iterator[Outgoing]:
+    def _units(self, source: RosSource, stream: JoinedStream) -> Iterator[Outbound]:
         for unit in stream.poll_transmit():
             message = self._messages.video(unit.data, source.name, unit.session_ns)
             for publication in source.publications:
-                yield Outgoing(publication, message)
+                yield Outbound(publication, message)
 
     def _haptics(
-        self, source: Source, octets: bytes, chosen: Iterable[Publication]
-    ) -> Iterator[Outgoing]:
+        self, source: RosSource, octets: bytes, chosen: Iterable[Publication]
+    ) -> Iterator[Outbound]:
         rows, made = rows_of(octets), self._messages
         if not len(rows):
             return
         for publication in chosen:
             if publication.type == POSE:
-                yield Outgoing(publication, made.pose(rows, source.name))
+                yield Outbound(publication, made.pose(rows, source.name))
             elif publication.type == TWIST:
-                yield Outgoing(publication, made.twist(rows, source.name))
+                yield Outbound(publication, made.twist(rows, source.name))
             elif publication.type != JOY:
-                yield Outgoing(publication, made.wrench(rows, source.name))
+                yield Outbound(publication, made.wrench(rows, source.name))
             elif self._halves:
-                yield Outgoing(publication, made.joy(rows, source.name, self._halves))
+                yield Outbound(publication, made.joy(rows, source.name, self._halves))
 
-    def _count(self, source: Source, stamp: CaptureStamp) -> None:
+    def _count(self, source: RosSource, stamp: CaptureStamp) -> None:
         before = self._sequences.get(source.topic)
         self._sequences[source.topic] = stamp.sequence
         # A smaller number is that of a writer that was started again.

@@ -17,20 +17,20 @@ from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import INPUT_OCTETS, pack_input
 from pipelines.media.key_picture_maker import KeyPictureMaker
-from pipelines.ros2.conventions import KEPT, Attachment, Endpoint, Node, Quality, gid_of
+from pipelines.ros2.conventions import KEPT, Attachment, Endpoint, Node, RosQuality, gid_of
 from pipelines.ros2.figures import Ros2Figures
 from pipelines.ros2.hand import Ros2Hand
 from pipelines.ros2.messages import MOST_OCTETS, RosMessages
-from pipelines.ros2.outgoing import Outgoing, SessionMessages
+from pipelines.ros2.outgoing import Outbound, SessionMessages
 from pipelines.ros2.publications import (
     DIAGNOSTICS_TOPIC,
     JOY_TOPIC,
     NAMESPACE,
     SETUP_TOPIC,
     VELOCITY_TOPIC,
-    Content,
     Publication,
-    Source,
+    RosContent,
+    RosSource,
     publications_of,
     sources_of,
 )
@@ -44,7 +44,7 @@ _LOOK_NS = 100 * NS_PER_MS
 #: Unread samples of a topic that are kept, and messages that come in: the newest.
 _DEPTH = 32
 #: Access units, because a key picture may be made of them; news, because nothing is said twice.
-_ALWAYS_READ = (Content.UNIT, Content.NEWS)
+_ALWAYS_READ = (RosContent.UNIT, RosContent.NEWS)
 #: As the sessions of rmw_zenoh. The router is tried again for ever.
 _CONFIG = {
     "mode": "peer",
@@ -83,10 +83,10 @@ class _Publisher:
     def __init__(self, session: zenoh.Session, node: Node, number: int, endpoint: Endpoint) -> None:
         token = node.publisher_token(number, endpoint)
         self._gid, self.sent = gid_of(token), 0
-        reliable = endpoint.quality is not Quality.SENSOR
+        reliable = endpoint.quality is not RosQuality.SENSOR
         self._plain = self._latched = None
         drop = zenoh.CongestionControl.DROP
-        if endpoint.quality is Quality.LATCHED:
+        if endpoint.quality is RosQuality.LATCHED:
             self._latched = declare_advanced_publisher(
                 session,
                 node.key(endpoint),
@@ -132,14 +132,14 @@ class _Ros2Process:
             if source.content in _ALWAYS_READ
         }
         #: Those whose pictures have subscribers.
-        self._pictured: list[Source] = []
+        self._pictured: list[RosSource] = []
         self._wanted: set[Publication] = set()
         self._malformed, self._connected = 0, False
         self._maker = KeyPictureMaker()
         #: Key pictures that are being made.
-        self._keys: dict[tuple[Source, int], Future[bytes | None]] = {}
+        self._keys: dict[tuple[RosSource, int], Future[bytes | None]] = {}
         #: Sources to which somebody just subscribed.
-        self._joined: set[Source] = set()
+        self._joined: set[RosSource] = set()
         self._hand: Ros2Hand | None = None
         context.on_flush(self._tell)
 
@@ -148,7 +148,7 @@ class _Ros2Process:
         self._session = session
         self._declare(domain)
         setup = self._ros.text(setup_toml(context.setup))
-        self._publish(Outgoing(SETUP_TOPIC, setup))
+        self._publish(Outbound(SETUP_TOPIC, setup))
         due_ns = look_ns = self._now_ns()
         while not context.stopping:
             now_ns = self._now_ns()
@@ -197,7 +197,7 @@ class _Ros2Process:
             )
             for source in self._sources
             for publication in source.publications
-            if source.content is Content.UNIT
+            if source.content is RosContent.UNIT
         }
         if ROS2_HAND_TOPIC not in topology.process(ROS2).writes:
             return
@@ -229,14 +229,14 @@ class _Ros2Process:
         self._pictured = []
         for source in self._sources:
             wanted = self._wanted.intersection(source.publications)
-            if wanted and source.content is Content.PICTURE:
+            if wanted and source.content is RosContent.PICTURE:
                 self._pictured.append(source)
             elif wanted and source not in self._readers:
                 self._messages.handle_joined(source)
                 self._readers[source] = self._bus.reader(source.topic, depth=_DEPTH)
             elif not wanted and source in self._readers and source.content not in _ALWAYS_READ:
                 self._readers.pop(source).close()
-            if source.content is Content.UNIT and (source in self._joined or wanted - before):
+            if source.content is RosContent.UNIT and (source in self._joined or wanted - before):
                 self._messages.handle_subscriber(source, now_ns)
         # A subscription may come a little after its token: it is heeded at the next look.
         self._joined = set()
@@ -247,7 +247,7 @@ class _Ros2Process:
 
     def _read(self, now_ns: int) -> None:
         for source, reader in self._readers.items():
-            if source.content is Content.PICTURE:
+            if source.content is RosContent.PICTURE:
                 continue
             samples: deque[tuple[bytes, CaptureStamp]] = deque(maxlen=_most(source))
             for _ in range(_DEPTH):
@@ -259,7 +259,7 @@ class _Ros2Process:
                 for message in self._messages.octets(source, octets, stamp, self._wanted, now_ns):
                     self._publish(message)
 
-    def _picture(self, source: Source) -> None:
+    def _picture(self, source: RosSource) -> None:
         """Join a topic for one picture at a time, so that a built-in scene draws only these."""
         reader, messages = self._readers.get(source), self._messages
         if reader is None:
@@ -289,7 +289,7 @@ class _Ros2Process:
             for message in self._messages.key_picture(source, number, key):
                 self._publish(message)
 
-    def _publish(self, message: Outgoing) -> None:
+    def _publish(self, message: Outbound) -> None:
         publisher = self._publishers.get(message.publication)
         if publisher is not None:  # there is none before zenoh is open
             publisher.put(message.octets, self._now_ns() + self._offset_ns)
@@ -299,7 +299,9 @@ class _Ros2Process:
         if hand is None:
             return
         for publication, subscriber in self._subscribers.items():
-            while (sample := subscriber.try_recv()) is not None:
+            for _ in range(_DEPTH):
+                if (sample := subscriber.try_recv()) is None:
+                    break
                 try:
                     self._take(hand, publication, sample, now_ns)
                 except ProtocolError:
@@ -341,12 +343,12 @@ def _newest() -> "zenoh.handlers.RingChannel[zenoh.Sample]":
     return zenoh.handlers.RingChannel(_DEPTH)
 
 
-def _most(source: Source) -> int:
+def _most(source: RosSource) -> int:
     """How many samples are published at once: of haptics those that a subscriber keeps, too."""
-    return KEPT if source.content is Content.HAPTICS else _DEPTH
+    return KEPT if source.content is RosContent.HAPTICS else _DEPTH
 
 
-def _runs(topology: Topology, source: Source) -> bool:
+def _runs(topology: Topology, source: RosSource) -> bool:
     """Whether something on this machine writes the topic."""
     known = source.topic in topology.reads(ROS2)
     return known and topology.runs(topology.topic(source.topic).writer)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
-from pipelines.ros2.conventions import Quality
+from pipelines.ros2.conventions import RosQuality
 from pipelines.session.topology import (
     JOYSTICK_STATE_TOPIC,
     JOYSTICK_TRACE_TOPIC,
@@ -24,7 +24,7 @@ POSE, TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
 WRENCH, DIAGNOSTICS = "geometry_msgs/msg/WrenchStamped", "diagnostic_msgs/msg/DiagnosticArray"
 
 
-class Content(Enum):
+class RosContent(Enum):
     """What a sample of a topic holds."""
 
     PICTURE = "picture"
@@ -39,20 +39,20 @@ class Publication(NamedTuple):
 
     topic: str
     type: str
-    quality: Quality = Quality.SENSOR
+    quality: RosQuality = RosQuality.SENSOR
 
 
 #: Those of no topic.
-DIAGNOSTICS_TOPIC: Final = Publication("/diagnostics", DIAGNOSTICS, Quality.RELIABLE)
-CHAT_TOPIC: Final = Publication(f"{NAMESPACE}/chat", TEXT, Quality.RELIABLE)
-SETUP_TOPIC: Final = Publication(f"{NAMESPACE}/setup", TEXT, Quality.LATCHED)
+DIAGNOSTICS_TOPIC: Final = Publication("/diagnostics", DIAGNOSTICS, RosQuality.RELIABLE)
+CHAT_TOPIC: Final = Publication(f"{NAMESPACE}/chat", TEXT, RosQuality.RELIABLE)
+SETUP_TOPIC: Final = Publication(f"{NAMESPACE}/setup", TEXT, RosQuality.LATCHED)
 #: What comes in.
 JOY_TOPIC: Final = Publication("/joy", JOY)
 VELOCITY_TOPIC: Final = Publication("/cmd_vel", TWIST)
 
 
 @dataclass(frozen=True)
-class Source:
+class RosSource:
     """A topic of the session. name: of what it is about, which is its frame in ROS 2.
 
     publications: what becomes of a sample. Pictures and haptics are read only while one of them has
@@ -60,41 +60,41 @@ class Source:
     """
 
     topic: Topic
-    content: Content
+    content: RosContent
     name: str
     publications: tuple[Publication, ...] = ()
 
 
-def sources_of(topology: Topology) -> tuple[Source, ...]:
+def sources_of(topology: Topology) -> tuple[RosSource, ...]:
     """Return what is read of a session."""
     return tuple(_sources(topology))
 
 
-def publications_of(sources: Iterable[Source]) -> tuple[Publication, ...]:
+def publications_of(sources: Iterable[RosSource]) -> tuple[Publication, ...]:
     """Return all topics of ROS 2 that these and a session itself become, each once."""
     own = (DIAGNOSTICS_TOPIC, CHAT_TOPIC, SETUP_TOPIC)
     found = (one for source in sources for one in source.publications)
     return tuple(dict.fromkeys((*own, *found)))
 
 
-def _sources(topology: Topology) -> Iterator[Source]:
+def _sources(topology: Topology) -> Iterator[RosSource]:
     for row in topology.inputs:
         if row.kind is Kind.VIDEO:
             image = Publication(f"{NAMESPACE}/camera/{row.name}/compressed", IMAGE)
-            yield Source(row.topic, Content.PICTURE, row.name, (image,))
+            yield RosSource(row.topic, RosContent.PICTURE, row.name, (image,))
     for video in topology.video_streams:
         for way, topic in (("sent", video.sent_topic), ("received", video.coded_topic)):
             coded = Publication(f"{NAMESPACE}/{video.name}/{way}", VIDEO)
-            yield Source(topic, Content.UNIT, video.name, (coded,))
+            yield RosSource(topic, RosContent.UNIT, video.name, (coded,))
         seen = Publication(f"{NAMESPACE}/{video.name}/received/compressed", IMAGE)
-        yield Source(video.received_topic, Content.PICTURE, video.name, (seen,))
-    yield Source(ROBOT_TRACE_TOPIC, Content.HAPTICS, "tip", _moved("tip"))
+        yield RosSource(video.received_topic, RosContent.PICTURE, video.name, (seen,))
+    yield RosSource(ROBOT_TRACE_TOPIC, RosContent.HAPTICS, "tip", _moved("tip"))
     joy = Publication(f"{NAMESPACE}/handle/joy", JOY)
     # Its half ranges make shares of places.
-    yield Source(JOYSTICK_STATE_TOPIC, Content.JOYSTICK, "handle", (joy,))
-    yield Source(JOYSTICK_TRACE_TOPIC, Content.HAPTICS, "handle", (*_moved("handle"), joy))
+    yield RosSource(JOYSTICK_STATE_TOPIC, RosContent.JOYSTICK, "handle", (joy,))
+    yield RosSource(JOYSTICK_TRACE_TOPIC, RosContent.HAPTICS, "handle", (*_moved("handle"), joy))
     for segment in Segment:
-        yield Source(TMTC_TOPICS[segment], Content.NEWS, "chat")
+        yield RosSource(TMTC_TOPICS[segment], RosContent.NEWS, "chat")
 
 
 def _moved(end: str) -> tuple[Publication, ...]:

@@ -3,14 +3,14 @@
 import pytest
 
 from kontur_av.errors import ProtocolError
-from pipelines.ros2.conventions import Attachment, Endpoint, Node, Quality, gid_of
+from pipelines.ros2.conventions import Attachment, Endpoint, Node, RosQuality, gid_of
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 CHATTER = Endpoint(
     topic="/robot/chatter",
     type="std_msgs/msg/String",
     type_hash=STRING,
-    quality=Quality.SENSOR,
+    quality=RosQuality.SENSOR,
 )
 NODE = Node(domain=7, zenoh_id="a1b2", namespace="/ns", name="talker")
 
@@ -26,7 +26,7 @@ def test_key_expressions_are_those_of_rmw_zenoh():
         f"@ros2_lv/7/a1b2/0/4/MS/{names}/{topic}/{quality}"
     )
     assert NODE.subscribers(CHATTER) == "@ros2_lv/7/*/*/*/MS/*/*/*/%robot%chatter/**"
-    assert (Quality.LATCHED.value, Quality.RELIABLE.value) == (":1:,1:,:,:,,", "::,10:,:,:,,")
+    assert (RosQuality.LATCHED.value, RosQuality.RELIABLE.value) == (":1:,1:,:,:,,", "::,10:,:,:,,")
 
 
 def test_an_attachment_is_that_of_rmw_zenoh():
