@@ -11,6 +11,7 @@ from pipelines.packets.rows import process_rows as packets
 from pipelines.partner.rows import process_rows as partner
 from pipelines.recording.rows import process_rows as recording
 from pipelines.report.rows import process_rows as report
+from pipelines.ros2.rows import process_rows as ros2_room
 from pipelines.seats.rows import process_rows as seats
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
@@ -31,6 +32,7 @@ ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
     report,
     foxglove_rows,
     packets,
+    ros2_room,
 )
 
 
@@ -48,6 +50,7 @@ def topology_of(
     metrics: bool = False,
     foxglove: bool = False,
     packets: bool = False,
+    ros2: bool = False,
     components: tuple[Component, ...] = (),
     segments: tuple[Segment, ...] = tuple(Segment),
 ) -> Topology:
@@ -67,6 +70,7 @@ def topology_of(
         metrics=metrics,
         foxglove=foxglove,
         packets=packets,
+        ros2=ros2,
         components=components,
     )
     streams = Topology(setup=setup, options=options, segments=segments)

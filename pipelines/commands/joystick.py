@@ -24,7 +24,7 @@ from telepresence.haptics.device.checks import CHECKS, CheckBench
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.gamepad import find_gamepads
 from telepresence.haptics.device.simulated import FAULTS
-from telepresence.haptics.device.spec import PAGE, is_simulated, open_device
+from telepresence.haptics.device.spec import PAGE, ROS2_HAND, is_simulated, open_device
 
 _ALL = "all"
 
@@ -71,6 +71,7 @@ def _list(print: Callable[[str], None] = print) -> int:
     for fault in FAULTS:
         print(f"sim:{fault:<28} the same with this fault")
     print(f"{PAGE:<32} the simulated one in the hand of a person at a page; in a session only")
+    print(f"{ROS2_HAND:<32} the same in the hand of a ROS 2 node, with `stream --ros2`")
     try:
         found = find_gamepads()
     except ConfigError as error:
@@ -88,9 +89,9 @@ def _list(print: Callable[[str], None] = print) -> int:
 
 
 def _open(spec: str, axes: Sequence[AxisName] | None = None) -> JoystickDevice:
-    if spec == PAGE:
+    if spec in (PAGE, ROS2_HAND):
         raise ConfigError(
-            "page: a page moves it in a session only, with `kontur-av stream --joystick page`; "
+            f"{spec}: it is moved in a session only, with `kontur-av stream --joystick {spec}`; "
             "its mechanics are those of sim: take that"
         )
     say_unprotected(spec)

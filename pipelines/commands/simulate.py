@@ -33,13 +33,13 @@ from pipelines.session.setup.table import Setup
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import replay, simulate
-from telepresence.haptics.device.spec import GAME_CONTROLLER, PAGE, open_device
+from telepresence.haptics.device.spec import GAME_CONTROLLER, PAGE, ROS2_HAND, open_device
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.robot_spec import open_robot
 from telepresence.tasks.task_files import load_plan
 
 #: Kinds of robots and joysticks whose time is not ours.
-_REAL_TIME = (PAGE, GAME_CONTROLLER, "udp")
+_REAL_TIME = (PAGE, ROS2_HAND, GAME_CONTROLLER, "udp")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -36,6 +36,7 @@ from pipelines.commands.metrics_options import (
 from pipelines.commands.packets_options import add_packets_arguments, bound_packets
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
 from pipelines.commands.record_options import add_record_arguments, wish_of
+from pipelines.commands.ros2_options import add_ros2_argument, ros2_arguments
 from pipelines.commands.rtc_leg import (
     RtcWish,
     add_rtc_arguments,
@@ -109,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--joystick",
         default=SIMULATED,
         metavar="SPEC",
-        help="sim, page (the hand of who sits at the operator's page), evdev, "
+        help="sim, page (the hand of who sits at the operator's page), ros2 (a node's), evdev, "
         "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: "
         "sim); see `kontur-av joystick list`",
     )
@@ -138,6 +139,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_metrics_argument(parser)
     add_foxglove_argument(parser)
     add_packets_arguments(parser)
+    add_ros2_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -157,6 +159,7 @@ def run(args: argparse.Namespace) -> int:
         check_robot(args.robot, setup.more_axes)
         check_robot(args.second_robot)
     say_unprotected(args.joystick, args.robot)
+    ros2 = ros2_arguments(args)
     components = load_components(args.telemetry, built_in_dictionary())
     tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
@@ -179,6 +182,7 @@ def run(args: argparse.Namespace) -> int:
         metrics=args.metrics is not None,
         foxglove=args.foxglove is not None,
         packets=args.packets is not None,
+        ros2=bool(ros2),
         components=components,
         segments=plan.segments,
     )
@@ -217,6 +221,7 @@ def run(args: argparse.Namespace) -> int:
             arguments={
                 **_arguments(topology, None if one is None else one.plan, rtc_wish, tasks),
                 PACKETS: {"plan": packets},
+                **ros2,
             },
             clock=clock,
             listener=collector,

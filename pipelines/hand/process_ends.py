@@ -38,6 +38,7 @@ from pipelines.session.topology import (
     ROBOT,
     ROBOT_TOPIC,
     ROBOT_TRACE_TOPIC,
+    ROS2_HAND_TOPIC,
     TELEMETRY,
     TRAINER_TOPIC,
     WALL_TOPIC,
@@ -170,8 +171,9 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
             elif ROBOT_TOPIC in reads and isinstance(device, SimulatedDevice):
                 seldom.append(seeing(bus, hand))
             before = None
-            if isinstance(device, PageDevice) and HAND_INPUT_TOPIC in reads:
-                before = _hand(bus, device)
+            inputs = [topic for topic in (HAND_INPUT_TOPIC, ROS2_HAND_TOPIC) if topic in reads]
+            if isinstance(device, PageDevice) and inputs:
+                before = _hand(bus, device, inputs[0])
             ports = session_ports(context.topology, JOYSTICK)
             run_loop(context, end, ports, before=before, seldom=seldom)
     finally:
@@ -248,9 +250,9 @@ def _exercises(bus: TopicBus, handle: OperatedHandle) -> Cycle:
     return follow
 
 
-def _hand(bus: TopicBus, device: PageDevice) -> Cycle:
-    """Return what takes the newest input of the page that holds the handle."""
-    latest = bus.reader(HAND_INPUT_TOPIC).latest_octets
+def _hand(bus: TopicBus, device: PageDevice, topic: str) -> Cycle:
+    """Return what takes the newest input of the page or node that holds the handle."""
+    latest = bus.reader(topic).latest_octets
 
     def take(now_ns: int) -> None:
         octets = latest()

@@ -20,6 +20,7 @@ from pipelines.session.topology import (
     ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
     ROBOT_TRACE_TOPIC,
+    ROS2_HAND_TOPIC,
     SECOND_ROBOT,
     SECOND_ROBOT_TOPIC,
     SELECTED_TOPIC,
@@ -32,7 +33,7 @@ from pipelines.session.topology import (
     given,
     partner_ports,
 )
-from telepresence.haptics.device.spec import PAGE
+from telepresence.haptics.device.spec import PAGE, ROS2_HAND
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
@@ -96,6 +97,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 # How old the picture is that the operator sees.
                 session.video(setup.uplink_video.name).lag_topic,
                 *given(options.joystick == PAGE, HAND_INPUT_TOPIC),
+                *given(options.joystick == ROS2_HAND, ROS2_HAND_TOPIC),
                 HAND_REQUEST_TOPIC,
                 JOYSTICK_COMMAND_TOPIC,
                 TRAINER_TOPIC,

@@ -13,7 +13,7 @@ from pipelines.report.session_report import build_report
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import Event, MonitoredSession, SessionEvents
 from pipelines.session.launcher import Launcher, launcher_cpu_s
-from pipelines.session.topology import FOXGLOVE, METRICS, RECORDER
+from pipelines.session.topology import FOXGLOVE, METRICS, RECORDER, ROS2
 
 #: How often these two are sent figures; a message for pages is made twice as often.
 _RECORDED_EVERY_NS = 9 * NS_PER_S // 10
@@ -36,8 +36,8 @@ class SeatFeed:
     """Makes a message for each page process while somebody watches its pages.
 
     Each life of a page process is sent every event once. So are the recorder while it records, and
-    the bridge to Foxglove while it has clients, with the figures once a second. A monitoring system
-    gets the report so far every two seconds.
+    the bridge to Foxglove while it has clients, with the figures once a second. Monitoring and ROS
+    2 systems get the report so far every two seconds.
     """
 
     def __init__(self, collector: Collector) -> None:
@@ -103,7 +103,8 @@ class SeatFeed:
 
     def _monitored(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
         due_ns = self._monitored_ns + _MONITORED_EVERY_NS
-        if not self._collector.topology.options.metrics or now_ns < due_ns:
+        monitors = {child.row.name for child in launcher.children} & {METRICS, ROS2}
+        if not monitors or now_ns < due_ns:
             return {}
         self._monitored_ns = now_ns
         report = session_report(launcher, self._collector)
@@ -114,7 +115,7 @@ class SeatFeed:
             report=msgspec.Raw(to_json(report)),
             problems=self._health.problems(report, down, now_ns),
         )
-        return {METRICS: msgspec.json.encode(told)}
+        return dict.fromkeys(monitors, msgspec.json.encode(told))
 
     def _events(self, process: str, pid: int | None) -> list[Event]:
         life, number = self._told.get(process, (pid, 0))

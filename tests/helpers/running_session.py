@@ -91,6 +91,7 @@ class RunningSession:
             recorder=True,
             tasks=bool({"--plan", "--tasks"} & {*options}),
             foxglove="--foxglove" in options,
+            ros2="--ros2" in options,
         )
         words = ["stream", "--setup", setup, *options, *([] if pages else ["--no-page"])]
         self._begin(topology.processes, words, directory)

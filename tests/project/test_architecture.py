@@ -195,7 +195,7 @@ USERS_OF_SHELLS = {
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
     "kontur_av/sources/page.py": {"FILLED_BY_OTHERS", "PAGE", "TOPIC"},
-    "telepresence/haptics/device/spec.py": {"PAGE", "SIMULATED"},
+    "telepresence/haptics/device/spec.py": {"PAGE", "ROS2_HAND", "SIMULATED"},
     "kontur_av/clock.py": {
         "NS_PER_MS",
         "NS_PER_S",
@@ -313,6 +313,7 @@ LIBRARIES = {
     "pipelines/partner/description.py": ({"aiortc"}, "session descriptions as text"),
     "pipelines/partner/ice_servers.py": ({"aiortc", "hmac"}, "credentials from a secret"),
     "pipelines/partner/incoming.py": ({"aiortc"}, "the estimate of a rate"),
+    "pipelines/ros2/": ({"cv2", "msgspec", "rosbags"}, "CDR, JPEG and JSON: octets only"),
     "pipelines/virtual/simulate.py": ({"msgspec"}, "copies a part of the report"),
     "pipelines/virtual/session.py": ({"msgspec"}, "copies a part of the report"),
 }

@@ -45,6 +45,7 @@ class SessionOptions:
     metrics: with the process that serves figures to a monitoring system.
     foxglove: with the process that serves the channels to Foxglove.
     packets: with the process that another ground system talks to.
+    ros2: with the process that is a node of a ROS 2 system.
     components: of users, in the telemetry.
     """
 
@@ -59,6 +60,7 @@ class SessionOptions:
     metrics: bool = False
     foxglove: bool = False
     packets: bool = False
+    ros2: bool = False
     components: tuple[Component, ...] = ()
 
 

@@ -22,6 +22,8 @@ METRICS = "metrics"
 FOXGLOVE = "foxglove"
 #: The process that another ground system talks to.
 PACKETS = "packets"
+#: The process that is a node of a ROS 2 system.
+ROS2 = "ros2"
 #: By segment: the process that serves its browser pages.
 PAGES = {segment: f"page_{segment.value}" for segment in Segment}
 #: The process that has the connections to partners, and the one that shows the partner.
@@ -61,6 +63,7 @@ ROBOT_STATUS_TOPIC = Topic(
 WALL_TOPIC = Topic("received/wall", "message with the wall that the robot touched")
 #: What the operator's page and the joystick tell each other; see `pipelines.hand.hand_topics`.
 HAND_INPUT_TOPIC = Topic("hand/input", "where a page's hand wants the handle, dead-man button")
+ROS2_HAND_TOPIC = Topic("hand/ros2", "the same of a ROS 2 node's hand")
 HAND_REQUEST_TOPIC = Topic("hand/request", "a person's command to the joystick")
 JOYSTICK_COMMAND_TOPIC = Topic("joystick/command", "a telecommand to the joystick")
 JOYSTICK_STATE_TOPIC = Topic("joystick/state", "state of the joystick, answer to a command")

@@ -236,3 +236,9 @@ class PageDevice(Mechanics):
             muscles.mass_kg,
             dt_ns,
         )
+
+
+class Ros2Device(PageDevice):
+    """The same, in the hand of a ROS 2 node in the place of a page."""
+
+    facts = replace(FACTS, name="ROS 2 node")

@@ -5,6 +5,7 @@
 | `sim` | the simulated joystick |
 | `sim:FAULT` | the same, broken: see `simulated.FAULTS` |
 | `page` | the simulated joystick in the hand of a person at a browser page |
+| `ros2` | the same in the hand of a ROS 2 node |
 | `evdev` | the first game controller |
 | `evdev:PATH` | the one at PATH, such as /dev/input/event5 |
 | `udp:HOST:PORT` | a controller in any language on this machine; with `:KEYFILE`, on any |
@@ -21,14 +22,16 @@ from telepresence.haptics.udp_line import UDP
 
 SIMULATED = "sim"
 PAGE = "page"
+ROS2_HAND = "ros2"
 GAME_CONTROLLER = "evdev"
 DOOR = PartDoor(
     "joystick",
-    "sim, sim:FAULT, page, evdev, evdev:/dev/input/eventN, udp:HOST:PORT or module:Class",
+    "sim, sim:FAULT, page, ros2, evdev, evdev:/dev/input/eventN, udp:HOST:PORT or module:Class",
     "kontur_av.joysticks",
     {
         SIMULATED: "telepresence.haptics.device.simulated:open_simulated",
         PAGE: "telepresence.haptics.device.page:PageDevice",
+        ROS2_HAND: "telepresence.haptics.device.page:Ros2Device",
         GAME_CONTROLLER: "telepresence.haptics.device.gamepad:open_gamepad",
         UDP: "telepresence.haptics.device.udp_joystick:UdpJoystick",
     },

@@ -1,0 +1,28 @@
+"""The process that is a node of a ROS 2 system."""
+
+from pipelines.ros2.publications import sources_of
+from pipelines.session.topology import (
+    ROS2,
+    ROS2_HAND_TOPIC,
+    ProcessRow,
+    Stage,
+    Topology,
+    given,
+)
+from telepresence.haptics.device.spec import ROS2_HAND
+
+
+def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
+    """The process of `--ros2`."""
+    return (
+        ProcessRow(
+            name=ROS2,
+            when=session.options.ros2,
+            segment=None,
+            stage=Stage.SINK,
+            run="pipelines.ros2.process_ros2:run_ros2",
+            reads=tuple(source.topic for source in sources_of(session)),
+            writes=given(session.options.joystick == ROS2_HAND, ROS2_HAND_TOPIC),
+            what="is a node of a ROS 2 system",
+        ),
+    )
