@@ -36,6 +36,8 @@ class JoinedStream:
 
     def __init__(self) -> None:
         self._start = StreamStart()
+        #: The next unit that a decoder can begin with is somebody's first.
+        self._begins = True
         self._ready: list[DatedUnit] = []
         self._held: list[DatedUnit] = []
         self._wanted: KeyPictureWanted | None = None
@@ -48,7 +50,7 @@ class JoinedStream:
         """Somebody has subscribed."""
         self._again_ns = now_ns + _AGAIN_NS
         if self._wanted is None:
-            self._start.handle_part()
+            self._begins = True
 
     def handle_unit(
         self, unit: CodedUnit, stamp: CaptureStamp, now_ns: int, *, subscribed: bool
@@ -56,8 +58,10 @@ class JoinedStream:
         """A unit has come. subscribed: somebody wants it."""
         if self._again_ns is not None and now_ns >= self._again_ns and self._wanted is None:
             self._again_ns = None
-            self._start.handle_part()
-        key, data = self._start.handle_unit(unit, stamp, now_ns)
+            self._begins = True
+        begun = self._start.handle_unit(unit, stamp, now_ns, begins=self._begins)
+        self._begins = self._begins and begun is None
+        key, data = begun or (None, unit.data)
         if not subscribed:
             self._held, self._wanted = [], None
             return
