@@ -25,7 +25,7 @@ def test_closing_the_generator_ends_the_sessions():
     endless = replace(TASK, seconds=90_000.0)
     with closing(run_sessions([TASK, endless], jobs=2)) as runs:
         number, found = next(runs)
-    assert (number, found.number("simulation", "seed")) == (0, 1)
+    assert (number, found.simulation.seed) == (0, 1)
 
 
 def test_a_session_that_ended_early_counts_as_crashed(monkeypatch):
