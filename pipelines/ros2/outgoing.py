@@ -44,7 +44,7 @@ class Outbound(NamedTuple):
     octets: bytes
 
 
-class SessionMessages:
+class OutgoingMessages:
     """The messages that a session publishes.
 
     missed: samples that were gone before they were read, by topic of the session. Pictures of which

@@ -21,7 +21,7 @@ from pipelines.ros2.conventions import KEPT, Attachment, Endpoint, Node, RosQual
 from pipelines.ros2.figures import Ros2Figures
 from pipelines.ros2.hand import Ros2Hand
 from pipelines.ros2.messages import MOST_OCTETS, RosMessages
-from pipelines.ros2.outgoing import Outbound, SessionMessages
+from pipelines.ros2.outgoing import Outbound, OutgoingMessages
 from pipelines.ros2.publications import (
     DIAGNOSTICS_TOPIC,
     JOY_TOPIC,
@@ -123,7 +123,7 @@ class _Ros2Process:
         self._context, self._bus = context, bus
         self._now_ns, self._offset_ns = context.clock.now_ns, context.clock.wall_offset_ns
         topology, self._ros = context.topology, RosMessages(context.clock.wall_offset_ns)
-        self._messages = SessionMessages(self._ros)
+        self._messages = OutgoingMessages(self._ros)
         self._sources = [source for source in sources_of(topology) if _runs(topology, source)]
         self._publishers: dict[Publication, _Publisher] = {}
         self._readers = {

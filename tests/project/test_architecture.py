@@ -139,6 +139,7 @@ FILES = {
     "pipelines/virtual/campaign/sweep_file.py",
     "pipelines/recording/export/csv_files.py",
     "pipelines/recording/export/films.py",
+    "pipelines/recording/export/lerobot.py",
     "pipelines/recording/export/mat_file.py",
     "pipelines/recording/matroska.py",
     "pipelines/recording/recording_file.py",

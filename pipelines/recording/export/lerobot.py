@@ -309,7 +309,7 @@ class _Writing:
         assert outputs is not None
         self._directory, self._outputs = directory, outputs
         self._cameras, self._hand, self._fps, self._setup = cameras, hand, fps, setup
-        self.episodes: list[dict[str, Any]] = []
+        self.episodes: list[dict[str, object]] = []
         self._tasks: list[str] = []
         self._rows: list[dict[str, NDArray[Any]]] = []
         self._all_colours = {camera.key: _Colours() for camera in cameras}
@@ -352,7 +352,7 @@ class _Writing:
         indices = (np.arange(count), number, self._total + np.arange(count), task)
         for name, index in zip(_INDEX, indices, strict=True):
             rows[name] = np.broadcast_to(np.asarray(index, np.int64), count)
-        episode: dict[str, Any] = {
+        episode: dict[str, object] = {
             "episode_index": number,
             "tasks": [run.task],
             "length": count,
@@ -439,8 +439,8 @@ class _Writing:
             told.append(f"{self._old} rows have a cycle of the robot that is older than 20 ms")
         return told
 
-    def _info(self, rows: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-        features: dict[str, Any] = {}
+    def _info(self, rows: Mapping[str, NDArray[Any]]) -> dict[str, object]:
+        features: dict[str, object] = {}
         for one in self._cameras:
             width, height = one.size
             told = {"height": height, "width": width, "codec": "h264", "pix_fmt": "yuv420p"}
