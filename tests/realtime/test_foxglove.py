@@ -171,7 +171,7 @@ def test_foxgloves_client_gets_what_the_recording_has(start, tmp_path):
             time.sleep(0.5)
             counts = Counter(topic for topic, *_ in looker.messages())
             wanted = ("/uplink_video/sent", "/downlink_video/received", "/haptic/up/received")
-            others = ("/figures", "/camera/static", "/uplink_voice/sent", "/telemetry/received")
+            others = ("/figures", "/camera/static", "/uplink_voice/sent", "/telemetry/ground/received")
             return all(counts[one] > 60 for one in wanted) and all(counts[one] for one in others)
 
         eventually(enough, "messages of all kinds")
@@ -224,7 +224,8 @@ def test_a_client_that_does_not_read_loses_messages_and_nobody_else(start, tmp_p
     try:
         eventually(lambda: looker.answers("channels"), "the channels")
         before = session.shown()
-        eventually(lambda: session.shown()["haptic_up"] > before["haptic_up"] + 12_000, "12 s")
+        # The kernel's buffers take about 6 MB first.
+        eventually(lambda: session.shown()["haptic_up"] > before["haptic_up"] + 25_000, "25 s")
         process = looker.process
         process.kill()
     finally:
