@@ -93,11 +93,12 @@ def _base(metas: ElementTree.Element, source: int) -> None:
 
 def _script(good: Iterable[int], bad: Iterable[int]) -> str:
     def among(subtypes: Iterable[int]) -> str:
-        return " || ".join(f"subtype.value == {one}" for one in subtypes)
+        return " || ".join(f"+subtype.value == {one}" for one in subtypes)
 
+    # Two boxed integers of Java are equal by identity only; a sign makes them numbers.
     return (
-        "if (apid.value == sentApid.value && count.value == sentCount.value"
-        " && destination.value == sentSource.value) {"
+        "if (+apid.value == +sentApid.value && +count.value == +sentCount.value"
+        " && +destination.value == +sentSource.value) {"
         f" if ({among(good)}) return true;"
         f" if ({among(bad)}) return reason.value;"
         " }"
