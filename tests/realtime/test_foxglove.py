@@ -171,7 +171,12 @@ def test_foxgloves_client_gets_what_the_recording_has(start, tmp_path):
             time.sleep(0.5)
             counts = Counter(topic for topic, *_ in looker.messages())
             wanted = ("/uplink_video/sent", "/downlink_video/received", "/haptic/up/received")
-            others = ("/figures", "/camera/static", "/uplink_voice/sent", "/telemetry/ground/received")
+            others = (
+                "/figures",
+                "/camera/static",
+                "/uplink_voice/sent",
+                "/telemetry/ground/received",
+            )
             return all(counts[one] > 60 for one in wanted) and all(counts[one] for one in others)
 
         eventually(enough, "messages of all kinds")

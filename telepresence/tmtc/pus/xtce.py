@@ -190,7 +190,7 @@ def _time(types: ElementTree.Element) -> None:
     kind = add(types, "AbsoluteTimeParameterType", name="TIME_TYPE")
     encoding = add(kind, "Encoding", units="seconds", scale=repr(2**-16), offset="0")
     add(encoding, "IntegerDataEncoding", sizeInBits="48", encoding="unsigned")
-    add(add(kind, "ReferenceTime"), "Epoch", "1970-01-01T00:00:00")
+    add(add(kind, "ReferenceTime"), "Epoch", "UNIX")
 
 
 def _rest(types: ElementTree.Element, name: str, octets: int, *, text: bool) -> None:
