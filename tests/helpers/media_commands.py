@@ -76,7 +76,12 @@ def stop(one) -> bytes:
     """End a player after what it has got is decoded; its output."""
     time.sleep(1)
     one.send_signal(signal.SIGINT)
-    one.wait(timeout=20)
+    return output_of(one)
+
+
+def output_of(one) -> bytes:
+    """The output of a player that ends by itself."""
+    one.wait(timeout=30)
     one.data.seek(0)
     return one.data.read()
 
