@@ -40,13 +40,13 @@ def test_a_failed_check_is_exit_code_1_with_its_reason(capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["joystick", "test", "--device", "usb"], "write sim, sim:FAULT, page, evdev"),
+        (["joystick", "test", "--device", "usb"], "write sim, sim:FAULT, page, ros2, evdev"),
         (["joystick", "test", "--device", "page"], "stream --joystick page`; its mechanics"),
         (["joystick", "test", "--device", "sim:tired"], "the faults are stuck-x"),
         (["joystick", "test", "--report", "/nowhere/r.json"], "cannot be written"),
         (
             ["stream", "--setup", "taskboard", "--joystick", "usb"],
-            "write sim, sim:FAULT, page, evdev",
+            "write sim, sim:FAULT, page, ros2, evdev",
         ),
     ],
 )
