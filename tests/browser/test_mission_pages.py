@@ -129,7 +129,7 @@ def test_a_task_from_its_selection_to_its_end(session, start_browser):
     hand.release()
 
     top.show()
-    eventually(lambda: done(top) == 11, "all steps of Fig. 14")
+    eventually(lambda: done(top) == 12, "all steps of Fig. 14")
     result = "document.querySelector('run-table [data-result]').dataset.result"
     assert top.wait(result) == "finished"
     panel.show()
