@@ -132,7 +132,7 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
         assert session.ask("task", "select", "line").returncode == 1
         aborted = session.ask("task", "abort")
         assert aborted.returncode == 0, (aborted.stderr, watched.see(ExperimentShown))
-        assert watched.wait_for_result(3).reason == "a telecommand"
+        assert watched.wait_for_result(3).reason == "somebody on the ground ended it"
     code, report = session.interrupt()
     assert code == 0, report["failures"]
     rows = report["tasks"]
