@@ -53,7 +53,7 @@ class Seen:
 class MissionMemory(msgspec.Struct, frozen=True, kw_only=True):
     """What outlives the process: number of the next run, the run that is not over, all rows.
 
-    planned: runs of the plan that have finished.
+    planned: runs of the plan that have finished, or that somebody on the ground has ended.
 
     Instants are those of the session's clock.
     """
@@ -98,6 +98,8 @@ class MissionGround:
         self._listed = tuple(TaskListed(one.name, one.text) for one in catalogue.tasks.values())
         self._follower = None if plan is None else PlanFollower(plan, finished=memory.planned)
         self._next_run = memory.next_run
+        #: Somebody on the ground has ended the present run, so that the plan goes on.
+        self._aborted = False
         self._run: Logged | None = None
         self._started_ns: int | None = None
         self._link = LinkMeanwhile(0, 0, 0)
@@ -159,6 +161,7 @@ class MissionGround:
             refusal = "no task is being done"
         else:
             refusal = ""
+            self._aborted = True
             self.experiment.abort("somebody on the ground ended it", now_ns)
         self._settle(now_ns)
         return refusal
@@ -235,8 +238,10 @@ class MissionGround:
                     self._run, self._started_ns = event, None
                 self._steps.append(StepShown(event.now_ns, event.run, event.task, event.step.value))
             elif isinstance(event, TaskRun):
-                if self._follower is not None and event.result is TaskResult.FINISHED:
+                done = event.result is TaskResult.FINISHED or self._aborted
+                if self._follower is not None and done:
                     self._follower.handle_finished()
+                self._aborted = False
                 self._run = None
                 self._add_run(event)
 

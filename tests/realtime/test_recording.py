@@ -189,7 +189,7 @@ def test_a_terminal_joins_a_session_and_leaves_it_again(start, tmp_path):
 
 
 def test_a_full_disk_does_not_end_the_session(start, tmp_path, monkeypatch):
-    # The limit holds for shared memory, too: with it iceoryx2 leaves the recorder and a camera stuck.
+    # The limit holds for shared memory, too: iceoryx2 then leaves recorder and camera stuck.
     monkeypatch.setenv("KONTUR_AV_TOPICS", "files")
     path = tmp_path / "run.mcap"
     session = start("taskboard", "--record", str(path))

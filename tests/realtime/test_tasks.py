@@ -145,7 +145,7 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
     assert [path.name for path in files] == [
         "run-001-reach.mcap",
         "run-002-aiming.mcap",
-        "run-003-roam.mcap",
+        "run-003-aiming.mcap",
     ]
     assert report["processes"]["tasks"]["counts"]["unrecorded"] == 0
     for path in files:

@@ -19,6 +19,7 @@ from pipelines.session.task_journal import LinkMeanwhile
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.kernel import ChooseCamera, ControlRobot, MoveRobot, PowerRobot, Record
 from telepresence.tasks.panel_picture import DARK, pack_acknowledgement, parse_picture
+from telepresence.tasks.plan import PlannedTask, SessionPlan
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.k2aci import (
     PanelMode,
@@ -33,13 +34,13 @@ from telepresence.tmtc.k2aci import (
 class Ground:
     """A mission's ground with a robot that does at once what it is told."""
 
-    def __init__(self, memory=None):
+    def __init__(self, memory=None, plan=None):
         self.now_ns = 0
         self.robot = RobotStatus(
             life=1, powered=False, mode=ControlMode.POSITION, x_m=0, y_m=0, push_n=0
         )
         self.camera, self.recording, self.messages = "", False, []
-        self.core = MissionGround(built_in_tasks(), None, now_ns=0, memory=memory)
+        self.core = MissionGround(built_in_tasks(), plan, now_ns=0, memory=memory)
         self.settle()
 
     def change(self, **changes):
@@ -121,6 +122,25 @@ def test_functions_are_refused_in_words_where_they_cannot_be_done():
     assert ground.ask("start") == ""
     ground.go(1)
     assert ground.phase == "running"
+
+
+def test_a_plan_repeats_a_run_that_failed_and_goes_on_after_one_that_a_person_ended():
+    plan = SessionPlan(tasks=(PlannedTask(name="aiming"), PlannedTask(name="line")))
+    ground = Ground(plan=plan)
+    ground.go(5)
+    assert (ground.core.shown.task, ground.core.shown.run) == ("aiming", 1)
+    ground.change(fault="too hot")
+    ground.go(1)
+    ground.change(fault="")
+    ground.go(8)
+    assert (ground.core.shown.task, ground.core.shown.run) == ("aiming", 2)
+    # Another life of the process goes on in the same place.
+    assert ground.core.memory.planned == 0
+    assert ground.ask("abort") == ""
+    ground.go(12)
+    assert (ground.core.shown.task, ground.core.shown.run) == ("line", 3)
+    assert ground.core.memory.planned == 1
+    assert ground.core.telemetry["task"] == list(built_in_tasks().tasks).index("line")
 
 
 def test_a_panel_that_was_restarted_is_told_its_task_again_or_ends_the_run():
