@@ -212,7 +212,7 @@ def _schema(name: str, fields: Mapping[str, str], kind: str) -> dict[str, str]:
 
 
 def parameter_values(values: Mapping[str, Value], request: str | None = None) -> str:
-    """Return values of parameters by name; those that are None are not set."""
+    """Return values of parameters by name. None: the parameter has no value."""
     told: Sequence[dict[str, Value]] = [
         {"name": name} if value is None else {"name": name, "value": value}
         for name, value in values.items()

@@ -10,18 +10,19 @@ from pipelines.packets.allowed import AllowedCommands
 from pipelines.packets.figures import PacketsFigures
 from pipelines.session.probe import Probe
 from telepresence.link.bucket import TokenBucket
-from telepresence.tmtc.pus import verification
 from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.pus.head import HEADER_OCTETS, MAX_PACKET_OCTETS, is_packet, is_telecommand
 from telepresence.tmtc.pus.packets import (
     COUNT_MODULUS,
     Telecommand,
-    Telemetry,
-    cuc_from_ns,
-    pack_packet,
     parse_packet,
 )
-from telepresence.tmtc.pus.verification import Failure, VerificationStage, verification_of
+from telepresence.tmtc.pus.verification import (
+    Failure,
+    VerificationStage,
+    pack_refusal,
+    verification_of,
+)
 
 #: So many telecommands at once, then so many a second.
 COMMANDS_AT_ONCE, COMMANDS_PER_S = 8, 4
@@ -146,18 +147,15 @@ class PacketBridge:
     def _refuse(self, command: Telecommand, failure: Failure, reason: str, now_ns: int) -> None:
         self._add(outside_refused=1)
         report = verification_of(command, VerificationStage.ACCEPTED, failure, reason)
-        packet = Telemetry(
-            apid=command.apid,
+        packet = pack_refusal(
+            command,
+            report,
             count=self._count,
-            service=verification.SERVICE,
-            subtype=report.subtype,
-            data=verification.pack_verification(report),
-            counter=self._count,
             destination=self._source,
-            cuc=cuc_from_ns(now_ns + self._epoch_ns),
+            unix_ns=now_ns + self._epoch_ns,
         )
         self._count = (self._count + 1) % COUNT_MODULUS
-        self._reports.append(pack_packet(packet))
+        self._reports.append(packet)
 
 
 class PacketSplitter:

@@ -22,5 +22,5 @@ class Ros2Figures:
     taken: int = 0
     #: Those of a node while another one is heard.
     refused: int = 0
-    #: Those that are none, or hold what cannot be.
+    #: Malformed messages, and those with impossible values.
     malformed: int = 0

@@ -93,7 +93,7 @@ class Ros2Hand:
             return
         self.taken += 1
         pressed = len(joy.buttons) > DEAD_MAN_BUTTON and joy.buttons[DEAD_MAN_BUTTON]
-        # Whoever is heard anew may have held the button for long: motion needs a new press.
+        # The button may have been held since before: motion needs a new press.
         self._released = (self._released and known) or not pressed
         self._held = pressed and self._released
         self._buttons = sum(1 << at for at, on in enumerate(joy.buttons[:DEAD_MAN_BUTTON]) if on)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from kontur_av.errors import ConfigError, ProtocolError
 from telepresence.link.bucket import TokenBucket
 from telepresence.tmtc.k2aci import K2aciEndpoint
-from telepresence.tmtc.pus import verification
 from telepresence.tmtc.pus.application import PusApplication
 from telepresence.tmtc.pus.head import MAX_PACKET_OCTETS, apid_of, destination_of
 from telepresence.tmtc.pus.packets import (
@@ -18,7 +17,12 @@ from telepresence.tmtc.pus.packets import (
     parse_packet,
 )
 from telepresence.tmtc.pus.user import PusUser
-from telepresence.tmtc.pus.verification import Failure, VerificationStage, verification_of
+from telepresence.tmtc.pus.verification import (
+    Failure,
+    VerificationStage,
+    pack_refusal,
+    verification_of,
+)
 
 #: The private service (clause 5.3.2.3: from 128 on) that carries K2ACI.
 K2ACI_SERVICE, K2ACI_SUBTYPE = 129, 1
@@ -224,16 +228,12 @@ class PusNode:
         self.unrouted += 1
         reason = f"no application {command.apid} at this end"
         report = verification_of(command, VerificationStage.ROUTED, Failure.UNKNOWN_APID, reason)
-        packet = Telemetry(
-            # It has the APID of the telecommand, whose user knows it.
-            apid=command.apid,
+        packet = pack_refusal(
+            command,
+            report,
             count=self._failure_count,
-            service=verification.SERVICE,
-            subtype=report.subtype,
-            data=verification.pack_verification(report),
-            counter=self._failure_count,
             destination=command.source,
-            cuc=cuc_from_ns(now_ns + self._epoch_ns),
+            unix_ns=now_ns + self._epoch_ns,
         )
         self._failure_count = (self._failure_count + 1) % COUNT_MODULUS
-        self._failures.append(pack_packet(packet))
+        self._failures.append(packet)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from kontur_av.errors import ProtocolError
-from telepresence.tmtc.pus.packets import Telecommand
+from telepresence.tmtc.pus.packets import Telecommand, Telemetry, cuc_from_ns, pack_packet
 
 SERVICE = 1
 MOST_REASON = 100
@@ -76,6 +76,27 @@ def pack_verification(report: Verification) -> bytes:
     if report.failure is None:
         return request
     return request + bytes([report.failure]) + report.reason.encode("ascii")
+
+
+def pack_refusal(
+    command: Telecommand, report: Verification, *, count: int, destination: int, unix_ns: int
+) -> bytes:
+    """Return a packet with a report by somebody who has no APID: it has that of the telecommand.
+
+    count: of the reports of this kind. unix_ns: its instant, ns of Unix time.
+    """
+    return pack_packet(
+        Telemetry(
+            apid=command.apid,
+            count=count,
+            service=SERVICE,
+            subtype=report.subtype,
+            data=pack_verification(report),
+            counter=count,
+            destination=destination,
+            cuc=cuc_from_ns(unix_ns),
+        )
+    )
 
 
 def parse_verification(subtype: int, data: bytes) -> Verification:
