@@ -3,6 +3,7 @@
 import errno
 import os
 import socket
+import time
 from pathlib import Path
 from typing import TypeVar
 
@@ -10,9 +11,10 @@ import msgspec
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, session_root
+from pipelines.session.sessions import is_alive
 from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
 
-_PATIENCE_S = 5.0
+_PATIENCE_S, _AGAIN_S = 5.0, 0.05
 _Answer = TypeVar("_Answer", bound=msgspec.Struct)
 
 
@@ -21,8 +23,16 @@ def desk_path(session: str, desk: str) -> Path:
 
 
 def running_sessions(desk: str) -> list[str]:
-    """Return the sessions of this user in which a process listens on this socket, oldest first."""
-    found = session_root("x").parent.glob(f"*/{desk}")
+    """Return the sessions of this user in which a process listens on this socket, oldest first.
+
+    Where that process was killed and the launcher restarts it, wait for up to `_PATIENCE_S`.
+    """
+    until_s = time.monotonic() + _PATIENCE_S
+    found = list(session_root("x").parent.glob(f"*/{desk}"))
+    while any(is_alive(path.parent.name) and not _listens(path) for path in found):
+        if time.monotonic() > until_s:
+            break
+        time.sleep(_AGAIN_S)
     paths = sorted(filter(_listens, found), key=lambda path: path.stat().st_mtime)
     return [path.parent.name for path in paths]
 

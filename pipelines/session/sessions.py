@@ -87,6 +87,18 @@ def _lock_new(session: str) -> int | None:
             os.close(lock)
 
 
+def is_alive(session: str) -> bool:
+    """Whether a launcher holds the session."""
+    try:
+        lock = os.open(session_root(session) / _LOCK, os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        return not _locked(lock)
+    finally:
+        os.close(lock)
+
+
 def started_here(session: str) -> bool:
     """Whether the session was started in the terminal of this process (setsid(2))."""
     try:

@@ -13,6 +13,7 @@ from mujoco_robot.messages import (
     BRAKE,
     FOLLOW,
     GOOD_BYE,
+    MOST_MS,
     ORDER,
     PHYSICS,
     STATE,
@@ -38,7 +39,7 @@ class _Arm:
             raise ConfigError("the robot needs MuJoCo: pip install mujoco")
         self._directory = session_directory()
         self._udp = own_socket(self._directory / self.side)
-        self._order = ORDER.pack(BRAKE, 0.0, 0.0)
+        self._order: tuple[int, float, float] = BRAKE, 0.0, 0.0
         self._reading = RobotReading(0.0, 0.0, 0.0, 0.0)
         self._active, self._silent = False, _AGAIN
         self._process: subprocess.Popen[bytes] | None = None
@@ -58,23 +59,23 @@ class _Arm:
 
     def deactivate(self) -> None:
         self._active = False
-        self._order = ORDER.pack(BRAKE, 0.0, 0.0)
+        self._order = BRAKE, 0.0, 0.0
 
     def power_off(self) -> None:
-        self._send(ORDER.pack(GOOD_BYE, 0.0, 0.0))
+        self._send((GOOD_BYE, 0.0, 0.0))
         self._udp.close()
         (self._directory / self.side).unlink(missing_ok=True)
 
     def write_force(self, x_n: float, y_n: float) -> None:
         if self._active:
-            self._order = ORDER.pack(FOLLOW, x_n, y_n)
+            self._order = FOLLOW, x_n, y_n
 
     def write_position(self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float) -> None:
         raise NotImplementedError("it takes forces")
 
     def advance(self, dt_ns: int) -> None:
-        """Say what is ordered; with that the physics makes its next step."""
-        self._send(self._order)
+        """Say what is ordered; with that the physics makes its next steps."""
+        self._send(self._order, dt_ns)
         self._silent += 1
         if self._silent > _AGAIN:
             self._silent = 1 + _LOST
@@ -90,7 +91,9 @@ class _Arm:
             return self._reading._replace(error="the physics has ended, and is started again")
         return self._reading
 
-    def _send(self, octets: bytes) -> None:
+    def _send(self, order: tuple[int, float, float], dt_ns: int = 0) -> None:
+        kind, x_n, y_n = order
+        octets = ORDER.pack(kind, min(MOST_MS, dt_ns // NS_PER_MS), x_n, y_n)
         # Without a physics, or when it is late, nothing is sent: it brakes.
         with suppress(OSError):
             self._udp.sendto(octets, str(self._directory / PHYSICS))

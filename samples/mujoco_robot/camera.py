@@ -48,7 +48,7 @@ class HeadCamera(SceneVideo):
     def _render(self, into: I420, _sequence: int, _capture_ns: int) -> None:
         mujoco, data = self._mujoco, self._data
         try:
-            self._udp.sendto(ORDER.pack(SHOW, 0.0, 0.0), str(self._physics))
+            self._udp.sendto(ORDER.pack(SHOW, 0, 0.0, 0.0), str(self._physics))
             data.qpos[:] = memoryview(self._udp.recv(self._places_octets)).cast("d")
         except OSError:
             # It starts, or is started again.

@@ -8,8 +8,10 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 
-#: Of a driver: what it does, and the force at the tip (N, N).
-ORDER = struct.Struct("=Bdd")
+#: Of a driver: what it does, the time since its last order (ms), and the force at the tip (N, N).
+ORDER = struct.Struct("=BBdd")
+#: A driver that was late for longer misses the rest; the physics has braked its arm by then.
+MOST_MS = 20
 BRAKE, FOLLOW, GOOD_BYE, SHOW = range(4)
 #: For a driver: tip (m), velocity (m/s), force of the surroundings (N); contact; holds the ball.
 STATE = struct.Struct("=6d??")

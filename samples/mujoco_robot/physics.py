@@ -2,9 +2,9 @@
 
     python -m mujoco_robot.physics DIRECTORY
 
-Each arm's driver sends a datagram a millisecond to the socket in DIRECTORY; MuJoCo then makes a
-step of 1 ms, and the drivers get the newest state. An arm without a datagram for 20 ms brakes. The
-process ends when both were silent for two seconds.
+Each arm's driver sends a datagram a millisecond to the socket in DIRECTORY; MuJoCo then makes as
+many steps of 1 ms as passed for that driver, and the drivers get the newest state. An arm without a
+datagram for 20 ms brakes. The process ends when both were silent for two seconds.
 """
 
 import gc
@@ -25,6 +25,7 @@ from mujoco_robot.messages import (
     BRAKE,
     FOLLOW,
     GOOD_BYE,
+    MOST_MS,
     ORDER,
     PHYSICS,
     SHOW,
@@ -33,7 +34,7 @@ from mujoco_robot.messages import (
 )
 
 MODEL = Path(__file__).with_name("spacejustin.xml")
-_SILENT_NS, _GONE_NS, _START_NS = 20 * NS_PER_MS, 2 * NS_PER_S, 8 * NS_PER_S
+_SILENT_NS, _GONE_NS, _START_NS = MOST_MS * NS_PER_MS, 2 * NS_PER_S, 8 * NS_PER_S
 #: Impedance of the arm's posture, which the hand does not feel (N m/rad, N m s/rad).
 _POSTURE, _POSTURE_S = 4.0, 1.0
 #: The brakes in the session's plane.
@@ -66,15 +67,24 @@ class Arm:
         self._stays: tuple[float, float] | None = None
         self._holds = self._gave = False
         self._kind, self._force_n, self.heard_ns = BRAKE, (0.0, 0.0), -_GONE_NS
+        self._passed_ms = 0
 
-    def handle_order(self, kind: int, force_n: tuple[float, float], now_ns: int) -> None:
-        """Its driver was heard."""
+    def handle_order(
+        self, kind: int, force_n: tuple[float, float], now_ns: int, ms: int = 1
+    ) -> None:
+        """Its driver was heard, for which `ms` passed."""
         self._kind, self._force_n = kind, force_n
+        self._passed_ms = min(MOST_MS, self._passed_ms + ms)
         self.heard_ns = now_ns if kind != GOOD_BYE else -_GONE_NS
 
     def is_driven(self, now_ns: int) -> bool:
         """Whether its driver is there."""
         return now_ns - self.heard_ns < _SILENT_NS
+
+    def passed_ms(self) -> int:
+        """The time that passed for its driver since the last call."""
+        passed_ms, self._passed_ms = self._passed_ms, 0
+        return passed_ms
 
     def control(self, now_ns: int) -> None:
         """Set what acts in the next step."""
@@ -197,10 +207,13 @@ def serve(directory: Path) -> None:
         news.poll(1)
         now_ns = clock_ns()
         leader = next((arm for arm in world.arms.values() if arm.is_driven(now_ns)), None)
-        came = _listen(udp, world, now_ns)
-        # In step with a driver, so that it sees each step, also on a machine that is busy.
-        if leader is None or leader in came:
-            world.step(now_ns)
+        _listen(udp, world, now_ns)
+        # The driver's time, so that it sees each step, and nothing is slower on a busy machine.
+        passed_ms = {arm: arm.passed_ms() for arm in world.arms.values()}
+        steps = passed_ms[leader] if leader else 1
+        if steps:
+            for _ in range(steps):
+                world.step(now_ns)
             for name, arm in world.arms.items():
                 if arm.is_driven(now_ns):
                     _tell(udp, arm.state, str(directory / name))
@@ -208,21 +221,18 @@ def serve(directory: Path) -> None:
     shutil.rmtree(directory, ignore_errors=True)
 
 
-def _listen(udp: socket.socket, world: World, now_ns: int) -> set[Arm]:
-    """Take what came; return whose drivers were heard."""
-    came = set()
+def _listen(udp: socket.socket, world: World, now_ns: int) -> None:
+    """Take what came."""
     with suppress(BlockingIOError):
         while True:
             octets, sender = udp.recvfrom(ORDER.size + 1)
             if len(octets) != ORDER.size or not sender:
                 continue
-            kind, x_n, y_n = ORDER.unpack(octets)
+            kind, ms, x_n, y_n = ORDER.unpack(octets)
             if kind == SHOW:
                 _tell(udp, world.data.qpos.tobytes(), sender)
             elif (arm := world.arms.get(Path(sender).name)) is not None:
-                arm.handle_order(kind, (x_n, y_n), now_ns)
-                came.add(arm)
-    return came
+                arm.handle_order(kind, (x_n, y_n), now_ns, ms)
 
 
 def _tell(udp: socket.socket, octets: bytes, to: str) -> None:

@@ -129,6 +129,17 @@ def test_both_hands_feel_a_handshake_with_the_same_force():
     assert left.push_x_n == pytest.approx(-right.push_x_n, abs=0.1)
 
 
+def test_hands_that_meet_fast_break_no_limit_of_force():
+    bench, most_n = Bench(), 0.0
+    for passed_ms in range(1, 601):
+        met_s = min(passed_ms, 400) / 1000
+        readings = bench.lead(
+            0.001, right=(0.06 - 0.25 * met_s, 0.0), left=(0.15 * met_s - 0.06, 0.0)
+        )
+        most_n = max(most_n, *(hypot(one.push_x_n, one.push_y_n) for one in readings))
+    assert 10.0 < most_n < SpaceJustin.facts.force_limit_n
+
+
 def test_the_ball_goes_from_the_right_hand_to_the_left_one():
     bench = Bench()
     bench.lead(1.0, right=(0.1, 0.0))

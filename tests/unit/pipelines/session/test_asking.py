@@ -10,6 +10,7 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.session.asking import ask_desk, desk_path, running_sessions
+from pipelines.session.sessions import hold_session
 
 DESK = "trainer"
 
@@ -107,6 +108,25 @@ def test_a_killed_session_is_ignored(desk, kind):
         dead.bind(str(desk_path("dead", DESK)))
     assert running_sessions(DESK) == ["one"]
     assert ask() == Line("done")
+
+
+def test_a_process_that_is_restarted_is_waited_for(desk):
+    desk("other", b"")
+    with hold_session("lab") as session:
+        path = desk_path(session, DESK)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as killed:
+            killed.bind(str(path))
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as again:
+
+            def restart():
+                path.unlink()
+                again.bind(str(path))
+                again.listen()
+
+            restarting = threading.Timer(0.2, restart)
+            restarting.start()
+            assert session in running_sessions(DESK)
+            restarting.join()
 
 
 def test_sockets_of_datagrams_are_found(desk):
