@@ -16,6 +16,7 @@ from pathlib import Path
 
 import aiohttp
 from aiohttp import web
+from running_session import end_with_the_tests
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.h264 import H264Decoder
@@ -77,6 +78,7 @@ class Janus:
             stdout=log,
             stderr=log,
             start_new_session=True,
+            preexec_fn=end_with_the_tests,
         )
         until_s = time.monotonic() + 20
         while not self._listens():

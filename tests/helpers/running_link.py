@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from running_session import end_with_the_tests
 
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.table import PORTS
@@ -89,6 +90,7 @@ class RunningLink:
             stdin=subprocess.DEVNULL,
             env={**os.environ, "TMPDIR": str(directory)},
             start_new_session=True,
+            preexec_fn=end_with_the_tests,
         )
 
     def __enter__(self):

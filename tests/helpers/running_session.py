@@ -1,6 +1,7 @@
 """A whole session as a user runs it: the real command, in its own process."""
 
 import contextlib
+import ctypes
 import json
 import os
 import re
@@ -26,6 +27,15 @@ COMMAND = (sys.executable, "-m", "pipelines.cli")
 PATIENCE_S = 90.0
 _LIVE_STREAM = re.compile(r"(\w+) [\d.]+/[\d.]+ kbit/s (\d+) shown")
 _LIVE_HAPTIC = re.compile(r"(haptic_\w+) (\d+) received")
+
+
+_LIBC = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1
+
+
+def end_with_the_tests():
+    """In a new process: end when the process of the tests ends, also when that is killed."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def free_base_port():
@@ -117,6 +127,7 @@ class RunningSession:
             stdin=subprocess.DEVNULL,
             env=self.environment,
             start_new_session=True,
+            preexec_fn=end_with_the_tests,
         )
         self.session = f"{self.setup.name}-{self.process.pid}"
         self.seen_pids = set()
