@@ -74,6 +74,7 @@ def run(tmp_path, monkeypatch):
         trace = tmp_path / "trace"
         monkeypatch.setenv("TRACE", str(trace))
         monkeypatch.setenv("MARK", str(tmp_path / "mark"))
+        monkeypatch.delenv("PYTEST_ADDOPTS", raising=False)
         helpers = f"pythonpath={ROOT / 'tests' / 'helpers'}"
         python = [sys.executable, "-m", "pytest", "-q", "-o", helpers, "--dist", "load"]
         done = subprocess.run(
