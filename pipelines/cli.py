@@ -64,7 +64,7 @@ _COMMANDS = {
     "owner": "say who drives the robot, or hand it to a partner",
     "record": "record a running session, and leave it again",
     "trainer": "give a running session an exercise: no signal, a fault, a lost camera",
-    "report": "join the reports of the two ends of a session",
+    "report": "show what a session gave, as a page too; join the reports of two ends",
     "info": "list what is in a recording, gaps and losses included",
     "replay": "send a recorded session through a link again",
     "recover": "make a whole recording of a torn one",

@@ -1,4 +1,4 @@
-"""`kontur-av report join`: one report of a session on two machines."""
+"""`kontur-av report`: an account of a session, or one report of a session on two machines."""
 
 import argparse
 from pathlib import Path
@@ -6,8 +6,11 @@ from pathlib import Path
 import msgspec
 
 from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.report.account import account_of
 from pipelines.report.join import join_reports
 from pipelines.report.model import SessionReport, from_json, to_json
+from pipelines.report.report_file import write_text
+from pipelines.report.summary import print_summary
 from pipelines.session.output import print_data
 from pipelines.session.setup.setup_file import setup_from_text
 from pipelines.table import topology_of
@@ -17,25 +20,56 @@ _MOST_OCTETS = 1 << 30
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    text = (
-        "write to standard output the report that the session would have given on one machine, "
-        "from the reports of `kontur-av stream --end ground` and `--end space`"
+    parser.add_argument(
+        "report",
+        metavar="FILE.json",
+        help="the report of a session, whose summary is shown; or the word join",
     )
-    join = actions.add_parser("join", help=text, description=text)
-    join.add_argument("ground", type=Path, metavar="GROUND.json", help="the report of one end")
-    join.add_argument("space", type=Path, metavar="SPACE.json", help="the report of the other end")
+    parser.add_argument(
+        "ends",
+        nargs="*",
+        metavar="GROUND.json SPACE.json",
+        help="after join, the reports of `kontur-av stream --end ground` and `--end space`: the "
+        "report that the session would have given on one machine goes to standard output",
+    )
+    parser.add_argument(
+        "--html",
+        action="store_true",
+        help="write an account of the session beside the report, as FILE.html: what fell short, "
+        "what happened, latency, rates, skew, force",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 with the joined report on standard output."""
-    first, second = _read(args.ground), _read(args.space)
+    """0 with the summary, the account, or the joined report on standard output."""
+    if args.report == "join":
+        if len(args.ends) != 2 or args.html:
+            raise ConfigError("write: kontur-av report join GROUND.json SPACE.json > REPORT.json")
+        print_data(to_json(_joined(*map(Path, args.ends))))
+        return 0
+    if args.ends:
+        raise ConfigError(f"{args.ends[0]}: name one report, or join and two")
+    path = Path(args.report)
+    report = _read(path)
+    if not args.html:
+        print_summary(report)
+        return 0
+    account = path.with_suffix(".html")
     try:
-        joined = join_reports(first, second, read_setup=setup_from_text, table_of=topology_of)
-    except ProtocolError as error:
-        raise ConfigError(f"{args.ground}, {args.space}: damaged: {error}") from None
-    print_data(to_json(joined))
+        write_text(account, account_of(report))
+    except OSError as error:
+        raise ConfigError(f"{account}: cannot be written: {error.strerror or error}") from None
+    print(account)
     return 0
+
+
+def _joined(ground: Path, space: Path) -> SessionReport:
+    try:
+        return join_reports(
+            _read(ground), _read(space), read_setup=setup_from_text, table_of=topology_of
+        )
+    except ProtocolError as error:
+        raise ConfigError(f"{ground}, {space}: damaged: {error}") from None
 
 
 def _read(path: Path) -> SessionReport:

@@ -308,6 +308,7 @@ LIBRARIES = {
     ),
     "pipelines/foxglove/": ({"msgspec", "tomllib"}, "messages as JSON, and the setup as a table"),
     "pipelines/report/": ({"msgspec", "rich"}, "the report as JSON and as text"),
+    "pipelines/report/account.py": ({"html"}, "the report as a page"),
     "pipelines/report/trace.py": ({"zlib"}, "rows as text"),
     "pipelines/report/live.py": ({"sys"}, "the terminal"),
     "pipelines/report/model.py": ({"json"}, "the report as JSON"),

@@ -1,14 +1,19 @@
 """The summary of a session: it fits the terminal, and shows the stages of the picture."""
 
+import re
 from dataclasses import replace
+from html.parser import HTMLParser
 
 import msgspec
 import pytest
 from rich.console import Console
 
+from pipelines.cli import main
+from pipelines.report.model import to_json
 from pipelines.report.summary import first_line, print_summary, stages_line, streams_table
 from pipelines.report.warnings import restart_warning
 from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.task_journal import TaskRow, TaskStep
 from pipelines.virtual.simulate import simulate
 
 
@@ -48,3 +53,79 @@ def test_a_warning_is_a_line_with_its_mend(report, capsys):
     print_summary(msgspec.structs.replace(report, warnings=[warning]))
     printed = " ".join(capsys.readouterr().out.split())
     assert "warning: stereo: it was started again once: ended by SIGKILL; mend what" in printed
+
+
+class Page(HTMLParser):
+    """The words of a page by element, and the places of its bars in percent."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.words, self.places = [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        style = dict(attrs).get("style") or ""
+        self.places += [float(value) for value in re.findall(r"([\d.e+-]+|nan|inf)%", style)]
+        if tag != "meta":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append((self.open[-1] if self.open else "", data))
+
+
+RUN = TaskRow(
+    name="aiming",
+    run=3,
+    result="timed_out",
+    reason="it took <too> long",
+    selected_ns=200_000_000,
+    seconds=0.2,
+    path_m=0.02,
+    force_max_n=3.5,
+    force_mean_n=1.0,
+    error_mean=None,
+    error_max=None,
+    frames=600,
+    frames_lost=0,
+    delay_ms=3.0,
+    steps=[TaskStep(at_ns=500_000_000, step="the cosmonaut starts")],
+)
+
+
+def test_an_account_tells_what_happened_and_what_fell_short(report, tmp_path, capsys):
+    told = msgspec.structs.replace(
+        report,
+        failures=["<b>uplink_video</b> broke its cap"],
+        warnings=[restart_warning("stereo", 1, "ended by SIGKILL")],
+        tasks=[RUN],
+        stopped_s=[(0.5, 99.0)],
+    )
+    path = tmp_path / "r.json"
+    path.write_text(to_json(told))
+    assert main(["report", str(path), "--html"]) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "r.html")
+    page = Page((tmp_path / "r.html").read_text())
+    assert page.open == []
+    words = [word for _, word in page.words]
+    assert "failed: <b>uplink_video</b> broke its cap" in words
+    assert "aiming, run 3: the cosmonaut starts" in words
+    assert "task aiming, run 3: timed out after 0.2 s: it took <too> long" in words
+    assert any("force 1.0 N, at most 3.5 N" in word for word in words)
+    p50 = report.streams["uplink_video"].latency_ms.p50
+    assert any(word.startswith(f"p50 {p50:.1f}, ") for word in words)
+    assert page.places and all(0 <= place <= 100 for place in page.places)
+
+
+def test_a_report_is_shown_again_and_a_file_that_is_none_is_refused(report, tmp_path, capsys):
+    path = tmp_path / "r.json"
+    path.write_text(to_json(report))
+    assert main(["report", str(path)]) == 0
+    assert "spacejustin, 0.6 s" in capsys.readouterr().out
+    path.write_text("[]")
+    assert main(["report", str(path), "--html"]) == 2
+    assert "no report of a session" in capsys.readouterr().err
+    assert not (tmp_path / "r.html").exists()
