@@ -37,6 +37,12 @@ class CommandParser(argparse.ArgumentParser):
     """A parser that reports mistakes as ConfigError, in one line like all others."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
+        # A value that begins with a dash is taken for an option.
+        if message.endswith(": expected one argument"):
+            option = message.split()[1].rstrip(":").split("/")[-1]
+            message += f" (one that begins with - is given as {option}=VALUE)"
+        elif "required: FILE" in message:
+            message += " (a name that begins with - is given as ./NAME)"
         raise ConfigError(f"{message}; see `{self.prog} --help`")
 
 

@@ -324,6 +324,8 @@ def test_a_busy_port_is_named(capsys):
         (["select", "static"], "no session is running here"),
         (["select", "static", "--session", "mine"], "no session mine"),
         (["select", "static", "--session", "../../etc"], "session"),
+        (["receive", "--sdp", "-s.sdp"], "--sdp=VALUE"),
+        (["info", "-a.mcap"], "./NAME"),
     ],
 )
 def test_impossible_commands_are_refused(capsys, monkeypatch, arguments, says):
