@@ -1,7 +1,10 @@
 """Recordings and exports as files: their octets, and names only for what is whole."""
 
+import errno
+import fcntl
 import mmap
 import os
+import stat
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -36,6 +39,22 @@ def octets_of_file(path: Path) -> memoryview:
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def open_alone(path: Path) -> int:
+    """Open a file to write it anew, and keep other programs that do the same out of it.
+
+    OSError if that is not possible.
+    """
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    try:
+        if stat.S_ISREG(os.fstat(file).st_mode):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.ftruncate(file, 0)
+    except BlockingIOError:
+        os.close(file)
+        raise OSError(errno.EBUSY, "another program is writing it") from None
+    return file
 
 
 def check_new(path: Path, *, overwrite: bool) -> None:
