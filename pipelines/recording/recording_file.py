@@ -112,22 +112,24 @@ class Outputs:
         """Make a directory for files, if it is missing; ConfigError if that is not possible."""
         if path.exists() and not path.is_dir():
             raise ConfigError(f"{path} is no directory: give the name of one")
+        # Noted first, so that an interrupt in between leaves nothing.
+        self._made.append(path)
         try:
             path.mkdir()
-            self._made.append(path)
         except FileExistsError:
-            pass
+            self._made.remove(path)
         except OSError as error:
             raise ConfigError(f"{path} cannot be made: {error.strerror}") from None
 
     def unfinished(self, path: Path) -> Path:
         """Return the name under which to write a file; ConfigError if that is not possible."""
         unfinished = _unfinished(path)
+        self._paths.append(path)
         try:
             unfinished.open("wb").close()
         except OSError as error:
+            self._paths.remove(path)
             raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
-        self._paths.append(path)
         return unfinished
 
     def __enter__(self) -> Self:
