@@ -49,6 +49,12 @@ _TYPES = {
 _BY_NAME = {schema.full_name: schema for schema in SCHEMAS}
 #: Fields that are the row's instant already.
 _INSTANTS = {"session_ns", "capture_ns", "timestamp"}
+#: What MATLAB's `namelengthmax` and `iskeyword` say.
+_LONGEST_NAME = 63
+_KEYWORDS = frozenset(
+    "break case catch classdef continue else elseif end for function global if otherwise parfor "
+    "persistent return spmd switch try while".split()
+)
 _STATE_BIT, _STATES, _LIT_BIT, _LIT = 8, 0xF, 16, 0xFF
 
 
@@ -210,15 +216,20 @@ def identifier(text: str) -> str:
 def table_names(topics: Iterable[str], taken: Iterable[str] = ()) -> dict[str, str]:
     """Return the name of each channel's table: `haptic_up_sent` for `/haptic/up/sent`.
 
-    taken: names of others. Of channels whose names fall together, later ones get a number.
+    taken: names of others. Of channels whose names fall together, later ones get a number. Each is
+    a name that MATLAB permits for variables.
     """
     names: dict[str, str] = {}
     used = {*taken}
     for topic in sorted(topics):
-        plain = name = identifier(topic.strip("/"))
+        plain = identifier(topic.strip("/"))
+        if not plain[:1].isalpha() or plain in _KEYWORDS:
+            plain = f"x_{plain}"
+        plain = name = plain[:_LONGEST_NAME]
         number = 2
         while name in used:
-            name, number = f"{plain}_{number}", number + 1
+            ending = f"_{number}"
+            name, number = plain[: _LONGEST_NAME - len(ending)] + ending, number + 1
         used.add(name)
         names[topic] = name
     return names

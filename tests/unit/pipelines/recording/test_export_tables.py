@@ -1,5 +1,6 @@
 """Tables of a recording: each sample with what became of it, each event with its haptic row."""
 
+import re
 import numpy as np
 import pytest
 from hypothesis import given
@@ -117,11 +118,15 @@ def test_messages_that_are_not_of_their_schema_are_counted():
     assert columnizer.rows(message._replace(schema="some.Other")) is None
 
 
-@given(st.lists(st.text("a_-/. 2é", min_size=1, max_size=4), unique=True, max_size=12))
+TOPICS = st.text("a_-/. 2é", min_size=1, max_size=4) | st.text("ab", min_size=60, max_size=70)
+
+
+@given(st.lists(TOPICS | st.sampled_from(["/end", "END"]), unique=True, max_size=12))
 def test_no_two_channels_have_one_table(topics):
     names = table_names(topics, taken=["a", "events"])
     assert len({*names.values(), "a", "events"}) == len(topics) + 2
-    assert all(name == "" or name.isascii() for name in names.values())
+    assert all(re.fullmatch("[a-z][a-z0-9_]{0,62}", name) for name in names.values())
+    assert "end" not in names.values()
 
 
 def test_channels_whose_names_fall_together_are_all_exported(tmp_path, written):
