@@ -173,7 +173,7 @@ class PipeVideo:
     def _follow(self) -> None:
         """Open the FIFO anew if another one has its name: a program may remove it and make it."""
         with contextlib.suppress(FileNotFoundError):
-            if not os.path.samestat(os.stat(self._path), os.fstat(self._fd)):
+            if not os.path.samestat(Path(self._path).stat(), os.fstat(self._fd)):
                 self._reopen()
 
     def _open(self) -> int:

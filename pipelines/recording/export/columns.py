@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.hand.haptic_trace import ACTED, CONTACT, DEAD_MAN
-from pipelines.recording.joined import JoinedMessage
+from pipelines.recording.joined import FAR_NS, JoinedMessage
 from pipelines.recording.messages import (
     FIGURES,
     HAPTIC_SAMPLES,
@@ -51,9 +51,9 @@ _BY_NAME = {schema.full_name: schema for schema in SCHEMAS}
 _INSTANTS = {"session_ns", "capture_ns", "timestamp"}
 #: What MATLAB's `namelengthmax` and `iskeyword` say.
 _LONGEST_NAME = 63
-_KEYWORDS = frozenset(
-    "break case catch classdef continue else elseif end for function global if otherwise parfor "
-    "persistent return spmd switch try while".split()
+_KEYWORDS = (
+    " break case catch classdef continue else elseif end for function global if otherwise parfor "
+    "persistent return spmd switch try while "
 )
 _STATE_BIT, _STATES, _LIT_BIT, _LIT = 8, 0xF, 16, 0xFF
 
@@ -78,7 +78,7 @@ class Columnizer:
         try:
             read = _one_row if special is None else special
             instants, rows = read(message)
-            session_ns = np.asarray(instants, np.int64)
+            session_ns = _near(np.asarray(instants, np.int64), message.session_ns)
         except (ProtocolError, OverflowError):
             # OverflowError: an instant beyond 64 bits.
             self.unreadable[message.topic] = self.unreadable.get(message.topic, 0) + 1
@@ -92,6 +92,18 @@ class Columnizer:
             f"{topic}: {count} messages are not of their schema, and were left out"
             for topic, count in self.unreadable.items()
         ]
+
+
+def _near(instants_ns: NDArray[np.int64], message_ns: int) -> NDArray[np.int64]:
+    """Move instants within a message that are far from its own between those that are not."""
+    right = np.abs(instants_ns - message_ns) <= FAR_NS
+    if right.all():
+        return instants_ns
+    if not right.any():
+        return instants_ns - instants_ns[0] + message_ns
+    rows = np.arange(len(instants_ns))
+    since_ns = np.interp(rows, rows[right], instants_ns[right] - message_ns)
+    return np.where(right, instants_ns, message_ns + since_ns.astype(np.int64))
 
 
 def joined(blocks: Iterable[Rows]) -> Columns:
@@ -223,7 +235,7 @@ def table_names(topics: Iterable[str], taken: Iterable[str] = ()) -> dict[str, s
     used = {*taken}
     for topic in sorted(topics):
         plain = identifier(topic.strip("/"))
-        if not plain[:1].isalpha() or plain in _KEYWORDS:
+        if not plain[:1].isalpha() or f" {plain} " in _KEYWORDS:
             plain = f"x_{plain}"
         plain = name = plain[:_LONGEST_NAME]
         number = 2
