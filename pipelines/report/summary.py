@@ -19,6 +19,7 @@ from pipelines.report.model import (
     StreamReport,
     SyncReport,
 )
+from pipelines.report.report_file import words_console
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
 from pipelines.session.task_journal import TaskRow
@@ -49,8 +50,7 @@ def task_line(run: TaskRow) -> str:
 
 def print_summary(report: SessionReport) -> None:
     """The streams, the senses and the cost, on standard output."""
-    # Without a terminal no width limits the table; the widest one takes about this.
-    console = Console() if Console().is_terminal else Console(width=118)
+    console = words_console()
     console.print(Text(first_line(report, console.width), "bold"))
     console.print(streams_table(report, console.width))
     for direction, link in report.link.items():
