@@ -100,7 +100,8 @@ def _near(instants_ns: NDArray[np.int64], message_ns: int) -> NDArray[np.int64]:
     if right.all():
         return instants_ns
     if not right.any():
-        return instants_ns - instants_ns[0] + message_ns
+        moved_ns: NDArray[np.int64] = instants_ns - instants_ns[0] + message_ns
+        return moved_ns
     rows = np.arange(len(instants_ns))
     since_ns = np.interp(rows, rows[right], instants_ns[right] - message_ns)
     return np.where(right, instants_ns, message_ns + since_ns.astype(np.int64))
