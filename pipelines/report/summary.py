@@ -19,7 +19,6 @@ from pipelines.report.model import (
     StreamReport,
     SyncReport,
 )
-from pipelines.report.report_file import words_console
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
 from pipelines.session.task_journal import TaskRow
@@ -50,7 +49,8 @@ def task_line(run: TaskRow) -> str:
 
 def print_summary(report: SessionReport) -> None:
     """The streams, the senses and the cost, on standard output."""
-    console = words_console()
+    # Without a terminal no width limits the table; the widest one takes about this.
+    console = Console() if Console().is_terminal else Console(width=118)
     console.print(Text(first_line(report, console.width), "bold"))
     console.print(streams_table(report, console.width))
     for direction, link in report.link.items():
