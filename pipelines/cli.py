@@ -10,9 +10,11 @@ import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
+from types import FrameType
 
 from kontur_av import __version__
 from kontur_av.errors import ConfigError
+from pipelines.session.children import handled
 from pipelines.session.output import (
     discard_output,
     keep_words_apart,
@@ -37,6 +39,12 @@ class CommandParser(argparse.ArgumentParser):
     """A parser that reports mistakes as ConfigError, in one line like all others."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
+        # A value that begins with a dash is taken for an option.
+        if message.endswith(": expected one argument"):
+            option = message.split()[1].rstrip(":").split("/")[-1]
+            message += f" (one that begins with - is given as {option}=VALUE)"
+        elif "required: FILE" in message:
+            message += " (a name that begins with - is given as ./NAME)"
         raise ConfigError(f"{message}; see `{self.prog} --help`")
 
 
@@ -156,12 +164,24 @@ _READERS = {"info", "export", "recover"}
 def _apart(work: Callable[[], int]) -> int:
     """Return what `work` returns in a child; its parent outlives SIGBUS.
 
-    That signal comes when a file becomes shorter while it is read. Python cannot handle it.
+    That signal comes when a file becomes shorter while it is read. Python cannot handle it. What
+    ends the parent interrupts the child, which then removes what it has begun to write.
     """
-    child = os.fork()
-    if not child:
-        return work()
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    child = 0
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        if not child:
+            raise KeyboardInterrupt
+        os.kill(child, signal.SIGTERM)
+
+    with handled(end):
+        child = os.fork()
+        if not child:
+            # A terminal tells both; the child hears it from its parent, once.
+            for number in (signal.SIGINT, signal.SIGHUP):
+                signal.signal(number, signal.SIG_IGN)
+            return work()
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     if code == -signal.SIGBUS:
         print(
             "kontur-av: a file became shorter while it was read: begin again when its program "

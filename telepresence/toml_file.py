@@ -34,9 +34,14 @@ _MESSAGE = re.compile(r"(.*?)(?: - at `\$(.*)`)?")
 def read_toml(path: Path, what: str) -> Mapping[str, Any]:
     """Return the table in a file; ConfigError. what: the kind of file, such as "radio"."""
     try:
-        text = path.read_text(encoding="utf-8")
+        # Editors of other systems begin a text with a byte order mark.
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise ConfigError(f"cannot read {what} {path}: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(
+            f"{what} {path} is not TOML: octet {error.start} is no UTF-8: save it as UTF-8"
+        ) from None
     except ValueError as error:
         raise ConfigError(f"{what} {str(path)!r} is not TOML: {error}") from None
     return parse_toml(text, f"{what} {path}")

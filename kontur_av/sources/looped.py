@@ -131,6 +131,8 @@ class LoopedVideo(ABC):
             # At least 1 ns, so that no two pictures have one instant.
             start_ns += max(self._end_ns, time_ns + 1) if self._end_ns else time_ns + self._step_ns
             if not shown:
+                if faults == self.faults:
+                    self._fault(ValueError("it holds no picture"))
                 item = None
                 yield None
             while shown == 1 and item is not None and faults == self.faults:
@@ -195,7 +197,7 @@ class LoopedAudio(ABC):
         """Yield all blocks repeatedly; None at an end if the file has (next to) no sound."""
         rest = np.zeros(0, np.int16)
         while True:
-            heard = 0
+            heard, faults = 0, self.faults
             try:
                 for samples in self._pass():
                     heard += len(samples)
@@ -206,6 +208,8 @@ class LoopedAudio(ABC):
             except (av.FFmpegError, OSError, ValueError) as error:
                 self._fault(error)
             if heard < _LEAST_SAMPLES:
+                if faults == self.faults:
+                    self._fault(ValueError("it holds less than 5 ms of sound"))
                 yield None
 
     def _fault(self, error: Exception) -> None:

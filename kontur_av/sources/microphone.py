@@ -7,6 +7,7 @@ linked to the system's own library and finds both.
 
 import contextlib
 import os
+import re
 import select
 import shutil
 import subprocess
@@ -24,6 +25,7 @@ _BACKLOG_OCTETS = 5 * _BLOCK_OCTETS
 #: Sound may come this much sooner than it should.
 _CREDIT_NS = 5 * BLOCK_NS
 _OPEN_TIMEOUT_S = 5.0
+_OTHER_RATE = re.compile(rb"requested = \d+Hz, got = (\d+)Hz")
 #: How much of the messages of `arecord` is kept; only the last line is reported.
 _COMPLAINT_OCTETS = 4096
 
@@ -34,9 +36,11 @@ def check_microphone(device: str) -> None:
     The check opens the device briefly and records one sample.
     """
     program = _arecord()
+    mend = f"choose from `kontur-av devices`, or try alsa:{_converted(device)}"
     try:
         done = subprocess.run(
             [*_command(program, device), "-s", "1"],
+            env={**os.environ, "LC_ALL": "C"},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -50,9 +54,18 @@ def check_microphone(device: str) -> None:
         ) from None
     if done.returncode:
         raise ConfigError(
-            f"microphone {device!r} cannot be opened ({_reason(done.stderr)}): "
-            "choose from `kontur-av devices`, or try alsa:plughw:0"
+            f"microphone {device!r} cannot be opened ({_reason(done.stderr)}): {mend}"
         )
+    # arecord then records at the other rate all the same.
+    if (other := _OTHER_RATE.search(done.stderr)) is not None:
+        raise ConfigError(
+            f"microphone {device!r} records at {int(other[1])} Hz, not at {AUDIO_CLOCK_HZ}: {mend}"
+        )
+
+
+def _converted(device: str) -> str:
+    """The name of a device with ALSA's conversion of rate, channels and format."""
+    return f"plug{device}" if device.startswith("hw:") else "plughw:0"
 
 
 def _arecord() -> str:
@@ -64,13 +77,15 @@ def _arecord() -> str:
 
 def _command(program: str, device: str) -> list[str]:
     return [
-        *(program, "-q", "-D", device, "-t", "raw", "-f", "S16_LE", "-c", "1"),
+        *(program, "-D", device, "-t", "raw", "-f", "S16_LE", "-c", "1"),
         *("-r", str(AUDIO_CLOCK_HZ), "--period-time=10000", "--buffer-time=80000"),
     ]
 
 
 def _reason(stderr: bytes) -> str:
-    lines = [line for line in stderr.decode("utf-8", "replace").splitlines() if line.strip()]
+    told = [line for line in stderr.decode("utf-8", "replace").splitlines() if line.strip()]
+    # Behind the reason it lists what would fit.
+    lines = [line for line in told if line.startswith(("arecord: ", "ALSA lib"))] or told
     return lines[-1].rsplit(": ", 1)[-1] if lines else "no reason given"
 
 
@@ -156,7 +171,7 @@ class MicrophoneAudio:
         self._complaints = b""
         try:
             process = subprocess.Popen(
-                _command(_arecord(), self._device),
+                [*_command(_arecord(), self._device), "-q"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,

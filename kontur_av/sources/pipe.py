@@ -22,6 +22,8 @@ from kontur_av.sources.y4m import Y4mPicture, Y4mReader
 PIPE_OCTETS = 1 << 20
 #: A header with a lower rate is wrong: a writer would have to wait for more than 10 s.
 _LEAST_HZ = Fraction(1, 10)
+#: How often a FIFO that was removed is looked for.
+_LOOK_NS = 100 * NS_PER_MS
 
 
 def check_fifo(path: str) -> None:
@@ -43,8 +45,8 @@ def check_fifo(path: str) -> None:
 class PipeVideo:
     """Pictures that arrive through a FIFO (a `VideoSource`), stamped on arrival.
 
-    The writer may leave and return, also with another size; other sizes are scaled. Garbage is
-    counted (`faults`) and skipped up to the next header.
+    The writer may leave and return, also with another size; other sizes are scaled. The FIFO may be
+    removed and made again. Garbage is counted (`faults`) and skipped up to the next header.
 
     A writer that exceeds the rate in its header (a file piped at full speed) is throttled by not
     reading. A writer that keeps its rate is never throttled.
@@ -107,9 +109,14 @@ class PipeVideo:
         wait_ns = give_up_ns - now_ns
         if wait_ns <= 0:
             return False
+        if self._fd < 0:
+            self._clock.sleep_until_ns(min(give_up_ns, now_ns + _LOOK_NS))
+            self._fd = self._open()
+            return True
         poller = select.poll()
         poller.register(self._fd, select.POLLIN)
         if not poller.poll(-(-wait_ns // NS_PER_MS)):
+            self._follow()
             return False
         try:
             octets = os.readv(self._fd, [self._reader.write_view()])
@@ -153,14 +160,29 @@ class PipeVideo:
         if self._reader.header is not None:
             self._fault("the writer has gone")
         self._reader.handle_end()
-        # A FIFO without a writer reports end of file until it is opened again. Open the new end
-        # before closing the old one, so that a writer never finds the FIFO without a reader.
+        # A FIFO without a writer reports end of file until it is opened again.
+        self._reopen()
+
+    def _reopen(self) -> None:
+        # Open the new end before closing the old one, so that a writer never finds the FIFO without
+        # a reader.
         old = self._fd
         self._fd = self._open()
         os.close(old)
 
+    def _follow(self) -> None:
+        """Open the FIFO anew if another one has its name: a program may remove it and make it."""
+        with contextlib.suppress(FileNotFoundError):
+            if not os.path.samestat(Path(self._path).stat(), os.fstat(self._fd)):
+                self._reopen()
+
     def _open(self) -> int:
-        fd = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        """Return its file descriptor; -1 if there is no such FIFO now."""
+        try:
+            check_fifo(self._path)
+            fd = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        except (ConfigError, OSError):
+            return -1
         # Above the user's limit this fails; the default of 64 KiB only costs more wake-ups.
         with contextlib.suppress(OSError):
             fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, PIPE_OCTETS)

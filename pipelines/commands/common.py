@@ -3,7 +3,6 @@
 import argparse
 import ipaddress
 import re
-import signal
 import socket
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -11,6 +10,7 @@ from contextlib import contextmanager
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, sessions
+from pipelines.session.children import handled
 from pipelines.session.output import discard_output
 from pipelines.session.sessions import started_here
 from telepresence.haptics.udp_line import unprotected
@@ -78,15 +78,10 @@ def output_that_may_fail() -> Iterator[None]:
 
 @contextmanager
 def stopped_by_signals() -> Iterator[Callable[[], bool]]:
-    """Within this context, Ctrl-C and SIGTERM only make the yielded function return True."""
+    """Within this context, Ctrl-C, SIGTERM and SIGHUP only make the yielded function True."""
     caught: list[int] = []
-    signals = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, lambda got, _: caught.append(got)) for number in signals]
-    try:
+    with handled(lambda got, _: caught.append(got)):
         yield lambda: bool(caught)
-    finally:
-        for number, handler in zip(signals, before, strict=True):
-            signal.signal(number, handler)
 
 
 def say_unprotected(*specs: str) -> None:

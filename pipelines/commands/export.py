@@ -73,12 +73,16 @@ def run(args: argparse.Namespace) -> int:
             outputs.check(export.paths, paths)
         for export in exports:
             export.begin(outputs)
+        moved = 0
         for message in _with_progress(recording):
+            moved += message.moved
             for export in exports:
                 export.handle_message(message)
         for export in exports:
             export.end()
     lines = [*_losses(paths, recording), *(line for export in exports for line in export.lines())]
+    if moved:
+        lines.append(f"{moved} messages had instants far from those around them, and were moved")
     with output_that_may_fail():
         print("\n".join(lines))
     return 0

@@ -4,8 +4,6 @@ import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands import drive
@@ -18,7 +16,7 @@ from pipelines.commands.check_results import (
 from pipelines.commands.common import output_that_may_fail, say_unprotected, stopped_by_signals
 from pipelines.hand.joystick_check import JoystickCheck, run_live, run_virtually
 from pipelines.report.model import JoystickTestReport, TransitionReport
-from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.report_file import check_writable, words_console, write_report
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench
 from telepresence.haptics.device.device import JoystickDevice
@@ -99,14 +97,14 @@ def _open(spec: str, axes: Sequence[AxisName] | None = None) -> JoystickDevice:
 
 
 def _check(spec: str, axes: Sequence[AxisName] | None) -> int:
-    device, console = _open(spec, axes), Console()
+    device, console = _open(spec, axes), words_console()
     console.print(f"{device.facts.name}; it moves a few centimetres: hands off", highlight=False)
     return print_results(console, list(JoystickCheck(device, MonotonicClock()).run()))
 
 
 def _test(spec: str, check: str, report: Path | None) -> int:
     check_writable(report)
-    device, console = _open(spec), Console()
+    device, console = _open(spec), words_console()
     bench = CheckBench(device, list(CHECKS) if check == _ALL else [check])
     try:
         if is_simulated(spec):

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -72,6 +73,9 @@ def end_session(
     if not args.quiet:
         with output_that_may_fail():
             print_summary(report)
+    else:
+        for failure in report.failures:
+            print(f"failed: {failure}", file=sys.stderr)
     return 1 if report.failures or not saved else 0
 
 

@@ -22,6 +22,7 @@ from kontur_av.sources.fit import fitted_size, letterbox, plane_pixels, same_sha
 from kontur_av.sources.pipe import PIPE_OCTETS
 from kontur_av.sources.y4m import FRAME, MAGIC
 from pipelines.commands.media_reports import RawReport
+from pipelines.recording.recording_file import open_alone
 
 _FRAME_LINE = FRAME + b"\n"
 
@@ -69,8 +70,7 @@ class RawPictures:
                 if not os.access(path, os.W_OK):
                     raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             else:
-                flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
-                self._fd = os.open(path, flags, 0o666)
+                self._fd = open_alone(Path(path))
         except OSError as error:
             raise ConfigError(f"--raw {path!r} cannot be written: {error.strerror}") from None
 

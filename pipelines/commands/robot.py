@@ -2,13 +2,12 @@
 
 import argparse
 
-from rich.console import Console
-
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.check_results import add_setup_argument, axes_of, print_results
 from pipelines.commands.common import say_unprotected
 from pipelines.hand.robot_check import RobotCheck
+from pipelines.report.report_file import words_console
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_spec import check_robot, load_robot
 
@@ -34,6 +33,6 @@ def run(args: argparse.Namespace) -> int:
     if isinstance(device, Robot):
         raise ConfigError(f"robot {args.robot} has no driver to check: write module:Class or udp:")
     say_unprotected(args.robot)
-    console = Console()
+    console = words_console()
     console.print(f"{args.robot}; it moves a few centimetres", highlight=False)
     return print_results(console, list(RobotCheck(device, MonotonicClock()).run()))

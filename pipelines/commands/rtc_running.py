@@ -14,6 +14,7 @@ from pipelines.commands.rtc_reports import RtcConnection, connection_report
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
+from pipelines.session.children import ENDING
 
 _LOOK_S = 0.2
 
@@ -36,7 +37,9 @@ async def driven(
     Raises what `running` raises.
     """
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    ending = [number for number in ENDING if not (nohup and number == signal.SIGHUP)]
+    for number in ending:
         loop.add_signal_handler(number, stop.set)
     end_s = None if args.seconds is None else loop.time() + args.seconds
     try:
@@ -49,7 +52,7 @@ async def driven(
                 async with asyncio.timeout(_LOOK_S):
                     await stop.wait()
     finally:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in ending:
             loop.remove_signal_handler(number)
 
 

@@ -1,9 +1,12 @@
 """The parts of a recording as one: messages in their order, on the session's clock. A core."""
 
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import NamedTuple
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.inventory import Inventory, take_inventory
@@ -17,12 +20,20 @@ from pipelines.recording.messages import (
 from pipelines.recording.recover import refuse_foreign
 from pipelines.recording.scan import FoundMessage, Scan
 
+#: A recorder writes messages within some seconds. What is further away has a wrong instant.
+FAR_NS = 60 * NS_PER_S
+#: How many messages on each side say what is right.
+_AROUND = 32
+#: A longer pause at the begin or the end is a wrong instant.
+_LONGEST_NS = 30 * 3600 * NS_PER_S
+
 
 class JoinedMessage(NamedTuple):
     """A message of a recording.
 
     session_ns: its `log_time` on the session's clock. published_ns: its `publish_time`, likewise.
-    part: counts the parts that were joined, from 0.
+    part: counts the parts that were joined, from 0. moved: the instants are not those of the file,
+    which were far from those around them.
     """
 
     topic: str
@@ -32,6 +43,7 @@ class JoinedMessage(NamedTuple):
     sequence: int
     data: bytes
     part: int
+    moved: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,9 +104,42 @@ class JoinedRecording:
         return found
 
     def messages(self) -> Iterator[JoinedMessage]:
-        """All messages, part by part in the order of the files."""
+        """All messages, part by part in the order of the files; wrong instants are moved."""
         for number, part in enumerate(self.parts):
-            yield from part.messages(number)
+            yield from _settled(part.messages(number))
+
+
+def _settled(messages: Iterator[JoinedMessage]) -> Iterator[JoinedMessage]:
+    """Move each message that lies far from those around it in the file to their middle."""
+    behind: deque[int] = deque(maxlen=_AROUND)
+    ahead: deque[JoinedMessage] = deque(islice(messages, _AROUND))
+    while ahead:
+        message = ahead.popleft()
+        ahead.extend(islice(messages, 1))
+        instant_ns = message.session_ns
+        if not behind or abs(instant_ns - behind[-1]) > FAR_NS:
+            following = [one.session_ns for one in ahead]
+            middle_ns = _middle_ns([*behind], instant_ns, following)
+            if abs(instant_ns - middle_ns) > FAR_NS:
+                published_ns = message.published_ns
+                if abs(published_ns - middle_ns) > FAR_NS:
+                    published_ns = middle_ns
+                message = message._replace(
+                    session_ns=middle_ns, published_ns=published_ns, moved=True
+                )
+        behind.append(message.session_ns)
+        yield message
+
+
+def _middle_ns(behind: list[int], instant_ns: int, ahead: list[int]) -> int:
+    """Where an instant lies by those around it; itself if it may be right, as after a pause."""
+    near = min(len(behind), len(ahead))
+    if near:
+        # As many of both sides: so the first one behind a pause is in the middle.
+        return sorted([*behind[-near:], instant_ns, *ahead[:near]])[near]
+    others = behind[-1:] or sorted(ahead)[len(ahead) // 2 :][:1] or [instant_ns]
+    step_ns = others[0] - instant_ns if ahead else instant_ns - others[0]
+    return instant_ns if 0 <= step_ns <= _LONGEST_NS else others[0]
 
 
 def read_part(octets: memoryview) -> Part:

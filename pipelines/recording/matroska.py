@@ -1,6 +1,7 @@
 """Coded pictures and sound as they are in a container, such as a Matroska file. A shell."""
 
 import io
+import os
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from av.stream import Stream
 
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.rtp.payload_h264 import NAL_SPS, nal_type, split_annex_b
+from pipelines.recording.recording_file import open_alone
 
 
 def begins_stream(unit: bytes) -> bool:
@@ -113,6 +115,15 @@ class MatroskaFile(CodedContainer):
 
     def __init__(self, path: Path) -> None:
         # PyAV opens the file with the first packet: too late to refuse.
-        path.write_bytes(b"")
+        self._claim = open_alone(path)
         # Without file: a name with a colon would be a protocol.
         super().__init__(av.open(f"file:{path}", "w", format="matroska"))
+
+    def close(self) -> None:
+        """Finish the file. May be called twice."""
+        try:
+            super().close()
+        finally:
+            if self._claim >= 0:
+                os.close(self._claim)
+            self._claim = -1

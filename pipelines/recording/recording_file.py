@@ -1,7 +1,10 @@
 """Recordings and exports as files: their octets, and names only for what is whole."""
 
+import errno
+import fcntl
 import mmap
 import os
+import stat
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -36,6 +39,22 @@ def octets_of_file(path: Path) -> memoryview:
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def open_alone(path: Path) -> int:
+    """Open a file to write it anew, and keep other programs that do the same out of it.
+
+    OSError if that is not possible.
+    """
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    try:
+        if stat.S_ISREG(os.fstat(file).st_mode):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.ftruncate(file, 0)
+    except BlockingIOError:
+        os.close(file)
+        raise OSError(errno.EBUSY, "another program is writing it") from None
+    return file
 
 
 def check_new(path: Path, *, overwrite: bool) -> None:
@@ -93,22 +112,24 @@ class Outputs:
         """Make a directory for files, if it is missing; ConfigError if that is not possible."""
         if path.exists() and not path.is_dir():
             raise ConfigError(f"{path} is no directory: give the name of one")
+        # Noted first, so that an interrupt in between leaves nothing.
+        self._made.append(path)
         try:
             path.mkdir()
-            self._made.append(path)
         except FileExistsError:
-            pass
+            self._made.remove(path)
         except OSError as error:
             raise ConfigError(f"{path} cannot be made: {error.strerror}") from None
 
     def unfinished(self, path: Path) -> Path:
         """Return the name under which to write a file; ConfigError if that is not possible."""
         unfinished = _unfinished(path)
+        self._paths.append(path)
         try:
             unfinished.open("wb").close()
         except OSError as error:
+            self._paths.remove(path)
             raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
-        self._paths.append(path)
         return unfinished
 
     def __enter__(self) -> Self:

@@ -143,6 +143,11 @@ def open_console(
     return TableConsole(width=None if Console().is_terminal else width, wanted=wanted)
 
 
+def words_console() -> Console:
+    """The console of a command whose tables are wider than 80 characters, also in a log."""
+    return Console(width=None if Console().is_terminal else _WIDTH)
+
+
 def end_with(report_file: Path | None, report: object, failed: Sequence[str]) -> int:
     """Write the report, if a file is given, and say what failed; the exit code."""
     saved = save_report(report_file, report)

@@ -1,14 +1,33 @@
-"""Ending the processes that a bench has started."""
+"""Signals that end a command, and the end of the processes that it has started."""
 
 import signal
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from time import monotonic
 from types import FrameType
 
+#: Ctrl-C, the end by another program, and a closed terminal.
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: How long processes may take to end after SIGTERM, together.
 _END_S = 10.0
+
+
+@contextmanager
+def handled(
+    handler: Callable[[int, FrameType | None], object], numbers: Sequence[signal.Signals] = ENDING
+) -> Iterator[None]:
+    """Within it, these signals call `handler`. nohup(1) ignores SIGHUP: that stays so."""
+    before = {number: signal.getsignal(number) for number in numbers}
+    if before.get(signal.SIGHUP) is signal.SIG_IGN:
+        del before[signal.SIGHUP]
+    for number in before:
+        signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, restored in before.items():
+            signal.signal(number, restored)
 
 
 @contextmanager
@@ -18,16 +37,8 @@ def ended_alike() -> Iterator[None]:
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
-    for number, handler in before.items():
-        # `nohup` ignores SIGHUP: leave it so.
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, interrupt)
-    try:
+    with handled(interrupt, (signal.SIGTERM, signal.SIGHUP)):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def end_all(processes: Sequence[subprocess.Popen[bytes]]) -> None:

@@ -24,6 +24,7 @@ from typing import Protocol
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
+from pipelines.session.children import ENDING
 from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
@@ -44,7 +45,6 @@ _SHOW_NS = NS_PER_S
 #: How often pages get figures.
 FEED_NS = 500 * NS_PER_MS
 _MESSAGE_OCTETS = 1 << 20
-_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
@@ -170,7 +170,7 @@ class Launcher:
         nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
         previous = {
             number: signal.signal(number, self._handle_signal)
-            for number in _ENDING
+            for number in ENDING
             if not (nohup and number == signal.SIGHUP)
         }
         previous_wakeup = signal.set_wakeup_fd(wake_write.fileno())
@@ -312,7 +312,7 @@ class Launcher:
         for end in (ours, theirs):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _MESSAGE_OCTETS)
         # Until the child has its own handler, a SIGTERM must wait: ours would handle it.
-        signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
+        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
         launcher = os.getpid()
         pid = os.fork()
         if pid == 0:
@@ -323,7 +323,7 @@ class Launcher:
                 code = self._become_child(child, theirs, launcher)
             finally:
                 os._exit(code)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
         theirs.close()
         ours.setblocking(False)
         child.pid, child.link, child.stopped = pid, ours, False
@@ -356,7 +356,7 @@ class Launcher:
             become(child.row, context)
             if os.getppid() != launcher:
                 return 1  # the launcher was killed before PR_SET_PDEATHSIG was set
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDING)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
             child.run(context, **child.row.arguments, **self.arguments.get(child.row.name, {}))
             context.flush(self.clock.now_ns())
         except BaseException as error:

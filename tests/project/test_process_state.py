@@ -56,15 +56,14 @@ ALLOWED = {
     # For the time of an import whose warnings are not ours.
     "kontur_av/codecs/libopus.py": {"_import_with"},
     "kontur_av/streams/encoding_thread.py": {"switch_threads_often"},
-    "pipelines/session/children.py": {"ended_alike"},
+    "pipelines/session/children.py": {"handled"},
     "pipelines/session/machine_checks.py": {"take_descriptors"},
     # For the time of a connection, whose warnings are told in one line of ours.
     "pipelines/virtual/campaign/places.py": {"_connected"},
     "pipelines/bench/video/command.py": {"run"},
     "pipelines/bench/course/ends.py": {"_become"},
     # The command itself, in a process of its own.
-    "pipelines/cli.py": {"_loaded"},
-    "pipelines/commands/common.py": {"stopped_by_signals"},
+    "pipelines/cli.py": {"_loaded", "_apart"},
     "pipelines/commands/drive_far.py": {"_relay"},
     "pipelines/commands/live_output.py": {"_write"},
     "pipelines/virtual/simulate.py": {"_run"},

@@ -1,8 +1,10 @@
 """Standard output that is closed, full, without a reader, of another charset, or meant for data."""
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -82,3 +84,22 @@ def test_a_recording_that_becomes_shorter_is_a_failure_with_one_line(words, tmp_
     assert done.returncode == 1, done.stderr
     assert done.stderr.startswith("kontur-av: a file became shorter")
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_an_export_that_is_ended_leaves_nothing(number, tmp_path):
+    write_recording(tmp_path / "a.mcap")
+    words = ["export", "a.mcap", "--csv", "out", "--lerobot", "set"]
+    process = start(*words, stdout=subprocess.DEVNULL, cwd=tmp_path)
+    until_s = time.monotonic() + 60
+    while not [*tmp_path.glob("out/*.unfinished")] and time.monotonic() < until_s:
+        time.sleep(0.001)
+    child = children_of(process.pid)
+    process.send_signal(number)
+    assert ended(process) == (130, "")
+    assert not [one for one in child if Path(f"/proc/{one}").exists()]
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def children_of(pid) -> list[str]:
+    return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()

@@ -125,6 +125,24 @@ def test_the_writer_leaves_and_returns_with_another_size(fifo):
     second.join()
 
 
+@pytest.mark.parametrize("used_before", [True, False])
+def test_a_fifo_that_was_removed_and_made_again_is_read(fifo, used_before):
+    source = opened(fifo)
+    if used_before:
+        first = write_later(fifo, [y4m_header(*SIZE), y4m_picture(*SIZE, 60)])
+        assert levels(source, 1) == [60]
+        fifo.unlink()
+        first.join()
+    else:
+        fifo.unlink()
+    assert levels(source, 1, timeout_ns=200 * NS_PER_MS) == [None]
+    os.mkfifo(fifo)
+    second = write_later(fifo, [y4m_header(*SIZE), y4m_picture(*SIZE, 200)])
+    assert 200 in levels(source, 3, timeout_ns=300 * NS_PER_MS)
+    second.join()
+    source.close()
+
+
 def test_size_changes_and_garbage_in_the_middle_of_one_stream(fifo):
     source = opened(fifo)
     garbage = bytes(range(256)) * 40

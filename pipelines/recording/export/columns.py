@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.hand.haptic_trace import ACTED, CONTACT, DEAD_MAN
-from pipelines.recording.joined import JoinedMessage
+from pipelines.recording.joined import FAR_NS, JoinedMessage
 from pipelines.recording.messages import (
     FIGURES,
     HAPTIC_SAMPLES,
@@ -49,6 +49,12 @@ _TYPES = {
 _BY_NAME = {schema.full_name: schema for schema in SCHEMAS}
 #: Fields that are the row's instant already.
 _INSTANTS = {"session_ns", "capture_ns", "timestamp"}
+#: What MATLAB's `namelengthmax` and `iskeyword` say.
+_LONGEST_NAME = 63
+_KEYWORDS = (
+    " break case catch classdef continue else elseif end for function global if otherwise parfor "
+    "persistent return spmd switch try while "
+)
 _STATE_BIT, _STATES, _LIT_BIT, _LIT = 8, 0xF, 16, 0xFF
 
 
@@ -72,7 +78,7 @@ class Columnizer:
         try:
             read = _one_row if special is None else special
             instants, rows = read(message)
-            session_ns = np.asarray(instants, np.int64)
+            session_ns = _near(np.asarray(instants, np.int64), message.session_ns)
         except (ProtocolError, OverflowError):
             # OverflowError: an instant beyond 64 bits.
             self.unreadable[message.topic] = self.unreadable.get(message.topic, 0) + 1
@@ -86,6 +92,19 @@ class Columnizer:
             f"{topic}: {count} messages are not of their schema, and were left out"
             for topic, count in self.unreadable.items()
         ]
+
+
+def _near(instants_ns: NDArray[np.int64], message_ns: int) -> NDArray[np.int64]:
+    """Move instants within a message that are far from its own between those that are not."""
+    right = np.abs(instants_ns - message_ns) <= FAR_NS
+    if right.all():
+        return instants_ns
+    if not right.any():
+        moved_ns: NDArray[np.int64] = instants_ns - instants_ns[0] + message_ns
+        return moved_ns
+    rows = np.arange(len(instants_ns))
+    since_ns = np.interp(rows, rows[right], instants_ns[right] - message_ns)
+    return np.where(right, instants_ns, message_ns + since_ns.astype(np.int64))
 
 
 def joined(blocks: Iterable[Rows]) -> Columns:
@@ -210,15 +229,20 @@ def identifier(text: str) -> str:
 def table_names(topics: Iterable[str], taken: Iterable[str] = ()) -> dict[str, str]:
     """Return the name of each channel's table: `haptic_up_sent` for `/haptic/up/sent`.
 
-    taken: names of others. Of channels whose names fall together, later ones get a number.
+    taken: names of others. Of channels whose names fall together, later ones get a number. Each is
+    a name that MATLAB permits for variables.
     """
     names: dict[str, str] = {}
     used = {*taken}
     for topic in sorted(topics):
-        plain = name = identifier(topic.strip("/"))
+        plain = identifier(topic.strip("/"))
+        if not plain[:1].isalpha() or f" {plain} " in _KEYWORDS:
+            plain = f"x_{plain}"
+        plain = name = plain[:_LONGEST_NAME]
         number = 2
         while name in used:
-            name, number = f"{plain}_{number}", number + 1
+            ending = f"_{number}"
+            name, number = plain[: _LONGEST_NAME - len(ending)] + ending, number + 1
         used.add(name)
         names[topic] = name
     return names

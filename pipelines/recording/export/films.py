@@ -6,7 +6,7 @@ from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES
 from pipelines.recording.export.columns import table_names
 from pipelines.recording.export.film import FilmClock, FilmUnit, FilmUnits, can_begin, heard_ns
-from pipelines.recording.joined import JoinedMessage, JoinedRecording
+from pipelines.recording.joined import FAR_NS, JoinedMessage, JoinedRecording
 from pipelines.recording.matroska import MatroskaFile
 from pipelines.recording.messages import AUDIO, VIDEO, RecordedSound, unpack
 from pipelines.recording.recording_file import Outputs
@@ -37,7 +37,9 @@ class MatroskaExport:
         if not pictures and not sounds:
             raise ConfigError("the recording has neither pictures nor sound: leave out --mkv")
         names = table_names([*pictures, *sounds])
-        begin_ns = min(recording.begin_ns, recording.first_ns([*pictures, *sounds]))
+        begin_ns, first_ns = recording.begin_ns, recording.first_ns([*pictures, *sounds])
+        if begin_ns - first_ns <= FAR_NS:
+            begin_ns = min(begin_ns, first_ns)
         self._films: list[Film] = []
         for topic in pictures:
             voice = topic.replace("_video/", "_voice/")

@@ -111,9 +111,16 @@ def test_files_that_cannot_be_read(tmp_path):
     (tmp_path / "odd.toml").write_text("name = ")
     with pytest.raises(ConfigError, match=r"cart .*odd\.toml is not TOML: "):
         read_toml(tmp_path / "odd.toml", "cart")
-    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigError, match="is not TOML"):
+    (tmp_path / "binary.toml").write_bytes('a = "é"'.encode("utf-16"))
+    with pytest.raises(ConfigError, match=r"is not TOML: octet 0 is no UTF-8: save it as UTF-8$"):
         read_toml(tmp_path / "binary.toml", "cart")
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+def test_editors_of_other_systems_may_have_written_a_file(tmp_path, line_end):
+    path = tmp_path / "cart.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + f'name = "x"{line_end}[front]{line_end}'.encode())
+    assert read_toml(path, "cart") == {"name": "x", "front": {}}
 
 
 @pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000])

@@ -130,6 +130,17 @@ def test_a_single_picture_is_repeated(tmp_path):
     assert all(abs(gap - 33_333_333) <= 1 for gap in gaps[1:])
 
 
+def test_a_file_with_nothing_in_it_says_so(tmp_path):
+    (tmp_path / "head.y4m").write_bytes(b"YUV4MPEG2 W64 H48 F25:1 Ip C420jpeg\n")
+    video = opened(tmp_path / "head.y4m", ManualClock(0))
+    assert video.read(empty_picture(64, 48), NS_PER_S) is None
+    assert video.last_fault.endswith("head.y4m: it holds no picture")
+    write_tone(tmp_path / "tone.wav", seconds=0.001)
+    audio = open_audio(str(tmp_path / "tone.wav"), name="mic", clock=ManualClock(0))
+    assert audio.read(NS_PER_S) is None
+    assert audio.last_fault.endswith("tone.wav: it holds less than 5 ms of sound")
+
+
 def test_a_file_that_disappears_and_returns(tmp_path):
     path = tmp_path / "clip.mkv"
     write_video(path, pictures=5)

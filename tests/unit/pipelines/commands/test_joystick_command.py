@@ -30,6 +30,12 @@ def test_a_check_prints_its_figures_and_writes_a_report(tmp_path, capsys):
     ]
 
 
+def test_without_a_terminal_no_line_of_the_table_is_broken(capsys, monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert main(["joystick", "test", "buttons"]) == 0
+    assert "dead-man button let go and pressed" in capsys.readouterr().out
+
+
 def test_a_failed_check_is_exit_code_1_with_its_reason(capsys):
     assert main(["joystick", "test", "buttons", "--device", "sim:stuck-x"]) == 1
     out = capsys.readouterr().out

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from kontur_av.codecs.opus import OpusEncoder
+from kontur_av.errors import ConfigError
+from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.remux import MatroskaWriter
 
 BLOCK = 960
@@ -39,6 +41,16 @@ def save(path, packets):
 def test_a_full_disk_is_told_once(packets):
     writer = save("/dev/full", packets)
     assert writer.fault == "--save '/dev/full': No space left on device"
+
+
+def test_of_two_that_save_into_one_file_the_later_is_refused(tmp_path):
+    path = str(tmp_path / "a.mkv")
+    first = MatroskaWriter(path)
+    for open_too in (MatroskaWriter, RawPictures):
+        with pytest.raises(ConfigError, match="another program is writing it"):
+            open_too(path)
+    first.close()
+    MatroskaWriter(path).close()
 
 
 def test_what_was_saved_before_the_disk_was_full_can_be_read(tmp_path):

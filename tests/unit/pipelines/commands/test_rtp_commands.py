@@ -1,9 +1,11 @@
 """`send` and `receive` refuse the user's mistakes in one line, before anything starts."""
 
 import argparse
+import os
+import signal
 import socket
 import wave
-from threading import Event, Thread
+from threading import Event, Thread, Timer
 
 import numpy as np
 import pytest
@@ -188,3 +190,16 @@ def test_the_sdp_offers_the_level_that_pictures_may_grow_to(size, fps, cap_kbps,
     assert (size in sent) == (grown or encoder.coded_size == size)
     for sps in sent.values():
         assert sps[1] == offered[0] and sps[3] <= offered[2]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_whatever_ends_it_a_report_is_written(tmp_path, number):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", 0))
+        port = udp.getsockname()[1] & ~1
+    (tmp_path / "s.sdp").write_text(SDP.format(port=port))
+    timer = Timer(0.3, os.kill, (os.getpid(), number))
+    timer.start()
+    report = tmp_path / "r.json"
+    assert run(receive, "--sdp", tmp_path / "s.sdp", "--report", report, "--seconds", 20) == 1
+    assert "no packet came" in report.read_text()

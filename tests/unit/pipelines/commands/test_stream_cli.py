@@ -3,12 +3,13 @@
 import shutil
 import socket
 import tempfile
+from types import SimpleNamespace
 
 import pytest
 
 from kontur_av.clock import MonotonicClock
 from pipelines.cli import main, make_parser
-from pipelines.commands import stream
+from pipelines.commands import live_session, stream
 from pipelines.session.options import radio_changes
 from pipelines.session.setup.setup_file import load_setup
 
@@ -324,6 +325,8 @@ def test_a_busy_port_is_named(capsys):
         (["select", "static"], "no session is running here"),
         (["select", "static", "--session", "mine"], "no session mine"),
         (["select", "static", "--session", "../../etc"], "session"),
+        (["receive", "--sdp", "-s.sdp"], "--sdp=VALUE"),
+        (["info", "-a.mcap"], "./NAME"),
     ],
 )
 def test_impossible_commands_are_refused(capsys, monkeypatch, arguments, says):
@@ -331,6 +334,17 @@ def test_impossible_commands_are_refused(capsys, monkeypatch, arguments, says):
     with tempfile.TemporaryDirectory(prefix="kav") as directory:
         monkeypatch.setattr(tempfile, "tempdir", directory)
         assert says in refusal(capsys, *arguments)
+
+
+def test_a_quiet_session_says_what_failed(capsys, monkeypatch):
+    monkeypatch.setattr(
+        live_session, "session_report", lambda *_: SimpleNamespace(failures=["why"])
+    )
+    monkeypatch.setattr(live_session, "save_report", lambda *_: True)
+    collector = SimpleNamespace(handle_end=lambda: None, trace=None)
+    args = SimpleNamespace(quiet=True, report=None)
+    assert live_session.end_session(args, collector, None) == 1
+    assert capsys.readouterr() == ("", "failed: why\n")
 
 
 def test_version_is_printed(capsys):

@@ -1,5 +1,7 @@
 """Tables of a recording: each sample with what became of it, each event with its haptic row."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +12,14 @@ from pipelines.recording.export.columns import Columnizer, joined, table_names
 from pipelines.recording.export.csv_files import CsvExport
 from pipelines.recording.export.tables import TableCollector, haptic_tables, rows_of_haptics
 from pipelines.recording.joined import JoinedMessage, JoinedRecording, read_part
-from pipelines.recording.messages import EVENT, LINK_SENT, NO_SAMPLE
+from pipelines.recording.messages import (
+    EVENT,
+    HAPTIC_SAMPLES,
+    LINK_SENT,
+    NO_SAMPLE,
+    SAMPLE,
+    pack_haptics,
+)
 from pipelines.recording.recording_file import Outputs
 
 
@@ -117,11 +126,15 @@ def test_messages_that_are_not_of_their_schema_are_counted():
     assert columnizer.rows(message._replace(schema="some.Other")) is None
 
 
-@given(st.lists(st.text("a_-/. 2é", min_size=1, max_size=4), unique=True, max_size=12))
+TOPICS = st.text("a_-/. 2é", min_size=1, max_size=4) | st.text("ab", min_size=60, max_size=70)
+
+
+@given(st.lists(TOPICS | st.sampled_from(["/end", "END"]), unique=True, max_size=12))
 def test_no_two_channels_have_one_table(topics):
     names = table_names(topics, taken=["a", "events"])
     assert len({*names.values(), "a", "events"}) == len(topics) + 2
-    assert all(name == "" or name.isascii() for name in names.values())
+    assert all(re.fullmatch("[a-z][a-z0-9_]{0,62}", name) for name in names.values())
+    assert "end" not in names.values()
 
 
 def test_channels_whose_names_fall_together_are_all_exported(tmp_path, written):
@@ -146,3 +159,65 @@ def test_channels_whose_names_fall_together_are_all_exported(tmp_path, written):
     assert {"a_b", "a_b_2"} == {*collector.tables()}
     lengths = [len((tmp_path / f"csv/{name}.csv").read_text()) for name in ("a_b", "a_b_2")]
     assert min(lengths) > 1000
+
+
+class Messages:
+    """A part of these messages."""
+
+    def __init__(self, instants_s):
+        self._instants_s = instants_s
+
+    def messages(self, part):
+        for number, at_s in enumerate(self._instants_s):
+            yield JoinedMessage("/a", "", round(at_s * S), round(at_s * S), number, b"", part)
+
+
+def settled_s(instants_s):
+    found = [*JoinedRecording(parts=[Messages(instants_s)]).messages()]
+    assert [message.sequence for message in found] == [*range(len(instants_s))]
+    return [message.session_ns / S for message in found], [message.moved for message in found]
+
+
+WRONG_S = [0.0, 1400.0, 8600.0, 2**63 / S, 2**64 / S]
+
+
+@given(st.dictionaries(st.integers(1, 9), st.sampled_from(WRONG_S)))
+def test_single_instants_far_from_all_others_are_moved(wrong):
+    right = [5000 + 0.01 * number for number in range(100)]
+    instants_s = [wrong.get(number / 10, at_s) for number, at_s in enumerate(right)]
+    found_s, moved = settled_s(instants_s)
+    assert found_s == pytest.approx(right, abs=1)
+    assert moved == [number / 10 in wrong for number in range(100)]
+
+
+@pytest.mark.parametrize("place", [0, -1])
+@pytest.mark.parametrize("wrong_s", [-2e9, 2**64 / S])
+def test_the_first_and_the_last_instant_may_be_wrong(place, wrong_s):
+    instants_s = [5000 + 0.01 * number for number in range(20)]
+    instants_s[place] = wrong_s
+    found_s, _ = settled_s(instants_s)
+    assert found_s == pytest.approx([5000] * 20, abs=1)
+
+
+@given(st.lists(st.floats(0, 5000), min_size=1, max_size=99), st.integers(0, 20))
+def test_pauses_stay(pauses_s, together):
+    instants_s, at_s = [], 0.0
+    for pause_s in pauses_s:
+        at_s += pause_s
+        instants_s += [at_s + 0.01 * number for number in range(together + 1)]
+    found_s, moved = settled_s(instants_s)
+    assert not any(moved)
+    assert found_s == pytest.approx(instants_s, abs=1e-8)
+
+
+def test_samples_an_hour_ahead_within_a_message_are_moved():
+    time_ns = BEGIN_NS + np.arange(6) * MS
+    for wrong in ([2, 3], [0], [*range(6)]):
+        samples = np.zeros(6, SAMPLE)
+        samples["time_ns"] = time_ns
+        samples["time_ns"][wrong] += 3600 * S
+        message = JoinedMessage(
+            "/haptic/up/sent", HAPTIC_SAMPLES.full_name, BEGIN_NS, BEGIN_NS, 0, b"", 0
+        )
+        rows = Columnizer(BEGIN_NS).rows(message._replace(data=pack_haptics(samples)))
+        assert np.abs(rows["session_ns"] - time_ns).max() <= MS
