@@ -18,6 +18,7 @@ from pipelines.commands.end_options import (
     hold_listen_port,
     path_line,
 )
+from pipelines.commands.live_session import say_failures
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
@@ -102,6 +103,8 @@ def run(args: argparse.Namespace) -> int:
     )
     saved = save_report(args.report, report)
     screen.show_lines(summary_lines(report))
+    if args.quiet:
+        say_failures(report.failures)
     return 1 if report.failures or not saved else 0
 
 

@@ -3,7 +3,7 @@
 import argparse
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -74,9 +74,14 @@ def end_session(
         with output_that_may_fail():
             print_summary(report)
     else:
-        for failure in report.failures:
-            print(f"failed: {failure}", file=sys.stderr)
+        say_failures(report.failures)
     return 1 if report.failures or not saved else 0
+
+
+def say_failures(failures: Sequence[str]) -> None:
+    """Say with --quiet, too, why the exit code is 1."""
+    for failure in failures:
+        print(f"failed: {failure}", file=sys.stderr)
 
 
 def end_trace(collector: Collector, launcher: Launcher) -> EndTrace:
