@@ -14,7 +14,6 @@ from pipelines.commands.media_reports import PicturesReport, SoundReport
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.remux import MatroskaWriter
 
-
 #: What a picture's timestamp may run ahead of its arrival, or behind it, and a sound's of its play.
 _PICTURE_S, _SOUND_S = 10.0, 0.25
 

@@ -192,8 +192,8 @@ class MediaLine:
 class Offer:
     """A description of the peer, an offer or an answer.
 
-    lines: the media that can be used, perhaps several of a kind. mids: all of its media sections in order, with the words
-    after "m=" of those that are not used, which an answer rejects.
+    lines: the media that can be used, perhaps several of a kind. mids: all of its media sections in
+    order, with the words after "m=" of those that are not used, which an answer rejects.
     """
 
     lines: tuple[MediaLine, ...]
