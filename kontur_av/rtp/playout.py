@@ -24,6 +24,8 @@ _SETTLE_NS = 10 * NS_PER_MS
 _STRETCHED_NS = 5 * NS_PER_MS
 #: The delay is lowered only if it is too large by more than this.
 _SLACK_NS = 3 * NS_PER_MS
+#: Timestamps that waver about whole blocks by at most one part in this many mean those blocks.
+_WAVER = 4
 #: libopus conceals in steps of 2.5 ms.
 _STEP_SAMPLES = AUDIO_CLOCK_HZ // 400
 
@@ -76,6 +78,15 @@ class PlayoutCounts:
 class _Block(NamedTuple):
     payload: bytes
     samples: int
+    timestamp: int
+
+
+class _Newest(NamedTuple):
+    """The packet of the highest sequence number."""
+
+    sequence: int
+    media: int
+    samples: int
 
 
 class PlayoutBuffer:
@@ -93,6 +104,9 @@ class PlayoutBuffer:
     The offset grows at once, by concealment before the next block. Where a late block has just been
     concealed, that concealment counts, and the block is played after it. Up to 5 ms are gained by
     stretching. The offset shrinks by shortening each block by at most 1/40, or by half in pauses.
+
+    Packets in a row are whole blocks, also where their timestamps waver, or leap although no time
+    has passed.
 
     A missing block is recovered from a copy in its successor, else concealed. After
     `max_concealed` concealments in a row the buffer is silent until a packet comes.
@@ -131,6 +145,9 @@ class PlayoutBuffer:
         self._blocks: dict[int, _Block] = {}
         self._unwrapper = TimestampUnwrapper()
         self._origin: int | None = None
+        self._newest: _Newest | None = None
+        #: By how much the newest timestamp is ahead of whole blocks.
+        self._astray = 0
         self._transits = Transits(window_ns=self._window_ns, late_allowed=self._late_allowed)
         self._offset_ns: int | None = None
         self._floor_ns: int | None = None
@@ -162,7 +179,7 @@ class PlayoutBuffer:
         if until_ns is None or self._origin is None:
             self._floor_ns = None
         else:
-            self._floor_ns = until_ns - _ns(self._unwrapper.unwrap(timestamp))
+            self._floor_ns = until_ns - _ns(self._unwrapper.unwrap(timestamp) - self._astray)
 
     def handle_packet(self, packet: RtpReceived) -> None:
         """Handle a packet that arrived at its `received_ns`. Garbage is counted."""
@@ -176,14 +193,13 @@ class PlayoutBuffer:
         self.handle_timeout(now_ns)
         if packet.restart:
             self._resync()
-        media = self._unwrapper.unwrap(packet.timestamp)
-        transit_ns = now_ns - _ns(media)
+        media = self._unwrapper.unwrap(packet.timestamp) - self._astray
         last_ns = self._transits.last_ns
-        if last_ns is not None and abs(transit_ns - last_ns) > _RESYNC_NS:
+        if last_ns is not None and abs(now_ns - _ns(media) - last_ns) > _RESYNC_NS:
             self._resync()
             media = self._unwrapper.unwrap(packet.timestamp)
-            transit_ns = now_ns - _ns(media)
-        self._observe(now_ns, transit_ns)
+        media = self._in_whole_blocks(packet, media, samples)
+        self._observe(now_ns, now_ns - _ns(media))
         if self._origin is None:
             self._origin = (packet.timestamp - media) & 0xFFFF_FFFF
         if self._played_up_to is not None and media < self._played_up_to:
@@ -191,7 +207,7 @@ class PlayoutBuffer:
                 self.counts.late += 1
                 return
             self._rewind(media)
-        self._blocks[media] = _Block(packet.payload, samples)
+        self._blocks[media] = _Block(packet.payload, samples, packet.timestamp)
         if self._next is None:
             self._begin(min(self._blocks), now_ns)
         elif media < self._next:
@@ -203,6 +219,27 @@ class PlayoutBuffer:
             oldest = min(self._blocks)
             self._pass(oldest, self._blocks.pop(oldest).samples)
             self.counts.dropped += 1
+
+    def _in_whole_blocks(self, packet: RtpReceived, media: int, samples: int) -> int:
+        newest, ahead = self._newest, 1
+        if newest is not None:
+            ahead = packet.extended_sequence - newest.sequence
+            whole = newest.media + ahead * (newest.samples if ahead > 0 else samples)
+            astray = media - whole
+            if astray and (
+                abs(astray) <= samples // _WAVER
+                or (ahead == 1 and self._leaps(media, newest.media, packet.received_ns))
+            ):
+                self._astray += astray if ahead > 0 else 0
+                media = whole
+        if ahead > 0:
+            self._newest = _Newest(packet.extended_sequence, media, samples)
+        return media
+
+    def _leaps(self, media: int, before: int, now_ns: int) -> bool:
+        """Return whether a packet is older than the one before, or too quick to be dated right."""
+        too_quick_ns = self._transits.quickest_ns - self._max_delay_ns
+        return media < before or now_ns - _ns(media) < too_quick_ns
 
     def _resync(self) -> None:
         if self._origin is None:
@@ -311,7 +348,7 @@ class PlayoutBuffer:
             self._concealed_in_row = 0
             self._samples = block.samples
             self.counts.played += 1
-            self._emit(block.payload, media, block.samples, due_ns)
+            self._emit(block.payload, media, block.samples, due_ns, timestamp=block.timestamp)
             return
         following = self._blocks.get(media + self._samples)
         if following is not None and holds_copy(following.payload):
@@ -337,11 +374,11 @@ class PlayoutBuffer:
 
     def _insert(self, media: int, due_ns: int) -> None:
         """Insert concealment before `media` until the offset suffices, one block at a time."""
-        assert self._origin is not None and self._offset_ns is not None
+        assert self._offset_ns is not None
         steps = -(-self._lacking_ns() * AUDIO_CLOCK_HZ // (NS_PER_S * _STEP_SAMPLES))
         samples = min(steps * _STEP_SAMPLES, BLOCK_SAMPLES)
         self.counts.inserted += 1
-        timestamp = (self._origin + media) & 0xFFFF_FFFF
+        timestamp = self._timestamp(media)
         self._events.append(PlayoutBlock(None, timestamp, samples, due_ns, samples, inserted=True))
         self._offset_ns += _ns(samples)
         self._free_ns = due_ns + _ns(samples)
@@ -353,10 +390,12 @@ class PlayoutBuffer:
         samples: int,
         due_ns: int,
         *,
+        timestamp: int | None = None,
         recovered: bool = False,
     ) -> None:
-        assert self._origin is not None and self._offset_ns is not None
-        timestamp = (self._origin + media) & 0xFFFF_FFFF
+        assert self._offset_ns is not None
+        if timestamp is None:
+            timestamp = self._timestamp(media)
         pause = payload is not None and not recovered and is_pause(payload)
         played = samples + self._stretch(samples, _PAUSE_STRETCH if pause else _STRETCH)
         self._events.append(
@@ -365,6 +404,10 @@ class PlayoutBuffer:
         self._offset_ns += _ns(played - samples)
         self._free_ns = due_ns + _ns(played)
         self._pass(media, samples)
+
+    def _timestamp(self, media: int) -> int:
+        assert self._origin is not None
+        return (self._origin + media + self._astray) & 0xFFFF_FFFF
 
     def _stretch(self, samples: int, parts: int) -> int:
         """Return the samples to add to a block, or to take away if negative.

@@ -9,7 +9,7 @@ import ipaddress
 import re
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from kontur_av.errors import ConfigError
@@ -52,6 +52,7 @@ class StreamDescription:
     picture takes PLIs.
     reduced_size: the sender takes PLIs without a report before them (RFC 5506).
     capture_time_id: of the header extension ABS_CAPTURE_TIME, 1 to 14; None: the stream has none.
+    sources: the only IP addresses that send to the group `host` (RFC 4570); empty: any.
     name: of the session (s=).
     """
 
@@ -66,6 +67,7 @@ class StreamDescription:
     feedback: bool = False
     reduced_size: bool = False
     capture_time_id: int | None = None
+    sources: tuple[str, ...] = ()
     name: str = "kontur-av"
 
     @property
@@ -159,12 +161,14 @@ def parse_sdp(text: str) -> StreamDescription:
     text = text.removeprefix("\ufeff")[begin.end() :]
     session_host: str | None = None
     session_name = "-"
+    session_sources: tuple[str, ...] = ()
     encrypted = False
     fault: ConfigError | None = None
     for block in _blocks(text):
         host = next((_address(value) for key, value in block if key == "c"), session_host)
+        sources = _sources(block) or session_sources
         if block[0][0] != "m":
-            session_host = host
+            session_host, session_sources = host, sources
             session_name = next((value for key, value in block if key == "s"), session_name)
             continue
         try:
@@ -174,7 +178,7 @@ def parse_sdp(text: str) -> StreamDescription:
             fault = fault or error
             continue
         if stream is not None and "SAVP" not in block[0][1].split()[2].upper():
-            return stream
+            return replace(stream, sources=sources)
         encrypted |= stream is not None
     if encrypted:
         raise ConfigError(
@@ -212,6 +216,19 @@ def _address(value: str) -> str:
         return str(ipaddress.ip_address(address.partition("/")[0]))
     except ValueError:
         return "::" if (network, kind) == ("IN", "IP6") else _ANY_HOST
+
+
+def _sources(block: list[tuple[str, str]]) -> tuple[str, ...]:
+    """Return the senders that a=source-filter includes (RFC 4570 section 3); empty for any."""
+    found: list[str] = []
+    for key, value in block:
+        attribute, _, rest = value.partition(":")
+        mode, _, _, _, *senders = [*rest.split(), "", "", "", ""]
+        if key == "a" and attribute.strip() == "source-filter" and mode == "incl":
+            for sender in senders:
+                with suppress(ValueError):
+                    found.append(str(ipaddress.ip_address(sender)))
+    return tuple(found)
 
 
 def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDescription | None:

@@ -317,7 +317,7 @@ class StreamReceiver(_AsyncClosing):
             raise ConfigError(f"{sdp} cannot be read: {error.strerror}") from None
         stream = parse_sdp(text)
         self._clock = MonotonicClock()
-        self._udp = UdpReceiver(stream.host, stream.port, stream.control_port)
+        self._udp = UdpReceiver(stream.host, stream.port, stream.control_port, stream.sources)
         self._ready = threading.Condition()
         self._waiting: deque[tuple[Any, int | None, Quality]] = deque()
         self._most = 1 if stream.kind == "video" else _MOST_BLOCKS

@@ -4,7 +4,7 @@ import ipaddress
 import select
 import socket
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -18,6 +18,10 @@ from kontur_av.streams.voice_sender import VoiceSender
 
 _FEEDBACK_OCTETS = 1500
 _RECEIVE_BUFFER_OCTETS = 1 << 20
+#: MCAST_JOIN_GROUP and MCAST_JOIN_SOURCE_GROUP of Linux (RFC 3678), which Python does not name.
+_JOIN, _JOIN_SOURCE = 42, 46
+
+_Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 
 class UdpSender:
@@ -74,15 +78,23 @@ class UdpReceiver:
         alone; a multicast group is joined, also by several receivers; any other address binds all.
     port: of RTP. Reports that come there are taken, too (RFC 5761).
     control_port: of RTCP; None: the next port. It may be that of RTP.
+    sources: the only senders of a multicast group (RFC 4570); empty: any.
 
     Raises ConfigError if a port cannot be opened.
     """
 
-    def __init__(self, host: str, port: int, control_port: int | None = None) -> None:
-        self._rtp = self._rtcp = _bound(host, port)
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        control_port: int | None = None,
+        sources: Sequence[str] = (),
+    ) -> None:
+        self._rtp = self._rtcp = _bound(host, port, sources)
         if control_port != port:
+            reports = port + 1 if control_port is None else control_port
             try:
-                self._rtcp = _bound(host, port + 1 if control_port is None else control_port)
+                self._rtcp = _bound(host, reports, sources)
             except ConfigError:
                 self._rtp.close()
                 raise
@@ -135,7 +147,7 @@ class UdpReceiver:
                     udp.sendto(feedback, source)
 
 
-def _bound(host: str, port: int) -> socket.socket:
+def _bound(host: str, port: int, sources: Sequence[str]) -> socket.socket:
     address = ipaddress.ip_address(host)
     family = socket.AF_INET6 if address.version == 6 else socket.AF_INET
     udp = socket.socket(family, socket.SOCK_DGRAM)
@@ -149,7 +161,7 @@ def _bound(host: str, port: int) -> socket.socket:
         alone = address.is_loopback or (address.is_multicast and address.version == 4)
         udp.bind((host if alone else "", port))
         if address.is_multicast:
-            _join(udp, address)
+            _join(udp, address, [ipaddress.ip_address(source) for source in sources])
     except OSError as error:
         udp.close()
         raise ConfigError(
@@ -159,13 +171,32 @@ def _bound(host: str, port: int) -> socket.socket:
     return udp
 
 
-def _join(udp: socket.socket, group: ipaddress.IPv4Address | ipaddress.IPv6Address) -> None:
-    if group.version == 4:
-        membership = group.packed + socket.inet_aton("0.0.0.0")
-        udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
-    else:
-        membership = group.packed + struct.pack("@I", 0)
-        udp.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, membership)
+def _join(udp: socket.socket, group: _Address, sources: Sequence[_Address]) -> None:
+    """Join a group on all interfaces, since the way to its sender need not be that to the Internet.
+
+    sources: its only senders; empty: any. Raises OSError if no interface can join.
+    """
+    level = socket.IPPROTO_IP if group.version == 4 else socket.IPPROTO_IPV6
+    wanted = [one for one in sources if one.version == group.version]
+    refused, joined = OSError("no network interface"), False
+    for index, _ in socket.if_nameindex():
+        head = struct.pack("@I4x", index) + _packed(group)
+        for option, tail in [(_JOIN_SOURCE, _packed(one)) for one in wanted] or [(_JOIN, b"")]:
+            try:
+                udp.setsockopt(level, option, head + tail)
+                joined = True
+            except OSError as error:
+                # An interface without multicast, or more of them than a socket may join on.
+                refused = error
+    if not joined:
+        raise refused
+
+
+def _packed(address: _Address) -> bytes:
+    """Return the address as a sockaddr_storage."""
+    if address.version == 4:
+        return struct.pack("@HH4s120x", socket.AF_INET, 0, address.packed)
+    return struct.pack("@HHI16s104x", socket.AF_INET6, 0, 0, address.packed)
 
 
 def _datagrams(udp: socket.socket) -> Iterator[tuple[bytes, Any]]:

@@ -131,8 +131,7 @@ class VideoReceiver:
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
         self._receiver.handle_timeout(now_ns)
-        while (packet := self._receiver.next_event()) is not None:
-            self._depacketizer.handle_packet(packet)
+        self._take_packets()
         self._depacketizer.handle_timeout(now_ns)
 
     def poll_timeout(self) -> int | None:
@@ -160,8 +159,7 @@ class VideoReceiver:
 
     def next_event(self) -> ReceivedUnit | None:
         """Return the next access unit to decode, or None."""
-        while (packet := self._receiver.next_event()) is not None:
-            self._depacketizer.handle_packet(packet)
+        self._take_packets()
         unit = self._depacketizer.next_event()
         if unit is not None:
             hurt = self._healing.handle_unit(unit)
@@ -176,6 +174,13 @@ class VideoReceiver:
                 if len(self._hurt) > _REMEMBERED:
                     self._hurt.popitem(last=False)
         return unit
+
+    def _take_packets(self) -> None:
+        while (packet := self._receiver.next_event()) is not None:
+            if packet.restart and self._receiver.counts.sources > 1:
+                # Another camera, perhaps: its pictures are not predicted from those before.
+                self._healing.handle_damage()
+            self._depacketizer.handle_packet(packet)
 
     def handle_new_viewer(self) -> None:
         """Ask for a key picture with the next unit: who begins to watch needs one."""

@@ -72,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     stream = parse_sdp(_read_text(args.sdp))
     with ExitStack() as stack:
         udp = stack.enter_context(
-            closing(UdpReceiver(stream.host, stream.port, stream.control_port))
+            closing(UdpReceiver(stream.host, stream.port, stream.control_port, stream.sources))
         )
         check_writable(args.report)
         writer: MatroskaWriter | None = None

@@ -14,12 +14,19 @@ from pipelines.commands.media_reports import PicturesReport, SoundReport
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.remux import MatroskaWriter
 
+#: What a picture's timestamp may run ahead of its arrival, or behind it, and a sound's of its play.
+_PICTURE_S, _SOUND_S = 10.0, 0.25
 
-class _TimeLine:
-    """RTP timestamps as ticks since the first one; they rise on when the sender begins anew."""
+
+class TimeLine:
+    """RTP timestamps as ticks since the first one; they rise on when the sender begins anew.
+
+    rate_hz: of the ticks: that of pictures, or that of sound.
+    """
 
     def __init__(self, rate_hz: int) -> None:
         self._rate_hz = rate_hz
+        self._most = round(rate_hz * (_SOUND_S if rate_hz == AUDIO_CLOCK_HZ else _PICTURE_S))
         self._unwrapper = TimestampUnwrapper()
         self._base = self._last = self._largest = 0
         self._last_ns: int | None = None
@@ -32,7 +39,7 @@ class _TimeLine:
             if (
                 (follows_all and ticks <= self._largest)
                 or ticks < self._last - self._rate_hz
-                or abs(ticks - self._last - passed) > 10 * self._rate_hz
+                or abs(ticks - self._last - passed) > self._most
             ):
                 self._unwrapper = TimestampUnwrapper()
                 self._base = self._largest + max(passed, 1)
@@ -58,7 +65,7 @@ class PictureOutput:
         self.received_ns = Histogram()
         self._clock = clock
         self._raw = raw
-        self._time_line = _TimeLine(stream.clock_rate_hz)
+        self._time_line = TimeLine(stream.clock_rate_hz)
         self._writers = writers
         self._size: tuple[int, int] | None = None
 
@@ -121,7 +128,7 @@ class SoundOutput:
         self.received_ns = Histogram()
         self.decoded = 0
         self._concealed = 0
-        self._time_line = _TimeLine(AUDIO_CLOCK_HZ)
+        self._time_line = TimeLine(AUDIO_CLOCK_HZ)
         self._writers = writers
 
     def drain(self) -> None:

@@ -4,12 +4,13 @@ import argparse
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.h264 import DecodedPicture, H264Decoder
+from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.meters import Histogram
 from kontur_av.rtp.payload_h264 import ReceivedUnit
-from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.commands.media_reports import latency_ms
 from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
+from pipelines.commands.receive_media import TimeLine
 from pipelines.commands.remux import MatroskaWriter
 from pipelines.commands.rtc_reports import ReceivedKind
 from pipelines.partner.media import PictureCame, SoundCame
@@ -35,7 +36,8 @@ class PartnerOutput:
         self._picture_file = self._open(args.save)
         self._voice_file = self._open(args.save_voice)
         self._raw = None if args.raw is None else RawPictures(args.raw)
-        self._ticks = TimestampUnwrapper(), TimestampUnwrapper()
+        # A partner may come again, with other timestamps.
+        self._picture_time, self._voice_time = TimeLine(VIDEO_CLOCK_HZ), TimeLine(AUDIO_CLOCK_HZ)
         self._picture_ns, self._voice_ns = Histogram(), Histogram()
         self._pictures = self._blocks = 0
         #: Width and height of the newest picture; None before the first.
@@ -87,7 +89,9 @@ class PartnerOutput:
             if capture_ns is not None and picture.timestamp == unit.timestamp:
                 self._picture_ns.add(max(self._clock.now_ns() - capture_ns, 0))
         if self._picture_file is not None:
-            ticks = self._ticks[0].unwrap(unit.timestamp)
+            ticks = self._picture_time.ticks(
+                unit.timestamp, unit.received_ns, follows_all=unit.keyframe
+            )
             self._picture_file.add_unit(unit.data, ticks, keyframe=unit.keyframe)
 
     def _show(self, picture: DecodedPicture) -> None:
@@ -105,7 +109,7 @@ class PartnerOutput:
         if event.capture_ns is not None:
             self._voice_ns.add(max(block.play_ns - event.capture_ns, 0))
         if self._voice_file is not None and block.payload is not None and not block.recovered:
-            ticks = self._ticks[1].unwrap(block.timestamp)
+            ticks = self._voice_time.ticks(block.timestamp, block.play_ns, follows_all=True)
             self._voice_file.add_opus(block.payload, ticks, block.samples)
 
 

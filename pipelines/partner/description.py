@@ -6,7 +6,7 @@ accepted, so that a stranger's messages are not even read.
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from ipaddress import IPv4Address, ip_address
 from typing import Any, Literal
@@ -192,8 +192,8 @@ class MediaLine:
 class Offer:
     """A description of the peer, an offer or an answer.
 
-    lines: the media that can be used. mids: all of its media sections in order, with the words
-    after "m=" of those that are not used, which an answer rejects.
+    lines: the media that can be used, perhaps several of a kind. mids: all of its media sections in
+    order, with the words after "m=" of those that are not used, which an answer rejects.
     """
 
     lines: tuple[MediaLine, ...]
@@ -277,6 +277,21 @@ def common_line(offered: MediaLine, *, sends: bool, receives: bool) -> MediaLine
     )
 
 
+def common_lines(
+    offered: Iterable[MediaLine], *, sends: Collection[Kind], receives: Collection[Kind]
+) -> list[MediaLine]:
+    """Return what this end takes of an offer: of each kind the first line with a wanted direction.
+
+    sends, receives: kinds that this end sends, and those that it takes.
+    """
+    found: dict[Kind, MediaLine] = {}
+    for one in offered:
+        line = common_line(one, sends=one.kind in sends, receives=one.kind in receives)
+        if line is not None:
+            found.setdefault(one.kind, line)
+    return list(found.values())
+
+
 def write_candidates(transport: Transport, *, mid: str) -> str:
     """Return candidates as a fragment for trickle ICE (RFC 8840 section 9)."""
     lines = [f"a=ice-ufrag:{transport.ufrag}", f"a=ice-pwd:{transport.password}"]
@@ -323,9 +338,8 @@ def _read(parsed: SessionDescription, *, answers: bool, ssrcs: dict[Kind, int]) 
         rest = f"{media.profile} {' '.join(map(str, media.fmt))}"
         sections.append((mid, media.kind, rest))
         line = _read_section(media, ssrcs, answers) if mid in bundled or len(mids) == 1 else None
-        if line is None or any(line.kind == other.kind for other in lines):
-            continue
-        lines.append(line)
+        if line is not None:
+            lines.append(line)
     if not lines:
         raise NotAcceptableError("no bundled H.264 or Opus in the description")
     used = [media for media in parsed.media if media.rtp.muxId in {line.mid for line in lines}]

@@ -38,7 +38,8 @@ class _Incoming:
     def handle_packet(self, packet: bytes, now_ns: int) -> None:
         """Handle an RTP packet of this stream. Drain the stream's units or blocks afterwards."""
         self.source, _ = _numbers(packet)
-        self._receiver.handle_packet(packet, now_ns)
+        # The connection is the partner's alone, so another SSRC is the same sender begun anew.
+        self._receiver.handle_packet(packet, now_ns, source=self.line.mid)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> None:
         self._receiver.handle_report(datagram, now_ns)

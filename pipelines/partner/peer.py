@@ -18,6 +18,7 @@ from pipelines.partner.description import (
     Offer,
     Transport,
     common_line,
+    common_lines,
     read_description,
     wanted_line,
     write_description,
@@ -131,11 +132,7 @@ class RtcPeer:
     async def answer(self, offer: str) -> str:
         """Return the answer to a partner's offer. ProtocolError if the offer cannot be used."""
         said = read_description(offer, answers=False, ssrcs=self._ssrcs)
-        wanted = (
-            common_line(one, sends=one.kind in self._sends, receives=one.kind in self._receives)
-            for one in said.lines
-        )
-        lines = [line for line in wanted if line is not None]
+        lines = common_lines(said.lines, sends=self._sends, receives=self._receives)
         if not lines:
             raise NotAcceptableError("an offer of nothing that is wanted here")
         self._local = await self._transport.gather()

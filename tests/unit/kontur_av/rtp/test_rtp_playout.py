@@ -11,6 +11,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.rtp.wire import pack_rtp
 
 BLOCK_NS = 20 * NS_PER_MS
 
@@ -398,3 +399,57 @@ def test_garbage_and_a_new_time_line():
     line.advance(start_ns + NS_PER_S)
     assert [n for n in heard(line.blocks) if n is not None] == list(range(20))
     assert line.buffer.counts.resyncs == 1
+
+
+def told(stamps, *, lost=(), jitter_ns=0, seed=0):
+    """Play 20 ms blocks in time whose timestamps are `stamps`; the line, and its real blocks."""
+    rng, line = random.Random(seed), Line()
+    arrivals = []
+    for number, stamp in enumerate(stamps):
+        packet = pack_rtp(
+            b"\x08\x80" + number.to_bytes(2, "big"),
+            payload_type=97,
+            marker=False,
+            sequence=number,
+            timestamp=stamp & 0xFFFF_FFFF,
+            ssrc=5,
+        )
+        if number not in lost:
+            arrivals.append((number * BLOCK_NS + rng.randint(0, jitter_ns), packet))
+    for arrival_ns, packet in sorted(arrivals):
+        line.advance(arrival_ns)
+        line.receiver.handle_packet(packet, arrival_ns)
+        line.pass_on()
+    line.advance(len(stamps) * BLOCK_NS + NS_PER_S)
+    return line, [block for block in line.blocks if block.payload is not None]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.integers(-48, 48), min_size=100, max_size=200),
+    st.booleans(),
+    st.sets(st.integers(20, 80), max_size=6),
+    st.sampled_from([0, 8 * NS_PER_MS, 25 * NS_PER_MS]),
+    st.integers(0, 2**32 - 1),
+)
+def test_timestamps_that_waver_about_whole_blocks_tear_no_sound(off, walks, lost, jitter_ns, first):
+    sums = list(itertools.accumulate(off)) if walks else off
+    stamps = [first + number * 960 + away for number, away in enumerate(sums)]
+    line, real = told(stamps, lost=lost, jitter_ns=jitter_ns)
+    # Jitter alone costs some, until the delay is known.
+    assert len(real) + line.buffer.counts.late + line.buffer.counts.dropped == len(off) - len(lost)
+    assert line.buffer.counts.late + line.buffer.counts.dropped <= (5 if jitter_ns else 0)
+    # Each is dated by its own timestamp.
+    for block in real:
+        number = int.from_bytes(block.payload[2:], "big")
+        assert block.timestamp == stamps[number] & 0xFFFF_FFFF
+    list(assert_gapless(line.blocks))
+
+
+@given(st.sampled_from([-90_000, -30_000, -961, 12_000, 48_000, 91_200, 144_000]))
+def test_timestamps_that_leap_although_no_time_has_passed_delay_and_drop_nothing(leap):
+    stamps = [number * 960 + number // 100 * leap for number in range(500)]
+    line, real = told(stamps)
+    assert len(real) == 500
+    assert line.buffer.delay_ns <= 15 * NS_PER_MS
+    assert sum(block.payload is None for block in line.blocks[:-6]) == 0

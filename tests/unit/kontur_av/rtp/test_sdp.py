@@ -236,3 +236,12 @@ def test_a_level_above_that_of_the_parameter_sets_is_kept():
     usual = write_sdp(stream(parameter_sets=(SPS, PPS)))
     assert parse_sdp(usual).profile_level_id == ""
     assert parse_sdp(usual.replace("42C01E", "42c0")).profile_level_id == ""
+
+
+def test_the_senders_of_a_group_are_read():
+    head = HEAD + "a=source-filter: incl IN IP4 * 192.0.2.1\n"
+    assert parse_sdp(head + VIDEO).sources == ("192.0.2.1",)
+    own = "a=source-filter:incl IN IP4 239.1.2.3 192.0.2.2 192.0.2.3\n"
+    assert parse_sdp(head + VIDEO + own).sources == ("192.0.2.2", "192.0.2.3")
+    for line in ("excl IN IP4 * 192.0.2.2", "incl IN IP4 * camera.local", "incl", ""):
+        assert parse_sdp(HEAD + VIDEO + f"a=source-filter:{line}\n").sources == ()

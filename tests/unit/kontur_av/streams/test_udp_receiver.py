@@ -48,6 +48,29 @@ def test_several_receivers_of_a_group_share_its_port(group):
             one.close()
 
 
+@pytest.mark.parametrize(
+    ("sources", "packets"),
+    [((), 3), (("127.0.0.2",), 3), (("127.0.0.2", "192.0.2.9", "::1"), 3), (("192.0.2.9",), 0)],
+)
+def test_a_group_is_heard_on_any_interface_and_from_the_named_sources_only(sources, packets):
+    # Loopback is an interface to which no route of groups leads.
+    group, port = "239.255.7.9", free_port()
+    udp, receiver = UdpReceiver(group, port, sources=sources), VideoReceiver(ssrc=1)
+    try:
+        for host, garbage in (("127.0.0.1", b"a stranger's"), ("127.0.0.2", b"")):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+                sender.bind((host, 0))
+                sender.setsockopt(
+                    socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1")
+                )
+                for number in range(3):
+                    sender.sendto(garbage or packet(number), (group, port))
+        found = counts(udp, receiver)
+        assert (found.rtp_packets, found.garbage) == (packets, 0 if sources else 3)
+    finally:
+        udp.close()
+
+
 @pytest.mark.parametrize("one_port", [True, False])
 def test_reports_on_the_port_of_the_media_are_taken_and_answered(one_port):
     port = free_port()

@@ -1,16 +1,25 @@
-"""Saving to a disk that is full: one reason, no exception, and what is in the file can be read."""
+"""Saving what comes: a full disk is one reason and no exception, and times in a file rise."""
 
+import argparse
 import resource
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import av
 import numpy as np
 import pytest
 
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
+from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.playout import PlayoutBlock
 from pipelines.commands.raw_pictures import RawPictures
+from pipelines.commands.receive_media import TimeLine
 from pipelines.commands.remux import MatroskaWriter
+from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
+from pipelines.partner.media import PictureCame, SoundCame
 
 BLOCK = 960
 
@@ -62,3 +71,43 @@ def test_what_was_saved_before_the_disk_was_full_can_be_read(tmp_path):
         found = [packet.pts for packet in container.demux(audio=0) if packet.size]
     assert len(found) > 500
     assert found == sorted(found)
+
+
+@pytest.mark.parametrize("second", [0x9000_0000, 1000, 90_000])
+def test_a_partner_that_comes_again_goes_on_in_the_same_files(second, tmp_path):
+    parser = argparse.ArgumentParser()
+    add_output_arguments(parser)
+    pictures, voice = str(tmp_path / "p.mkv"), str(tmp_path / "v.mka")
+    args = parser.parse_args(["--save", pictures, "--save-voice", voice])
+    opus = OpusEncoder(bitrate_bps=24_000).encode(np.zeros(BLOCK, np.int16))
+    with closing(PartnerOutput(args, MonotonicClock())) as output:
+        for begin_s, first in ((0, 80_000), (5, second)):
+            encoder = H264Encoder(width=64, height=48, fps=25, cap_bps=100_000)
+            for number in range(50):
+                now_ns = begin_s * NS_PER_S + number * 40 * NS_PER_MS
+                coded = encoder.encode(
+                    VideoFrame(empty_picture(64, 48), CaptureStamp(now_ns, number, "c"))
+                )
+                stamp, key = first + number * 3600, number == 0
+                unit = ReceivedUnit(coded.data, stamp, key, False, 0, now_ns, now_ns)
+                output.handle(PictureCame(unit, None))
+                play_ns = begin_s * NS_PER_S + number * 20 * NS_PER_MS
+                block = PlayoutBlock(opus, first + number * BLOCK, BLOCK, play_ns, BLOCK)
+                output.handle(SoundCame(block, None))
+        assert output.finish() == []
+    for path in (pictures, voice):
+        with av.open(path) as container:
+            times = [float(p.pts * p.time_base) for p in container.demux() if p.size]
+        assert len(times) == 100
+        assert times == sorted(set(times))
+        assert 5.9 < times[-1] < 7
+
+
+def test_a_sound_is_saved_without_the_leaps_of_its_timestamps():
+    line, ticks = TimeLine(48_000), []
+    for number in range(500):
+        # One is dated 0, as some switches do, and then all are 3 s later.
+        stamp = 0 if number == 250 else 1_000_000 + number * BLOCK + 144_000 * (number > 250)
+        ticks.append(line.ticks(stamp, number * 20 * NS_PER_MS, follows_all=True))
+    assert np.diff(ticks).min() > 0
+    assert ticks[-1] <= 500 * BLOCK

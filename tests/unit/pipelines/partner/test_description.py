@@ -14,6 +14,7 @@ from pipelines.partner.description import (
     Transport,
     clean_candidates,
     common_line,
+    common_lines,
     read_candidates,
     read_description,
     wanted_line,
@@ -273,3 +274,22 @@ def test_any_candidate_is_taken_or_left_out(words):
     cleaned = clean_candidates(f"a=candidate:{words}")
     with contextlib.suppress(ProtocolError):
         read_candidates(f"a=ice-ufrag:a\na=ice-pwd:b\n{cleaned}")
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_of_two_pictures_that_is_taken_whose_direction_is_wanted(turned):
+    # Some offer one picture to send and one to receive, each in a section of its own.
+    lines = [
+        wanted_line("video", mid="a", ssrc=1, sends=True),
+        wanted_line("video", mid="b", ssrc=2, receives=True),
+        wanted_line("video", mid="c", ssrc=3, sends=True, receives=True),
+    ]
+    text = write_description(
+        lines[::-1] if turned else lines, LOCAL, session=1, cname="c", stream="s"
+    )
+    offered = read_description(text, answers=False, ssrcs=SSRCS).lines
+    (taken,) = common_lines(offered, sends={}, receives=("audio", "video"))
+    assert (taken.mid, taken.sends, taken.receives) == ("c" if turned else "a", False, True)
+    (given,) = common_lines(offered, sends={"video": 1}, receives=())
+    assert (given.mid, given.sends, given.receives) == ("c" if turned else "b", True, False)
+    assert common_lines(offered, sends={"audio": 1}, receives=("audio",)) == []

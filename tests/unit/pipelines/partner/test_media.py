@@ -2,6 +2,9 @@
 
 import random
 from collections import deque
+from dataclasses import replace
+
+import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp
@@ -15,6 +18,7 @@ from pipelines.partner.media import PictureCame, RtcMedia, SoundCame
 DELAY_NS = 15 * NS_PER_MS
 #: The receiver's clock is ahead of the sender's by this; sender reports tell Unix time.
 AHEAD_NS = 500 * NS_PER_S
+BPS = {"audio": 32_000, "video": 1_500_000}
 
 
 def opus(number):
@@ -45,12 +49,18 @@ class Pair:
         ]
         back = [wanted_line(line.kind, mid=line.mid, ssrc=0, receives=True) for line in lines]
         options = {"randbits": draw, "most_bps": 1_500_000, "cname": "c"}
-        self.sender = RtcMedia(lines, bps={"audio": 32_000, "video": 1_500_000}, **options)
+        self.sender = RtcMedia(lines, bps=BPS, **options)
         self.receiver = RtcMedia(back, bps={}, **options, wall_offset_ns=-AHEAD_NS)
+        self._lines, self._options = lines, options
         self._lost = lost
         self._ways = deque(), deque()
         self.events = []
         self.sent = []
+
+    def change_devices(self):
+        """The sender goes on with other sources: new SSRCs, sequence numbers and timestamps."""
+        lines = [replace(line, ssrc=line.ssrc + 100) for line in self._lines]
+        self.sender = RtcMedia(lines, bps=BPS, **self._options)
 
     def run(self, begin_ns, end_ns):
         for now_ns in range(begin_ns, end_ns, NS_PER_MS):
@@ -72,9 +82,9 @@ class Pair:
                 self._ways[index].append((now_ns - ahead_ns + DELAY_NS, datagram))
 
 
-def drive(pair, seconds, octets=3000):
-    """Send 25 pictures and 50 blocks a second."""
-    for block in range(seconds * 50):
+def drive(pair, seconds, octets=3000, begin=0):
+    """Send 25 pictures and 50 blocks a second, from the second `begin` on."""
+    for block in range(begin * 50, (begin + seconds) * 50):
         now_ns = block * 20 * NS_PER_MS
         if block % 2 == 0:
             stamp = CaptureStamp(now_ns, block // 2, "camera")
@@ -152,6 +162,28 @@ def test_a_loss_that_cannot_be_mended_asks_for_a_key_picture():
     assert pair.sender.figures.sent["video"].keys_asked >= 1
     assert pair.sender.take_key_request(3 * NS_PER_S)
     assert not pair.sender.take_key_request(3 * NS_PER_S)
+
+
+@pytest.mark.parametrize("key", [True, False])
+def test_other_devices_of_the_partner_go_on_at_once(key):
+    pair = Pair()
+    drive(pair, 2)
+    pair.change_devices()
+    now_ns = 2 * NS_PER_S
+    first = AccessUnit(unit(0 if key else 50), CaptureStamp(now_ns, 0, "camera"), True)
+    pair.sender.send_unit(first, now_ns)
+    pair.run(now_ns, now_ns + 20 * NS_PER_MS)
+    pictures = drive(pair, 2, begin=2)
+    assert len(pictures) >= 98
+    played = [
+        int.from_bytes(event.block.payload[1:], "big")
+        for event, _ in pair.events
+        if isinstance(event, SoundCame) and event.block.payload is not None
+    ]
+    # What waits for its time when the new voice begins is dropped.
+    assert len(set(range(200)) - set(played)) <= 4
+    # Pictures of another camera are not predicted from those before.
+    assert (pair.receiver.figures.received["video"].keys_asked > 0) == (not key)
 
 
 def test_the_partners_wish_for_a_rate_is_read_only_for_its_own_stream():
