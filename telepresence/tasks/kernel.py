@@ -3,7 +3,8 @@
 At each tick it checks the end condition of the present Elemop. If it holds, the next one begins; if
 its time-out is over, the run ends. If the signal is lost, the robot has a fault, the joystick halts
 or somebody aborts, the run ends, too. Then the kernel switches the robot off, darkens the LED panel
-and stops the record, if the operation has not done so. Every run ends within the time-outs of its Elemops.
+and stops the record, if the operation has not done so. Every run ends within the time-outs of its
+Elemops.
 
 The kernel never waits for the robot controller, nor the controller for the kernel: it says what is
 to be done, and looks at what is.

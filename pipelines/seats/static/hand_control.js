@@ -85,7 +85,7 @@ export class HandControl extends EventTarget {
     if (hello.joystick !== "page") return `the joystick "${hello.joystick}" steers`;
     if (!mayAct) return "a viewer may watch only";
     const { holder, you } = state.hand;
-    return holder === null || you ? "" : `page ${holder} has the handle: ask for it`;
+    return holder === null || you ? "" : "another page has the handle: ask for it";
   }
 
   /** Presses the dead-man switch; a free handle is taken. Returns whether the press counts. @param {Source} source */

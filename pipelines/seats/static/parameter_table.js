@@ -5,7 +5,7 @@
  * @import { Seat } from "./seat.js"
  */
 import { make, setAttribute, setText } from "./dom.js";
-import { Telemetry, ageS, isOld, valueText } from "./telemetry.js";
+import { Telemetry, ageS, valueText } from "./telemetry.js";
 import { agoText, nameText } from "./wording.js";
 
 /** @type {Record<string, string>} */
@@ -85,7 +85,7 @@ class ParameterTable extends HTMLElement {
       setText(row.limit, limitText(parameter.low, parameter.high, SIGNS[level] ?? ""));
       setAttribute(row.limit, "data-level", level);
       setText(row.age, age === null ? "never" : agoText(age));
-      setAttribute(row.row, "data-old", isOld(age, structure?.interval_s ?? Infinity) ? "true" : null);
+      setAttribute(row.row, "data-old", this.#telemetry?.isPast(application, structure, age) ? "true" : null);
     }
   }
 }
