@@ -1,11 +1,11 @@
 """The mark on a stale picture, or on the stale half of a merged one."""
 
-from enum import Enum
+from typing import Literal
 
 import cv2
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, planes
+from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, VideoFrame, planes
 from kontur_av.sources.stereo import StereoPair
 from kontur_av.streams.staleness import FUTURE_NS
 
@@ -13,14 +13,7 @@ _WHITE_LUMA = 235  # ITU-R BT.601, narrow range
 #: Signal red: (Y, U, V).
 _RED = (81, 90, 240)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
-
-
-class Part(Enum):
-    """What of a picture is old."""
-
-    WHOLE = "whole"
-    LEFT = "left"
-    RIGHT = "right"
+Side = Literal["left", "right", "both"]
 
 
 def age_words(age_ns: int | None) -> str:
@@ -32,14 +25,14 @@ def age_words(age_ns: int | None) -> str:
     return f"{age_ns / NS_PER_S:.{1 if age_ns < 10 * NS_PER_S else 0}f} s"
 
 
-def mark_stale(picture: I420, age_ns: int | None, part: Part = Part.WHOLE) -> None:
+def mark_stale(picture: I420, age_ns: int | None, side: Side = "both") -> None:
     """Draw a red frame and a banner with the age over `picture`, shape (h * 3 // 2, w).
 
-    part: half of a merged picture, of which only that is old.
+    side: of a merged picture; only that is old.
     """
     middle = picture.shape[1] // 2 & ~1
     luma, u, v = (
-        plane[:, _columns(part, middle // share)]
+        plane[:, _columns(side, middle // share)]
         for plane, share in zip(planes(picture), (1, 2, 2), strict=True)
     )
     height, width = luma.shape
@@ -64,13 +57,14 @@ def mark_stale(picture: I420, age_ns: int | None, part: Part = Part.WHOLE) -> No
 
 def mark_halves(picture: I420, pair: StereoPair, now_ns: int) -> None:
     """Mark the halves of a merged picture whose camera has given nothing new for too long."""
-    for frame, stale, part in (
-        (pair.left, pair.left_stale, Part.LEFT),
-        (pair.right, pair.right_stale, Part.RIGHT),
-    ):
+    sides: tuple[tuple[VideoFrame | None, bool, Side], ...] = (
+        (pair.left, pair.left_stale, "left"),
+        (pair.right, pair.right_stale, "right"),
+    )
+    for frame, stale, side in sides:
         if stale:
-            mark_stale(picture, None if frame is None else now_ns - frame.stamp.capture_ns, part)
+            mark_stale(picture, None if frame is None else now_ns - frame.stamp.capture_ns, side)
 
 
-def _columns(part: Part, middle: int) -> slice:
-    return slice(middle if part is Part.RIGHT else 0, middle if part is Part.LEFT else None)
+def _columns(side: Side, middle: int) -> slice:
+    return slice(middle if side == "right" else 0, middle if side == "left" else None)
