@@ -47,14 +47,16 @@ export function linkTile({ alive, ended, state, hello }, open) {
 
 /** Why the robot does not follow the handle, as far as this end knows; "" if it follows. @param {Known} known */
 export function whyStill(known) {
-  const { state, robot } = known;
+  const { state, robot, hello } = known;
   const hindrance = hindranceOf(known);
   if (hindrance !== "" || state === null) return hindrance || "nothing is known yet";
   const { stopped, waiting, hold } = state.safety;
   const joystick = state.joystick?.state ?? "application";
+  const unheard = hello?.seat === "space" && state.joystick === null;
   if (stopped) return "emergency stop";
   if (robot?.fault) return "the robot has a fault";
   if (robot?.powered === false) return "the robot is off";
+  if (unheard) return "nothing is heard of the joystick";
   if (joystick !== "application") return `the joystick is in the state ${joystick}`;
   return waiting ? hold || "the robot waits for a new press" : hold;
 }

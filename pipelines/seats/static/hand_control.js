@@ -81,7 +81,7 @@ export class HandControl extends EventTarget {
   /** Why the hand cannot steer now; "" if it can. */
   get hindrance() {
     const { alive, hello, state, mayAct } = this.#connection;
-    if (!alive || hello === null || state === null) return "the server does not answer";
+    if (!alive || hello === null || state === null) return this.#connection.hindrance || "the server does not answer";
     if (hello.joystick !== "page") return `the joystick "${hello.joystick}" steers`;
     if (!mayAct) return "a viewer may watch only";
     const { holder, you } = state.hand;

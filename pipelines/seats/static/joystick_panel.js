@@ -105,7 +105,7 @@ class JoystickPanel extends HTMLElement {
     this.#state.dataset.level = LEVELS[state] ?? "none";
     const dead = joystick?.dead_man === true;
     this.#dead.dataset.on = String(dead);
-    setText(this.#dead, dead ? "● dead-man held" : "○ dead-man released");
+    setText(this.#dead, joystick === null ? "" : dead ? "● dead-man held" : "○ dead-man released");
     const limitN = joystick?.force_limit_n ?? 0;
     setText(this.#limit, limitN > 0 ? `force up to ${limitN.toFixed(1)} N` : "no force");
     const reason = joystick === null ? "" : joystickWords(joystick, this.hasAttribute("telecommands"));
