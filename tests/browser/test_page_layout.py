@@ -1,4 +1,4 @@
-"""Every page of a seat at the widths of a telephone and a small screen: nothing is cut, and axe-core agrees.
+"""Each page of a seat on a telephone and a small screen: nothing is cut, and axe-core agrees.
 
 No session runs: a worker in the page's place tells it what a seat's server would.
 """
