@@ -11,6 +11,7 @@ from pipelines.session.training import (
     END,
     JOYSTICK,
     LOS,
+    ROBOT,
     TRAINER_DESK,
     TrainerAnswer,
     TrainerRequest,
@@ -20,6 +21,7 @@ from pipelines.session.training import (
 _EXERCISES = {
     LOS: ("no frame gets through, either way", 20.0),
     JOYSTICK: ("the joystick has a fault, and recovers afterwards", 5.0),
+    ROBOT: ("the robot has a fault and is off; afterwards the fault can be reset", 5.0),
     CAMERA: ("a camera gives no pictures", 10.0),
     END: ("end all exercises at once", None),
 }

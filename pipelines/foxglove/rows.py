@@ -3,7 +3,6 @@
 from pipelines.recording.rows import shown_topics
 from pipelines.session.topology import (
     FOXGLOVE,
-    MISSION_GROUND_TOPIC,
     TMTC_TOPICS,
     ProcessRow,
     Segment,
@@ -23,7 +22,6 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             run="pipelines.foxglove.process_foxglove:run_foxglove",
             reads=(
                 *shown_topics(session),
-                MISSION_GROUND_TOPIC,
                 *(TMTC_TOPICS[segment] for segment in Segment),
             ),
             what="serves the channels of a recording to Foxglove",

@@ -1,6 +1,7 @@
 """The topics of the robot controller, and those that a simulated cosmonaut looks at."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import fields
 
 from kontur_av.topics.bus import TopicBus
@@ -8,7 +9,7 @@ from pipelines.hand.haptic_loop import Cycle
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.session.mission_messages import LedsShown, PanelShown, RobotCommand, RobotOrder
 from pipelines.session.robot_state import unpack_state
-from pipelines.session.topic_ends import MissionReader, MissionWriter
+from pipelines.session.topic_ends import MissionReader, MissionWriter, new_exercises
 from pipelines.session.topology import (
     MISSION_LEDS_TOPIC,
     MISSION_PANEL_TOPIC,
@@ -17,6 +18,7 @@ from pipelines.session.topology import (
     ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
 )
+from pipelines.session.training import Exercises
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.hand import Hand
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut
@@ -60,6 +62,17 @@ def serve_robot(bus: TopicBus, desk: RobotDesk, *, tasks: bool) -> Cycle:
             writer.publish(status, now_ns)
 
     return serve
+
+
+def follow_exercises(bus: TopicBus, handle: Callable[[Exercises, int], None]) -> Cycle:
+    """Return what hands over a trainer's exercises, and the present instant, at each change."""
+    take = new_exercises(bus)
+
+    def follow(now_ns: int) -> None:
+        if (exercises := take()) is not None:
+            handle(exercises, now_ns)
+
+    return follow
 
 
 def looking(bus: TopicBus, cosmonaut: Cosmonaut, handle: OperatedHandle) -> Cycle:

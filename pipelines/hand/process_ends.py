@@ -11,7 +11,7 @@ from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd
 from pipelines.hand.joystick_status import JoystickStatusTeller
-from pipelines.hand.mission_ends import both, looking, seeing, serve_robot
+from pipelines.hand.mission_ends import both, follow_exercises, looking, seeing, serve_robot
 from pipelines.hand.partner_arm import follow_owner, open_partner, route_to_owner
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.hand.safety_ends import (
@@ -27,7 +27,6 @@ from pipelines.hand.safety_ends import (
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
-from pipelines.session.topic_ends import new_exercises
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
@@ -113,6 +112,11 @@ def run_robot(context: Context) -> None:
             keep_robot(kept, desk),
             watch_camera(bus, context.setup, end),
         ]
+        if TRAINER_TOPIC in topology.reads(ROBOT):
+            control = desk.control
+            seldom.append(
+                follow_exercises(bus, lambda told, _: control.handle_exercise(told.robot_ns))
+            )
         before: Cycle = desk.step
         route = None
         if ownership is not None:
@@ -165,7 +169,10 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
             if WALL_TOPIC in reads:
                 seldom.append(_walls(bus, end))
             if TRAINER_TOPIC in reads:
-                seldom.append(_exercises(bus, handle))
+                fail = handle.handle_exercise
+                seldom.append(
+                    follow_exercises(bus, lambda told, now_ns: fail(told.joystick_ns - now_ns))
+                )
             if isinstance(hand, Cosmonaut):
                 seldom.append(looking(bus, hand, handle))
             elif ROBOT_TOPIC in reads and isinstance(device, SimulatedDevice):
@@ -236,18 +243,6 @@ def _walls(bus: TopicBus, end: JoystickEnd) -> Cycle:
             end.handle_wall(wall)
 
     return take
-
-
-def _exercises(bus: TopicBus, handle: OperatedHandle) -> Cycle:
-    """Return what takes a trainer's exercises."""
-    take = new_exercises(bus)
-
-    def follow(now_ns: int) -> None:
-        exercises = take()
-        if exercises is not None:
-            handle.handle_exercise(exercises.joystick_ns - now_ns)
-
-    return follow
 
 
 def _hand(bus: TopicBus, device: PageDevice, topic: str) -> Cycle:

@@ -52,6 +52,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 ROBOT_COMMAND_TOPIC,
                 ROBOT_ORDER_TOPIC,
                 ARM_ORDER_TOPIC,
+                TRAINER_TOPIC,
                 # What the operator looks at: a change of it holds the robot.
                 SELECTED_TOPIC,
                 HALVES_TOPIC,

@@ -1,15 +1,19 @@
-"""The mark on a stale picture."""
+"""The mark on a stale picture, or on the stale half of a merged one."""
+
+from typing import Literal
 
 import cv2
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, planes
+from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, VideoFrame, planes
+from kontur_av.sources.stereo import StereoPair
 from kontur_av.streams.staleness import FUTURE_NS
 
 _WHITE_LUMA = 235  # ITU-R BT.601, narrow range
 #: Signal red: (Y, U, V).
 _RED = (81, 90, 240)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
+Side = Literal["left", "right", "both"]
 
 
 def age_words(age_ns: int | None) -> str:
@@ -21,9 +25,16 @@ def age_words(age_ns: int | None) -> str:
     return f"{age_ns / NS_PER_S:.{1 if age_ns < 10 * NS_PER_S else 0}f} s"
 
 
-def mark_stale(picture: I420, age_ns: int) -> None:
-    """Draw a red frame and a banner with the age over `picture`, shape (h * 3 // 2, w)."""
-    luma, u, v = planes(picture)
+def mark_stale(picture: I420, age_ns: int | None, side: Side = "both") -> None:
+    """Draw a red frame and a banner with the age over `picture`, shape (h * 3 // 2, w).
+
+    side: of a merged picture; only that is old.
+    """
+    middle = picture.shape[1] // 2 & ~1
+    luma, u, v = (
+        plane[:, _columns(side, middle // share)]
+        for plane, share in zip(planes(picture), (1, 2, 2), strict=True)
+    )
     height, width = luma.shape
     banner = max(8, height // 10 // 2 * 2)
     edge = max(2, height // 80 // 2 * 2)
@@ -42,3 +53,18 @@ def mark_stale(picture: I420, age_ns: int) -> None:
         cv2.putText(plane, text, half, _FONT, scale / 2, NEUTRAL_CHROMA, 2 * thickness)
     cv2.putText(luma, text, at, _FONT, scale, BLACK_LUMA, 3 * thickness, cv2.LINE_AA)
     cv2.putText(luma, text, at, _FONT, scale, _WHITE_LUMA, thickness, cv2.LINE_AA)
+
+
+def mark_halves(picture: I420, pair: StereoPair, now_ns: int) -> None:
+    """Mark the halves of a merged picture whose camera has given nothing new for too long."""
+    sides: tuple[tuple[VideoFrame | None, bool, Side], ...] = (
+        (pair.left, pair.left_stale, "left"),
+        (pair.right, pair.right_stale, "right"),
+    )
+    for frame, stale, side in sides:
+        if stale:
+            mark_stale(picture, None if frame is None else now_ns - frame.stamp.capture_ns, side)
+
+
+def _columns(side: Side, middle: int) -> slice:
+    return slice(middle if side == "right" else 0, middle if side == "left" else None)

@@ -4,6 +4,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.sources.stereo import HALF, StereoPairer, merge
 from kontur_av.topics.bus import Lease
 from pipelines.media.figures import StereoFigures
+from pipelines.media.marking import mark_halves
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
 from pipelines.session.topology import HALVES_TOPIC
@@ -42,6 +43,7 @@ def run_stereo(context: Context) -> None:
                     None if right is None else right.data,
                     loan.picture,
                 )
+                mark_halves(loan.picture, pair, clock.now_ns())
                 loan.publish(pair.stamp)
 
         waiter = bus.waiter(readers)

@@ -227,6 +227,8 @@ def _read(path: Path) -> MissionMemory | None:
 
 #: A recorder that was killed is there again within this time.
 _RETURN_S, _AGAIN_S = 4.0, 0.1
+#: So much longer than the run its file lasts.
+_TAIL_S = 1.0
 _NO_ANSWER = "the recorder does not answer"
 
 
@@ -287,10 +289,12 @@ class RunFiles:
         self.recording = True
 
     def _end(self) -> None:
+        self.recording = False
+        # The run's own result belongs into its file.
+        time.sleep(_TAIL_S)
         now = self._ask(RecordRequest(record=STATE))
         if now is not None and now.file and Path(now.file).parent == self._directory:
             self._ask(RecordRequest(record=STOP))
-        self.recording = False
 
     def _ask(self, request: RecordRequest) -> RecordAnswer | None:
         """Return the recorder's answer; None if there is none, also not from its next life."""

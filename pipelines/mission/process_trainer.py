@@ -22,6 +22,7 @@ def run_trainer(context: Context) -> None:
         context.probe,
         radio=topology.alone is not Segment.GROUND,
         joystick=Segment.SPACE in topology.segments,
+        robot=Segment.GROUND in topology.segments,
         cameras=_cameras(topology),
     )
     context.on_flush(trainer.tell)

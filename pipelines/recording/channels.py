@@ -14,8 +14,10 @@ from kontur_av.recorded_format import FORMAT, FORMAT_KEY
 from pipelines.recording.messages import (
     AUDIO,
     EVENT,
+    EXPERIMENT,
     FIGURES,
     HAPTIC_SAMPLES,
+    LED_PANEL,
     LINK_RECEIVED,
     LINK_SENT,
     LOG,
@@ -29,6 +31,8 @@ from pipelines.recording.messages import (
 from pipelines.recording.schemas import MessageSchema, descriptor_set
 from pipelines.session.topology import (
     JOYSTICK_TRACE_TOPIC,
+    MISSION_GROUND_TOPIC,
+    MISSION_LEDS_TOPIC,
     ROBOT_TRACE_TOPIC,
     RTC_CAMERA,
     RTC_CODED_CAMERA_TOPIC,
@@ -69,6 +73,8 @@ class Content(Enum):
     GATEWAY = "figures of a gateway"
     FRAMES = "frames of the radio link"
     CAMERA = "captured picture"
+    EXPERIMENT = "where the experiment is"
+    LEDS = "what the LED panel shows"
 
 
 #: The schemas of its channels.
@@ -80,6 +86,8 @@ _SCHEMAS: Mapping[Content, tuple[MessageSchema, ...]] = {
     Content.GATEWAY: (LINK_SENT, LINK_RECEIVED),
     Content.FRAMES: (TRANSFER_FRAMES,),
     Content.CAMERA: (VIDEO,),
+    Content.EXPERIMENT: (EXPERIMENT,),
+    Content.LEDS: (LED_PANEL,),
 }
 
 
@@ -192,6 +200,13 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
         for way, topic in ((SENT, link.sent_frames_topic), (RECEIVED, link.received_frames_topic)):
             messages = {f"/link/{name}/frames/{way}": f"frames as {way}, if asked for"}
             yield Source(topic, Content.FRAMES, name, messages)
+    written = {topic for row in topology.processes for topic in row.writes}
+    for tasks, content, channel in (
+        (MISSION_GROUND_TOPIC, Content.EXPERIMENT, "/experiment"),
+        (MISSION_LEDS_TOPIC, Content.LEDS, "/leds"),
+    ):
+        if tasks in written:
+            yield Source(tasks, content, channel[1:], {channel: f"{content.value}, at each change"})
     # Last, because they are opened in this order, and these are the fastest.
     for haptic in topology.haptics:
         end = haptic.sender

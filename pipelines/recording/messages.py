@@ -39,6 +39,7 @@ from pipelines.recording.schemas import (
     numbered,
     record,
 )
+from pipelines.session.mission_messages import ExperimentShown, LedsShown, RunShown
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.mediated.wall import parse_wall
 from telepresence.link.figures import (
@@ -140,6 +141,58 @@ class RecordedPacket(Recorded):
     session_ns: Annotated[Int64, "instant at which it was sent or received, session clock"]
     data: Annotated[Octets, "the packet, with its primary header (CCSDS 133.0-B-2)"]
     what: Annotated[Text, "the message in words"]
+
+
+@record("Experiment", "where the experiment is; told when it changes")
+class RecordedExperiment(Recorded):
+    """Where the experiment is; fields as in the schema."""
+
+    session_ns: Annotated[Int64, "session clock"]
+    phase: Annotated[Text, "`idle`, `preparing`, `offered`, `running`, `ending`"]
+    task: Annotated[Text, "present task; empty without"]
+    run: Annotated[Uint32, "number of its run"]
+    elemop: Annotated[Text, "elementary operation that is executed"]
+    ended_run: Annotated[Uint32, "number of the newest run that is over; 0 for none"]
+    result: Annotated[Text, "of that: `finished`, `aborted`, `timed_out`, `lost_signal`"]
+    reason: Annotated[Text, "why it did not finish"]
+
+    @classmethod
+    def of(cls, shown: ExperimentShown, session_ns: int) -> "RecordedExperiment":
+        """Return what is recorded of a sample."""
+        ended = shown.runs[-1] if shown.runs else RunShown("", 0, "", "", None)
+        return cls(
+            session_ns=session_ns,
+            phase=shown.phase,
+            task=shown.task,
+            run=shown.run,
+            elemop=shown.elemop,
+            ended_run=ended.run,
+            result=ended.result,
+            reason=ended.reason,
+        )
+
+
+@record("LedPanel", "what the LED panel shows; told when it changes")
+class RecordedLeds(Recorded):
+    """What the LED panel shows; fields as in the schema."""
+
+    session_ns: Annotated[Int64, "session clock"]
+    pattern: Annotated[Text, "`dark`, `leds`, `spot`, `contour`, `line`, `spring`, `free`"]
+    leds: Annotated[Uint32, "a bit for each lit LED"]
+    spot_x_m: Annotated[Double, "place of the spot, m"]
+    spot_y_m: Annotated[Double, "place of the spot, m"]
+
+    @classmethod
+    def of(cls, shown: LedsShown, session_ns: int) -> "RecordedLeds":
+        """Return what is recorded of a sample."""
+        spot_x_m, spot_y_m = shown.spot_m
+        return cls(
+            session_ns=session_ns,
+            pattern=shown.pattern.value,
+            leds=shown.leds,
+            spot_x_m=spot_x_m,
+            spot_y_m=spot_y_m,
+        )
 
 
 @record("TransferFrames", "frames of the radio link; both fields have the same number of values")
@@ -422,10 +475,11 @@ UNIT_FACTS, SPACE_PACKET = UnitFacts.schema, RecordedPacket.schema
 TRANSFER_FRAMES, LINK_SENT = RecordedFrames.schema, LinkSent.schema
 LINK_RECEIVED, EVENT = LinkReceived.schema, RecordedEvent.schema
 LOSSES, FIGURES = RecorderLosses.schema, RecordedFigures.schema
+EXPERIMENT, LED_PANEL = RecordedExperiment.schema, RecordedLeds.schema
 #: All schemas; a channel names its own by its place here.
 SCHEMAS = (
     *(VIDEO, AUDIO, LOG, UNIT_FACTS, HAPTIC_SAMPLES, SPACE_PACKET, TRANSFER_FRAMES),
-    *(LINK_SENT, LINK_RECEIVED, EVENT, LOSSES, FIGURES),
+    *(LINK_SENT, LINK_RECEIVED, EVENT, LOSSES, FIGURES, EXPERIMENT, LED_PANEL),
 )
 #: The `sequence` of a cycle without a sample on the link.
 NO_SAMPLE: Final = haptic_trace.NO_SAMPLE

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 from pipelines.session.topology import (
     JOYSTICK_TRACE_TOPIC,
+    MISSION_GROUND_TOPIC,
+    MISSION_LEDS_TOPIC,
     RECORDER,
     ROBOT_TRACE_TOPIC,
     RTC_CODED_CAMERA_TOPIC,
@@ -37,6 +39,8 @@ def shown_topics(session: Topology) -> tuple[Topic, ...]:
         *(topic for segment in Segment for topic in packet_topics(segment).values()),
         *(gateway_topic(segment) for segment in Segment),
         *(row.topic for row in session.inputs if row.kind is Kind.VIDEO),
+        MISSION_GROUND_TOPIC,
+        MISSION_LEDS_TOPIC,
     )
 
 

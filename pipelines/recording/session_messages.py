@@ -30,9 +30,11 @@ from pipelines.recording.messages import (
     LogLevel,
     LogLine,
     RecordedEvent,
+    RecordedExperiment,
     RecordedFigure,
     RecordedFigures,
     RecordedFrames,
+    RecordedLeds,
     RecordedPacket,
     RecordedPicture,
     RecordedSound,
@@ -42,6 +44,7 @@ from pipelines.recording.messages import (
     pack_haptics,
     packet_words,
 )
+from pipelines.session.mission_messages import ExperimentShown, LedsShown, unpack
 from telepresence.link.figures import GatewayFigures
 
 #: A key picture that is added comes this long before its unit.
@@ -98,6 +101,8 @@ class SessionMessages:
         self._offset_ns = wall_offset_ns
         self._contact = ContactWatch()
         self._events = self._figures = 0
+        #: By topic of what is told at each change: the newest sample.
+        self._shown: dict[str, bytes] = {}
         #: The figures that were told.
         self._told: Mapping[str, Figure] = {}
 
@@ -121,6 +126,16 @@ class SessionMessages:
             sent = LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
             received = LinkReceived.of(found.receive, state, session_ns=at_ns)
             told = [pack(sent), pack(received)]
+            wall_ns = at_ns + self._offset_ns
+        elif source.content in (Content.EXPERIMENT, Content.LEDS):
+            if self._shown.get(source.topic) == octets:
+                return []
+            self._shown[source.topic] = octets
+            at_ns = stamp.capture_ns
+            if source.content is Content.EXPERIMENT:
+                told = [pack(RecordedExperiment.of(unpack(ExperimentShown, octets), at_ns))]
+            else:
+                told = [pack(RecordedLeds.of(unpack(LedsShown, octets), at_ns))]
             wall_ns = at_ns + self._offset_ns
         elif source.content is Content.FRAMES:
             frames = unpack_frames(octets)
@@ -213,8 +228,9 @@ class SessionMessages:
         )
 
     def handle_fresh(self) -> None:
-        """Who reads the messages from now on has no figures."""
+        """Who reads the messages from now on has no figures, and nothing of tasks."""
         self._told = {}
+        self._shown.clear()
 
     def of_figures(
         self, figures: Mapping[str, Figure], session_ns: int, now_ns: int

@@ -298,6 +298,8 @@ class Seat:
                 )
                 for axis in status.axes
             ),
+            test=status.test,
+            test_reason=status.test_reason,
         )
         self._hear_robot(status.robot_stopped, status.robot_waits, "")
         self._desk.handle_status(status)

@@ -124,7 +124,7 @@ class AxisText(msgspec.Struct, frozen=True, kw_only=True):
 
 class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     """The joystick's state in words. allowed: requests that it would take now. axes: those behind
-    x and y.
+    x and y. test, test_reason: what became of the newest functional test.
     """
 
     state: str
@@ -134,6 +134,8 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     force_limit_n: float
     device: str
     axes: tuple[AxisText, ...] = ()
+    test: str = "none"
+    test_reason: str = ""
 
 
 class SafetyText(msgspec.Struct, frozen=True, kw_only=True):

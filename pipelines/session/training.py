@@ -1,4 +1,4 @@
-"""A trainer's exercises: a loss of signal, a joystick error, a lost camera. A core.
+"""A trainer's exercises: a loss of signal, faults, a lost camera. A core.
 
 Requests of terminals are lines of JSON, such as `{"exercise": "los", "seconds": 20}`. The answer is
 `{"ok": true, "text": "..."}` or `{"ok": false, "text": "..."}`.
@@ -20,7 +20,8 @@ from pipelines.session.terminal_lines import LineDesk
 
 #: The name of the trainer's Unix socket.
 TRAINER_DESK = "trainer"
-LOS, JOYSTICK, CAMERA, END = "los", "joystick-error", "camera-lost", "end"
+LOS, JOYSTICK, ROBOT = "los", "joystick-error", "robot-fault"
+CAMERA, END = "camera-lost", "end"
 #: An exercise is no longer than this.
 LONGEST_S = 3600.0
 #: How many events are kept for the report.
@@ -30,12 +31,13 @@ _DEPTH = 200
 class Exercises(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """What lasts, until when on the session's clock; an instant in the past: it is over.
 
-    los_ns: no frame gets through, either way. joystick_ns: the joystick has a fault.
+    los_ns: no frame gets through, either way. joystick_ns, robot_ns: joystick or robot has a fault.
     cameras_ns: by input, until when it gives no pictures.
     """
 
     los_ns: int = 0
     joystick_ns: int = 0
+    robot_ns: int = 0
     cameras_ns: Mapping[str, int] = {}
 
     def pack(self) -> bytes:
@@ -66,18 +68,19 @@ class TrainerAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
 class Trainer:
     """Turns requests into `exercises`.
 
-    radio: whether the radio of this session is here. joystick: whether the joystick is.
+    radio: whether the radio of this session is here. joystick, robot: whether these are.
     cameras: the inputs with pictures that are here.
 
     desk: takes the requests. exercises: what lasts at present; a new object after each change.
     """
 
     def __init__(
-        self, probe: Probe, *, radio: bool, joystick: bool, cameras: Sequence[str]
+        self, probe: Probe, *, radio: bool, joystick: bool, robot: bool, cameras: Sequence[str]
     ) -> None:
         self.exercises = Exercises()
         self._probe = probe
-        self._radio, self._joystick, self._cameras = radio, joystick, tuple(cameras)
+        self._radio, self._joystick, self._robot = radio, joystick, robot
+        self._cameras = tuple(cameras)
         self.desk = LineDesk(TrainerRequest, self._answer)
         self._events: deque[DatedEvent] = deque(maxlen=_DEPTH)
 
@@ -98,6 +101,9 @@ class Trainer:
         elif request.exercise == JOYSTICK:
             self.exercises = change(now, joystick_ns=until_ns)
             text = f"joystick error {text}"
+        elif request.exercise == ROBOT:
+            self.exercises = change(now, robot_ns=until_ns)
+            text = f"robot fault {text}"
         elif request.exercise == CAMERA:
             cameras_ns = {**now.cameras_ns, request.camera: until_ns}
             self.exercises = change(now, cameras_ns=cameras_ns)
@@ -111,14 +117,16 @@ class Trainer:
     def _mistake(self, request: TrainerRequest) -> str:
         """Why a request cannot be, in one line; "" if it can."""
         exercise, seconds = request.exercise, request.seconds
-        if exercise not in (LOS, JOYSTICK, CAMERA, END):
-            return f"no exercise {exercise}: take {LOS}, {JOYSTICK}, {CAMERA} or {END}"
+        if exercise not in (LOS, JOYSTICK, ROBOT, CAMERA, END):
+            return f"no exercise {exercise}: take {LOS}, {JOYSTICK}, {ROBOT}, {CAMERA} or {END}"
         if exercise != END and not (isfinite(seconds) and 0 < seconds <= LONGEST_S):
             return f"{seconds:g} s: take more than 0 and at most {LONGEST_S:g}"
         if exercise == LOS and not self._radio:
             return "the radio is at the other end: ask there"
         if exercise == JOYSTICK and not self._joystick:
             return "the joystick is at the other end: ask there"
+        if exercise == ROBOT and not self._robot:
+            return "the robot is at the other end: ask there"
         if exercise == CAMERA and request.camera not in self._cameras:
             known = ", ".join(self._cameras) or "none"
             return f"no camera {request.camera} is here: here are {known}"

@@ -3,7 +3,8 @@
 Stelzer et al. 2017, section 8: the experimenter selects a task; the kernel executes `start<Task>`;
 the task's name goes to the panel; the cosmonaut holds the start position, presses the dead-man
 button, and the panel says so; the kernel executes `exec<Task>`; the panel is told that it is over.
-Each step is logged once. However a run ends, the robot is off, the record stopped, and a row there.
+Each step is logged once. However a run ends, the robot is off, the LEDs are dark, the record is
+stopped, and a row is there.
 """
 
 from collections import deque
@@ -12,8 +13,15 @@ from enum import StrEnum
 from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.tasks.definitions import Catalogue, Operation, SetPower, StopLog, Task
-from telepresence.tasks.kernel import KernelEvent, OperationEnded, Order, TopKernel, View
+from telepresence.tasks.definitions import Catalogue, Operation, Task
+from telepresence.tasks.kernel import (
+    ENDING,
+    KernelEvent,
+    OperationEnded,
+    Order,
+    TopKernel,
+    View,
+)
 from telepresence.tmtc.k2aci import (
     K2aciMessage,
     PanelMode,
@@ -25,13 +33,7 @@ from telepresence.tmtc.k2aci import (
     fitted_line,
 )
 
-_END = Operation(
-    "endTask",
-    (
-        StopLog(name="stopLogging", timeout_s=5.0),
-        SetPower(name="powerOff", on=False, timeout_s=5.0),
-    ),
-)
+_END = Operation("endTask", ENDING)
 
 
 class Phase(StrEnum):

@@ -2,8 +2,9 @@
 
 At each tick it checks the end condition of the present Elemop. If it holds, the next one begins; if
 its time-out is over, the run ends. If the signal is lost, the robot has a fault, the joystick halts
-or somebody aborts, the run ends, too. Then the kernel switches the robot off and stops the record,
-if the operation has not done so. Every run ends within the time-outs of its Elemops.
+or somebody aborts, the run ends, too. Then the kernel switches the robot off, darkens the LED panel
+and stops the record, if the operation has not done so. Every run ends within the time-outs of its
+Elemops.
 
 The kernel never waits for the robot controller, nor the controller for the kernel: it says what is
 to be done, and looks at what is.
@@ -165,8 +166,12 @@ class OperationEnded:
 
 KernelEvent = ElemopBegun | ElemopEnded | OperationEnded
 
-_OFF = SetPower(name="powerOff", on=False, timeout_s=5.0)
-_STOP_LOG = StopLog(name="stopLogging", timeout_s=5.0)
+#: What brings a run to rest, however it ends. A dead LED panel delays it by a second.
+ENDING: tuple[Elemop, ...] = (
+    SetPower(name="powerOff", on=False, timeout_s=5.0),
+    Show(name="darkLeds", pattern=Pattern.DARK, timeout_s=1.0),
+    StopLog(name="stopLogging", timeout_s=5.0),
+)
 
 
 class TopKernel:
@@ -265,7 +270,7 @@ class TopKernel:
         self._finish(done=False, now_ns=now_ns)
         self._orders.clear()
         self._ending = result, reason
-        self._steps = deque((_OFF, _STOP_LOG))
+        self._steps = deque(ENDING)
         self._begin_next(now_ns)
 
     def _finish(self, *, done: bool, now_ns: int) -> None:

@@ -18,6 +18,7 @@ from telepresence.tasks.definitions import MOVING_MODES, ControlMode
 #: A robot within this distance of its goal (m), slower than this (m/s), rests there.
 _REST_M = 0.002
 _REST_M_S = 0.005
+_EXERCISE = "a fault of the trainer's exercise"
 #: A torque that is not repeated ends after this.
 TORQUE_NS = 500 * NS_PER_MS
 
@@ -127,7 +128,7 @@ class RobotControl:
         self._rest_m = (robot.x_m, robot.y_m)
         self._torque_until_ns: int | None = None
         self._way: Interpolator | None = None
-        self._now_ns = 0
+        self._now_ns = self._exercise_ns = 0
         #: It was outside of the workspace at its reset, and has not been inside since.
         self._outside = False
         # Compared in each step, so without roots.
@@ -230,8 +231,14 @@ class RobotControl:
             self.faults += 1
         self.set_power(False)
 
+    def handle_exercise(self, until_ns: int) -> None:
+        """Have a fault until then: a trainer's exercise."""
+        self._exercise_ns = until_ns
+
     def reset(self) -> str:
         """A person resets the fault; only once its cause is gone."""
+        if self._now_ns < self._exercise_ns:
+            return self._refuse(f"the cause is still there: {_EXERCISE}")
         if self.robot.error:
             return self._refuse(f"the cause is still there: {self.robot.error}")
         kind = self._broken_limit()
@@ -245,6 +252,8 @@ class RobotControl:
         """Once in each cycle, before the robot moves: watch the limits, lead the set position."""
         self._now_ns = now_ns
         self.steps += 1
+        if now_ns < self._exercise_ns:
+            self.handle_fault(_EXERCISE)
         if self.powered:
             if self.robot.error:
                 self.handle_fault(self.robot.error)

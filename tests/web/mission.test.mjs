@@ -10,6 +10,7 @@ const value = (at_us, known = 1) => ({ application: "a", name: "x", value: known
 
 /** A connection that only tells. */
 class Told {
+  hello = null;
   #listeners = {};
   on(name, listener) {
     this.#listeners[name] = listener;

@@ -58,7 +58,7 @@ class ChatPanel extends HTMLElement {
     if (connection === undefined || text === "") return;
     const octets = encoder.encode(text).length;
     if (octets > MOST_OCTETS) {
-      setText(this.#error, `${octets} octets: write at most ${MOST_OCTETS}`);
+      setText(this.#error, `too long: leave out about ${octets - MOST_OCTETS} letters`);
       return;
     }
     const { ok, error } = await connection.request({ do: "chat", text });

@@ -4,12 +4,14 @@
  * @import { Seat } from "./seat.js"
  * @import { CommandLine } from "./texts.js"
  */
+import { commandText } from "./mission_words.js";
 import { followLog } from "./seat_log.js";
 
 class CommandLog extends HTMLElement {
   /** @param {Seat} seat */
   follow(seat) {
-    followLog(this, seat, "Telecommands", "commands", ({ commands }) => commands, row);
+    const tasks = () => (seat.connection.experiment?.tasks ?? []).map(({ name }) => name);
+    followLog(this, seat, "Telecommands", "commands", ({ commands }) => commands, (line) => row(line, tasks()));
   }
 }
 
@@ -23,10 +25,10 @@ function became({ stage, done, ok, verified, reason, round_trip_ms: ms, tries })
   return `✕ ${words}${again}${reason === undefined || reason === "" ? "" : `: ${reason}`}`;
 }
 
-/** @param {CommandLine} line */
-function row(line) {
+/** @param {CommandLine} line @param {readonly string[]} tasks */
+function row(line, tasks) {
   const level = line.done === true ? (line.ok === true ? "good" : "bad") : line.stage === "unacknowledged" ? "warn" : "none";
-  return { what: line.words, text: became(line), level, title: line.who };
+  return { what: commandText(line.words, tasks), text: became(line), level, title: line.who };
 }
 
 customElements.define("command-log", CommandLog);

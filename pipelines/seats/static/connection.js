@@ -5,6 +5,7 @@
  * @import { FrameNote, PageNote, PreviewNote, WorkerNote } from "./worker_messages.js"
  * @import { Hand, Haptics } from "./wire.js"
  */
+import { hindranceOf } from "./conditions.js";
 import { pageMs } from "./page_clock.js";
 import { readHaptics } from "./wire.js";
 
@@ -51,6 +52,12 @@ export class Connection {
   hello = null;
   /** @type {StateText | null} */
   state = null;
+  /** What processes of this end show. @type {RobotText | null} */
+  robot = null;
+  /** @type {ExperimentText | null} */
+  experiment = null;
+  /** @type {PanelText | null} */
+  panel = null;
   /** Whether the session was stopped at its page on the ground. */
   stopped = false;
   /** Whether the session of this address is over. */
@@ -89,10 +96,7 @@ export class Connection {
 
   /** Why nothing passes between the seats; "" if nothing is known to prevent it. */
   get hindrance() {
-    if (this.ended) return "this session has ended";
-    if (!this.alive) return "the server does not answer";
-    if (this.stopped) return "the session is stopped";
-    return this.state?.link === "lost" ? "the radio link is lost" : "";
+    return hindranceOf(this);
   }
 
   /** Whether this page may act, or only watch. */
@@ -180,6 +184,7 @@ export class Connection {
     switch (text.kind) {
       case "hello":
         this.hello = text;
+        this.robot = this.experiment = this.panel = null;
         // Late by the way here; the first ping mends it.
         this.#offsetUs = text.now_us - 1000 * pageMs();
         this.#emit("hello", text);
@@ -212,12 +217,15 @@ export class Connection {
         this.#emit("radio", text);
         break;
       case "panel":
+        this.panel = text;
         this.#emit("panel", text);
         break;
       case "experiment":
+        this.experiment = text;
         this.#emit("experiment", text);
         break;
       case "robot":
+        this.robot = text;
         this.#emit("robot", text);
         break;
     }

@@ -81,11 +81,11 @@ export class HandControl extends EventTarget {
   /** Why the hand cannot steer now; "" if it can. */
   get hindrance() {
     const { alive, hello, state, mayAct } = this.#connection;
-    if (!alive || hello === null || state === null) return "the server does not answer";
+    if (!alive || hello === null || state === null) return this.#connection.hindrance || "the server does not answer";
     if (hello.joystick !== "page") return `the joystick "${hello.joystick}" steers`;
     if (!mayAct) return "a viewer may watch only";
     const { holder, you } = state.hand;
-    return holder === null || you ? "" : `page ${holder} has the handle: ask for it`;
+    return holder === null || you ? "" : "another page has the handle: ask for it";
   }
 
   /** Presses the dead-man switch; a free handle is taken. Returns whether the press counts. @param {Source} source */

@@ -7,6 +7,7 @@
  */
 import { announce } from "./announcer.js";
 import { AxisSliders } from "./axis_sliders.js";
+import { whyStill } from "./conditions.js";
 import { steerByController } from "./controller_hand.js";
 import { make, setAttribute, setText } from "./dom.js";
 import { ForceBar } from "./force_bar.js";
@@ -168,16 +169,24 @@ class HandPanel extends HTMLElement {
     this.#buttons.give.hidden = !usable || !hand.you;
     this.#buttons.refuse.hidden = !usable || !hand.you || hand.wanted_by === null;
     const wanted = hand.you && hand.wanted_by !== null;
-    setText(this.#buttons.give, wanted ? `Give it to page ${hand.wanted_by}` : ACTIONS.give);
+    setText(this.#buttons.give, wanted ? "Give it to the other page" : ACTIONS.give);
     this.#buttons.give.classList.toggle("main", wanted);
     this.#showWords(control, hand);
     const steers = String(control.source !== null);
     if (this.dataset.steers !== steers) this.dataset.steers = steers;
   }
 
+  /** Whether the robot follows what presses now. */
+  #steering() {
+    const connection = this.#seat?.connection;
+    const still = connection === undefined ? "" : whyStill(connection);
+    return still === "" ? "you steer" : `no motion: ${still}`;
+  }
+
   /** What to do to move the robot. */
   #advice() {
-    const state = this.#seat?.connection.state?.joystick?.state ?? "application";
+    const { state = "application", test = "none", reason = "" } = this.#seat?.connection.state?.joystick ?? {};
+    if (test === "running") return `Functional test: ${reason}.`;
     if (state !== "application") {
       return `The joystick is in the state ${state}: the robot follows once it is calibrated and started.`;
     }
@@ -189,8 +198,8 @@ class HandPanel extends HTMLElement {
     const hindrance = control.hindrance;
     let words = hand.you ? "you have it" : "free";
     if (hindrance !== "") words = hindrance;
-    else if (control.source !== null) words = "you steer";
-    if (hand.you && hand.wanted_by !== null) words = `page ${hand.wanted_by} asks for it`;
+    else if (control.source !== null) words = this.#steering();
+    if (hand.you && hand.wanted_by !== null) words = "another page asks for it";
     if (words !== this.#words.textContent && hand.wanted_by !== null) announce(words);
     setText(this.#words, words);
     setText(this.#hint, control.refusal || this.#answer || (hindrance === "" ? this.#advice() : ""));

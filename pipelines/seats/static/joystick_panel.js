@@ -6,6 +6,7 @@
  *
  * @import { Seat } from "./seat.js"
  */
+import { joystickWords } from "./conditions.js";
 import { make, setText } from "./dom.js";
 
 /** @typedef {"calibrate" | "start" | "stop" | "halt" | "resume" | "acknowledge"} OwnRequest */
@@ -40,6 +41,9 @@ const LEVELS = {
   "recoverable error": "bad",
   "fatal error": "bad",
 };
+
+/** By outcome of the newest functional test. @type {Record<string, "good" | "bad">} */
+const TESTED = { passed: "good", failed: "bad", aborted: "bad" };
 
 class JoystickPanel extends HTMLElement {
   #state = make("strong", { class: "joystick-state" }, "–");
@@ -87,9 +91,9 @@ class JoystickPanel extends HTMLElement {
     const { ok, error, round_trip_ms: ms } = await (event === "test" || this.hasAttribute("telecommands")
       ? connection.request({ do: "command", application: "joystick", name: event })
       : connection.request({ do: "joystick", event }));
-    const verified = ms === undefined ? "" : `, verified after ${ms.toFixed(0)} ms`;
-    setText(this.#answer, ok ? `${event}: done${verified}` : `refused: ${error}`);
-    this.#answer.dataset.level = ok ? "good" : "bad";
+    const verified = ms === undefined ? "" : ` after ${ms.toFixed(0)} ms`;
+    setText(this.#answer, ok ? `${event}: taken${verified}` : `refused: ${error}`);
+    this.#answer.dataset.level = ok ? "none" : "bad";
   }
 
   #show() {
@@ -101,11 +105,13 @@ class JoystickPanel extends HTMLElement {
     this.#state.dataset.level = LEVELS[state] ?? "none";
     const dead = joystick?.dead_man === true;
     this.#dead.dataset.on = String(dead);
-    setText(this.#dead, dead ? "● dead-man held" : "○ dead-man released");
+    setText(this.#dead, joystick === null ? "" : dead ? "● dead-man held" : "○ dead-man released");
     const limitN = joystick?.force_limit_n ?? 0;
     setText(this.#limit, limitN > 0 ? `force up to ${limitN.toFixed(1)} N` : "no force");
-    setText(this.#reason, joystick?.reason ?? "");
-    this.#reason.hidden = (joystick?.reason ?? "") === "";
+    const reason = joystick === null ? "" : joystickWords(joystick, this.hasAttribute("telecommands"));
+    setText(this.#reason, reason);
+    this.#reason.hidden = reason === "";
+    this.#reason.dataset.level = joystick === null ? "none" : (TESTED[joystick.test] ?? "none");
     for (const [event, button] of this.#buttons) {
       button.disabled = !connection.mayAct || joystick?.allowed.includes(event) !== true;
       button.classList.toggle("main", NEXT[state] === event);

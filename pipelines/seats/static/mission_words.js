@@ -1,4 +1,5 @@
 /** The states of the panel, of a run and of its end, as people read them. */
+import { nameText } from "./wording.js";
 
 /** By state of the panel. @type {Record<string, string>} */
 export const PANEL_WORDS = {
@@ -43,6 +44,15 @@ export const RESULT_WORDS = {
   timed_out: "✕ timed out",
   lost_signal: "✕ lost signal",
 };
+
+/**
+ * A telecommand in words. A task is named by its index in telecommands.
+ * @param {string} words @param {readonly string[]} tasks In the catalogue's order.
+ */
+export function commandText(words, tasks) {
+  const name = tasks[Number(/^tasks select (\d+)$/.exec(words)?.[1] ?? -1)];
+  return nameText(name === undefined ? words : `select the task ${name}`);
+}
 
 /** The steps of a run, in their order (Stelzer et al. 2017, Fig. 14). */
 export const STEPS = [

@@ -7,6 +7,7 @@
  * @import { PanelText } from "./texts.js"
  */
 import { announce } from "./announcer.js";
+import { panelShown } from "./conditions.js";
 import { holdsDeadMan } from "./controller_hand.js";
 import { make, setText } from "./dom.js";
 import { BUTTON_WORDS, PANEL_WORDS } from "./mission_words.js";
@@ -47,15 +48,15 @@ class PanelStatus extends HTMLElement {
       this.#panel = panel;
       this.#show();
     });
-    connection.on("lost", () => {
-      this.#button.disabled = true;
-    });
+    for (const kind of /** @type {const} */ (["state", "lost"])) connection.on(kind, () => this.#show());
   }
 
   #show() {
+    const connection = this.#seat?.connection;
     const panel = this.#panel;
-    if (panel === null) return;
-    const { mode, words, held_s: heldS, distance_m: distanceM } = panel;
+    if (panel === null || connection === undefined) return;
+    const { held_s: heldS, distance_m: distanceM } = panel;
+    const { mode, words } = panelShown(connection, panel);
     if (this.dataset.mode !== mode) {
       this.dataset.mode = mode;
       setText(this.#error, "");
@@ -69,7 +70,7 @@ class PanelStatus extends HTMLElement {
     this.#held.value = Math.min(HOLD_S, heldS);
     const does = BUTTON_WORDS[mode];
     this.#button.hidden = does === undefined;
-    this.#button.disabled = this.#asking || this.#seat?.connection.mayAct !== true;
+    this.#button.disabled = this.#asking || !connection.alive || !connection.mayAct;
     setText(this.#label, does ?? "");
   }
 

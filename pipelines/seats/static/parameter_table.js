@@ -5,7 +5,7 @@
  * @import { Seat } from "./seat.js"
  */
 import { make, setAttribute, setText } from "./dom.js";
-import { Telemetry, ageS, isOld, valueText } from "./telemetry.js";
+import { Telemetry, ageS, valueText } from "./telemetry.js";
 import { agoText, nameText } from "./wording.js";
 
 /** @type {Record<string, string>} */
@@ -79,13 +79,14 @@ class ParameterTable extends HTMLElement {
       const row = this.#rows.get(`${application.name}.${parameter.name}`);
       if (row === undefined) continue;
       const age = ageS(value, nowUs);
-      const level = value?.level ?? "none";
+      const past = this.#telemetry?.isPast(application, structure, age) ?? true;
+      const level = past ? "none" : (value?.level ?? "none");
       setText(row.value, valueText(value?.value));
       setAttribute(row.value, "data-level", level);
       setText(row.limit, limitText(parameter.low, parameter.high, SIGNS[level] ?? ""));
       setAttribute(row.limit, "data-level", level);
       setText(row.age, age === null ? "never" : agoText(age));
-      setAttribute(row.row, "data-old", isOld(age, structure?.interval_s ?? Infinity) ? "true" : null);
+      setAttribute(row.row, "data-old", past ? "true" : null);
     }
   }
 }

@@ -3,15 +3,14 @@
  * old the picture is, and who holds the handle. Also the line that names the seat.
  *
  * @import { Seat } from "./seat.js"
+ * @import { Level } from "./texts.js"
  */
+import { handTile, linkTile } from "./conditions.js";
 import { make, setText } from "./dom.js";
 import { PictureView } from "./picture_view.js";
-import { linkText } from "./wording.js";
 
 /** With two machines an end's gateway says so; with one there is no such figure. */
 const PROTECTED = ["gateways.ground.peer.protected", "gateways.space.peer.protected"];
-
-/** @typedef {"good" | "warn" | "bad" | "none"} Level */
 
 class Tile extends HTMLElement {
   #label = make("span", { class: "label" });
@@ -22,8 +21,8 @@ class Tile extends HTMLElement {
     this.append(this.#label, this.#value);
   }
 
-  /** @param {string} label @param {string} value @param {Level} level */
-  show(label, value, level) {
+  /** @param {{label: string, value: string, level: Level}} tile */
+  show({ label, value, level }) {
     setText(this.#label, label);
     setText(this.#value, value);
     if (this.dataset.level !== level) this.dataset.level = level;
@@ -35,20 +34,8 @@ class LinkTile extends Tile {
   /** @param {Seat} seat */
   follow({ connection, figures }) {
     const show = () => {
-      const { alive, ended, state, hello } = connection;
-      if (ended) {
-        this.show("Open the new one's address", "SESSION ENDED", "bad");
-        return;
-      }
-      if (!alive || state === null) {
-        this.show(hello === null ? "Connecting" : "Connecting again", "NO SERVER", "bad");
-        return;
-      }
-      const connected = state.link === "connected";
       const open = PROTECTED.some((name) => figures.get(name) === false);
-      const words = linkText({ connected, signal: state.signal, open });
-      if (connected) this.show(words, "● CONNECTED", open ? "warn" : "good");
-      else this.show(words, "✕ LOST", "bad");
+      this.show(linkTile(connection, open));
     };
     connection.on("state", show);
     connection.on("lost", show);
@@ -63,14 +50,14 @@ class AgeTile extends Tile {
     if (!(view instanceof PictureView)) return;
     view.addEventListener("age", () => {
       if (view.absent) {
-        this.show("Picture", "NONE HERE", "none");
+        this.show({ label: "Picture", value: "NONE HERE", level: "none" });
         return;
       }
       const ageMs = view.ageMs();
       const age = ageMs === null ? "–" : `${ageMs.toFixed(0)} ms`;
       const stale = view.stale;
       const long = ageMs !== null && ageMs >= 10_000 ? `${(ageMs / 1000).toFixed(0)} s` : age;
-      this.show(stale ? "Picture: stale" : "Picture: age", long, stale ? "bad" : "good");
+      this.show({ label: stale ? "Picture: stale" : "Picture: age", value: long, level: stale ? "bad" : "good" });
     });
   }
 }
@@ -79,21 +66,7 @@ class AgeTile extends Tile {
 class HandTile extends Tile {
   /** @param {Seat} seat */
   follow({ connection }) {
-    const show = () => {
-      const { alive, state, hello } = connection;
-      if (!alive || state === null || hello === null) {
-        this.show("Handle", "–", "none");
-      } else if (hello.joystick !== "page") {
-        this.show("Handle", hello.joystick.toUpperCase(), "none");
-      } else if (state.hand.you) {
-        const steers = state.joystick?.dead_man === true;
-        this.show("Handle", steers ? "YOU STEER" : "YOU HAVE IT", "good");
-      } else if (state.hand.holder === null) {
-        this.show("Handle", "NOBODY", "none");
-      } else {
-        this.show("Handle", `PAGE ${state.hand.holder}`, "warn");
-      }
-    };
+    const show = () => this.show(handTile(connection));
     connection.on("state", show);
     connection.on("lost", show);
     show();

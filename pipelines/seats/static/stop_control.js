@@ -5,9 +5,8 @@
  * @import { Seat } from "./seat.js"
  */
 import { announce } from "./announcer.js";
+import { robotWords } from "./conditions.js";
 import { make, setText } from "./dom.js";
-
-const PRESS_ANEW = "The robot waits: let the dead-man button go, then press it.";
 
 class StopControl extends HTMLElement {
   #words = make("output", { class: "stop-words" });
@@ -23,7 +22,7 @@ class StopControl extends HTMLElement {
     keyboard.add({ keys: ["."], what: "emergency stop of the robot", down: () => void this.#ask(connection, "stop") });
     this.append(this.#words, this.#refusal, this.#release, this.#stop);
     const show = () => this.#show(connection);
-    for (const kind of /** @type {const} */ (["hello", "state", "lost"])) connection.on(kind, show);
+    for (const kind of /** @type {const} */ (["hello", "state", "robot", "lost"])) connection.on(kind, show);
     show();
   }
 
@@ -34,8 +33,9 @@ class StopControl extends HTMLElement {
     this.#stop.disabled = !connection.mayAct || safety === null;
     this.#release.hidden = !stopped;
     this.#release.disabled = this.#stop.disabled;
-    this.dataset.level = safety === null ? "none" : stopped ? "bad" : safety.waiting ? "warn" : "good";
-    setText(this.#words, safety === null ? "Nobody says whether the robot may move." : words(safety));
+    const { words, level } = robotWords(connection);
+    this.dataset.level = level;
+    setText(this.#words, words);
     if (stopped && !this.#stopped) announce("emergency stop");
     this.#stopped = stopped;
   }
@@ -48,12 +48,5 @@ class StopControl extends HTMLElement {
     if (!ok) setText(this.#refusal, error);
   }
 }
-
-/** @param {{ stopped: boolean, by: string, waiting: boolean, hold: string }} safety */
-const words = ({ stopped, by, waiting, hold }) => {
-  if (stopped) return `■ Emergency stop${by === "" ? "" : ` by ${by}`}: the robot is off until it is released.`;
-  if (waiting) return hold === "" ? `◐ ${PRESS_ANEW}` : `◐ ${PRESS_ANEW} Cause: ${hold}.`;
-  return hold === "" ? "● The robot may follow the hand." : `○ The robot holds still: ${hold}.`;
-};
 
 customElements.define("stop-control", StopControl);

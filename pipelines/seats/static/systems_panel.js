@@ -1,12 +1,11 @@
 /**
  * `<systems-panel>`: the state of each system in one line: joystick, gateways, robot, tasks. A
- * system that was not heard of lately is marked.
+ * system that was not heard of lately, or that is beyond a lost link, is marked.
  *
  * @import { Seat } from "./seat.js"
- * @import { Level } from "./texts.js"
  */
 import { make, setAttribute, setText } from "./dom.js";
-import { Telemetry, ageS, isOld, valueText } from "./telemetry.js";
+import { Telemetry, systemSays } from "./telemetry.js";
 import { agoText, nameText } from "./wording.js";
 
 /** Name, application, parameter. @type {[string, string, string][]} */
@@ -21,22 +20,6 @@ const SYSTEMS = [
   ["Tasks", "tasks", "phase"],
 ];
 const TICK_MS = 500;
-/** By value: how good it is. @type {Record<string, Level>} */
-const LEVELS = {
-  connected: "good",
-  application: "good",
-  telepresence: "good",
-  "german experiment": "good",
-  halted: "warn",
-  off: "warn",
-  refused: "bad",
-  "recoverable error": "bad",
-  "fatal error": "bad",
-  "calibration error": "bad",
-  limit: "bad",
-  fault: "bad",
-};
-
 class SystemsPanel extends HTMLElement {
   /** @param {Seat} seat */
   follow({ connection }) {
@@ -51,21 +34,17 @@ class SystemsPanel extends HTMLElement {
     });
     this.append(make("header", {}, make("h2", {}, "Systems")), list);
     const show = () => {
-      const nowUs = connection.nowUs();
       for (const { row, value, age, application, parameter } of rows) {
-        const known = telemetry.applications.find(({ name }) => name === application);
-        row.hidden = known?.parameters.every(({ name }) => name !== parameter) ?? true;
-        const newest = telemetry.get(application, parameter);
-        const structure = known?.structures.find(({ parameters }) => parameters.includes(parameter));
-        const seconds = ageS(newest, nowUs);
-        const text = valueText(newest?.value);
-        const old = isOld(seconds, structure?.interval_s ?? Infinity);
-        setText(value, nameText(text));
-        setAttribute(value, "data-level", old ? "none" : (LEVELS[text] ?? "none"));
-        setAttribute(row, "data-old", old ? "true" : null);
-        setText(age, seconds === null ? "never" : agoText(seconds));
+        const said = systemSays(telemetry, application, parameter, connection.nowUs());
+        row.hidden = said === null;
+        if (said === null) continue;
+        setText(value, nameText(said.text));
+        setAttribute(value, "data-level", said.level);
+        setAttribute(row, "data-old", said.past ? "true" : null);
+        setText(age, said.age === null ? "never" : agoText(said.age));
       }
     };
+    connection.on("state", show);
     telemetry.onchange = show;
     setInterval(show, TICK_MS);
   }

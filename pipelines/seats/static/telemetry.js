@@ -1,9 +1,11 @@
 /**
- * The newest values of telemetry, for all elements that show some.
+ * The newest values of telemetry, for all elements that show some. What this end knows of its own
+ * parts at once takes the place of their telemetry.
  *
  * @import { Connection } from "./connection.js"
- * @import { ApplicationText, Figure, ParameterText, StructureText, ValueText } from "./texts.js"
+ * @import { ApplicationText, Figure, Level, ParameterText, StructureText, ValueText } from "./texts.js"
  */
+import { hindranceOf, ownValues } from "./conditions.js";
 
 /** Reports in a row that may be missing before a value counts as old. */
 const MISSED = 2.5;
@@ -18,6 +20,7 @@ const MISSED = 2.5;
  */
 
 export class Telemetry {
+  #connection;
   /** By "APPLICATION.NAME". @type {Map<string, ValueText>} */
   #values = new Map();
   /** @type {ApplicationText[]} */
@@ -26,6 +29,7 @@ export class Telemetry {
 
   /** @param {Connection} connection */
   constructor(connection) {
+    this.#connection = connection;
     connection.on("hello", ({ applications }) => {
       this.applications = applications;
       this.#values.clear();
@@ -35,11 +39,26 @@ export class Telemetry {
       for (const value of values) this.#values.set(`${value.application}.${value.name}`, value);
       this.onchange();
     });
+    connection.on("lost", () => this.onchange());
   }
 
-  /** @param {string} application @param {string} name */
+  /** @param {string} application @param {string} name @returns {ValueText | null} */
   get(application, name) {
-    return this.#values.get(`${application}.${name}`) ?? null;
+    const key = `${application}.${name}`;
+    const value = ownValues(this.#connection)[key];
+    if (value === undefined) return this.#values.get(key) ?? null;
+    const at_us = this.#connection.state?.now_us ?? 0;
+    return { application, name, value, level: "none", at_us };
+  }
+
+  /**
+   * Whether a value must not be taken for the present: it is old, or nothing comes from its end.
+   * @param {ApplicationText} application @param {StructureText | null} structure @param {number | null} age In s.
+   */
+  isPast({ end }, structure, age) {
+    const { alive, hello } = this.#connection;
+    const away = end !== hello?.seat && hindranceOf(this.#connection) !== "";
+    return !alive || away || isOld(age, structure?.interval_s ?? Infinity);
   }
 
   /** Every parameter of the dictionary. @returns {Entry[]} */
@@ -71,4 +90,40 @@ export function valueText(value) {
   if (typeof value === "boolean") return value ? "yes" : "no";
   if (typeof value !== "number") return value;
   return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(5)));
+}
+
+/** By value of a state: how good it is. @type {Record<string, Level>} */
+const LEVELS = {
+  connected: "good",
+  application: "good",
+  telepresence: "good",
+  "german experiment": "good",
+  halted: "warn",
+  off: "warn",
+  lost: "bad",
+  refused: "bad",
+  "recoverable error": "bad",
+  "fatal error": "bad",
+  "calibration error": "bad",
+  workspace: "bad",
+  force: "bad",
+  speed: "bad",
+  other: "bad",
+};
+
+/**
+ * What a row says; null: the session has no such part.
+ * @param {Telemetry} telemetry @param {string} application @param {string} parameter @param {number | null} nowUs
+ */
+export function systemSays(telemetry, application, parameter, nowUs) {
+  const known = telemetry.applications.find(({ name }) => name === application);
+  if (!known?.parameters.some(({ name }) => name === parameter)) return null;
+  const newest = telemetry.get(application, parameter);
+  const structure = known.structures.find(({ parameters }) => parameters.includes(parameter)) ?? null;
+  const age = ageS(newest, nowUs);
+  const past = telemetry.isPast(known, structure, age);
+  // Its mode is that of the next power on.
+  const off = parameter === "mode" && telemetry.get("robot", "powered")?.value === false && application === "robot";
+  const text = off ? "off" : valueText(newest?.value);
+  return { text, age, past, level: past ? "none" : (LEVELS[text] ?? "none") };
 }

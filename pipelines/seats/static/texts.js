@@ -96,9 +96,9 @@
 
 /**
  * The joystick's state in words. allowed: requests that it would take now. axes: those behind x
- * and y.
+ * and y. test, test_reason: what became of the newest functional test.
  * @typedef {{state: string, allowed: string[], reason: string, dead_man: boolean, force_limit_n:
- *   number, device: string, axes: AxisText[]}} JoystickText
+ *   number, device: string, axes: AxisText[], test: string, test_reason: string}} JoystickText
  */
 
 /**

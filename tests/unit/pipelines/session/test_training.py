@@ -20,7 +20,7 @@ def probe():
 
 @pytest.fixture
 def trainer(probe):
-    return Trainer(probe, radio=True, joystick=True, cameras=["iss_camera", "head"])
+    return Trainer(probe, radio=True, joystick=True, robot=True, cameras=["iss_camera", "head"])
 
 
 def ask(trainer, now_ns=0, **request):
@@ -36,19 +36,21 @@ def ask(trainer, now_ns=0, **request):
 def test_each_exercise_lasts_until_its_own_end_and_all_can_be_ended(trainer, probe):
     assert ask(trainer, 5 * S, exercise="los", seconds=20)["text"] == "no signal for 20 s"
     assert ask(trainer, 6 * S, exercise="joystick-error", seconds=2.5)["ok"]
+    assert ask(trainer, 6 * S, exercise="robot-fault", seconds=4)["text"] == "robot fault for 4 s"
     for camera in ("head", "iss_camera"):
         assert ask(trainer, 7 * S, exercise="camera-lost", seconds=3, camera=camera)["ok"]
     exercises = Exercises.unpack(trainer.exercises.pack())
     assert exercises == Exercises(
         los_ns=25 * S,
         joystick_ns=round(8.5 * S),
+        robot_ns=10 * S,
         cameras_ns={"head": 10 * S, "iss_camera": 10 * S},
     )
     assert ask(trainer, 9 * S, exercise="end")["ok"]
     assert trainer.exercises == Exercises()
     trainer.tell()
     gauges = probe.message.figures[TrainerFigures, ""]
-    assert [event.at_ns // S for event in gauges.exercises] == [5, 6, 7, 7, 9]
+    assert [event.at_ns // S for event in gauges.exercises] == [5, 6, 6, 7, 7, 9]
 
 
 @pytest.mark.parametrize(
@@ -71,8 +73,8 @@ def test_what_cannot_be_is_refused_and_changes_nothing(trainer, request_, says):
 
 
 def test_what_is_at_the_other_end_is_asked_for_there(probe):
-    ground = Trainer(probe, radio=False, joystick=False, cameras=["head"])
-    for exercise in ("los", "joystick-error"):
+    ground = Trainer(probe, radio=False, joystick=False, robot=False, cameras=["head"])
+    for exercise in ("los", "joystick-error", "robot-fault"):
         assert "ask there" in ask(ground, exercise=exercise, seconds=1)["text"]
     assert ask(ground, exercise="camera-lost", seconds=1, camera="head")["ok"]
 

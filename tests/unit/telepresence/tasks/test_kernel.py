@@ -22,6 +22,7 @@ from telepresence.tasks.kernel import (
     TopKernel,
     View,
 )
+from telepresence.tasks.panel_picture import DARK
 from telepresence.tasks.places import curve_points
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.k2aci import TaskResult
@@ -130,7 +131,7 @@ def test_a_run_that_takes_too_long_ends_with_the_robot_off_and_the_record_stoppe
     robot = started("execAiming")
     robot.view = replace(robot.view, recording=True)
     robot.run()
-    assert robot.begun[-3:] == ["checkPos7", "powerOff", "stopLogging"]
+    assert robot.begun[-4:] == ["checkPos7", "powerOff", "darkLeds", "stopLogging"]
     assert robot.end.result is TaskResult.TIMED_OUT and "checkPos7" in robot.end.reason
     assert not robot.view.powered and not robot.view.recording
     assert 60 * NS_PER_S <= robot.end.now_ns < 62 * NS_PER_S
@@ -161,6 +162,8 @@ def test_whatever_goes_wrong_at_any_elemop_ends_the_run_with_the_robot_off(
         robot.run(1)
         assert robot.end.result is result and robot.end.reason
         assert not robot.view.powered and not robot.view.recording
+        shown = [order.picture for order in robot.orders if isinstance(order, ShowPicture)]
+        assert shown[-1] == DARK
 
 
 def test_orders_that_nobody_carries_out_are_repeated_and_end_as_timed_out():

@@ -87,6 +87,17 @@ def test_a_fault_whose_cause_is_there_is_not_reset():
     assert control.fault
 
 
+def test_a_trainers_fault_switches_it_off_and_is_reset_once_it_is_over():
+    control = on_at()
+    control.handle_exercise(run.now_ns + 1000 * MS)
+    control.step(run.now_ns)
+    assert (control.powered, control.faults) == (False, 1)
+    assert "exercise" in control.reset()
+    control.step(run.now_ns + 1000 * MS)
+    assert control.reset() == control.set_power(True) == ""
+    assert control.faults == 1
+
+
 def test_a_robot_outside_of_its_workspace_is_moved_back_in_position_control():
     control = on_at(-0.1, mode=ControlMode.TELEPRESENCE, width_m=0.09)
     control.step(run.now_ns)

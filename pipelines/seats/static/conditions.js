@@ -1,0 +1,146 @@
+/**
+ * What pages say of link, handle and robot: all of it from the same few facts, so that no two words
+ * on the pages of an end contradict each other.
+ *
+ * @import { ExperimentText, Figure, HelloText, JoystickText, Level, PanelText, RobotText, StateText } from "./texts.js"
+ */
+import { linkText } from "./wording.js";
+
+/**
+ * What a page knows. alive: the server is heard. ended: the session of this address is over.
+ * stopped: the session was stopped at its page. robot, experiment, panel: what processes of this
+ * end show; null elsewhere, and before.
+ * @typedef {object} Known
+ * @property {boolean} alive
+ * @property {boolean} ended
+ * @property {boolean} stopped
+ * @property {HelloText | null} hello
+ * @property {StateText | null} state
+ * @property {RobotText | null} robot
+ * @property {ExperimentText | null} experiment
+ * @property {PanelText | null} panel
+ */
+
+/** @typedef {{label: string, value: string, level: Level}} Tile */
+
+const PRESS_ANEW = "let the dead-man button go, then press it";
+
+/** Why nothing passes between the seats; "" if nothing is known to prevent it. @param {Known} known */
+export function hindranceOf({ alive, ended, stopped, state }) {
+  if (ended) return "this session has ended";
+  if (!alive) return "the server does not answer";
+  if (stopped) return "the session is stopped";
+  return state?.link === "lost" ? "the radio link is lost" : "";
+}
+
+/** The tile of the link. open: two machines talk without protection. @param {Known} known @param {boolean} open @returns {Tile} */
+export function linkTile({ alive, ended, state, hello }, open) {
+  if (ended) return { label: "Open the new one's address", value: "SESSION ENDED", level: "bad" };
+  if (!alive || state === null) {
+    return { label: hello === null ? "Connecting" : "Connecting again", value: "NO SERVER", level: "bad" };
+  }
+  const connected = state.link === "connected";
+  const label = linkText({ connected, signal: state.signal, open });
+  if (!connected) return { label, value: "✕ LOST", level: "bad" };
+  return { label, value: "● CONNECTED", level: open ? "warn" : "good" };
+}
+
+/** Why the robot does not follow the handle, as far as this end knows; "" if it follows. @param {Known} known */
+export function whyStill(known) {
+  const { state, robot, hello } = known;
+  const hindrance = hindranceOf(known);
+  if (hindrance !== "" || state === null) return hindrance || "nothing is known yet";
+  const { stopped, waiting, hold } = state.safety;
+  const joystick = state.joystick?.state ?? "application";
+  const unheard = hello?.seat === "space" && state.joystick === null;
+  if (stopped) return "emergency stop";
+  if (robot?.fault) return "the robot has a fault";
+  if (robot?.powered === false) return "the robot is off";
+  if (unheard) return "nothing is heard of the joystick";
+  if (joystick !== "application") return `the joystick is in the state ${joystick}`;
+  return waiting ? hold || "the robot waits for a new press" : hold;
+}
+
+/** The tile that says who holds the handle. @param {Known} known @returns {Tile} */
+export function handTile(known) {
+  const { alive, state, hello } = known;
+  if (!alive || state === null || hello === null) return { label: "Handle", value: "–", level: "none" };
+  const { holder, you } = state.hand;
+  if (hello.joystick !== "page") return { label: "Handle", value: hello.joystick.toUpperCase(), level: "none" };
+  if (you && state.joystick?.dead_man !== true) return { label: "Handle", value: "YOU HAVE IT", level: "good" };
+  if (you) {
+    const still = whyStill(known);
+    if (still === "") return { label: "Handle", value: "YOU STEER", level: "good" };
+    return { label: `Handle: ${still}`, value: "NO MOTION", level: "warn" };
+  }
+  if (holder === null) return { label: "Handle", value: "NOBODY", level: "none" };
+  if (hello.seat === "ground") return { label: "Handle", value: "IN SPACE", level: "none" };
+  return { label: "Handle", value: "ANOTHER PAGE", level: "warn" };
+}
+
+/** Whether the robot may follow the hand, and why not. @param {Known} known @returns {{words: string, level: Level}} */
+export function robotWords(known) {
+  const safety = known.alive ? (known.state?.safety ?? null) : null;
+  if (safety === null) return { words: "Nobody says whether the robot may move.", level: "none" };
+  const { stopped, by, waiting, hold } = safety;
+  if (stopped) {
+    const who = by === "" ? "" : ` by ${by}`;
+    return { words: `■ Emergency stop${who}: the robot is off until it is released.`, level: "bad" };
+  }
+  const hindrance = hindranceOf(known);
+  if (hindrance !== "") return { words: `○ The robot gets no commands: ${hindrance}.`, level: "warn" };
+  const still = whyStill(known);
+  if (waiting && (known.robot?.powered ?? true) && !known.robot?.fault) {
+    const cause = hold === "" ? "" : ` Cause: ${hold}.`;
+    return { words: `◐ The robot waits: ${PRESS_ANEW}.${cause}`, level: "warn" };
+  }
+  if (still === "") return { words: "● The robot may follow the hand.", level: "good" };
+  return { words: `○ The robot holds still: ${still}.`, level: "none" };
+}
+
+/** What the panel is to show: without the link there is no contact. @param {Known} known @param {PanelText} panel */
+export function panelShown(known, { mode, words }) {
+  const hindrance = hindranceOf(known);
+  return hindrance === "" || mode === "no_contact"
+    ? { mode, words }
+    : { mode: "no_contact", words: `No contact to the ground: ${hindrance}.` };
+}
+
+/**
+ * Why the joystick is in its state, what a person should do, or what the newest test came to.
+ * @param {JoystickText} joystick @param {boolean} away Whether the handle is not on this page.
+ */
+export function joystickWords({ state, reason, test, test_reason: why }, away) {
+  if (test === "running") {
+    const where = away ? "At the handle (the page Seat or Panel, or the joystick): " : "";
+    return `Functional test: ${where}${reason}`;
+  }
+  if (test === "none" || reason !== "" || state === "application") return reason;
+  return `Functional test: ${test}${why === "" ? "" : `: ${why}`}`;
+}
+
+/**
+ * What this end knows of its own parts at once, without telemetry, by "APPLICATION.PARAMETER".
+ * @param {Known} known @returns {Record<string, Figure>}
+ */
+export function ownValues({ hello, state, robot, experiment, panel }) {
+  if (hello === null || state === null) return {};
+  /** @type {Record<string, Figure>} */
+  const own = { [`${hello.seat}_gateway.state`]: state.link, [`${hello.seat}_gateway.signal`]: state.signal };
+  if (state.joystick !== null) {
+    const { state: words, test, dead_man } = state.joystick;
+    const application = words === "application" ? "german experiment" : "none";
+    own["joystick.state"] = words;
+    own["joystick.dead_man"] = dead_man;
+    own["joystick.application"] = test === "running" ? "joystick test" : application;
+    own["joystick.test"] = test;
+  }
+  if (robot !== null) {
+    own["robot.powered"] = robot.powered;
+    own["robot.mode"] = robot.mode;
+    own["robot.error"] = robot.error;
+  }
+  if (experiment !== null) own["tasks.phase"] = experiment.phase;
+  if (panel !== null) own["panel.mode"] = panel.mode;
+  return own;
+}

@@ -1,0 +1,171 @@
+"""Each page of a seat on a telephone and a small screen: nothing is cut, and axe-core agrees.
+
+No session runs: a worker in the page's place tells it what a seat's server would.
+"""
+
+import functools
+import http.server
+import json
+import threading
+from pathlib import Path
+
+import pytest
+from browser import Browser
+
+from pipelines.mission.tmtc_messages import Reported
+from pipelines.seats.plan import seat_plan
+from pipelines.seats.seat import Seat
+from pipelines.session.mission_messages import (
+    ExperimentShown,
+    PanelShown,
+    RobotStatus,
+    RunShown,
+    TaskListed,
+)
+from pipelines.session.seat_roles import Role
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.segments import Segment
+from pipelines.table import topology_of
+from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.task_files import built_in_tasks
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+
+ROOT = Path(__file__).parents[2]
+STATIC = ROOT / "pipelines" / "seats" / "static"
+AXE = ROOT / ".ci" / "web" / "node_modules" / "axe-core" / "axe.min.js"
+WIDTHS = (390, 1280)
+PAGES = {
+    Segment.SPACE: ("space", "panel", "k2cp"),
+    Segment.GROUND: ("ground", "top", "k2sv"),
+}
+#: In the place of the page's worker: what it is given comes as the server's texts.
+WORKER = """
+    window.Worker = class {
+      constructor() { window.worker = this; }
+      postMessage() {}
+      tell(data) { this.onmessage({ data }); }
+    };
+"""
+TELL = """
+    worker.tell({ kind: "heard" });
+    for (const text of arguments[0]) worker.tell({ kind: "text", text: JSON.parse(text) });
+"""
+#: Each text that a box cuts. Wide tables of figures scroll within their tab.
+CUT = """
+    const found = [];
+    const root = document.documentElement;
+    if (root.scrollWidth > root.clientWidth) found.push("the page scrolls sideways");
+    for (const element of document.querySelectorAll("body *")) {
+      if (!element.checkVisibility() || element.closest(".only-spoken")) continue;
+      const texts = [...element.childNodes].filter((one) => one.nodeType === Node.TEXT_NODE);
+      if (!texts.some(({ data }) => data.trim() !== "")) continue;
+      const range = document.createRange();
+      range.selectNodeContents(element);
+      const { left, right } = range.getBoundingClientRect();
+      for (let box = element; box !== document.body; box = box.parentElement) {
+        const { overflowX, contain } = getComputedStyle(box);
+        if (overflowX === "auto" && box.matches("[role=tabpanel]")) break;
+        if (overflowX === "visible" && !/paint|strict|content/.test(contain)) continue;
+        const edge = box.getBoundingClientRect();
+        if (left >= edge.left - 1 && right <= edge.right + 1) continue;
+        found.push(`${box.localName} cuts ${element.localName}: ${element.textContent}`);
+        break;
+      }
+    }
+    return found;
+"""
+SERIOUS = """
+    const { violations } = await axe.run(document, { resultTypes: ["violations"] });
+    return violations
+      .filter(({ impact }) => ["serious", "critical"].includes(impact))
+      .map(({ id, nodes }) => `${id}: ${nodes.map(({ html }) => html).join(" ")}`);
+"""
+TABS = "return [...document.querySelectorAll('[role=tab]')].map(({ id }) => id)"
+REASON = "the robot has a fault: a fault of the trainer's exercise"
+
+
+def texts_of(segment):
+    """What a page is told in the middle of a session with tasks, with the longest words."""
+    catalogue = built_in_tasks()
+    topology = topology_of(BUILT_IN["spacejustin"], pages=True, tasks=True)
+    plan = seat_plan(topology, segment, "x", built_in_dictionary(), tasks=catalogue)
+    seat = Seat(plan, first_command=1)
+    if segment is Segment.GROUND:
+        listed = tuple(TaskListed(one.name, one.text) for one in catalogue.tasks.values())
+        runs = (RunShown("handshake", 12, "aborted", REASON, 12.5),)
+        task = {"phase": "running", "task": "handshake", "run": 13, "elemop": "followContour"}
+        experiment = ExperimentShown(**task, panel="press_deadman", tasks=listed, runs=runs)
+        seat.handle_shown("experiment", experiment)
+        place = {"x_m": -0.1, "y_m": 0.1, "push_n": 12.3, "hold": "the robot was off"}
+        mode = ControlMode.TELEPRESENCE
+        robot = RobotStatus(life=1, powered=False, mode=mode, fault=REASON, waiting=True, **place)
+        seat.handle_shown("robot", robot)
+    else:
+        words = "Well held. Now let go of the mouse button, your finger, Space or the trigger."
+        at = {"start_m": (0.0, 0.0), "distance_m": 0.1, "held_s": 3.0}
+        panel = PanelShown(mode="hold", task="contour", run=12, text=words, words=words, **at)
+        seat.handle_shown("panel", panel)
+    said = {"state": "recoverable error", "application": "german experiment", "test": "running"}
+    report = Reported("housekeeping", "joystick", unix_ns=0, values={**said, "temperature": 60.125})
+    seat.handle_news(report, 0)
+    page = seat.handle_opened(Role.OPERATOR, 0)
+    found = []
+    while (message := seat.poll_transmit(page)) is not None:
+        found.append(message)
+    return [text for text in found if isinstance(text, str)]
+
+
+@pytest.fixture(scope="module")
+def address():
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def do_GET(self):
+            name = self.path.strip("/")
+            if not (STATIC / f"{name}.html").exists():
+                super().do_GET()
+                return
+            text = (STATIC / f"{name}.html").read_text().replace("__BASE__", "/")
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html")
+            self.end_headers()
+            self.wfile.write(text.encode())
+
+        def log_message(self, *_):
+            pass
+
+    handler = functools.partial(Handler, directory=STATIC)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with Browser(size=(1280, 900)) as running:
+        yield running
+
+
+@pytest.mark.parametrize(
+    ("segment", "name"), [(segment, name) for segment, names in PAGES.items() for name in names]
+)
+def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name, browser, address):
+    page = browser.open(f"{address}{name}")
+    page.reload(WORKER)
+    texts = texts_of(segment)
+    page.run(TELL, [json.dumps(json.loads(text)) for text in texts])
+    found = {}
+    for width in WIDTHS:
+        metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+        browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        for tab in page.run(TABS) or [""]:
+            if tab:
+                page.run("document.getElementById(arguments[0]).click()", tab)
+            found[width, tab] = page.run(CUT)
+    # Without npm, the layout alone.
+    if AXE.exists():
+        page.run(AXE.read_text())
+        found["axe"] = page.run(SERIOUS)
+    page.close()
+    assert {what: wrong for what, wrong in found.items() if wrong} == {}

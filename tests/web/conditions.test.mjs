@@ -1,0 +1,231 @@
+/** Over random histories of losses, faults and kills, what the pages of both ends say holds. */
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { load } from "./modules.mjs";
+
+const { handTile, joystickWords, linkTile, panelShown, robotWords, whyStill } = await load("conditions.js");
+const { Telemetry, systemSays } = await load("telemetry.js");
+const { commandText } = await load("mission_words.js");
+
+const HISTORIES = 400;
+const STEPS = 80;
+const STEP_US = 500_000;
+/** So long a report takes from one end to the other. */
+const ON_THE_WAY_STEPS = 1;
+
+/** Numbers below 1 from a seed (mulberry32). */
+function randomOf(seed) {
+  let at = seed;
+  return () => {
+    at = (at + 0x6d2b79f5) | 0;
+    let t = Math.imul(at ^ (at >>> 15), 1 | at);
+    t = (t + Math.imul(t ^ (t >>> 7), 61 | t)) ^ t;
+    return ((t ^ (t >>> 14)) >>> 0) / 2 ** 32;
+  };
+}
+
+const application = (name, end, interval_s, ...names) => ({
+  name,
+  end,
+  parameters: names.map((one) => ({ name: one })),
+  structures: [{ name: "state", parameters: names, interval_s, on: true }],
+  functions: [],
+});
+const APPLICATIONS = [
+  application("joystick", "space", 1, "state", "application"),
+  application("space_gateway", "space", 10, "state"),
+  application("panel", "space", 10, "mode"),
+  application("ground_gateway", "ground", 10, "state"),
+  application("robot", "ground", 10, "powered", "mode", "error"),
+  application("tasks", "ground", 10, "phase"),
+];
+const ROWS = APPLICATIONS.flatMap(({ name, end, parameters }) => parameters.map((one) => ({ name, end, parameter: one.name })));
+
+/** What is so, at both ends. */
+class World {
+  now_us = 1_000_000;
+  link = true;
+  running = true;
+  stopped = false;
+  powered = false;
+  mode = "position";
+  fault = "";
+  waiting = true;
+  joystick = "application";
+  test = "none";
+  holder = null;
+  dead_man = false;
+  phase = "idle";
+  panel = "wait_task";
+
+  get follows() {
+    const ready = this.link && this.running && !this.stopped && this.powered && this.fault === "";
+    return ready && this.joystick === "application" && this.dead_man && !this.waiting;
+  }
+
+  /** Something happens. */
+  change(random) {
+    const pick = (...of) => of[Math.floor(random() * of.length)];
+    const what = pick("link", "running", "stop", "power", "fault", "reset", "joystick", "press", "let go", "hold", "task", "test");
+    if (what === "link") this.link = random() < 0.6;
+    if (what === "running") this.running = random() < 0.7;
+    if (what === "stop") this.stopped = random() < 0.4;
+    if (what === "power") [this.powered, this.mode] = [random() < 0.7, pick("position", "telepresence")];
+    if (what === "fault") this.fault = "force above 28 N";
+    if (what === "reset") this.fault = "";
+    if (what === "joystick") this.joystick = pick("application", "application", "halted", "calibrated", "recoverable error");
+    if (what === "hold") this.holder = pick(null, 1, 2);
+    if (what === "press") this.dead_man = this.holder !== null;
+    if (what === "let go") this.dead_man = false;
+    if (what === "task") [this.phase, this.panel] = pick(["idle", "wait_task"], ["running", "running"], ["offered", "hold"]);
+    if (what === "test") this.test = pick("none", "running", "passed", "failed");
+    // What else follows.
+    if (this.fault !== "" || this.stopped) this.powered = false;
+    if (!this.link || !this.running) [this.phase, this.panel] = ["idle", "no_contact"];
+    else if (this.panel === "no_contact") this.panel = "wait_task";
+    this.waiting = !this.dead_man || !this.powered || !this.link || this.joystick !== "application";
+  }
+
+  values(end) {
+    const lost = this.link && this.running ? "connected" : "lost";
+    const error = this.fault === "" ? "none" : "force";
+    const busy = this.joystick === "application" ? "german experiment" : "none";
+    const of = {
+      space: { "joystick.state": this.joystick, "joystick.application": this.test === "running" ? "joystick test" : busy, "space_gateway.state": lost, "panel.mode": this.panel },
+      ground: { "ground_gateway.state": lost, "robot.powered": this.powered, "robot.mode": this.mode, "robot.error": error, "tasks.phase": this.phase },
+    };
+    return of[end];
+  }
+}
+
+/** A page of an end: what its server tells it. */
+class Page {
+  alive = true;
+  ended = false;
+  stopped = false;
+  state = null;
+  robot = null;
+  experiment = null;
+  panel = null;
+  #listeners = {};
+  #past = [];
+
+  constructor(seat) {
+    this.hello = { seat, joystick: "page", applications: APPLICATIONS };
+    this.telemetry = new Telemetry(this);
+    this.tell("hello", this.hello);
+  }
+
+  on(name, listener) {
+    this.#listeners[name] = listener;
+  }
+
+  tell(name, event) {
+    this.#listeners[name]?.(event);
+  }
+
+  hear(world, random) {
+    const { seat } = this.hello;
+    const far = seat === "space" ? "ground" : "space";
+    const through = world.link && world.running;
+    this.#past.push({ stopped: world.stopped, waiting: world.waiting, values: world.values(far) });
+    if (random() < 0.05) this.alive = !this.alive;
+    if (random() < 0.002) [this.ended, this.alive] = [true, false];
+    if (this.ended) this.alive = false;
+    if (!this.alive) return;
+    const heard = through ? (this.#past.at(-1 - ON_THE_WAY_STEPS) ?? this.#past[0]) : null;
+    this.stopped = !world.running;
+    const joystick = { state: world.joystick, test: world.test, test_reason: "", reason: "", dead_man: world.dead_man };
+    const own = { stopped: world.stopped, by: "", waiting: world.waiting, hold: world.waiting ? "the dead-man button is released" : "" };
+    const before = this.state?.safety ?? { stopped: false, by: "", waiting: true, hold: "" };
+    this.state = {
+      now_us: world.now_us,
+      link: through ? "connected" : "lost",
+      signal: through,
+      joystick: seat === "space" ? joystick : null,
+      safety: seat === "ground" ? own : heard === null ? before : { ...before, stopped: heard.stopped, waiting: heard.waiting },
+      hand: { holder: world.holder, you: seat === "space" && world.holder === 1, wanted_by: null },
+    };
+    if (seat === "ground") {
+      this.robot = { powered: world.powered, mode: world.mode, error: world.fault === "" ? "none" : "force", fault: world.fault };
+      this.experiment = { phase: world.phase };
+    } else this.panel = { mode: world.panel, words: "" };
+    if (heard === null || random() > 0.1) return;
+    const values = Object.entries(heard.values).map(([key, value]) => {
+      const [of, name] = key.split(".");
+      return { application: of, name, value, level: "none", at_us: world.now_us };
+    });
+    this.tell("values", { values });
+  }
+
+  row({ name, parameter }, now_us) {
+    return systemSays(this.telemetry, name, parameter, now_us);
+  }
+}
+
+/** Checks all that a page says against what is so. */
+function check(page, world) {
+  const { seat } = page.hello;
+  const [link, hand, robot] = [linkTile(page, false), handTile(page), robotWords(page)];
+  const rows = ROWS.map((row) => ({ ...row, said: page.row(row, world.now_us) }));
+  const carries = page.alive && world.link && world.running;
+  if (!page.alive) {
+    const levels = [link, hand, robot, ...rows.map(({ said }) => said)].map(({ level }) => level);
+    assert.ok(!levels.includes("good"), "nothing is good without a server");
+    return;
+  }
+  assert.equal(link.level === "good", carries);
+  assert.equal(panelShown(page, { mode: world.panel, words: "" }).mode === "no_contact", !carries);
+  for (const { name, end, parameter, said } of rows) {
+    const truth = world.values(end)[`${name}.${parameter}`];
+    const off = name === "robot" && parameter === "mode" && !world.powered;
+    // What is near is said at once; what is far is never good beyond a lost link.
+    if (end === seat) {
+      assert.equal(said.past, false);
+      assert.equal(said.text, off ? "off" : String(truth === true ? "yes" : truth === false ? "no" : truth));
+    } else if (!carries) assert.equal(said.past && said.level === "none", true);
+  }
+  if (seat === "ground" && !world.powered) assert.ok(rows.every(({ said }) => said.text !== "telepresence"));
+  // Tile and line above the page agree, and say "steer" only where nothing is known against it.
+  if (hand.value === "YOU STEER") assert.equal(robot.level, "good");
+  assert.equal(robot.level === "good", whyStill(page) === "");
+  if (!carries && !page.state.safety.stopped) assert.match(robot.words, /gets no commands/);
+  if (robot.level === "good") {
+    assert.ok(carries && !page.state.safety.stopped && !page.state.safety.waiting);
+    if (seat === "ground") assert.ok(world.follows);
+    else assert.equal(world.joystick, "application");
+  }
+}
+
+test("over random histories no words of a page contradict the state", () => {
+  let steered = 0;
+  for (let seed = 1; seed <= HISTORIES; seed += 1) {
+    const random = randomOf(seed);
+    const world = new World();
+    const pages = [new Page("space"), new Page("ground")];
+    for (let step = 0; step < STEPS; step += 1) {
+      world.now_us += STEP_US;
+      world.change(random);
+      for (const page of pages) {
+        page.hear(world, random);
+        if (page.state !== null) check(page, world);
+        if (handTile(page).value === "YOU STEER") steered += 1;
+      }
+    }
+  }
+  assert.ok(steered > 0, "a history in which a hand steers");
+});
+
+test("a functional test says where the handle is, and what it came to", () => {
+  const joystick = { state: "calibrated", reason: "hold the button", test: "running", test_reason: "" };
+  assert.match(joystickWords(joystick, true), /At the handle .*hold the button/);
+  assert.doesNotMatch(joystickWords(joystick, false), /At the handle/);
+  const failed = { ...joystick, reason: "", test: "failed", test_reason: "the button was not pressed" };
+  assert.match(joystickWords(failed, true), /failed: the button was not pressed/);
+});
+
+test("a telecommand names the task that it selects", () => {
+  assert.equal(commandText("tasks select 1", ["aiming", "pursuit"]), "select the task pursuit");
+  assert.equal(commandText("tasks select 7", ["aiming"]), "tasks select 7");
+  assert.equal(commandText("robot power_on", []), "robot power on");
+});
