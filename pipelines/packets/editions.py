@@ -15,7 +15,10 @@ _KEPT_DEPTH = 512
 
 @dataclass(slots=True)
 class _Passed:
-    """senders: connections that sent it. unheard: those of them that may not know of its end."""
+    """senders: connections that sent it. unheard: those of them that may not know of its end.
+
+    ended: the report of the end of the newest copy was handed to all connections.
+    """
 
     edition: int
     at_ns: int
@@ -47,9 +50,11 @@ class CommandEditions:
         passed = self._passed.get(key)
         if passed is None:
             passed = _Passed(0, now_ns)
-        elif passed.ended and not passed.unheard and connection not in passed.senders:
+        elif not passed.unheard and connection not in passed.senders:
             passed = _Passed((passed.edition + 1) % EDITIONS, now_ns)
         passed.at_ns = now_ns
+        # Each copy is verified, and the earlier report may have missed this connection.
+        passed.ended = False
         passed.senders.add(connection)
         passed.unheard.add(connection)
         self._passed[key] = passed
