@@ -23,7 +23,7 @@ def run_frames(context: Context, address: Address) -> None:
     bind = LOOPBACK if is_loopback(host) else ""
     with context.open_bus() as bus:
         ways = {
-            way: _Way(
+            way: FrameCopies(
                 bus.reader(topic, depth=_DEPTH),
                 outlet(bind, (host, port + (way is Direction.UPLINK))),
             )
@@ -47,7 +47,7 @@ def run_frames(context: Context, address: Address) -> None:
             clock.sleep_until_ns(clock.now_ns() + _WAKE_NS)
 
 
-class _Way:
+class FrameCopies:
     """One direction of the link: where its frames come from, and where they go."""
 
     def __init__(self, reader: Reader, to: Outlet) -> None:
