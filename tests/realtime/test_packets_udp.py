@@ -1,5 +1,6 @@
 """Space's view by UDP: packets and frames to another ground system, and its telecommands."""
 
+import contextlib
 import socket
 import threading
 
@@ -79,16 +80,21 @@ def test_space_gives_packets_and_frames_by_udp_and_takes_telecommands(tmp_path):
         (telecommand("joystick", 2, function="halt"), 7),
         (telecommand("robot", 3, function="power_off"), 2),  # not allowed
     ]
-    with (
-        Listener(packets) as telemetry,
-        Listener(frames) as down,
-        Listener(frames + 1) as up,
-        RunningEnd("taskboard", "ground", *near, directory=tmp_path / "ground") as ground,
-        RunningEnd(
-            *("taskboard", "space", *far, *outside, "--frames", f"udp:127.0.0.1:{frames}"),
-            directory=tmp_path / "space",
-        ) as space,
-    ):
+    with contextlib.ExitStack() as stack:
+        telemetry, down, up = (
+            stack.enter_context(Listener(port)) for port in (packets, frames, frames + 1)
+        )
+        ground = stack.enter_context(
+            RunningEnd("taskboard", "ground", *near, directory=tmp_path / "ground")
+        )
+        # It has its ports, so that the other end takes others.
+        ground.pids()
+        space = stack.enter_context(
+            RunningEnd(
+                *("taskboard", "space", *far, *outside, "--frames", f"udp:127.0.0.1:{frames}"),
+                directory=tmp_path / "space",
+            )
+        )
         ground.wait_for_flow()
         for command, end in asked:
             telemetry.udp.sendto(pack_packet(command), ("127.0.0.1", packets + 1))
