@@ -56,8 +56,10 @@ class FrameCopies:
         self._sequence: int | None = None
 
     def copy(self) -> None:
-        """Send on what waits."""
-        while (lease := self._reader.next()) is not None:
+        """Send on what waits; then the other direction has its turn."""
+        for _ in range(_DEPTH):
+            if (lease := self._reader.next()) is None:
+                return
             with lease:
                 sequence, octets = lease.stamp.sequence, lease.octets()
             # A gateway that was started again counts from 0.

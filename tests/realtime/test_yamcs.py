@@ -84,7 +84,8 @@ class Yamcs:
             more = {"next": page["continuationToken"]}
 
     def is_linked(self):
-        with contextlib.suppress(OSError):
+        # Before its instance is there, it knows no links.
+        with contextlib.suppress(OSError, KeyError):
             return self.links()["session"]["status"] == "OK"
 
     def links(self):
