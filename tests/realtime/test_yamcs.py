@@ -99,9 +99,11 @@ class Yamcs:
             return json.load(answer)
 
     def sql(self, statement):
-        """The first value of the first row, if there is one."""
-        rows = self.post("archive/kontur_av:executeSql", {"statement": statement}).get("rows")
-        return value_of(rows[0]["values"][0]) if rows else None
+        return self.post("archive/kontur_av:executeSql", {"statement": statement})
+
+    def selected(self, statement):
+        """The first value of the first row."""
+        return value_of(self.sql(statement)["rows"][0]["values"][0])
 
     def keep_frames(self, way):
         """Archive the frames of a link from now on."""
@@ -183,9 +185,9 @@ def compare_frames(yamcs, path):
                 for one in map(bytes, batch.data)
             ]
     for way, what in WAYS.items():
-        count = yamcs.sql(f"select count(*) from {way}_kept")
+        count = yamcs.selected(f"select count(*) from {way}_kept")
         first, last = (
-            yamcs.sql(f"select frameSeq from {way}_kept order {order} limit 1")
+            yamcs.selected(f"select frameSeq from {way}_kept order {order} limit 1")
             for order in ("asc", "desc")
         )
         span = (last - first) % COUNT_MODULUS
@@ -196,7 +198,7 @@ def compare_frames(yamcs, path):
         )
         assert here.total() == count > 500 * SECONDS
         for vcid in here:
-            told = yamcs.sql(f"select count(*) from {way}_kept where vcid = {vcid}")
+            told = yamcs.selected(f"select count(*) from {way}_kept where vcid = {vcid}")
             assert told == here[vcid], (way, vcid)
         print(f"{way}: {dict(sorted(here.items()))} frames by virtual channel are equal")
 
