@@ -173,8 +173,11 @@ def recorded(path, begin_ms, end_ms):
     return packets, values
 
 
-def compare_frames(yamcs, path):
-    """YAMCS has as many frames of each virtual channel as the recording, in the same span."""
+def compare_frames(yamcs, path, *, whole):
+    """YAMCS has as many frames of each virtual channel as the recording, in the same span.
+
+    whole: no copies were missed; else it has fewer.
+    """
     recording = JoinedRecording(parts=[read_part(memoryview(path.read_bytes()))])
     recorded = {f"/link/{way}/frames/{what}": [] for way, what in WAYS.items()}
     for message in recording.messages():
@@ -196,11 +199,11 @@ def compare_frames(yamcs, path):
             for vcid, number in recorded[f"/link/{way}/frames/{what}"]
             if (number - first) % COUNT_MODULUS <= span
         )
-        assert here.total() == count > 500 * SECONDS
+        assert here.total() >= count > 500 * SECONDS
         for vcid in here:
             told = yamcs.selected(f"select count(*) from {way}_kept where vcid = {vcid}")
-            assert told == here[vcid], (way, vcid)
-        print(f"{way}: {dict(sorted(here.items()))} frames by virtual channel are equal")
+            assert told == here[vcid] if whole else told <= here[vcid], (way, vcid)
+        print(f"{way}: {count} of {dict(sorted(here.items()))} frames by virtual channel")
 
 
 def assert_calibration_is_refused(yamcs):
@@ -266,7 +269,9 @@ def test_yamcs_has_what_the_recording_has_and_its_telecommands_are_verified(star
         code, report = session.interrupt()
         assert code == 0, (session.errors(), report["failures"])
         assert_sound(report)
-        compare_frames(yamcs, path)
+        copies = report["processes"]["frames"]["counts"]
+        assert copies["copies_unsent"] == 0
+        compare_frames(yamcs, path, whole=copies["copies_missed"] == 0)
         packets, values = recorded(path, begin_ms, end_ms)
         window = {"start": iso(begin_ms), "stop": iso(end_ms), "order": "asc"}
         rows = yamcs.all("archive/kontur_av/packets", "packet", **window, limit=1000)
@@ -305,5 +310,3 @@ def test_yamcs_has_what_the_recording_has_and_its_telecommands_are_verified(star
     for process in report["processes"].values():
         told.update(process["counts"])
     assert told["pus_duplicates"] <= told["pus_telecommands_repeated"]
-    counts = report["processes"]["frames"]["counts"]
-    assert counts["copies_missed"] == counts["copies_unsent"] == 0
