@@ -173,10 +173,10 @@ def recorded(path, begin_ms, end_ms):
     return packets, values
 
 
-def compare_frames(yamcs, path, *, whole):
+def compare_frames(yamcs, path):
     """YAMCS has as many frames of each virtual channel as the recording, in the same span.
 
-    whole: no copies were missed; else it has fewer.
+    What a busy machine loses on the way by UDP, it has not; then the rest fits.
     """
     recording = JoinedRecording(parts=[read_part(memoryview(path.read_bytes()))])
     recorded = {f"/link/{way}/frames/{what}": [] for way, what in WAYS.items()}
@@ -200,10 +200,11 @@ def compare_frames(yamcs, path, *, whole):
             if (number - first) % COUNT_MODULUS <= span
         )
         assert here.total() >= count > 500 * SECONDS
+        lost = here.total() - count
         for vcid in here:
             told = yamcs.selected(f"select count(*) from {way}_kept where vcid = {vcid}")
-            assert told == here[vcid] if whole else told <= here[vcid], (way, vcid)
-        print(f"{way}: {count} of {dict(sorted(here.items()))} frames by virtual channel")
+            assert here[vcid] - lost <= told <= here[vcid], (way, vcid)
+        print(f"{way}: {lost} lost of {dict(sorted(here.items()))} by virtual channel")
 
 
 def assert_calibration_is_refused(yamcs):
@@ -269,9 +270,7 @@ def test_yamcs_has_what_the_recording_has_and_its_telecommands_are_verified(star
         code, report = session.interrupt()
         assert code == 0, (session.errors(), report["failures"])
         assert_sound(report)
-        copies = report["processes"]["frames"]["counts"]
-        assert copies["copies_unsent"] == 0
-        compare_frames(yamcs, path, whole=copies["copies_missed"] == 0)
+        compare_frames(yamcs, path)
         packets, values = recorded(path, begin_ms, end_ms)
         window = {"start": iso(begin_ms), "stop": iso(end_ms), "order": "asc"}
         rows = yamcs.all("archive/kontur_av/packets", "packet", **window, limit=1000)
@@ -310,3 +309,4 @@ def test_yamcs_has_what_the_recording_has_and_its_telecommands_are_verified(star
     for process in report["processes"].values():
         told.update(process["counts"])
     assert told["pus_duplicates"] <= told["pus_telecommands_repeated"]
+    assert report["processes"]["frames"]["counts"]["copies_unsent"] == 0
