@@ -50,6 +50,7 @@ def topology_of(
     metrics: bool = False,
     foxglove: bool = False,
     packets: bool = False,
+    frames: bool = False,
     ros2: bool = False,
     components: tuple[Component, ...] = (),
     segments: tuple[Segment, ...] = tuple(Segment),
@@ -70,6 +71,7 @@ def topology_of(
         metrics=metrics,
         foxglove=foxglove,
         packets=packets,
+        frames=frames,
         ros2=ros2,
         components=components,
     )

@@ -1,4 +1,4 @@
-"""The options of a session's space packets for another ground system."""
+"""The options of a session's space packets and frames for another ground system."""
 
 import argparse
 import re
@@ -17,7 +17,8 @@ from pipelines.session.setup.table import Setup
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.telemetry_source import Component, with_components
 
-_OPTION = "--packets"
+_OPTION, _FRAMES = "--packets", "--frames"
+_TCP, _UDP = r"tcp:(?:([^:]+):)?(\d{1,5})", r"udp:([^:]+):(\d{1,5})"
 _WAITING = 8
 #: The one after it must be a port, too.
 _LAST_PORT = 65_534
@@ -39,6 +40,12 @@ def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="WHAT",
         help="telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
         "may be given several times (default: questions alone)",
+    )
+    parser.add_argument(
+        _FRAMES,
+        metavar="udp:HOST:PORT",
+        help="send copies of the radio link's frames to another ground system: the downlink's to "
+        "PORT, the uplink's to PORT + 1",
     )
 
 
@@ -82,15 +89,22 @@ class PacketsWish(NamedTuple):
 
 def parse_packets(text: str) -> PacketsWish:
     """Return what `text` asks for; ConfigError."""
-    match = re.fullmatch(r"(tcp|udp):(?:([^:]+):)?(\d{1,5})", text)
-    if (
-        match is None
-        or not 1 <= int(match[3]) <= _LAST_PORT
-        or (match[1] == "udp" and not match[2])
-    ):
-        raise ConfigError(f"{_OPTION} {text!r}: write tcp:[HOST:]PORT or udp:HOST:PORT")
-    host = resolve(match[2] or "127.0.0.1", text, _OPTION, socket.AF_INET)
-    return PacketsWish((host, int(match[3])), match[1] == "udp")
+    udp = text.startswith("udp:")
+    fits = "tcp:[HOST:]PORT or udp:HOST:PORT"
+    return PacketsWish(_address(text, _OPTION, _UDP if udp else _TCP, fits), udp)
+
+
+def parse_frames(text: str | None) -> Address | None:
+    """Return where copies of the downlink's frames go, the uplink's to the next; ConfigError."""
+    return None if text is None else _address(text, _FRAMES, _UDP, "udp:HOST:PORT")
+
+
+def _address(text: str, option: str, pattern: str, fits: str) -> Address:
+    match = re.fullmatch(pattern, text)
+    if match is None or not 1 <= int(match[2]) <= _LAST_PORT:
+        raise ConfigError(f"{option} {text!r}: write {fits}")
+    host = resolve(match[1] or "127.0.0.1", text, option, socket.AF_INET)
+    return host, int(match[2])
 
 
 def _bind(kind: socket.SocketKind, address: tuple[str, int]) -> socket.socket:

@@ -33,7 +33,11 @@ from pipelines.commands.metrics_options import (
     announced_metrics,
     bound_metrics,
 )
-from pipelines.commands.packets_options import add_packets_arguments, bound_packets
+from pipelines.commands.packets_options import (
+    add_packets_arguments,
+    bound_packets,
+    parse_frames,
+)
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
 from pipelines.commands.record_options import add_record_arguments, wish_of
 from pipelines.commands.ros2_options import add_ros2_argument, ros2_arguments
@@ -72,7 +76,7 @@ from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import STEREO, Setup, VideoStream
-from pipelines.session.topology import PACKETS, RECORDER, RTC, Segment, Topology
+from pipelines.session.topology import FRAMES, PACKETS, RECORDER, RTC, Segment, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
@@ -160,6 +164,7 @@ def run(args: argparse.Namespace) -> int:
         check_robot(args.second_robot)
     say_unprotected(args.joystick, args.robot)
     ros2 = ros2_arguments(args)
+    frames = parse_frames(args.frames)
     components = load_components(args.telemetry, built_in_dictionary())
     tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
@@ -182,6 +187,7 @@ def run(args: argparse.Namespace) -> int:
         metrics=args.metrics is not None,
         foxglove=args.foxglove is not None,
         packets=args.packets is not None,
+        frames=args.frames is not None,
         ros2=bool(ros2),
         components=components,
         segments=plan.segments,
@@ -221,6 +227,7 @@ def run(args: argparse.Namespace) -> int:
             arguments={
                 **_arguments(topology, None if one is None else one.plan, rtc_wish, tasks),
                 PACKETS: {"plan": packets},
+                FRAMES: {"address": frames},
                 **ros2,
             },
             clock=clock,

@@ -1,10 +1,10 @@
-"""`kontur-av yamcs new`: the directory of a YAMCS instance that reads a session's space packets."""
+"""`kontur-av yamcs new`: the directory of a YAMCS instance that reads what a session sends."""
 
 import argparse
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.packets_options import DEFAULT_PACKETS, parse_packets
+from pipelines.commands.packets_options import DEFAULT_PACKETS, parse_frames, parse_packets
 from pipelines.packets.yamcs import instance_files
 from pipelines.session.output import print_data
 from pipelines.session.setup.segments import Segment
@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=DEFAULT_PACKETS,
         help=f"as of `stream`, with the session's host (default: {DEFAULT_PACKETS})",
     )
+    new.add_argument("--frames", metavar="udp:HOST:PORT", help="as of `stream` (default: none)")
     new.add_argument(
         "--end",
         choices=[segment.value for segment in Segment],
@@ -39,13 +40,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    wish = parse_packets(args.packets)
+    wish, frames = parse_packets(args.packets), parse_frames(args.frames)
     dictionary = built_in_dictionary()
     dictionary = with_components(dictionary, load_components(args.telemetry, dictionary))
     files = instance_files(
         dictionary_xtce(dictionary, args.end),
         wish.address,
         udp=wish.udp,
+        frames_port=None if frames is None else frames[1],
         http_port=args.http_port,
     )
     directory: Path = args.directory

@@ -297,7 +297,7 @@ class TmtcEnd:
                 raise ConfigError(str(error)) from None
             if not isinstance(packet, Telecommand):
                 raise ConfigError("no telecommand")
-            return user.forward(packet, now_ns=now_ns)
+            return user.forward(packet, edition=request.edition, now_ns=now_ns)
         match request.verb:
             case "call":
                 return user.call(name, request.name, request.arguments, now_ns=now_ns)

@@ -70,12 +70,16 @@ class SendCommand(msgspec.Struct, frozen=True, tag=True):
 
 
 class ForwardCommand(msgspec.Struct, frozen=True, tag=True):
-    """Send a telecommand of another ground system, for `application`. packet: its octets."""
+    """Send a telecommand of another ground system, for `application`. packet: its octets.
+
+    edition: as of `PusUser.forward`.
+    """
 
     client: str
     id: int
     application: str
     packet: bytes
+    edition: int = 0
 
 
 class FunctionDone(msgspec.Struct, frozen=True, tag=True):

@@ -7,20 +7,31 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from pipelines.mission.tmtc_messages import CommandUpdate, ForwardCommand, TmtcNews
 from pipelines.packets.allowed import AllowedCommands
+from pipelines.packets.editions import CommandEditions
 from pipelines.packets.figures import PacketsFigures
 from pipelines.session.probe import Probe
 from telepresence.link.bucket import TokenBucket
 from telepresence.tmtc.pus.dictionary import Dictionary
-from telepresence.tmtc.pus.head import HEADER_OCTETS, MAX_PACKET_OCTETS, is_packet, is_telecommand
+from telepresence.tmtc.pus.head import (
+    HEADER_OCTETS,
+    MAX_PACKET_OCTETS,
+    destination_of,
+    is_packet,
+    is_telecommand,
+    message_of,
+)
 from telepresence.tmtc.pus.packets import (
     COUNT_MODULUS,
     Telecommand,
     parse_packet,
 )
+from telepresence.tmtc.pus.user import EDITIONS
 from telepresence.tmtc.pus.verification import (
+    SERVICE,
     Failure,
     VerificationStage,
     pack_refusal,
+    parse_verification,
     verification_of,
 )
 
@@ -60,13 +71,17 @@ class PacketBridge:
         self._epoch_ns = epoch_ns
         # A telecommand counts as one octet.
         self._bucket = TokenBucket(8 * COMMANDS_PER_S, COMMANDS_AT_ONCE)
-        self._number = self._count = 0
+        self._number = self._count = self._connections = 0
+        self._editions = CommandEditions()
         self._waiting: deque[ForwardCommand] = deque()
         self._asked: dict[int, Telecommand] = {}
         self._reports: deque[bytes] = deque(maxlen=_REPORTS_DEPTH)
 
-    def handle_command(self, octets: bytes, now_ns: int) -> None:
-        """A packet of the other system. Garbage is counted; this never raises."""
+    def handle_command(self, octets: bytes, now_ns: int, connection: int = 0) -> None:
+        """A packet of the other system. Garbage is counted; this never raises.
+
+        connection: from `handle_connection`; 0 for datagrams.
+        """
         if not self._bucket.holds(1, now_ns):
             self._add(outside_excess=1)
             return
@@ -91,7 +106,9 @@ class PacketBridge:
             if len(self._asked) == _ASKED_DEPTH:
                 self._asked.pop(next(iter(self._asked)))
             self._asked[self._number] = command
-            self._waiting.append(ForwardCommand(self._client, self._number, name, octets))
+            edition = self._editions.edition_of(command, connection, now_ns)
+            request = ForwardCommand(self._client, self._number, name, octets, edition)
+            self._waiting.append(request)
 
     def handle_news(self, news: TmtcNews | None, now_ns: int) -> None:
         """What the end has published; most of it is for others."""
@@ -120,11 +137,29 @@ class PacketBridge:
         if not is_packet(octets) or is_telecommand(octets):
             return False
         self._add(outside_packets=1)
+        edition, source = divmod(destination_of(octets), EDITIONS)
+        if source == self._source and message_of(octets)[0] == SERVICE:
+            self._note_end(octets, edition)
         return True
 
-    def handle_peer(self) -> None:
-        """A connection was opened."""
+    def _note_end(self, octets: bytes, edition: int) -> None:
+        try:
+            packet = parse_packet(octets)
+            report = parse_verification(packet.subtype, packet.data)
+        except ProtocolError:
+            return  # the end of TM/TC counts it
+        if report.failure is not None or report.stage is VerificationStage.COMPLETED:
+            self._editions.handle_end(report, edition)
+
+    def handle_connection(self) -> int:
+        """A connection was opened; return its number."""
         self._add(outside_peers=1)
+        self._connections += 1
+        return self._connections
+
+    def handle_heard(self, connection: int) -> None:
+        """The other side of a connection has acknowledged all telemetry that was put so far."""
+        self._editions.handle_heard(connection)
 
     def handle_garbage(self) -> None:
         """What came in a connection is no packet, so that it ends."""

@@ -1,6 +1,7 @@
 """What the process for another ground system counts."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from kontur_av.figures import Most
 
@@ -25,3 +26,15 @@ class PacketsFigures:
     outside_excess: int = 0
     #: What came and is no telecommand.
     outside_garbage: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameFigures:
+    """Copies of the radio link's frames for another ground system."""
+
+    #: Frames sent on, by direction.
+    copied: Mapping[str, int] = field(default_factory=dict)
+    #: Samples of 20 ms of frames that were gone before they were read.
+    copies_missed: int = 0
+    #: Copies that the network did not take.
+    copies_unsent: int = 0

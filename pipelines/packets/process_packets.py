@@ -1,8 +1,11 @@
 """The process of `--packets`. `PacketBridge` decides; this module has the sockets and topics."""
 
+import fcntl
 import socket
+import sys
+import termios
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import Reader
@@ -133,12 +136,21 @@ class _Datagrams:
         """The launcher keeps the socket."""
 
 
+@dataclass(slots=True)
+class _Connection:
+    """number: of the bridge."""
+
+    number: int
+    queue: PeerQueue = field(default_factory=PeerQueue)
+    splitter: PacketSplitter = field(default_factory=PacketSplitter)
+
+
 class _Streams:
     """Packets one after the other. Every connection gets all, and may send telecommands."""
 
     def __init__(self, listener: socket.socket) -> None:
         self._listener = listener
-        self._peers: dict[socket.socket, tuple[PeerQueue, PacketSplitter]] = {}
+        self._peers: dict[socket.socket, _Connection] = {}
 
     @property
     def descriptors(self) -> list[int]:
@@ -153,17 +165,19 @@ class _Streams:
                     continue
                 tcp.setblocking(False)
                 tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._peers[tcp] = PeerQueue(), PacketSplitter()
-                bridge.handle_peer()
-        for tcp, (_, splitter) in list(self._peers.items()):
+                self._peers[tcp] = _Connection(bridge.handle_connection())
+        for tcp, peer in list(self._peers.items()):
+            if not peer.queue.octets and not _unacknowledged(tcp):
+                bridge.handle_heard(peer.number)
+        for tcp, peer in list(self._peers.items()):
             try:
                 for _ in range(_TURN):
                     octets = tcp.recv(_READ_OCTETS)
                     if not octets:
                         self._end(tcp)
                         break
-                    for packet in splitter.handle_octets(octets):
-                        bridge.handle_command(packet, now_ns)
+                    for packet in peer.splitter.handle_octets(octets):
+                        bridge.handle_command(packet, now_ns, peer.number)
             except BlockingIOError:
                 pass
             except ProtocolError:
@@ -173,11 +187,12 @@ class _Streams:
                 self._end(tcp)
 
     def put(self, packet: bytes, now_ns: int) -> None:
-        for queue, _ in self._peers.values():
-            queue.put(packet, now_ns)
+        for peer in self._peers.values():
+            peer.queue.put(packet, now_ns)
 
     def write(self, bridge: PacketBridge, now_ns: int) -> None:
-        for tcp, (queue, _) in list(self._peers.items()):
+        for tcp, peer in list(self._peers.items()):
+            queue = peer.queue
             try:
                 while octets := queue.octets:
                     queue.handle_written(tcp.send(octets), now_ns)
@@ -197,3 +212,9 @@ class _Streams:
     def _end(self, tcp: socket.socket) -> None:
         del self._peers[tcp]
         tcp.close()
+
+
+def _unacknowledged(tcp: socket.socket) -> int:
+    """Return how many octets the other host has not acknowledged (SIOCOUTQ, tcp(7))."""
+    told = fcntl.ioctl(tcp, termios.TIOCOUTQ, bytes(4))
+    return int.from_bytes(told, sys.byteorder)

@@ -1,6 +1,7 @@
-"""The process that another ground system talks to."""
+"""The processes that another ground system talks to."""
 
 from pipelines.session.topology import (
+    FRAMES,
     PACKETS,
     TELEMETRY_KIND,
     TMTC_TOPICS,
@@ -13,7 +14,7 @@ from pipelines.session.topology import (
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
-    """The process of `--packets`. With both ends here it has the ground's view."""
+    """The processes of `--packets` and `--frames`: the ground's view with both ends here."""
     segment = session.alone or Segment.GROUND
     topics = packet_topics(segment).items()
     return (
@@ -28,5 +29,14 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 TMTC_TOPICS[segment],
             ),
             what="gives telemetry to another ground system, and takes its telecommands",
+        ),
+        ProcessRow(
+            name=FRAMES,
+            when=session.options.frames,
+            segment=segment,
+            stage=Stage.SINK,
+            run="pipelines.packets.process_frames:run_frames",
+            reads=tuple(session.frame_topics(segment).values()),
+            what="gives copies of the radio link's frames to another ground system",
         ),
     )

@@ -1,8 +1,15 @@
-"""The files of an instance of YAMCS 5.12 that reads a session's space packets. A core.
+"""The files of an instance of YAMCS 5.12 that reads a session's packets and frames. A core.
 
 What they say beside the usual services: the packets have a check (CRC-16-CCITT), and their time is
 CUC of 4 and 2 octets without preamble (P-field 0x2E), at octet 13, in seconds of Unix time.
+
+Frames are checked and counted by virtual channel (VCA service). What is in them has no CCSDS
+packets, so the handler is one that drops it; whole frames are in the streams `downlink_frames` and
+`uplink_frames`. The insert zone counts as data, because frames without a sample have none.
 """
+
+from telepresence.link.frame import Pointers
+from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 
 #: Also the name of its space system; verifiers are functions, whose names may have no hyphen.
 INSTANCE = "kontur_av"
@@ -114,13 +121,34 @@ _UDP_TC = """\
 """
 
 
+_FRAMES = """\
+  - name: {name}
+    class: org.yamcs.tctm.ccsds.UdpTmFrameLink
+    port: {port}
+    frameType: AOS
+    spacecraftId: {scid}
+    frameLength: {octets}
+    insertZoneLength: 0
+    frameHeaderErrorControlPresent: false
+    errorDetection: CRC16
+    goodFrameStream: {name}_frames
+    virtualChannels:
+"""
+
+_CHANNEL = """      - vcId: {vcid}
+        service: VCA
+        vcaHandlerClassName: org.yamcs.tctm.ccsds.IdleFrameHandler
+        ocfPresent: false
+"""
+
+
 def instance_files(
-    xtce: str, session: tuple[str, int], *, udp: bool, http_port: int
+    xtce: str, session: tuple[str, int], *, udp: bool, frames_port: int | None, http_port: int
 ) -> dict[str, str]:
     """Return the texts of the files, by their path in the instance's directory.
 
     session: host and port of `--packets`. udp: it sends datagrams to that port; else it listens
-    there.
+    there. frames_port: where frames of the downlink come; those of the uplink at the next.
     """
     host, port = session
     if udp:
@@ -128,9 +156,20 @@ def instance_files(
         links += _UDP_TC.format(host=host, port=port + 1) + _TELECOMMANDS
     else:
         links = _TCP.format(host=host, port=port) + _TELEMETRY + _TELECOMMANDS
+    if frames_port is not None:
+        links += _frame_link(DOWNLINK, frames_port) + _frame_link(UPLINK, frames_port + 1)
     return {
         "etc/yamcs.yaml": _SERVER.format(instance=INSTANCE, http_port=http_port),
         f"etc/yamcs.{INSTANCE}.yaml": _INSTANCE.format(instance=INSTANCE) + links,
         "etc/processor.yaml": _PROCESSORS,
         f"mdb/{INSTANCE}.xml": xtce,
     }
+
+
+def _frame_link(profile: LinkProfile, port: int) -> str:
+    pointers = Pointers(profile).no_start if profile.pointer_in_vcid else 0
+    link = _FRAMES.format(
+        name=profile.name, port=port, scid=profile.scid, octets=profile.frame_octets
+    )
+    vcids = range(profile.vcid, profile.vcid + pointers + 1)
+    return link + "".join(_CHANNEL.format(vcid=vcid) for vcid in vcids)

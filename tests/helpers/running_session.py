@@ -55,6 +55,21 @@ def free_base_port():
     pytest.skip("no block of free UDP ports")
 
 
+def free_pair():
+    """Return a free UDP port, such that the one after it is free, too."""
+    for _ in range(100):
+        with contextlib.ExitStack() as stack, contextlib.suppress(OSError, OverflowError):
+            first, second = (
+                stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+                for _ in range(2)
+            )
+            first.bind(("127.0.0.1", 0))
+            port = first.getsockname()[1]
+            second.bind(("127.0.0.1", port + 1))
+            return port
+    pytest.skip("no two free UDP ports beside each other")
+
+
 def eventually(ask, what, patience_s=PATIENCE_S):
     """Call `ask()` until its result is true; return the result."""
     deadline_s = time.monotonic() + patience_s

@@ -45,6 +45,7 @@ class SessionOptions:
     metrics: with the process that serves figures to a monitoring system.
     foxglove: with the process that serves the channels to Foxglove.
     packets: with the process that another ground system talks to.
+    frames: with the process that gives it copies of frames.
     ros2: with the process that is a node of a ROS 2 system.
     components: of users, in the telemetry.
     """
@@ -60,6 +61,7 @@ class SessionOptions:
     metrics: bool = False
     foxglove: bool = False
     packets: bool = False
+    frames: bool = False
     ros2: bool = False
     components: tuple[Component, ...] = ()
 
@@ -140,6 +142,11 @@ class Topology:
     def radio_port(self, segment: Segment) -> int:
         """Return the port on which a segment's gateway receives frames."""
         return self.link(segment.peer.transmits).port
+
+    def frame_topics(self, segment: Segment) -> dict[Direction, Topic]:
+        """Return the topics with all frames that a segment's gateway handles."""
+        out, back = self.link(segment.transmits), self.link(segment.peer.transmits)
+        return {back.direction: back.received_frames_topic, out.direction: out.sent_frames_topic}
 
     def process(self, name: str) -> ProcessRow:
         return self._processes[name]

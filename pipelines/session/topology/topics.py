@@ -22,6 +22,8 @@ METRICS = "metrics"
 FOXGLOVE = "foxglove"
 #: The process that another ground system talks to.
 PACKETS = "packets"
+#: The process that gives it copies of frames.
+FRAMES = "frames"
 #: The process that is a node of a ROS 2 system.
 ROS2 = "ros2"
 #: By segment: the process that serves its browser pages.

@@ -208,7 +208,7 @@ class PusNode:
         for application in self.applications.values():
             while (octets := application.poll_transmit(now_ns)) is not None:
                 destination = destination_of(octets)
-                if user is None or destination not in (0, user.source, user.foreign):
+                if user is None or (destination and not user.hears(destination)):
                     return octets
                 self._handle_own(octets, now_ns)
                 if not destination:

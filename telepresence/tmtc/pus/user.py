@@ -35,6 +35,8 @@ _T = TypeVar("_T", Parameter, Structure, FunctionDefinition)
 UNANSWERED = "no verification came"
 SUPERSEDED = "a later request came"
 _MOST_OPEN, _MOST_FOREIGN = 16, 4
+#: The other ground system's number has the low octet of a source, an edition the high one.
+EDITIONS = _FOREIGN_MODULUS = 256
 _EVENTS_DEPTH = 256
 
 
@@ -126,8 +128,8 @@ class PusUser:
     A telecommand is repeated, unchanged, until its end is verified, each time after twice the time
     as before, up to 8 `timeout_ns`. After `patience_ns` it ends without verification.
 
-    source: this user's number, 1 to 65535. foreign: the number of another ground system, whose
-    telecommands `forward` sends; None: there is none. first_count: random, so that the first
+    source: this user's number, 1 to 65535. foreign: the number of another ground system, 1 to 255,
+    whose telecommands `forward` sends; None: there is none. first_count: random, so that the first
     telecommands of a restarted user are no repetitions. Raises ConfigError for a timeout that is
     not positive, and for a patience of a minute or more: by then an application has forgotten the
     telecommand.
@@ -224,22 +226,31 @@ class PusUser:
             data += bytes([parameter.number]) + parameter.pack(value)
         return self._send(table, 20, 3, data, now_ns)
 
-    def forward(self, command: Telecommand, *, now_ns: int) -> int | None:
+    def hears(self, destination: int) -> bool:
+        """Whether a report to this number is for a user of this end."""
+        return destination == self.source or self._is_foreign(destination)
+
+    def _is_foreign(self, number: int) -> bool:
+        return number % _FOREIGN_MODULUS == self.foreign
+
+    def forward(self, command: Telecommand, *, edition: int = 0, now_ns: int) -> int | None:
         """Send a telecommand of the other ground system, which keeps its count.
 
-        It gets `foreign` as its source, and asks for all reports. Of the 16 that may be open, 4 may
+        edition: below `EDITIONS`; another one makes an equal telecommand a new one. The source is
+        `foreign` and the edition. It asks for all reports. Of the 16 that may be open, 4 may
         be such. ConfigError for an APID that the dictionary does not have.
         """
         table = self._by_apid.get(command.apid)
         if table is None or self.foreign is None:
             raise ConfigError(f"no application {command.apid}")
-        others = sum(one.item.command.source == self.foreign for _, one in self._open)
+        others = sum(self._is_foreign(one.item.command.source) for _, one in self._open)
         if self._open.full or others >= _MOST_FOREIGN:
             return None
         newest = {bytes([one.number]) for one in table.functions if one.newest}
         if (command.service, command.subtype) == (8, 1) and command.data[:1] in newest:
             self._supersede(table.apid, command.data[:1], now_ns)
-        own = replace(command, source=self.foreign, flags=ALL_FLAGS)
+        source = edition * _FOREIGN_MODULUS + self.foreign
+        own = replace(command, source=source, flags=ALL_FLAGS)
         return self._open.handle_put(_Open(own, table.name), now_ns)
 
     def _send(
@@ -282,7 +293,7 @@ class PusUser:
 
     def _handle_verification(self, packet: Telemetry, now_ns: int) -> None:
         report = verification.parse_verification(packet.subtype, packet.data)
-        if packet.destination not in (self.source, self.foreign):
+        if not self.hears(packet.destination):
             return
         number = self._number_of(report, packet.destination)
         if number is None:

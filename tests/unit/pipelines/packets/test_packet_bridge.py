@@ -10,7 +10,13 @@ from pipelines.packets.bridge import COMMANDS_AT_ONCE, PacketBridge, PacketSplit
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.packets import Telecommand, pack_packet, parse_packet
-from telepresence.tmtc.pus.verification import Failure, parse_verification
+from telepresence.tmtc.pus.verification import (
+    Failure,
+    VerificationStage,
+    pack_refusal,
+    parse_verification,
+    verification_of,
+)
 
 DICTIONARY = built_in_dictionary()
 S = 1_000_000_000
@@ -171,3 +177,83 @@ def test_foreign_telecommands_leave_room_for_the_own_user():
         stages.append(news.stage)
     assert stages.count("taken") == 4
     assert stages.count("refused") == 2
+
+
+@pytest.mark.parametrize("application", ["joystick", "robot"])
+def test_a_system_that_began_anew_is_heeded_and_a_repetition_is_not(application):
+    """Its counts begin anew, too, so its telecommands are octet by octet those of its last life."""
+    given, (made, talk) = bridge("all"), ends()
+    name = {"joystick": "halt", "robot": "power_off"}[application]
+    octets = function(application, name, count=0)
+    now_ns = 0
+
+    def carried_out(connection, *, told=True):
+        nonlocal now_ns
+        now_ns += S
+        given.handle_command(octets, now_ns, connection)
+        made[Segment.GROUND].handle_request(given.poll_request(), now_ns)
+        given.handle_sent()
+        seen, asked = talk(now_ns)
+        for packet in seen[Segment.GROUND] if told else ():
+            given.handle_telemetry(packet)
+        found = [parse_packet(packet) for packet in seen[Segment.GROUND]]
+        assert [one.subtype for one in found if one.service == 1] == [1, 3, 7]
+        return len(asked)
+
+    first, second, third, fourth, fifth = (given.handle_connection() for _ in range(5))
+    assert carried_out(first, told=False) == 1
+    # What is acknowledged is not yet the report of its end.
+    given.handle_heard(first)
+    assert carried_out(second) == 0
+    # The first one was lost before it had the report, and may be the third one, too.
+    given.handle_heard(second)
+    assert carried_out(third, told=False) == 0
+    # The third one missed the report that the others have.
+    for one in (first, second, third):
+        given.handle_heard(one)
+    assert carried_out(fourth) == 0
+    for one in (first, second, third, fourth):
+        given.handle_heard(one)
+    assert carried_out(third) == 0
+    # All that sent it know its end, so none of them repeats it.
+    given.handle_heard(third)
+    assert carried_out(fifth) == 1
+    assert carried_out(fifth) == 0
+    given.handle_heard(fifth)
+    assert carried_out(first) == 1
+
+
+@pytest.mark.parametrize(
+    ("stage", "failure", "source", "edition"),
+    [
+        (VerificationStage.ACCEPTED, None, 3, 0),
+        (VerificationStage.STARTED, None, 3, 0),
+        (VerificationStage.COMPLETED, None, 4, 0),
+        (VerificationStage.COMPLETED, None, 3, 1),
+        (VerificationStage.ACCEPTED, Failure.BAD_DATA, 3, 1),
+    ],
+)
+def test_only_the_report_of_its_end_makes_room_for_an_equal_telecommand(
+    stage, failure, source, edition
+):
+    given, octets = bridge("all"), function("robot", "power_off")
+    first, second = given.handle_connection(), given.handle_connection()
+    given.handle_command(octets, 0, first)
+    given.handle_sent()
+    command = parse_packet(octets)
+    report = verification_of(command, stage, failure, "no")
+    given.handle_telemetry(pack_refusal(command, report, count=0, destination=source, unix_ns=0))
+    given.handle_heard(first)
+    given.handle_command(octets, S, second)
+    assert given.poll_request().edition == edition
+
+
+def test_nobody_knows_what_a_datagram_s_sender_has_heard():
+    given, (made, talk) = bridge("all"), ends()
+    octets = function("joystick", "halt", count=0)
+    for now_ns in (S, 3 * S):
+        made[Segment.GROUND].handle_request(passed(given, octets), now_ns)
+        seen, asked = talk(now_ns)
+        for packet in seen[Segment.GROUND]:
+            given.handle_telemetry(packet)
+        assert len(asked) == (now_ns == S)
