@@ -18,7 +18,7 @@ from statistics import median
 sys.path.insert(0, str(Path(__file__).parent / "helpers"))
 
 import attached_programs
-from attached_programs import free_ports, options
+from attached_programs import OURS, free_ports, options
 from foxglove_client import address
 from running_session import RunningSession
 
@@ -88,9 +88,15 @@ def main():
                 for attached in order
             }
             pairs.append((figures(reports[False]), figures(reports[True])))
-            for name, one in reports[True]["processes"].items():
-                print(name, round(one["cpu_s"], 2), end=", ")
-            print()
+            ours = {name: reports[True]["processes"][name]["cpu_s"] for name in OURS}
+            print(
+                *(
+                    f"{name} {value:.4g} and {pairs[-1][1][name]:.4g};"
+                    for name, value in pairs[-1][0].items()
+                ),
+                f"CPU of ours (s): {ours}",
+                flush=True,
+            )
     print("| | without | with | with / without |\n|---|--:|--:|--:|")
     for name in pairs[0][0]:
         rows = [(one[name], other[name], other[name] / one[name]) for one, other in pairs]
