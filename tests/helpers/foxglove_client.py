@@ -21,7 +21,7 @@ class FoxgloveClient:
     """One client. told: what it has written so far. certificate: one that it trusts."""
 
     def __init__(self, url, path, *pace, certificate=""):
-        self.path = path
+        self._path, self._read, self._told = path, 0, []
         with path.open("w") as out:
             self.process = subprocess.Popen(
                 ["node", CLIENT, url, *pace],
@@ -32,8 +32,13 @@ class FoxgloveClient:
             )
 
     def told(self):
-        lines = self.path.read_text().splitlines(keepends=True)
-        return [json.loads(line) for line in lines if line.endswith("\n")]
+        with self._path.open("rb") as file:
+            file.seek(self._read)
+            for line in file:
+                if line.endswith(b"\n"):
+                    self._read += len(line)
+                    self._told.append(json.loads(line))
+        return self._told
 
     def answers(self, key):
         return [one for one in self.told() if key in one]
