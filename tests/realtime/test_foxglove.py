@@ -214,6 +214,7 @@ def test_over_tls_a_client_leads_a_task_by_services(start, tmp_path):
 
         eventually(starts, "the robot for the task")
         assert looker.call(next(numbers), "/task/abort")["answer"]["round_trip_ms"] > 0
+        eventually(lambda: f"{task}: aborted" in session.ask("task", "list").stdout, "its end")
     finally:
         looker.end()
         watcher.end()
