@@ -1,6 +1,7 @@
 """`send` and `receive` as processes, and the programs of others beside them."""
 
 import contextlib
+import os
 import shutil
 import signal
 import socket
@@ -55,33 +56,46 @@ def started(*command: object):
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
+        start_new_session=True,
     )
     with _ended(process):
         yield process
 
 
 @contextlib.contextmanager
-def player(*command: object):
-    """A program whose output is data, however much; `stop` returns it."""
+def player(*command: object, stdin=subprocess.DEVNULL):
+    """A program whose output is data, however much; `output_of` returns it."""
     with tempfile.TemporaryFile() as data:
         process = subprocess.Popen(
-            [str(part) for part in command], stdout=data, stderr=subprocess.DEVNULL
+            ["timeout", "--kill-after=5", "60", *(str(part) for part in command)],
+            stdin=stdin,
+            stdout=data,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
         )
         process.data = data
         with _ended(process):
             yield process
 
 
-def stop(one) -> bytes:
-    """End a player after what it has got is decoded; its output."""
-    time.sleep(1)
-    one.send_signal(signal.SIGINT)
-    return output_of(one)
+def output_of(one, octets: int) -> bytes:
+    """The output of a player, once it ends, has so many octets, or grows no more."""
+    size, until = 0, time.monotonic() + 10
+    while size < octets and time.monotonic() < until and one.poll() is None:
+        if (now := os.fstat(one.data.fileno()).st_size) > size:
+            size, until = now, time.monotonic() + 2
+        time.sleep(0.05)
+    return _data(one)
 
 
-def output_of(one) -> bytes:
+def output_at_end(one) -> bytes:
     """The output of a player that ends by itself."""
     one.wait(timeout=30)
+    return _data(one)
+
+
+def _data(one) -> bytes:
+    _kill(one)
     one.data.seek(0)
     return one.data.read()
 
@@ -91,9 +105,15 @@ def _ended(process):
     try:
         yield
     finally:
-        if process.poll() is None:
-            process.kill()
+        _kill(process)
         process.communicate()
+
+
+def _kill(process) -> None:
+    """End it and what it has started: some players end at no other signal."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 def ours(name: str, *options: object):

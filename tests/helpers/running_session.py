@@ -115,7 +115,9 @@ class RunningSession:
             pages=pages,
             recorder=True,
             tasks=bool({"--plan", "--tasks"} & {*options}),
+            metrics="--metrics" in options,
             foxglove="--foxglove" in options,
+            packets="--packets" in options,
             ros2="--ros2" in options,
         )
         words = ["stream", "--setup", setup, *options, *([] if pages else ["--no-page"])]

@@ -2,33 +2,27 @@
 
 import base64
 import contextlib
-import json
 import os
-import shutil
 import signal
 import subprocess
 import time
 from collections import Counter
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import count
 from threading import Thread
 
 import browser as browsers
 import pytest
+from foxglove_client import FoxgloveClient, address, needs_client
 from janus_room import free_port
 from mcap.reader import make_reader
-from places import ROOT
-from running_session import PATIENCE_S, assert_sound, eventually
+from running_session import assert_sound, eventually
 
 from kontur_av.rtp.payload_h264 import parameter_sets
 from pipelines.recording.messages import RecordedPicture, unpack
 
 pytestmark = pytest.mark.realtime
-
-CLIENT = ROOT / "tests" / "web" / "foxglove_client.mjs"
-PACKAGE = ROOT / ".ci" / "web" / "node_modules" / "@foxglove" / "ws-protocol"
-lacking = None if shutil.which("node") and PACKAGE.is_dir() else "run npm install in .ci/web"
-needs_client = pytest.mark.skipif(lacking is not None, reason=str(lacking))
 
 ONCE = ("/figures", "/events", "/log")
 #: Feeds a decoder with access units; how many pictures came, and each fault.
@@ -49,40 +43,6 @@ for (const [index, { data, key }] of units.entries()) {
 decoder.flush().catch((fault) => faults.push(String(fault)))
   .then(() => done([pictures, faults]));
 """
-
-
-class Looker:
-    """One client. told: what it has written so far."""
-
-    def __init__(self, url, path, *pace):
-        self.path = path
-        with path.open("w") as out:
-            self.process = subprocess.Popen(
-                ["node", CLIENT, url, *pace], stdin=subprocess.PIPE, stdout=out
-            )
-
-    def told(self):
-        lines = self.path.read_text().splitlines(keepends=True)
-        return [json.loads(line) for line in lines if line.endswith("\n")]
-
-    def answers(self, key):
-        return [one for one in self.told() if key in one]
-
-    def messages(self):
-        return [
-            (one["topic"], int(one["log_ns"]), base64.b64decode(one["data"]))
-            for one in self.answers("topic")
-        ]
-
-    def end(self):
-        with contextlib.suppress(BrokenPipeError):
-            self.process.stdin.close()
-        self.process.wait(PATIENCE_S)
-
-
-def address(session):
-    (path,) = eventually(lambda: list(session.temporary.glob("*/*/foxglove.json")), "the address")
-    return json.loads(path.read_text())["foxglove"]
 
 
 def recorded(path):
@@ -164,8 +124,11 @@ def test_foxgloves_client_gets_what_the_recording_has(start, tmp_path):
     session = start("spacejustin", "--record", str(path), "--foxglove", str(free_port()))
     session.wait_for_flow()
     url = address(session)
-    looker = Looker(url, tmp_path / "looker.txt")
+    looker = FoxgloveClient(url, tmp_path / "looker.txt")
     try:
+        assert looker.services() == ["/camera/select"]
+        assert looker.call(0, "/camera/select", camera="head")["answer"]["round_trip_ms"] > 0
+        assert "nose" in looker.call(1, "/camera/select", camera="nose")["failure"]
 
         def enough():
             time.sleep(0.5)
@@ -180,24 +143,21 @@ def test_foxgloves_client_gets_what_the_recording_has(start, tmp_path):
             return all(counts[one] > 60 for one in wanted) and all(counts[one] for one in others)
 
         eventually(enough, "messages of all kinds")
-        answers = {one["callId"]: one for one in looker.answers("callId")}
         (values,) = [
             one["parameters"] for one in looker.answers("parameters") if one["id"] == "all"
         ]
     finally:
         looker.end()
-    assert answers[0]["answer"]["round_trip_ms"] > 0
-    assert "nose" in answers[1]["failure"]
     assert {"name": "setup.name", "value": "spacejustin"} in values
     # A stranger without the token is refused, and garbage closes a socket of its own.
-    stranger = Looker(url.replace("token=", "token=x"), tmp_path / "stranger.txt")
+    stranger = FoxgloveClient(url.replace("token=", "token=x"), tmp_path / "stranger.txt")
     assert "403" in str(eventually(lambda: stranger.answers("error"), "a refusal"))
     stranger.end()
     # A process that is killed comes again at the same address, and nothing else changes.
     os.kill(session.pids()["foxglove"], signal.SIGKILL)
 
     def comes_again():
-        again = Looker(url, tmp_path / "again.txt")
+        again = FoxgloveClient(url, tmp_path / "again.txt")
         with contextlib.suppress(subprocess.TimeoutExpired):
             again.process.wait(2)
         again.end()
@@ -221,10 +181,56 @@ def test_foxgloves_client_gets_what_the_recording_has(start, tmp_path):
 
 
 @needs_client
+def test_over_tls_a_client_leads_a_task_by_services(start, tmp_path):
+    session = start("taskboard", "--tasks", "--foxglove", f"0.0.0.0:{free_port()}")
+    session.wait_for_flow()
+    url = address(session)
+    assert url.startswith("wss://")
+    # Node.js refuses a certificate that nobody told it to trust.
+    stranger = FoxgloveClient(url, tmp_path / "stranger.txt")
+    assert "self-signed" in str(eventually(lambda: stranger.answers("error"), "a refusal"))
+    stranger.end()
+    (certificate,) = session.temporary.glob("*/*/foxglove.pem")
+    watcher = FoxgloveClient(
+        address(session, "watch"), tmp_path / "watcher.txt", certificate=certificate
+    )
+    looker = FoxgloveClient(url, tmp_path / "looker.txt", certificate=certificate)
+    try:
+        assert looker.services() == [
+            *("/camera/select", "/task/select", "/task/start", "/task/abort"),
+        ]
+        eventually(lambda: watcher.messages(), "messages to watch")
+        assert watcher.answers("services") == []
+        refusal = looker.call(1, "/task/select", task="dancing")["failure"]
+        assert "choose one of " in refusal
+        task = refusal.split("choose one of ")[1].split(", ")[0]
+        assert "failure" in looker.call(2, "/task/abort")
+        assert looker.call(3, "/task/select", task=task)["answer"]["round_trip_ms"] > 0
+        numbers = count(4)
+
+        def starts():
+            time.sleep(0.5)
+            return "answer" in looker.call(next(numbers), "/task/start")
+
+        eventually(starts, "the robot for the task")
+        assert looker.call(next(numbers), "/task/abort")["answer"]["round_trip_ms"] > 0
+        eventually(lambda: f"{task}: aborted" in session.ask("task", "list").stdout, "its end")
+    finally:
+        looker.end()
+        watcher.end()
+    code, report = session.interrupt()
+    assert code == 0, (session.errors(), report["failures"])
+    assert_sound(report)
+    (row,) = report["tasks"]
+    assert (row["name"], row["result"]) == (task, "aborted")
+    assert report["foxglove"]["calls"] == next(numbers) - 2
+
+
+@needs_client
 def test_a_client_that_does_not_read_loses_messages_and_nobody_else(start, tmp_path):
     session = start("taskboard", "--foxglove", str(free_port()))
     session.wait_for_flow()
-    looker = Looker(address(session), tmp_path / "slow.txt", "slow")
+    looker = FoxgloveClient(address(session), tmp_path / "slow.txt", "slow")
     process = None
     try:
         eventually(lambda: looker.answers("channels"), "the channels")

@@ -1,25 +1,17 @@
 """A session's figures in Debian's Prometheus, beside the report."""
 
-import json
 import re
-import shutil
-import signal
 import subprocess
-import urllib.parse
-import urllib.request
-from pathlib import Path
 
 import pytest
 from janus_room import free_port
 from prometheus_client.parser import text_string_to_metric_families
+from prometheus_peer import SAMPLES, PrometheusPeer, fetched, needs_prometheus
 from running_session import assert_sound, eventually
 
 from pipelines.report.exposition import Exposition
 
 pytestmark = pytest.mark.realtime
-
-SAMPLES = Path(__file__).resolve().parents[2] / "samples" / "monitoring"
-PROMETHEUS = shutil.which("prometheus")
 
 
 def samples(text):
@@ -30,56 +22,25 @@ def samples(text):
     }
 
 
-def fetched(url):
-    with urllib.request.urlopen(url, timeout=10) as answer:
-        return answer.read().decode()
-
-
-def scraped(port):
-    """What Prometheus has read last, by name and labels; {} before the first time."""
-    query = urllib.parse.urlencode({"query": '{job="kontur-av"}'})
-    told = json.loads(fetched(f"http://127.0.0.1:{port}/api/v1/query?{query}"))
-    return {
-        (
-            row["metric"].pop("__name__"),
-            *sorted((k, v) for k, v in row["metric"].items() if k not in ("job", "instance")),
-        ): float(row["value"][1])
-        for row in told["data"]["result"]
-    }
-
-
-@pytest.mark.skipif(PROMETHEUS is None, reason="Debian's prometheus is not installed")
+@needs_prometheus
 def test_prometheus_reads_what_the_report_says(start, tmp_path):
-    port, web = free_port(), free_port()
+    port = free_port()
     session = start("taskboard", "--metrics", str(port))
     session.wait_for_flow()
-    config = (SAMPLES / "prometheus.yml").read_text().replace("9270", str(port))
-    (tmp_path / "prometheus.yml").write_text(config.replace("interval: 5s", "interval: 1s"))
-    shutil.copy(SAMPLES / "alerts.yml", tmp_path)
-    peer = subprocess.Popen(
-        [
-            PROMETHEUS,
-            f"--config.file={tmp_path / 'prometheus.yml'}",
-            f"--storage.tsdb.path={tmp_path / 'data'}",
-            f"--web.listen-address=127.0.0.1:{web}",
-        ],
-        stderr=subprocess.DEVNULL,
-    )
+    peer = PrometheusPeer(tmp_path, port, free_port())
     sent = ("kontur_stream_frames_sent_total", ("stream", "uplink_video"))
     try:
 
         def figures():
-            try:
-                return scraped(web).get(sent) and scraped(web)
-            except OSError:
-                return None
+            found = peer.scraped()
+            return found if found.get(sent) else None
 
         found = eventually(figures, "figures in Prometheus")
         assert fetched(f"http://127.0.0.1:{port}/healthz") == "well\n"
     finally:
         # Prometheus dies without a word, which changes nothing.
-        peer.send_signal(signal.SIGKILL)
-        peer.wait()
+        peer.process.kill()
+        peer.process.wait()
     own = fetched(f"http://127.0.0.1:{port}/metrics")
     lint = subprocess.run(["promtool", "check", "metrics"], input=own, text=True, check=False)
     assert lint.returncode == 0

@@ -1,6 +1,9 @@
 // Foxglove's own client: subscribes to all channels, and writes what comes to standard output, a
-// JSON text a line. `foxglove_client.mjs URL [slow]`; slow: reads nothing after its subscriptions.
+// JSON text a line. `foxglove_client.mjs URL [slow|once]`; slow: reads nothing after its
+// subscriptions; once: tells the first message of each channel only.
+// It calls the service of each line {"callId", "service", "fields"} of its input.
 import { createRequire } from "node:module";
+import { createInterface } from "node:readline";
 
 const require = createRequire(new URL("../../.ci/web/package.json", import.meta.url));
 const { FoxgloveClient } = require("@foxglove/ws-protocol");
@@ -10,6 +13,7 @@ const [url, pace] = process.argv.slice(2);
 const socket = new WebSocket(url, [FoxgloveClient.SUPPORTED_SUBPROTOCOL]);
 const client = new FoxgloveClient({ ws: socket });
 const topics = new Map();
+const services = new Map();
 const tell = (told) => process.stdout.write(`${JSON.stringify(told)}\n`);
 const json = (text) => new TextEncoder().encode(text);
 
@@ -26,19 +30,19 @@ client.on("advertise", (channels) => {
   client.getParameters([], "all");
   if (pace === "slow") setTimeout(() => socket.pause(), 1000);
 });
-client.on("advertiseServices", (services) => {
-  const { id } = services.find(({ name }) => name === "/camera/select");
-  for (const [callId, camera] of ["head", "nose"].entries()) {
-    const data = json(JSON.stringify({ camera }));
-    client.sendServiceCallRequest({ serviceId: id, callId, encoding: "json", data });
-  }
+client.on("advertiseServices", (offered) => {
+  for (const { id, name } of offered) services.set(name, id);
+  tell({ services: [...services.keys()] });
 });
 client.on("serviceCallResponse", ({ callId, data }) =>
   tell({ callId, answer: JSON.parse(new TextDecoder().decode(data)) }),
 );
 client.on("serviceCallFailure", ({ callId, message }) => tell({ callId, failure: message }));
 client.on("parameterValues", ({ id, parameters }) => tell({ id, parameters }));
+const told = new Set();
 client.on("message", ({ subscriptionId, timestamp, data }) => {
+  if (pace === "once" && told.has(subscriptionId)) return;
+  told.add(subscriptionId);
   const octets = Buffer.from(data.buffer, data.byteOffset, data.byteLength);
   tell({
     topic: topics.get(subscriptionId),
@@ -46,4 +50,11 @@ client.on("message", ({ subscriptionId, timestamp, data }) => {
     data: octets.toString("base64"),
   });
 });
-process.stdin.on("end", () => process.exit(0)).resume();
+const calls = createInterface(process.stdin);
+calls.on("line", (line) => {
+  const { callId, service, fields } = JSON.parse(line);
+  const data = json(JSON.stringify(fields));
+  const serviceId = services.get(service);
+  client.sendServiceCallRequest({ serviceId, callId, encoding: "json", data });
+});
+calls.on("close", () => process.exit(0));
