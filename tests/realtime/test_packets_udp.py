@@ -102,6 +102,8 @@ def test_space_gives_packets_and_frames_by_udp_and_takes_telecommands(tmp_path):
                 lambda command=command, end=end: is_told([*telemetry.came], command, end),
                 f"report {end} about {command}",
             )
+        for listener in (down, up):
+            eventually(lambda one=listener: len(one.came) > 1000, "a thousand frames")
         space_code, in_space = space.interrupt()
         ground_code, _ = ground.interrupt()
     assert space_code == ground_code == 0
@@ -114,5 +116,5 @@ def test_space_gives_packets_and_frames_by_udp_and_takes_telecommands(tmp_path):
     for profile, listener in ((DOWNLINK, down), (UPLINK, up)):
         codec = FrameCodec(profile)
         assert all(isinstance(codec.parse(one), tuple) for one in listener.came)
-        assert len(listener.came) == told[f"copied_{profile.name}"] > 1000
+        assert len(listener.came) == told[f"copied_{profile.name}"]
     assert told["copies_missed"] == told["copies_unsent"] == 0

@@ -20,9 +20,11 @@ from pipelines.recording.messages import (
     LogLine,
     QueueState,
     RecordedEvent,
+    RecordedExperiment,
     RecordedFigure,
     RecordedFigures,
     RecordedFrames,
+    RecordedLeds,
     RecordedPacket,
     RecordedPicture,
     RecordedSound,
@@ -68,6 +70,26 @@ VECTORS = [
         # 1: -1 as 64 bits, 7 at a time | 2: octets | 3: "no"
         "08ffffffffffffffffff01 | 1202 1801 | 1a02 6e6f",
         RecordedPacket(session_ns=-1, data=b"\x18\x01", what="no"),
+    ),
+    (
+        # 2: "idle" | 3: "line" | 4: 2 | 5: "hold" | 6: 1 | 7: "aborted" | 8: "no"
+        "0801 | 1204 69646c65 | 1a04 6c696e65 | 2002 | 2a04 686f6c64 | 3001"
+        "| 3a07 61626f72746564 | 4202 6e6f",
+        RecordedExperiment(
+            session_ns=1,
+            phase="idle",
+            task="line",
+            run=2,
+            elemop="hold",
+            ended_run=1,
+            result="aborted",
+            reason="no",
+        ),
+    ),
+    (
+        # 2: "spot" | 3: 5 | 4: 0.5, 5: -2.0 in 8 octets each
+        "0801 | 1204 73706f74 | 1805 | 21 000000000000e03f | 29 00000000000000c0",
+        RecordedLeds(session_ns=1, pattern="spot", leds=5, spot_x_m=0.5, spot_y_m=-2.0),
     ),
     (
         # 1: two numbers of 8 octets | 2: one octet | 2: none
