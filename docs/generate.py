@@ -209,7 +209,8 @@ def run_table() -> str:
     for name, way in report["haptic"].items():
         latency = way["latency_ms"]
         shown = round(way["received"] / report["seconds"])
-        row = f"| haptic_{name} | 96 | 96.0 | | {shown} | {way['lost']} |"
+        cap, mean = way["cap_bps"] // 1000, way["payload_bps_mean"] / 1000
+        row = f"| haptic_{name} | {cap} | {mean:.1f} | | {shown} | {way['lost']} |"
         rows.append(f"{row} {latency['p50']:.1f} | {latency['p99']:.1f} |")
     return "\n".join(rows) + "\n"
 

@@ -33,7 +33,7 @@ class CommandEditions:
     A ground system that was started again counts anew, so its telecommands may equal those of its
     last life. One is repeated as long as its sender may not know what became of it. So it is new if
     each connection that sent it has the report of its end, and another one sends it. The new one
-    gets the next number, its edition, by which the application tells the two apart.
+    gets the next number, its edition. By it the application tells the two apart.
 
     Ask `edition_of` for each telecommand that is passed on. Say with `handle_end` which report is
     handed to the connections, and with `handle_heard` which of them has all that was handed to it.

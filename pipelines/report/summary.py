@@ -128,7 +128,7 @@ def print_summary(report: SessionReport) -> None:
         line = f"{warning.where}: {warning.measured}; {warning.mend}"
         console.print(f"[bold yellow]warning:[/] {escape(line)}", highlight=False)
     for failure in report.failures:
-        console.print(f"[bold red]failed:[/] {failure}")
+        console.print(f"[bold red]failed:[/] {escape(failure)}", highlight=False)
 
 
 def first_line(report: SessionReport, width: int) -> str:

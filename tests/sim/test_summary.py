@@ -50,8 +50,10 @@ def test_the_stages_of_the_uplink_picture_add_up(report):
 def test_a_warning_is_a_line_with_its_mend(report, capsys):
     assert report.warnings == []
     warning = restart_warning("stereo", 1, "ended by SIGKILL")
-    print_summary(msgspec.structs.replace(report, warnings=[warning]))
+    told = msgspec.structs.replace(report, warnings=[warning], failures=["clip[red].mp4 is mute"])
+    print_summary(told)
     printed = " ".join(capsys.readouterr().out.split())
+    assert "failed: clip[red].mp4 is mute" in printed
     assert "warning: stereo: it was started again once: ended by SIGKILL; mend what" in printed
 
 
