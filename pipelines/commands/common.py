@@ -76,6 +76,12 @@ def output_that_may_fail() -> Iterator[None]:
         discard_output()
 
 
+def say(text: str) -> None:
+    """Print lines for people; without a reader they are lost."""
+    with output_that_may_fail():
+        print(text, flush=True)
+
+
 @contextmanager
 def stopped_by_signals() -> Iterator[Callable[[], bool]]:
     """Within this context, Ctrl-C, SIGTERM and SIGHUP only make the yielded function True."""

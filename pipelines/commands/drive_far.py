@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.rtc_running import say
+from pipelines.commands.common import say
 from pipelines.partner.decisions import Doing
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.samples import SamplePeer

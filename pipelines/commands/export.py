@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.common import say
 from pipelines.commands.recorded_parts import read_recording
 from pipelines.recording.export import lerobot, mat_file
 from pipelines.recording.export.csv_files import CsvExport
@@ -83,8 +83,7 @@ def run(args: argparse.Namespace) -> int:
     lines = [*_losses(paths, recording), *(line for export in exports for line in export.lines())]
     if moved:
         lines.append(f"{moved} messages had instants far from those around them, and were moved")
-    with output_that_may_fail():
-        print("\n".join(lines))
+    say("\n".join(lines))
     return 0
 
 

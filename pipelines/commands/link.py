@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import check_options, output_that_may_fail, resolve
+from pipelines.commands.common import check_options, resolve, say
 from pipelines.commands.end_options import (
     add_end_arguments,
     check_one_machine,
@@ -199,7 +199,5 @@ class _LinkScreen:
 
     def show_lines(self, lines: Sequence[str]) -> None:
         """Lines that stay."""
-        if self._quiet:
-            return
-        with output_that_may_fail():
-            print("\n".join(lines))
+        if not self._quiet:
+            say("\n".join(lines))

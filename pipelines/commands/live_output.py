@@ -19,7 +19,7 @@ import av
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail, resolve
+from pipelines.commands.common import resolve, say
 from pipelines.commands.media_reports import ForwardedReport
 from pipelines.commands.remux import Remuxer
 from pipelines.recording.matroska import CodedContainer, begins_stream
@@ -153,10 +153,10 @@ class LiveWriter:
     def _tell(self, before: _State, now: _State) -> None:
         if now.connections > before.connections:
             self._broken = False
-            _say(f"{self._shown}: the stream goes there")
+            say(f"{self._shown}: the stream goes there")
         elif now.faults > before.faults and not self._broken:
             self._broken = True
-            _say(f"{self._shown}: {now.last_fault}; tried again every second")
+            say(f"{self._shown}: {now.last_fault}; tried again every second")
 
     def _hand_over(self) -> None:
         """In a thread, because the process takes nothing while FFmpeg waits."""
@@ -164,11 +164,6 @@ class LiveWriter:
             while (piece := self._queue.get()) is not None:
                 self._ours.send(piece)
             self._ours.send(None)
-
-
-def _say(line: str) -> None:
-    with output_that_may_fail():
-        print(line, flush=True)
 
 
 def _checked(url: str) -> tuple[str, str]:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail, resolve
+from pipelines.commands.common import resolve, say
 from pipelines.mission.choosing import session_dictionary
 from pipelines.packets.allowed import allowed_commands
 from pipelines.packets.process_packets import PacketsPlan
@@ -74,8 +74,7 @@ def bound_packets(
         said = f"packets tcp {host}:{port}"
     with bound:
         if not args.quiet:
-            with output_that_may_fail():
-                print(said, flush=True)
+            say(said)
         peer = wish.address if wish.udp else None
         yield PacketsPlan(socket=bound, peer=peer, dictionary=dictionary, allowed=allowed)
 

@@ -15,7 +15,7 @@ from socket import socket
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
-from pipelines.commands.common import output_that_may_fail, resolve
+from pipelines.commands.common import resolve, say
 from pipelines.session.page_certificate import certificate_for, check_certificate
 from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
 from pipelines.session.seat_roles import Role
@@ -39,15 +39,21 @@ _SEATS = (Segment.SPACE, Segment.GROUND)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PageWish:
-    """Pages as the options ask for them. sockets: bound, by the seats' names.
+class ServerWish:
+    """A server as an option asks for it. sockets: bound, by the names of its listeners.
 
-    certificate: the user's own. browser: whether to open the pages in one.
+    certificate: the user's own.
     """
 
     host: PageHost
     sockets: Mapping[str, socket]
     certificate: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageWish(ServerWish):
+    """The pages, by the seats' names. browser: whether to open them in one."""
+
     browser: bool = False
 
 
@@ -108,6 +114,23 @@ def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]
 
 
 @contextmanager
+def served(
+    wish: ServerWish, root: Path, name: str
+) -> Iterator[tuple[Mapping[str, PageListener], str]]:
+    """Yield the listeners, and the SHA-256 of a certificate that was made for them, or "".
+
+    root: where such a certificate is kept, as `name`.pem.
+    """
+    certificate, made = certificate_for(wish.host, wish.certificate, root / f"{name}.pem")
+    found = listeners(wish.sockets, wish.host, certificate and certificate.resolve())
+    try:
+        yield found, made
+    finally:
+        for listener in found.values():
+            listener.socket.close()
+
+
+@contextmanager
 def announced_pages(
     wish: PageWish | None, session: str, *, quiet: bool, tasks: bool = False
 ) -> Iterator[Mapping[str, PageListener]]:
@@ -120,33 +143,25 @@ def announced_pages(
         yield {}
         return
     root = session_root(session)
-    certificate, made = certificate_for(wish.host, wish.certificate, root / "page.pem")
-    seats = listeners(
-        wish.sockets, wish.host, None if certificate is None else certificate.resolve()
-    )
-    urls = {seat: listener.url(seat) for seat, listener in seats.items()}
-    people = {
-        name: seats[seat].url(page, role=role.value)
-        for name, (seat, page, role) in _PEOPLE.items()
-        if seat in seats and (tasks or page not in _OF_TASKS)
-    }
-    viewer = next(iter(seats.values())).viewer_token
-    kept = {**urls, **people, "viewer_token": viewer}
-    write_private(root / "pages.json", json.dumps(kept, indent=1) + "\n")
-    if not quiet:
-        lines = [f"{seat:<7} {url}" for seat, url in (urls | people).items()]
-        lines.append(f"to watch only: token={viewer}")
-        if made:
-            lines.append(f"certificate made for this session, SHA-256 {made}")
-        with output_that_may_fail():
-            print("\n".join(lines), flush=True)
-    if wish.browser:
-        _open_in_browser(urls, root)
-    try:
+    with served(wish, root, "page") as (seats, made):
+        urls = {seat: listener.url(seat) for seat, listener in seats.items()}
+        people = {
+            name: seats[seat].url(page, role=role.value)
+            for name, (seat, page, role) in _PEOPLE.items()
+            if seat in seats and (tasks or page not in _OF_TASKS)
+        }
+        viewer = next(iter(seats.values())).viewer_token
+        kept = {**urls, **people, "viewer_token": viewer}
+        write_private(root / "pages.json", json.dumps(kept, indent=1) + "\n")
+        if not quiet:
+            lines = [f"{seat:<7} {url}" for seat, url in (urls | people).items()]
+            lines.append(f"to watch only: token={viewer}")
+            if made:
+                lines.append(f"certificate made for this session, SHA-256 {made}")
+            say("\n".join(lines))
+        if wish.browser:
+            _open_in_browser(urls, root)
         yield {PAGES[Segment(name)]: listener for name, listener in seats.items()}
-    finally:
-        for listener in seats.values():
-            listener.socket.close()
 
 
 def _open_in_browser(urls: Mapping[str, str], root: Path) -> None:
@@ -176,6 +191,11 @@ def _open_in_browser(urls: Mapping[str, str], root: Path) -> None:
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
+
+
+def base_url(listener: PageListener, seat: str) -> str:
+    """Return the address of a page up to its port."""
+    return listener.url(seat).partition(f"/{seat}?")[0]
 
 
 def write_private(path: Path, text: str) -> None:

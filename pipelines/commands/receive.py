@@ -15,7 +15,7 @@ from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
 from pipelines.commands.common import (
     check_options,
-    output_that_may_fail,
+    say,
     stopped_by_signals,
 )
 from pipelines.commands.live_output import LiveWriter
@@ -130,11 +130,6 @@ def _read_text(path: str) -> str:
         raise ConfigError(f"--sdp {path!r} cannot be read: {error.strerror}") from None
 
 
-def _say(line: str) -> None:
-    with output_that_may_fail():
-        print(line, flush=True)
-
-
 class _ReceiveShell:
     """Drives sockets and receiver in real time."""
 
@@ -162,7 +157,7 @@ class _ReceiveShell:
         start_ns = self._clock.now_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
         next_line_ns = start_ns + NS_PER_S
-        _say(f"waiting for {self._stream.kind} on UDP port {self._stream.port}")
+        say(f"waiting for {self._stream.kind} on UDP port {self._stream.port}")
         with stopped_by_signals() as stopped, selectors.DefaultSelector() as selector:
             for one in self._udp.sockets:
                 selector.register(one, selectors.EVENT_READ)
@@ -215,7 +210,7 @@ class _ReceiveShell:
     def _line(self, passed_ns: int) -> None:
         counts = self._receiver.counts.rtp
         latency = self._output.decoded_ns
-        _say(
+        say(
             f"{passed_ns / NS_PER_S:6.0f} s  {counts.rtp_packets} packets, {counts.rtp_lost} lost, "
             f"{self._output.decoded} decoded, {self._rate.mean_bps() / 1000:.1f} kbit/s"
             + (

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.common import say
 from pipelines.recording.recording_file import check_new, octets_of_file, write_whole
 from pipelines.recording.recover import Recovery
 
@@ -38,8 +38,7 @@ def run(args: argparse.Namespace) -> int:
             f"{whole}: {figures.messages} messages; of {torn}, {figures.unread_octets} of "
             f"{figures.octets} octets could not be read"
         )
-    with output_that_may_fail():
-        print(line)
+    say(line)
     return 0
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.common import check_options
-from pipelines.commands.page_options import parse_page
+from pipelines.commands.common import check_options, say
+from pipelines.commands.page_options import ServerWish, base_url, parse_page, served
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
@@ -21,13 +21,13 @@ from pipelines.commands.rtc_options import (
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
-from pipelines.commands.rtc_running import add_run_arguments, driven, say
+from pipelines.commands.rtc_running import add_run_arguments, driven
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with
-from pipelines.session.page_certificate import certificate_for, check_certificate
-from pipelines.session.page_sockets import PageListener, bind_pages, listeners
+from pipelines.session.page_certificate import check_certificate
+from pipelines.session.page_sockets import PageListener, bind_pages
 
 #: The only programme of this command.
 _NAME = "main"
@@ -74,18 +74,18 @@ def _listening(args: argparse.Namespace) -> Iterator[PageListener]:
     if args.cert is not None:
         check_certificate(args.cert)
     token = token_of(args) or secrets.token_urlsafe(24)
-    with TemporaryDirectory(prefix="kontur-rtc-") as folder:
-        certificate, made = certificate_for(host, args.cert, Path(folder) / "rtc.pem")
-        sockets = bind_pages(host, port, [_SEAT])
-        (listener,) = listeners(sockets, host, certificate).values()
-        listener = replace(listener, operator_token=token)
-        base = listener.url(_SEAT).partition(f"/{_SEAT}?")[0]
+    wish = ServerWish(host=host, sockets=bind_pages(host, port, [_SEAT]), certificate=args.cert)
+    with (
+        TemporaryDirectory(prefix="kontur-rtc-") as folder,
+        served(wish, Path(folder), _SEAT) as (found, made),
+    ):
+        listener = replace(found[_SEAT], operator_token=token)
+        base = base_url(listener, _SEAT)
         say(f"page {listener.url(_SEAT)}")
         say(f"whip {base}/whip\nwhep {base}/whep/{_NAME}\ntoken {token}")
         if made:
             say(f"certificate made for this run, SHA-256 {made}")
-        with closing(listener.socket):
-            yield listener
+        yield listener
 
 
 async def _serve(args: argparse.Namespace) -> RtcCommandReport:

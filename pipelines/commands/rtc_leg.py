@@ -6,16 +6,14 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from socket import socket
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
-from pipelines.commands.common import output_that_may_fail
-from pipelines.commands.page_options import parse_page, write_private
+from pipelines.commands.common import say
+from pipelines.commands.page_options import ServerWish, base_url, parse_page, served, write_private
 from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of, read_secret
 from pipelines.partner.ice_servers import IceServers
-from pipelines.session.page_certificate import certificate_for
-from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
+from pipelines.session.page_sockets import PageListener, bind_pages
 from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology import RTC, Segment
 
@@ -23,13 +21,10 @@ _PORT = "8290"
 
 
 @dataclass(frozen=True, kw_only=True)
-class RtcWish:
-    """The leg as the options ask for it. sockets: bound. servers: of each new connection."""
+class RtcWish(ServerWish):
+    """The leg as the options ask for it. servers: of each new connection."""
 
-    host: PageHost
-    sockets: Mapping[str, socket]
     token: str
-    certificate: Path | None
     servers: Callable[[], IceServers]
 
 
@@ -98,21 +93,19 @@ def announced_rtc(
         yield {}
         return
     root = session_root(session)
-    certificate, made = certificate_for(wish.host, wish.certificate, root / "rtc.pem")
-    found = listeners(wish.sockets, wish.host, certificate and certificate.resolve())
-    listener = found[RTC]
-    if wish.token:
-        listener = replace(listener, operator_token=wish.token)
-    base = listener.url(RTC).partition(f"/{RTC}?")[0]
-    told = {"page": listener.url(RTC), "base": base, "token": listener.operator_token}
-    write_private(root / "rtc.json", json.dumps(told, indent=1) + "\n")
-    if not quiet:
-        lines = [f"partner {told['page']}"]
-        if made:
-            lines.append(f"its certificate was made for this session: {made}")
-        with output_that_may_fail():
-            print("\n".join(lines), flush=True)
-    try:
+    with served(wish, root, "rtc") as (found, made):
+        listener = found[RTC]
+        if wish.token:
+            listener = replace(listener, operator_token=wish.token)
+        told = {
+            "page": listener.url(RTC),
+            "base": base_url(listener, RTC),
+            "token": listener.operator_token,
+        }
+        write_private(root / "rtc.json", json.dumps(told, indent=1) + "\n")
+        if not quiet:
+            lines = [f"partner {told['page']}"]
+            if made:
+                lines.append(f"its certificate was made for this session: {made}")
+            say("\n".join(lines))
         yield {RTC: listener}
-    finally:
-        listener.socket.close()

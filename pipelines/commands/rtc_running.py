@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from kontur_av.clock import Clock
-from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.common import say
 from pipelines.commands.rtc_options import ice_servers_of, token_of
 from pipelines.commands.rtc_reports import RtcConnection, connection_report
 from pipelines.partner.ice_servers import IceServers
@@ -22,11 +22,6 @@ _LOOK_S = 0.2
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write a JSON report")
-
-
-def say(line: str) -> None:
-    with output_that_may_fail():
-        print(line, flush=True)
 
 
 async def driven(

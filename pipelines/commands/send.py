@@ -18,8 +18,8 @@ from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import (
     check_options,
     check_reachable,
-    output_that_may_fail,
     parse_address,
+    say,
     stopped_by_signals,
 )
 from pipelines.commands.media_reports import (
@@ -170,14 +170,12 @@ class _SendShell:
 
     def _line(self, now_ns: int, start_ns: int) -> None:
         counts, released = self._sender.counts, self._sender.released
-        line = (
+        say(
             f"{(now_ns - start_ns) / NS_PER_S:6.0f} s  {counts.frames_captured} captured, "
             f"{counts.frames_sent} sent in {released.events} packets, "
             f"{released.mean_bps(now_ns) / 1000:.1f} of {self._sender.cap_bps / 1000:g} kbit/s, "
             f"capture to sent {self._sent_ns.percentile(95) / NS_PER_MS:.1f} ms (95 %)"
         )
-        with output_that_may_fail():
-            print(line, flush=True)
 
     def _report(self, start_ns: int) -> SendReport:
         feed, sender, now_ns = self._feed, self._sender, self._clock.now_ns()

@@ -8,7 +8,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.sources.page import PAGE
-from pipelines.commands.common import check_options, output_that_may_fail, say_unprotected
+from pipelines.commands.common import check_options, say, say_unprotected
 from pipelines.commands.end_options import (
     add_end_arguments,
     check_own_options,
@@ -17,21 +17,19 @@ from pipelines.commands.end_options import (
     inputs_here,
     path_line,
 )
-from pipelines.commands.foxglove_options import (
-    add_foxglove_argument,
-    announced_foxglove,
-    bound_foxglove,
-)
 from pipelines.commands.live_session import (
     add_live_arguments,
     end_session,
     live_view,
     made_directory,
 )
-from pipelines.commands.metrics_options import (
-    add_metrics_argument,
+from pipelines.commands.outlet_options import (
+    add_outlet_arguments,
+    announced_foxglove,
     announced_metrics,
+    bound_foxglove,
     bound_metrics,
+    ros2_arguments,
 )
 from pipelines.commands.packets_options import (
     add_packets_arguments,
@@ -40,7 +38,6 @@ from pipelines.commands.packets_options import (
 )
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
 from pipelines.commands.record_options import add_record_arguments, wish_of
-from pipelines.commands.ros2_options import add_ros2_argument, ros2_arguments
 from pipelines.commands.rtc_leg import (
     RtcWish,
     add_rtc_arguments,
@@ -140,10 +137,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_task_arguments(parser)
     add_page_arguments(parser)
     add_rtc_arguments(parser)
-    add_metrics_argument(parser)
-    add_foxglove_argument(parser)
+    add_outlet_arguments(parser)
     add_packets_arguments(parser)
-    add_ros2_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -205,8 +200,7 @@ def run(args: argparse.Namespace) -> int:
     draw_backgrounds(setup, inputs, clock)
     collector = Collector(topology)
     if one is not None and not args.quiet:
-        with output_that_may_fail():
-            print(path_line(one), flush=True)
+        say(path_line(one))
     with (
         hold_session(setup.name, end="" if one is None else one.segment.value) as session,
         announced_pages(page_wish, session, quiet=args.quiet, tasks=tasks is not None) as pages,

@@ -17,7 +17,6 @@ from kontur_av.errors import ConfigError
 from pipelines.report.charts import check_plot, save
 from pipelines.report.report_file import check_writable, open_console, write_result, write_text
 from pipelines.session.children import ended_alike
-from pipelines.virtual.campaign.chart import chart
 from pipelines.virtual.campaign.figures import (
     Crash,
     Result,
@@ -31,6 +30,7 @@ from pipelines.virtual.campaign.sessions import Progress, session_results
 from pipelines.virtual.campaign.sweep import (
     Sweep,
     case_figures,
+    chart,
     csv_rows,
     headings,
     headlines,

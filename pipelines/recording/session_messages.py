@@ -8,11 +8,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
-from kontur_av.clock import NS_PER_US
+from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.hand.haptic_trace import rows_of
+from pipelines.hand.haptic_trace import CONTACT, rows_of
 from pipelines.link.frame_batch import unpack_frames
 from pipelines.recording.channels import (
     EVENTS,
@@ -23,7 +25,6 @@ from pipelines.recording.channels import (
     Content,
     Source,
 )
-from pipelines.recording.contacts import ContactWatch
 from pipelines.recording.messages import (
     LinkReceived,
     LinkSent,
@@ -46,6 +47,35 @@ from pipelines.recording.messages import (
 )
 from pipelines.session.mission_messages import ExperimentShown, LedsShown, unpack
 from telepresence.link.figures import GatewayFigures
+
+#: A contact has ended when the tip was free for so long; shorter breaks are the tip's bounces.
+_FREE_NS = 50 * NS_PER_MS
+
+
+class ContactWatch:
+    """Tells when a contact begins and ends."""
+
+    def __init__(self) -> None:
+        self._touches = False
+        self._last_ns = 0
+
+    def handle_rows(self, rows: NDArray[np.void]) -> list[tuple[int, str]]:
+        """Return instant (session clock) and words of what rows of a haptic trace show."""
+        found: list[tuple[int, str]] = []
+        at_ns = rows["time_ns"][(rows["flags"] & CONTACT) != 0]
+        for instant in at_ns.tolist() if len(at_ns) else ():
+            if self._touches and instant - self._last_ns > _FREE_NS:
+                found.append((self._last_ns, "touch ends"))
+                self._touches = False
+            if not self._touches:
+                found.append((instant, "touch begins"))
+                self._touches = True
+            self._last_ns = instant
+        if self._touches and int(rows["time_ns"][-1]) - self._last_ns > _FREE_NS:
+            found.append((self._last_ns, "touch ends"))
+            self._touches = False
+        return found
+
 
 #: A key picture that is added comes this long before its unit.
 _AHEAD_NS = NS_PER_US

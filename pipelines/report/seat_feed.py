@@ -1,12 +1,13 @@
 """Hands figures and events of a session from its launcher to those who show or keep them."""
 
+from collections.abc import Iterable, Iterator
+
 import msgspec
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
-from pipelines.report.health import SessionHealth
 from pipelines.report.model import SessionReport, to_json
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.report.session_report import build_report
@@ -14,6 +15,53 @@ from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import Event, MonitoredSession, SessionEvents
 from pipelines.session.launcher import Launcher, launcher_cpu_s
 from pipelines.session.topology import FOXGLOVE, METRICS, RECORDER, ROS2
+
+#: Processes that are started again, and ends that meet again, may take so long.
+PATIENCE_NS = 10 * NS_PER_S
+
+
+class SessionHealth:
+    """Call `problems` about every two seconds.
+
+    start_s: where in the radio's pass the session begins.
+    """
+
+    def __init__(self, start_s: float) -> None:
+        self._start_s = start_s
+        #: By process that does not run: since when.
+        self._down: dict[str, int] = {}
+
+    def problems(self, report: SessionReport, down: Iterable[str], now_ns: int) -> list[str]:
+        """Return what is wrong now, a line each.
+
+        That is each failure of the report so far, each process that does not come back, and each
+        end without the contact that is due. down: the processes that do not run.
+        """
+        self._down = {name: self._down.get(name, now_ns) for name in down}
+        gone = [
+            f"{name} does not come back"
+            for name, since_ns in self._down.items()
+            if now_ns - since_ns > PATIENCE_NS
+        ]
+        return [*report.failures, *gone, *self._without_contact(report, now_ns)]
+
+    def _without_contact(self, report: SessionReport, now_ns: int) -> Iterator[str]:
+        for end, gateway in report.gateways.items():
+            told = gateway.supervision
+            if told is None or told.state == "connected":
+                continue
+            silent_ns = now_ns - told.begun_ns - told.since_ns
+            windows = gateway.contact
+            if windows is not None:
+                pass_s = self._start_s + (now_ns - told.begun_ns) / NS_PER_S
+                if not windows.acquisition_s <= pass_s < windows.loss_s:
+                    continue
+                due_ns = round((pass_s - windows.acquisition_s) * NS_PER_S)
+                silent_ns = min(silent_ns, due_ns)
+            if silent_ns > PATIENCE_NS:
+                seconds = silent_ns // NS_PER_S
+                yield f"{end}: no contact for {seconds} s, though it is due: {told.why}"
+
 
 #: How often these two are sent figures; a message for pages is made twice as often.
 _RECORDED_EVERY_NS = 9 * NS_PER_S // 10

@@ -159,7 +159,7 @@ USERS_OF_SHELLS = {
     "kontur_av/sources/source.py": "waits for its next block",
     "kontur_av/sources/spec.py": "opens sources",
     "kontur_av/topics/bus.py": "shared memory",
-    "pipelines/virtual/campaign/chart.py": "draws charts",
+    "pipelines/virtual/campaign/sweep.py": "draws charts",
     "pipelines/hand/device_check.py": "paces a device",
     "pipelines/hand/joystick_check.py": "paces a joystick",
     "pipelines/hand/robot_check.py": "paces a robot",

@@ -1,7 +1,7 @@
 from types import SimpleNamespace
 
 from kontur_av.clock import NS_PER_S
-from pipelines.report.health import SessionHealth
+from pipelines.report.seat_feed import SessionHealth
 
 
 def told(state="connected", since_s=0, windows=None, failures=()):
