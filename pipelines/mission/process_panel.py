@@ -61,7 +61,7 @@ def run_panel(context: Context) -> None:
                     now_ns=now_ns,
                 )
             while (message := panel.poll_message()) is not None:
-                client.send(message)
+                client.send(message, now_ns)
             view = panel.view
             shown = PanelShown(
                 **asdict(view),

@@ -206,7 +206,7 @@ class _Tasks:
             elif (told := robot_order(order, self._number)) is not None:
                 self._orders.publish(told, now_ns)
         while (message := ground.poll_message()) is not None:
-            self._client.send(message)
+            self._client.send(message, now_ns)
         while (octets := ground.leds.poll_transmit(now_ns)) is not None:
             with suppress(OSError):
                 self._udp.sendto(octets, self._leds)

@@ -32,6 +32,7 @@ from pipelines.session.reception import replace_file
 from pipelines.session.topology import TMTC_TOPICS, Segment
 from telepresence.tmtc.k2aci import K2aciMessage
 from telepresence.tmtc.pus.dictionary import Dictionary
+from telepresence.tmtc.retransmission import Retransmission
 
 #: In the session's directory.
 _DICTIONARY = "dictionary.json"
@@ -102,7 +103,7 @@ class TmtcSocket:
 
 
 _DEPTH = 32
-#: A message that nobody has taken is handed over again after this time.
+#: A message that nobody has taken is handed over again at this interval.
 _AGAIN_NS = 500_000_000
 _MOST_WAITING = 64
 
@@ -118,20 +119,20 @@ class TmtcClient:
     ) -> None:
         self._session, self._segment, self._application = session, segment, application
         self._client = f"{application} {first_number}"
-        self._number = 0
         self._news = bus.reader(TMTC_TOPICS[segment], depth=_DEPTH)
-        self._waiting: dict[int, SendK2aci] = {}
-        self._again_ns = 0
-
-    def send(self, message: K2aciMessage) -> None:
-        """Send a message to the application at the other end."""
-        self._number += 1
-        request = SendK2aci(
-            self._client, self._number, type(message).__name__, plain_fields(message)
+        self._waiting: Retransmission[K2aciMessage] = Retransmission(
+            timeout_ns=_AGAIN_NS, most=_MOST_WAITING, longest=1
         )
-        if len(self._waiting) < _MOST_WAITING:
-            self._waiting[self._number] = request
-        send_to_tmtc(self._session, self._segment, request)
+
+    def send(self, message: K2aciMessage, now_ns: int) -> None:
+        """Send a message to the application at the other end.
+
+        The oldest of 64 messages that nobody has taken is dropped.
+        """
+        if self._waiting.full:
+            self._waiting.pop(self._waiting.numbers[0])
+        self._waiting.handle_put(message, now_ns)
+        self._transmit(now_ns)
 
     def tell(self, values: Values) -> None:
         """The application's parameters have these values."""
@@ -152,7 +153,10 @@ class TmtcClient:
                 yield news
             elif isinstance(news, K2aciUpdate) and news.client == self._client:
                 self._waiting.pop(news.id, None)
-        if self._waiting and now_ns >= self._again_ns:
-            self._again_ns = now_ns + _AGAIN_NS
-            for request in self._waiting.values():
-                send_to_tmtc(self._session, self._segment, request)
+        self._transmit(now_ns)
+
+    def _transmit(self, now_ns: int) -> None:
+        while (due := self._waiting.poll_transmit(now_ns)) is not None:
+            number, message = due[0], due[1].item
+            request = SendK2aci(self._client, number, type(message).__name__, plain_fields(message))
+            send_to_tmtc(self._session, self._segment, request)

@@ -1,8 +1,7 @@
 """Telecommands and the chat of a seat's pages, each with what became of it. A core."""
 
-from collections import OrderedDict, deque
+from collections import deque
 from itertools import count
-from typing import Generic, TypeVar
 
 from msgspec.structs import replace
 
@@ -25,45 +24,11 @@ from pipelines.seats.texts import (
     CommandsText,
 )
 from telepresence.tmtc.k2aci import MAX_CHAT_OCTETS, Chat, ChatRole
+from telepresence.tmtc.retransmission import Retransmission
 
 AGAIN_NS = NS_PER_S
-_TRIES = 5
-_Request = TypeVar("_Request")
-
-
-class Outbox(Generic[_Request]):
-    """By number: what was not answered yet. A core.
-
-    Send what `poll_transmit` returns. A request that nobody answered after five sendings, one a
-    second, comes out of `next_event`. The end takes a repetition for what it is.
-    """
-
-    def __init__(self) -> None:
-        #: By number: the request, how often it was sent, and when it is due next.
-        self._waiting: OrderedDict[int, tuple[_Request, int, int]] = OrderedDict()
-
-    def put(self, number: int, request: _Request, now_ns: int) -> None:
-        self._waiting[number] = request, 0, now_ns
-
-    def handle_answer(self, number: int) -> None:
-        self._waiting.pop(number, None)
-
-    def poll_transmit(self, now_ns: int) -> _Request | None:
-        for number, (request, tries, due_ns) in self._waiting.items():
-            if due_ns <= now_ns and tries < _TRIES:
-                self._waiting[number] = request, tries + 1, now_ns + AGAIN_NS
-                return request
-        return None
-
-    def next_event(self, now_ns: int) -> int | None:
-        """Return the number of a request that is given up, or None."""
-        for number, (_, tries, due_ns) in self._waiting.items():
-            if tries >= _TRIES and due_ns <= now_ns:
-                del self._waiting[number]
-                return number
-        return None
-
-
+#: A request that its end has not answered after five sendings, one a second, is given up.
+_PATIENCE_NS = 5 * AGAIN_NS
 #: What a line takes from its updates.
 _TOLD = ("stage", "done", "ok", "verified", "reason", "round_trip_ms", "tries")
 _MOST_LINES = 60
@@ -82,9 +47,11 @@ class CommandDesk:
     def __init__(self, client: str) -> None:
         self.unverified = 0
         self._client = client
-        self._number = 0
         self._lines: deque[CommandLine] = deque(maxlen=_MOST_LINES)
-        self._outbox: Outbox[SendCommand] = Outbox()
+        self._numbers = count(1)
+        self._outbox: Retransmission[SendCommand] = Retransmission(
+            timeout_ns=AGAIN_NS, most=_MOST_OPEN, patience_ns=_PATIENCE_NS, longest=1
+        )
         #: By number: page and request that wait for the end.
         self._open: dict[int, tuple[int, int]] = {}
         #: By number: the camera that it selects.
@@ -102,12 +69,11 @@ class CommandDesk:
             refused = Answered(page, asked.request, "too many telecommands are open", 0.0)
             self._events.append(refused)
             return
-        self._number += 1
-        number = self._number
+        number = next(self._numbers)
         command = SendCommand(
             self._client, number, asked.application, asked.verb, asked.name, asked.arguments
         )
-        self._outbox.put(number, command, now_ns)
+        self._outbox.handle_put(command, now_ns, number)
         self._open[number] = page, asked.request
         if (asked.application, asked.name) == (CAMERA, SELECT) and asked.arguments:
             self._selects[number] = str(asked.arguments[0])
@@ -120,15 +86,17 @@ class CommandDesk:
         """What became of a telecommand; False if it is of another process."""
         if update.client != self._client:
             return False
-        self._outbox.handle_answer(update.id)
+        self._outbox.pop(update.id)
         self._settle(update)
         return True
 
     def poll_transmit(self, now_ns: int) -> SendCommand | None:
-        while (number := self._outbox.next_event(now_ns)) is not None:
+        while (number := self._outbox.next_given_up(now_ns)) is not None:
+            self._outbox.pop(number)
             given_up = CommandUpdate(self._client, number, "", "refused", done=True, reason=_SILENT)
             self._settle(given_up)
-        return self._outbox.poll_transmit(now_ns)
+        due = self._outbox.poll_transmit(now_ns)
+        return None if due is None else due[1].item
 
     def next_event(self) -> Answered | None:
         return self._events.popleft() if self._events else None
@@ -169,7 +137,9 @@ class ChatLog:
         self._client = client
         self._numbers = count(1)
         self._lines: deque[ChatLine] = deque(maxlen=_MOST_CHAT_LINES)
-        self._outbox: Outbox[SendK2aci] = Outbox()
+        self._outbox: Retransmission[SendK2aci] = Retransmission(
+            timeout_ns=AGAIN_NS, most=_MOST_WAITING, patience_ns=_PATIENCE_NS, longest=1
+        )
 
     @property
     def text(self) -> ChatText:
@@ -187,7 +157,8 @@ class ChatLog:
             return f"{_MOST_WAITING} lines wait for the other end"
         number = self._add(sender, text, "waiting", now_ns)
         fields = {"sender": str(sender), "text": text}
-        self._outbox.put(number, SendK2aci(self._client, number, "Chat", {**fields}), now_ns)
+        request = SendK2aci(self._client, number, "Chat", {**fields})
+        self._outbox.handle_put(request, now_ns, number)
         return ""
 
     def handle_arrived(self, news: K2aciArrived, now_ns: int) -> bool:
@@ -202,14 +173,16 @@ class ChatLog:
         """What became of a line; False if it is of another process."""
         if update.client != self._client:
             return False
-        self._outbox.handle_answer(update.id)
+        self._outbox.pop(update.id)
         self._settle(update.id, update.state, update.reason, update.round_trip_ms)
         return True
 
     def poll_transmit(self, now_ns: int) -> SendK2aci | None:
-        while (number := self._outbox.next_event(now_ns)) is not None:
+        while (number := self._outbox.next_given_up(now_ns)) is not None:
+            self._outbox.pop(number)
             self._settle(number, "refused", _CHAT_SILENT, 0.0)
-        return self._outbox.poll_transmit(now_ns)
+        due = self._outbox.poll_transmit(now_ns)
+        return None if due is None else due[1].item
 
     def _add(self, sender: ChatRole, text: str, state: str, now_ns: int) -> int:
         number = next(self._numbers)

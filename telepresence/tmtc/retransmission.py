@@ -1,6 +1,7 @@
 """Repeats what the other end must have until it says that it has it. One machine for all of TM/TC.
 
-PUS telecommands wait for the report of their end, messages of K2ACI for their acknowledgement.
+PUS telecommands wait for the report of their end, messages of K2ACI for their acknowledgement,
+requests of a process for the answer of its segment's end.
 Telemetry that must arrive (ST[01]) needs no machine of its own: a telecommand that comes again has
 its reports sent again.
 
@@ -10,7 +11,8 @@ its reports sent again.
                       └────────────pop─────────┴──> gone (acknowledged or superseded)
 
 WAITING: it was never sent, or the window is full. OPEN: it is under way. The first wait is
-`timeout_ns`; each is twice the one before, up to eight times as long. A new contact begins anew.
+`timeout_ns`; each is twice the one before, up to `longest` times as long. A new contact begins
+anew.
 """
 
 from collections.abc import Iterator
@@ -19,7 +21,6 @@ from itertools import islice
 from typing import Generic, TypeVar
 
 _Item = TypeVar("_Item")
-_LONGEST_WAIT = 8
 
 
 @dataclass(slots=True)
@@ -41,6 +42,7 @@ class Retransmission(Generic[_Item]):
 
     most: items at once, waiting ones included. window: the oldest ones that may be under way.
     patience_ns: after this time an item that was sent is given up; None: never.
+    longest: the longest wait, in `timeout_ns`.
     """
 
     def __init__(
@@ -50,6 +52,7 @@ class Retransmission(Generic[_Item]):
         most: int,
         window: int | None = None,
         patience_ns: int | None = None,
+        longest: int = 8,
     ) -> None:
         self.repeated = 0
         self.sent = 0
@@ -57,6 +60,7 @@ class Retransmission(Generic[_Item]):
         self._most = most
         self._window = most if window is None else window
         self._patience_ns = patience_ns
+        self._longest_ns = longest * timeout_ns
         self._next = 0
         self._items: dict[int, Repeated[_Item]] = {}
 
@@ -73,9 +77,13 @@ class Retransmission(Generic[_Item]):
         """The numbers of the items, oldest first."""
         return tuple(self._items)
 
-    def handle_put(self, item: _Item, now_ns: int) -> int:
-        """Send `item` from now on; return its number. Ask `full` before."""
-        number, self._next = self._next, self._next + 1
+    def handle_put(self, item: _Item, now_ns: int, number: int | None = None) -> int:
+        """Send `item` from now on; return its number. Ask `full` before.
+
+        number: above those before; None: the next one.
+        """
+        number = self._next if number is None else number
+        self._next = number + 1
         self._items[number] = Repeated(item, now_ns, now_ns, self._timeout_ns)
         return number
 
@@ -111,7 +119,7 @@ class Retransmission(Generic[_Item]):
             self.sent += 1
             one.tries += 1
             one.due_ns = now_ns + one.wait_ns
-            one.wait_ns = min(2 * one.wait_ns, _LONGEST_WAIT * self._timeout_ns)
+            one.wait_ns = min(2 * one.wait_ns, self._longest_ns)
             return number, one
         return None
 

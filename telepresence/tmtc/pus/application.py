@@ -17,6 +17,7 @@ On and off take a count of one octet and that many numbers of one octet.
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
@@ -121,16 +122,16 @@ class PusApplication:
         self._waiting: dict[int, tuple[bytes, int]] = {}
         self._requests: deque[FunctionRequest | ParameterSet] = deque()
         self._services: dict[tuple[int, int], Callable[[Telecommand, int], str]] = {
-            (3, 5): self._housekeeping_on,
-            (3, 6): self._housekeeping_off,
+            (3, 5): partial(self._switch_housekeeping, on=True),
+            (3, 6): partial(self._switch_housekeeping, on=False),
             (3, 27): self._housekeeping_once,
-            (5, 5): self._events_on,
-            (5, 6): self._events_off,
-            (12, 1): self._monitors_on,
-            (12, 2): self._monitors_off,
+            (5, 5): partial(self._switch_events, on=True),
+            (5, 6): partial(self._switch_events, on=False),
+            (12, 1): partial(self._switch_monitors, on=True),
+            (12, 2): partial(self._switch_monitors, on=False),
             (17, 1): self._are_you_alive,
-            (19, 4): self._actions_on,
-            (19, 5): self._actions_off,
+            (19, 4): partial(self._switch_actions, on=True),
+            (19, 5): partial(self._switch_actions, on=False),
             (20, 1): self._report_parameters,
             (20, 3): self._set_parameters,
         }
@@ -301,14 +302,9 @@ class PusApplication:
 
     # The services. Each returns a refusal, or "" if it was carried out.
 
-    def _housekeeping_on(self, command: Telecommand, now_ns: int) -> str:
+    def _switch_housekeeping(self, command: Telecommand, now_ns: int, *, on: bool) -> str:
         for number in self._structures(command):
-            self._housekeeping.set_on(number, on=True, now_ns=now_ns)
-        return ""
-
-    def _housekeeping_off(self, command: Telecommand, now_ns: int) -> str:
-        for number in self._structures(command):
-            self._housekeeping.set_on(number, on=False, now_ns=now_ns)
+            self._housekeeping.set_on(number, on=on, now_ns=now_ns)
         return ""
 
     def _housekeeping_once(self, command: Telecommand, now_ns: int) -> str:
@@ -332,37 +328,19 @@ class PusApplication:
                 raise ProtocolError(f"no {what} {number} of {self.table.name}")
         return data[1:]
 
-    def _events_on(self, command: Telecommand, now_ns: int) -> str:
-        self._silent_events -= set(self._events(command))
-        return ""
-
-    def _events_off(self, command: Telecommand, now_ns: int) -> str:
-        self._silent_events |= set(self._events(command))
-        return ""
-
-    def _events(self, command: Telecommand) -> bytes:
+    def _switch_events(self, command: Telecommand, now_ns: int, *, on: bool) -> str:
         known = {one.number for one in self.table.events}
-        return self._numbers(command, known.__contains__, "event")
+        numbers = set(self._numbers(command, known.__contains__, "event"))
+        self._silent_events = self._silent_events - numbers if on else self._silent_events | numbers
+        return ""
 
-    def _monitors_on(self, command: Telecommand, now_ns: int) -> str:
-        return self._switch_monitors(command, on=True)
-
-    def _monitors_off(self, command: Telecommand, now_ns: int) -> str:
-        return self._switch_monitors(command, on=False)
-
-    def _switch_monitors(self, command: Telecommand, *, on: bool) -> str:
+    def _switch_monitors(self, command: Telecommand, now_ns: int, *, on: bool) -> str:
         known = {one.number for one in self.table.monitors}
         for number in self._numbers(command, known.__contains__, "monitor"):
             self._monitors.set_on(number, on=on)
         return ""
 
-    def _actions_on(self, command: Telecommand, now_ns: int) -> str:
-        return self._switch_actions(command, on=True)
-
-    def _actions_off(self, command: Telecommand, now_ns: int) -> str:
-        return self._switch_actions(command, on=False)
-
-    def _switch_actions(self, command: Telecommand, *, on: bool) -> str:
+    def _switch_actions(self, command: Telecommand, now_ns: int, *, on: bool) -> str:
         with_actions = {self.table.event(one.event).number for one in self.table.actions}
         for number in self._numbers(command, with_actions.__contains__, "event with an action"):
             self._actions.set_on(number, on=on)
