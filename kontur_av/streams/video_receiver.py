@@ -2,7 +2,6 @@
 
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from kontur_av.codecs.healing import Healing
 from kontur_av.figures import Flat, Newest
@@ -12,7 +11,7 @@ from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.rtp.reordering import REORDER_DEPTH_NS
 from kontur_av.rtp.report_timer import AVPF_LEAST_NS
-from kontur_av.rtp.wire import RtcpReceiverInfo
+from kontur_av.streams.reporting_receiver import ReportingReceiver
 
 #: The most damaged units that are remembered while they are decoded.
 _REMEMBERED = 256
@@ -37,7 +36,7 @@ class VideoReceiverCounts:
     pictures_asked_for: int = 0
 
 
-class VideoReceiver:
+class VideoReceiver(ReportingReceiver):
     """Receives pictures as H.264 over RTP. A core.
 
     1. Pass datagrams to `handle_packet` and `handle_report`, and call `handle_timeout` at
@@ -78,7 +77,7 @@ class VideoReceiver:
         reorder_depth_ns: int = REORDER_DEPTH_NS,
         most_reorder_ns: int | None = None,
     ) -> None:
-        self._receiver = RtpReceiver(
+        receiver = RtpReceiver(
             payload_type=payload_type,
             clock_rate_hz=VIDEO_CLOCK_HZ,
             reorder_depth_ns=reorder_depth_ns,
@@ -86,6 +85,10 @@ class VideoReceiver:
             wall_offset_ns=wall_offset_ns,
             capture_time_id=capture_time_id,
         )
+        reports = ReceptionReporter(
+            ssrc=ssrc, interval_ns=report_interval_ns, bandwidth_bps=bandwidth_bps
+        )
+        super().__init__(receiver, reports)
         self._name = name
         self._most_pixels = None if largest is None else largest[0] * largest[1]
         self._depacketizer = H264Depacketizer(parameter_sets, marked=marked)
@@ -93,40 +96,10 @@ class VideoReceiver:
         #: Timestamps of units in the decoder that will show damage.
         self._hurt: OrderedDict[int, None] = OrderedDict()
         self._losses = PictureLossReporter(ssrc=ssrc)
-        self._reports = ReceptionReporter(
-            ssrc=ssrc, interval_ns=report_interval_ns, bandwidth_bps=bandwidth_bps
-        )
         self._reduced_size = reduced_size
         #: Whether the decoder has a picture at which to start.
         self._begun = False
         self._shown = self._undated = self._oversized = 0
-
-    @property
-    def ended(self) -> bool:
-        """Whether the sender has said goodbye."""
-        return self._receiver.ended
-
-    @property
-    def other_payload_type(self) -> int | None:
-        """The newest payload type that came instead of the stream's; None: there was none."""
-        return self._receiver.other_payload_type
-
-    def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
-        """Handle a datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards.
-
-        source: see `RtpReceiver.handle_packet`.
-        """
-        self._receiver.handle_packet(datagram, now_ns, source)
-
-    def handle_report(self, datagram: bytes, now_ns: int) -> bool:
-        """Handle a datagram of the RTCP port. True if it was a sender report of the stream.
-
-        Garbage is counted. Drain `next_event` afterwards.
-        """
-        dates = self._receiver.handle_report(datagram, now_ns)
-        if dates:
-            self._reports.handle_sender_report(now_ns)
-        return dates
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
@@ -149,13 +122,6 @@ class VideoReceiver:
             return None
         block = self.report_block(now_ns)
         return self._reports.report(block, now_ns, feedback=asked or b"")
-
-    def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
-        """Return the block of a receiver report, for a caller that sends reports itself.
-
-        None: no packet came since the last one.
-        """
-        return self._receiver.report_block(now_ns)
 
     def next_event(self) -> ReceivedUnit | None:
         """Return the next access unit to decode, or None."""
@@ -185,13 +151,6 @@ class VideoReceiver:
     def handle_new_viewer(self) -> None:
         """Ask for a key picture with the next unit: who begins to watch needs one."""
         self._begun = False
-
-    def capture_ns(self, timestamp: int) -> int | None:
-        """Return when the picture of this RTP timestamp was captured, in ns.
-
-        None before the first sender report.
-        """
-        return self._receiver.capture_ns(timestamp)
 
     def handle_picture(
         self,

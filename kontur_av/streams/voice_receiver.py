@@ -12,8 +12,8 @@ from kontur_av.rtp.payload_opus import SlowClock
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.rtp.report_timer import AVPF_LEAST_NS
-from kontur_av.rtp.wire import RtcpReceiverInfo
 from kontur_av.streams.lipsync import LipSync
+from kontur_av.streams.reporting_receiver import ReportingReceiver
 
 #: The most arrivals kept for a caller that takes none; the oldest is dropped.
 _ARRIVALS_KEPT = 256
@@ -57,7 +57,7 @@ class VoiceReceiverCounts:
     inserted_ns: int = 0
 
 
-class VoiceReceiver:
+class VoiceReceiver(ReportingReceiver):
     """Receives a voice as Opus over RTP. A core.
 
     1. Pass datagrams to `handle_packet` and `handle_report`, and call `handle_timeout` at
@@ -91,18 +91,19 @@ class VoiceReceiver:
         bandwidth_bps: int | None = None,
         capture_time_id: int | None = None,
     ) -> None:
-        self._receiver = RtpReceiver(
+        receiver = RtpReceiver(
             payload_type=payload_type,
             clock_rate_hz=AUDIO_CLOCK_HZ,
             ordered=False,
             wall_offset_ns=wall_offset_ns,
             capture_time_id=capture_time_id,
         )
-        self._reports = ReceptionReporter(
+        reports = ReceptionReporter(
             ssrc=ssrc or 0,
             interval_ns=None if ssrc is None else report_interval_ns,
             bandwidth_bps=bandwidth_bps,
         )
+        super().__init__(receiver, reports)
         self._name = name
         self._playout = PlayoutBuffer()
         self._clock = SlowClock()
@@ -112,32 +113,14 @@ class VoiceReceiver:
         self._arrivals: deque[VoicePacketArrival] = deque(maxlen=_ARRIVALS_KEPT)
         self._heard = self._corrupt = self._undated = self._inserted_ns = 0
 
-    @property
-    def ended(self) -> bool:
-        """Whether the sender has said goodbye."""
-        return self._receiver.ended
-
-    @property
-    def other_payload_type(self) -> int | None:
-        """The newest payload type that came instead of the stream's; None: there was none."""
-        return self._receiver.other_payload_type
-
     def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
-        """Handle a datagram of the RTP port. Garbage is counted. Drain `next_event` afterwards.
-
-        source: see `RtpReceiver.handle_packet`.
-        """
-        self._receiver.handle_packet(datagram, now_ns, source)
+        """As of every stream; its block can be due at once."""
+        super().handle_packet(datagram, now_ns, source)
         self._take_packets(now_ns)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:
-        """Handle a datagram of the RTCP port. True if it was a sender report of the stream.
-
-        Garbage is counted. Drain `next_event` afterwards.
-        """
-        dates = self._receiver.handle_report(datagram, now_ns)
-        if dates:
-            self._reports.handle_sender_report(now_ns)
+        """As of every stream; it dates blocks that wait."""
+        dates = super().handle_report(datagram, now_ns)
         self._take_packets(now_ns)
         return dates
 
@@ -160,13 +143,6 @@ class VoiceReceiver:
             return None
         return self._reports.report(self.report_block(now_ns), now_ns)
 
-    def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
-        """Return the block of a receiver report, for a caller that sends reports itself.
-
-        None: no packet came since the last one.
-        """
-        return self._receiver.report_block(now_ns)
-
     def next_event(self) -> PlayoutBlock | None:
         """Return the next block that is due, with an Opus packet or to be concealed, or None."""
         return self._playout.next_event()
@@ -176,13 +152,6 @@ class VoiceReceiver:
         arrivals = list(self._arrivals)
         self._arrivals.clear()
         return arrivals
-
-    def capture_ns(self, timestamp: int) -> int | None:
-        """Return when the sound of this RTP timestamp was captured, in ns.
-
-        None before the first sender report.
-        """
-        return self._receiver.capture_ns(timestamp)
 
     def handle_sound(
         self, block: PlayoutBlock, *, decoded: bool, capture_ns: int | None
