@@ -1,6 +1,11 @@
 """The reports of `kontur-av send` and `kontur-av receive`."""
 
+from kontur_av.codecs.h264 import DecoderCounts
+from kontur_av.figures import Flat
 from kontur_av.meters import Histogram
+from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.streams.video_receiver import VideoReceiverCounts
+from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.report.model import Report
 
 
@@ -47,11 +52,7 @@ class SendReport(Report, frozen=True, kw_only=True):
     payload_bps_mean: float
     payload_bps_max_1s: float
     payload_bps_max_100ms: float
-    frames_captured: int
-    frames_encoded: int
-    frames_sent: int
-    pictures_refused: int
-    rtp_packets: int
+    sender: Flat[SenderCounts]
     rtp_payload_octets: int
     send_errors: int
     latency_ms: SentLatency
@@ -60,31 +61,6 @@ class SendReport(Report, frozen=True, kw_only=True):
     size: tuple[int, int] | None = None
     coded_size: tuple[int, int] | None = None
     failed: list[str]
-
-
-class PicturesReport(Report, frozen=True, kw_only=True):
-    """The received pictures; `size` is null before the first one."""
-
-    size: tuple[int, int] | None
-    frames_received: int
-    frames_damaged: int
-    frames_decoded: int
-    frames_corrupt: int
-    frames_before_start: int
-    pictures_asked_for: int
-
-
-class SoundReport(Report, frozen=True, kw_only=True):
-    """The received sound."""
-
-    frames_received: int
-    frames_decoded: int
-    frames_corrupt: int
-    frames_concealed: int
-    frames_recovered: int
-    frames_late: int
-    frames_dropped: int
-    playout_delay_ms: float
 
 
 class ReceivedStages(Report, frozen=True, kw_only=True):
@@ -131,8 +107,17 @@ class RawReport(Report, frozen=True, kw_only=True):
     readers_gone: int
 
 
-class RtpReport(Report, frozen=True, kw_only=True):
-    """The packets that `receive` counted, and their rates."""
+class OutputReport(Report, frozen=True, kw_only=True):
+    """What came out of a receiver of pictures, or of one of sound. size: none before a picture."""
+
+    video: Flat[VideoReceiverCounts] | None = None
+    decoder: Flat[DecoderCounts] | None = None
+    size: tuple[int, int] | None = None
+    voice: Flat[VoiceReceiverCounts] | None = None
+
+
+class ReceiveReport(Report, frozen=True, kw_only=True):
+    """The report of `receive`; `failed` says what went wrong."""
 
     stream: str
     seconds: float
@@ -140,20 +125,7 @@ class RtpReport(Report, frozen=True, kw_only=True):
     payload_bps_mean: float
     payload_bps_max_1s: float
     payload_bps_max_100ms: float
-    rtp_packets: int
-    rtp_lost: int
-    rtp_reordered: int
-    rtp_duplicates: int
-    rtp_late: int
-    rtp_garbage: int
-    rtp_restarts: int
-    rtcp_reports: int
-    jitter_ms: float
-
-
-class ReceiveEnd(Report, frozen=True, kw_only=True):
-    """The rest of the report of `receive`; `failed` says what went wrong."""
-
+    output: Flat[OutputReport]
     latency_ms: ReceivedLatency | None
     cpu_s: float
     failed: list[str]

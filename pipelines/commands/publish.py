@@ -12,8 +12,7 @@ from pipelines.commands.rtc_options import (
     add_redirect_argument,
     add_token_arguments,
 )
-from pipelines.commands.rtc_reports import RtcCommandReport
-from pipelines.commands.rtc_running import add_run_arguments, keep, keeper_of
+from pipelines.commands.rtc_running import RtcCommandReport, add_run_arguments, keep, keeper_of
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer

@@ -7,6 +7,8 @@ import time
 from contextlib import ExitStack, closing
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
@@ -22,15 +24,13 @@ from pipelines.commands.live_output import LiveWriter
 from pipelines.commands.media_reports import (
     ReceivedLatency,
     ReceivedStages,
-    ReceiveEnd,
-    RtpReport,
+    ReceiveReport,
     SavedReport,
     latency_ms,
 )
 from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.receive_media import PictureOutput, SoundOutput
 from pipelines.commands.remux import MatroskaWriter
-from pipelines.report.model import to_builtins
 from pipelines.report.report_file import check_writable, end_with
 from pipelines.session.output import reader_gone
 
@@ -92,24 +92,23 @@ def run(args: argparse.Namespace) -> int:
             output = PictureOutput(stream, clock, writers, raw)
         else:
             output = SoundOutput(stream, clock, writers)
-        rtp, latency, failed = _ReceiveShell(stream, output, udp, clock, raw).run(args.seconds)
+        report = _ReceiveShell(stream, output, udp, clock, raw).run(args.seconds)
     # What a full disk has taken is not known: FFmpeg writes some seconds at once.
     short = writer is not None and writer.written < _SAVED_AT_LEAST * output.decoded
+    failed = report.failed + [one.fault for one in (writer, live, raw) if one and one.fault]
     if writer is not None and short and not writer.fault:
         failed.append(
             f"--save {args.save!r}: {writer.written} of {output.decoded} decoded are in the file"
         )
-    end = ReceiveEnd(
-        latency_ms=latency,
+    report = replace(
+        report,
         cpu_s=time.process_time(),
-        failed=failed + [one.fault for one in (writer, live, raw) if one is not None and one.fault],
+        failed=failed,
         saved=None if writer is None else SavedReport(file=args.save, packets=writer.written),
         forwarded=None if live is None else live.report(),
         raw=None if raw is None else raw.report(),
     )
-    # One object with the keys of all parts.
-    report = to_builtins(rtp) | to_builtins(output.report()) | to_builtins(end)
-    return end_with(args.report, report, end.failed)
+    return end_with(args.report, report, failed)
 
 
 def _open_raw(args: argparse.Namespace, stream: StreamDescription) -> RawPictures | None:
@@ -152,8 +151,8 @@ class _ReceiveShell:
         self._last_packet_ns: int | None = None
         self._payload_octets = 0
 
-    def run(self, seconds: float | None) -> tuple[RtpReport, ReceivedLatency | None, list[str]]:
-        """Receive until the end; figures of packets and latency, and what failed."""
+    def run(self, seconds: float | None) -> ReceiveReport:
+        """Receive until the end; the report, without the outputs."""
         start_ns = self._clock.now_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
         next_line_ns = start_ns + NS_PER_S
@@ -220,25 +219,8 @@ class _ReceiveShell:
             )
         )
 
-    def _report(self, start_ns: int) -> tuple[RtpReport, ReceivedLatency | None, list[str]]:
+    def _report(self, start_ns: int) -> ReceiveReport:
         counts, rate, output = self._receiver.counts.rtp, self._rate, self._output
-        rtp = RtpReport(
-            stream=self._stream.kind,
-            seconds=(self._clock.now_ns() - start_ns) / NS_PER_S,
-            seconds_of_stream=((rate.last_ns or 0) - (rate.first_ns or 0)) / NS_PER_S,
-            payload_bps_mean=rate.mean_bps(),
-            payload_bps_max_1s=rate.max_bps(NS_PER_S),
-            payload_bps_max_100ms=rate.max_bps(100 * NS_PER_MS),
-            rtp_packets=counts.rtp_packets,
-            rtp_lost=counts.rtp_lost,
-            rtp_reordered=counts.rtp_reordered,
-            rtp_duplicates=counts.rtp_duplicates,
-            rtp_late=counts.rtp_late,
-            rtp_garbage=counts.garbage,
-            rtp_restarts=max(counts.sources - 1, 0),
-            rtcp_reports=counts.rtcp_reports,
-            jitter_ms=self._receiver.counts.jitter_ns / NS_PER_MS,
-        )
         latency = None
         if output.decoded_ns.count:
             latency = ReceivedLatency(
@@ -251,7 +233,18 @@ class _ReceiveShell:
             failed.append(f"no packet came to UDP port {self._stream.port}: {self._what_came()}")
         elif not output.decoded:
             failed.append(f"{counts.rtp_packets} packets came, but nothing could be decoded")
-        return rtp, latency, failed
+        return ReceiveReport(
+            stream=self._stream.kind,
+            seconds=(self._clock.now_ns() - start_ns) / NS_PER_S,
+            seconds_of_stream=((rate.last_ns or 0) - (rate.first_ns or 0)) / NS_PER_S,
+            payload_bps_mean=rate.mean_bps(),
+            payload_bps_max_1s=rate.max_bps(NS_PER_S),
+            payload_bps_max_100ms=rate.max_bps(100 * NS_PER_MS),
+            output=output.report(),
+            latency_ms=latency,
+            cpu_s=0.0,
+            failed=failed,
+        )
 
     def _what_came(self) -> str:
         """Say what came instead of the stream's packets."""

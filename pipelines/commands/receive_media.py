@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.codecs.h264 import DecodedPicture
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.meters import Histogram
@@ -10,7 +10,7 @@ from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
 from pipelines.commands.live_output import LiveWriter
-from pipelines.commands.media_reports import PicturesReport, SoundReport
+from pipelines.commands.media_reports import OutputReport
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.remux import MatroskaWriter
 
@@ -100,17 +100,9 @@ class PictureOutput:
             self._raw.handle_picture(picture)
         self._size = (picture.width, picture.height)
 
-    def report(self) -> PicturesReport:
-        counts = self.receiver.counts
-        return PicturesReport(
-            size=self._size,
-            frames_received=counts.frames_received,
-            frames_damaged=counts.frames_damaged,
-            frames_decoded=self._decoding.decoder.counts.frames_decoded,
-            frames_corrupt=self._decoding.decoder.counts.frames_corrupt,
-            frames_before_start=self._decoding.decoder.counts.frames_before_start,
-            pictures_asked_for=counts.pictures_asked_for,
-        )
+    def report(self) -> OutputReport:
+        decoder = self._decoding.decoder.counts
+        return OutputReport(video=self.receiver.counts, decoder=decoder, size=self._size)
 
 
 class SoundOutput:
@@ -127,7 +119,6 @@ class SoundOutput:
         self.decoded_ns = Histogram()
         self.received_ns = Histogram()
         self.decoded = 0
-        self._concealed = 0
         self._time_line = TimeLine(AUDIO_CLOCK_HZ)
         self._writers = writers
 
@@ -139,8 +130,6 @@ class SoundOutput:
                 self.received_ns.add(received_ns - capture_ns)
         for block, _, decoded, stamp in self._decoding.blocks():
             if not decoded:
-                # Before the first packet the decoder has nothing to conceal with.
-                self._concealed += block.payload is None and self.decoded > 0
                 continue
             self.decoded += 1
             if stamp is not None:
@@ -153,15 +142,5 @@ class SoundOutput:
     def finish(self) -> None:
         """All that was decoded was played."""
 
-    def report(self) -> SoundReport:
-        counts = self.receiver.counts
-        return SoundReport(
-            frames_received=counts.frames_received,
-            frames_decoded=self.decoded,
-            frames_corrupt=counts.frames_corrupt,
-            frames_concealed=self._concealed,
-            frames_recovered=counts.frames_recovered,
-            frames_late=counts.frames_late,
-            frames_dropped=counts.frames_left_out,
-            playout_delay_ms=counts.playout_delay_ns / NS_PER_MS,
-        )
+    def report(self) -> OutputReport:
+        return OutputReport(voice=self.receiver.counts)

@@ -1,6 +1,7 @@
 """`kontur-av record`: record a running session from another terminal, and leave it again."""
 
 import argparse
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -14,7 +15,6 @@ from pipelines.commands.common import (
     check_options,
     stopped_by_signals,
 )
-from pipelines.commands.record_options import add_recording_arguments, wish_of
 from pipelines.recording.part_files import check_recordable
 from pipelines.session.recorder_control import RecorderLink, recorded_sessions
 from pipelines.session.recorder_requests import (
@@ -25,6 +25,55 @@ from pipelines.session.recorder_requests import (
     RecordingWish,
     RecordRequest,
 )
+
+#: Shorter or smaller parts than these make no sense.
+_LEAST_S, _LEAST_MB = 1.0, 0.1
+
+
+def add_record_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record the session")
+    add_recording_arguments(parser)
+
+
+def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--overwrite", action="store_true", help="replace a recording of that name")
+    parser.add_argument(
+        "--link-frames", action="store_true", help="record every frame of the radio link, too"
+    )
+    parser.add_argument(
+        "--part-seconds",
+        type=float,
+        default=600.0,
+        metavar="S",
+        help="begin a new part of the recording after S seconds (default 600)",
+    )
+    parser.add_argument(
+        "--part-mb", type=float, default=256.0, metavar="M", help="or after M MB (default 256)"
+    )
+
+
+def wish_of(args: argparse.Namespace, *, held: bool) -> RecordingWish | None:
+    """Return what the options wish; None without a file; ConfigError for what cannot be.
+
+    held: the recording ends when its terminal has gone.
+    """
+    if not _LEAST_S <= args.part_seconds < 1e7:
+        raise ConfigError(f"--part-seconds {args.part_seconds:g}: give at least {_LEAST_S:g}")
+    if not _LEAST_MB <= args.part_mb < 1e6:
+        raise ConfigError(f"--part-mb {args.part_mb:g}: give at least {_LEAST_MB:g}")
+    if args.record is None:
+        if args.overwrite or args.link_frames:
+            raise ConfigError("--overwrite and --link-frames are about a recording: give --record")
+        return None
+    return RecordingWish(
+        file=str(args.record.absolute()),
+        link_frames=args.link_frames,
+        part_s=args.part_seconds,
+        part_mb=args.part_mb,
+        command=shlex.join(["kontur-av", *sys.argv[1:]]),
+        held=held,
+    )
+
 
 #: How often it asks whether the recorder is still there.
 _LOOK_S = 0.2

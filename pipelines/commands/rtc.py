@@ -20,8 +20,12 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
-from pipelines.commands.rtc_reports import RtcCommandReport, connection_report
-from pipelines.commands.rtc_running import add_run_arguments, driven
+from pipelines.commands.rtc_running import (
+    RtcCommandReport,
+    add_run_arguments,
+    connection_report,
+    driven,
+)
 from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer

@@ -12,7 +12,7 @@ from pipelines.commands.media_reports import latency_ms
 from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.receive_media import TimeLine
 from pipelines.commands.remux import MatroskaWriter
-from pipelines.commands.rtc_reports import ReceivedKind
+from pipelines.commands.rtc_running import ReceivedKind
 from pipelines.partner.media import PictureCame, SoundCame
 
 

@@ -195,11 +195,7 @@ class _SendShell:
             payload_bps_mean=released.mean_bps(),
             payload_bps_max_1s=largest_bps,
             payload_bps_max_100ms=released.max_bps(100 * NS_PER_MS),
-            frames_captured=counts.frames_captured,
-            frames_encoded=counts.frames_encoded,
-            frames_sent=counts.frames_sent,
-            pictures_refused=counts.frames_refused,
-            rtp_packets=released.events,
+            sender=counts,
             rtp_payload_octets=released.octets,
             send_errors=self._udp.failed,
             latency_ms=SentLatency(

@@ -37,7 +37,7 @@ from pipelines.commands.packets_options import (
     parse_frames,
 )
 from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
-from pipelines.commands.record_options import add_record_arguments, wish_of
+from pipelines.commands.record import add_record_arguments, wish_of
 from pipelines.commands.rtc_leg import (
     RtcWish,
     add_rtc_arguments,

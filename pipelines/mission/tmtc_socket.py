@@ -152,7 +152,7 @@ class TmtcClient:
             elif isinstance(news, FunctionAsked) and news.application == self._application:
                 yield news
             elif isinstance(news, K2aciUpdate) and news.client == self._client:
-                self._waiting.pop(news.id, None)
+                self._waiting.pop(news.id)
         self._transmit(now_ns)
 
     def _transmit(self, now_ns: int) -> None:
