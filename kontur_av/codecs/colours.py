@@ -1,4 +1,6 @@
-"""The colours of an `I420`, ITU-R BT.601 in narrow range, from those that others use."""
+"""The colours of an `I420`, ITU-R BT.601 in narrow range, and those that others use."""
+
+from fractions import Fraction
 
 import av
 from av.video.codeccontext import VideoCodecContext
@@ -8,6 +10,19 @@ from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTr
 BT601 = 6
 #: With BT.470, which is the same, and unspecified, for which FFmpeg takes them.
 _LIKE_BT601 = (BT601, 5, 2)
+
+
+def i420_encoder(
+    width: int, height: int, rate_hz: int, options: dict[str, str]
+) -> VideoCodecContext:
+    """Return an encoder of `I420` by libx264, in one thread. options: libx264's."""
+    codec: VideoCodecContext = av.CodecContext.create("libx264", "w")
+    codec.width, codec.height, codec.pix_fmt = width, height, "yuv420p"
+    codec.framerate, codec.time_base = Fraction(rate_hz), Fraction(1, rate_hz)
+    tell_bt601(codec)
+    codec.thread_count = 1
+    codec.options = options
+    return codec
 
 
 def tell_bt601(codec: VideoCodecContext) -> None:

@@ -7,9 +7,8 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.commands.tc import follow
-from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import SendCommand
-from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.mission.tmtc_socket import Sending, tmtc_socket_name
 from pipelines.session.asking import running_sessions
 from pipelines.session.mission_messages import ExperimentShown, unpack
 from pipelines.session.setup.segments import Segment

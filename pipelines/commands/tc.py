@@ -7,7 +7,6 @@ from random import SystemRandom
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from pipelines.commands.common import acting_on, add_session_argument
-from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import (
     SHORT_VERBS,
     Reported,
@@ -15,7 +14,7 @@ from pipelines.mission.tmtc_messages import (
     report_words,
     update_words,
 )
-from pipelines.mission.tmtc_socket import read_dictionary, tmtc_socket_name
+from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
 from pipelines.session.asking import running_sessions
 from pipelines.session.output import print_data
 from pipelines.session.setup.segments import Segment

@@ -2,13 +2,12 @@
 
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from fractions import Fraction
 
 import av
 from av.video.frame import PictureType
 
 from kontur_av.codecs.black_key import black_key
-from kontur_av.codecs.colours import tell_bt601
+from kontur_av.codecs.colours import i420_encoder
 from kontur_av.codecs.h264 import H264Decoder, without_user_data
 from kontur_av.codecs.scaling import shrink
 from kontur_av.media import I420, empty_picture
@@ -22,13 +21,8 @@ def key_of(picture: I420, quantizer: int = QUANTIZER) -> bytes:
 
     quantizer: libx264's; by default of high quality.
     """
-    codec = av.CodecContext.create("libx264", "w")
-    codec.width, codec.height = picture.shape[1], picture.shape[0] * 2 // 3
-    codec.pix_fmt = "yuv420p"
-    codec.framerate, codec.time_base = Fraction(30), Fraction(1, 30)
-    tell_bt601(codec)
-    codec.thread_count = 1
-    codec.options = {"preset": "superfast", "tune": "zerolatency", "qp": str(quantizer)}
+    options = {"preset": "superfast", "tune": "zerolatency", "qp": str(quantizer)}
+    codec = i420_encoder(picture.shape[1], picture.shape[0] * 2 // 3, 30, options)
     frame = av.VideoFrame.from_numpy_buffer(picture, "yuv420p")
     frame.pts = 0
     frame.pict_type = PictureType.I

@@ -26,9 +26,8 @@ from kontur_av.topics.bus import Lease, TopicBus, Writer
 from kontur_av.topics.session_files import choose_session
 from pipelines.hand.haptic_trace import rows_of
 from pipelines.mission.choosing import CAMERA, SELECT
-from pipelines.mission.sending import Sending
 from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
-from pipelines.mission.tmtc_socket import read_dictionary, tmtc_socket_name
+from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
 from pipelines.session.asking import running_sessions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import (

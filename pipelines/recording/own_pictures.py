@@ -14,7 +14,6 @@ That unit also gets the stream's parameter sets in front, if it has none, becaus
 picture differ. Nothing is withheld.
 """
 
-from fractions import Fraction
 from typing import Final, NamedTuple
 
 import av
@@ -23,7 +22,7 @@ from av.video.frame import PictureType
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.black_key import black_key
-from kontur_av.codecs.colours import tell_bt601
+from kontur_av.codecs.colours import i420_encoder
 from kontur_av.codecs.h264 import without_user_data
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.rtp.payload_h264 import parameter_sets
@@ -93,8 +92,15 @@ class StreamStart:
 RATE_HZ: Final = 5
 _PERIOD_NS = NS_PER_S // RATE_HZ
 _KEY_EVERY = 2 * RATE_HZ
-#: libx264's constant rate factor: good enough to see what happened.
-_RATE_FACTOR = 28
+#: Of libx264, with a constant rate factor that is good enough to see what happened.
+_OPTIONS = {
+    "preset": "ultrafast",
+    "tune": "zerolatency",
+    "crf": "28",
+    "g": "1000000",
+    "forced-idr": "1",
+    "x264-params": "repeat-headers=1:scenecut=0",
+}
 
 
 class CameraCoder:
@@ -132,7 +138,7 @@ class CameraCoder:
         codec = self._codec
         size = picture.shape[1], picture.shape[0] * 2 // 3
         if codec is None or (codec.width, codec.height) != size:
-            codec = self._codec = _codec(*size)
+            codec = self._codec = i420_encoder(*size, RATE_HZ, _OPTIONS)
             self._key = True
         frame = av.VideoFrame.from_numpy_buffer(picture, "yuv420p")
         key = self._key or self._since_key >= _KEY_EVERY
@@ -140,22 +146,3 @@ class CameraCoder:
         frame.pict_type = PictureType.I if key else PictureType.NONE
         (packet,) = codec.encode(frame)
         return without_user_data(bytes(packet))
-
-
-def _codec(width: int, height: int) -> VideoCodecContext:
-    codec = av.CodecContext.create("libx264", "w")
-    assert isinstance(codec, VideoCodecContext)
-    codec.width, codec.height = width, height
-    codec.pix_fmt = "yuv420p"
-    codec.framerate, codec.time_base = Fraction(RATE_HZ), Fraction(1, RATE_HZ)
-    tell_bt601(codec)
-    codec.thread_count = 1
-    codec.options = {
-        "preset": "ultrafast",
-        "tune": "zerolatency",
-        "crf": str(_RATE_FACTOR),
-        "g": "1000000",
-        "forced-idr": "1",
-        "x264-params": "repeat-headers=1:scenecut=0",
-    }
-    return codec

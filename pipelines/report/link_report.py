@@ -10,7 +10,6 @@ from kontur_av.figures import plus
 from kontur_av.meters import Histogram
 from pipelines.link.figures import SocketFigures, WayInFigures
 from pipelines.report.collector import Collector
-from pipelines.report.fitting import fitted_line
 from pipelines.report.model import (
     DirectionReport,
     GatewayReport,
@@ -20,6 +19,7 @@ from pipelines.report.model import (
     NeedReport,
     Punctuality,
 )
+from pipelines.report.result import fitted_line
 from pipelines.report.sections import clock_words, cpu_report, process_report
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
 from pipelines.session.figures import LoopFigures

@@ -14,9 +14,9 @@ from kontur_av.meters import Histogram
 from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
 from pipelines.report.collector import Collector
-from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.journeys import StreamFigures
 from pipelines.report.link_report import peer_words
+from pipelines.report.result import Column, fitted_line, fitted_table
 from pipelines.report.sections import clock_lines, recording_line, rtc_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import last_bps, shown_now, silences

@@ -8,7 +8,6 @@ from rich.table import Table
 from rich.text import Text
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.report.fitting import Column, fitted_line, fitted_table
 from pipelines.report.link_report import end_line, ledger_line, peer_lines
 from pipelines.report.model import (
     ContentSkew,
@@ -19,6 +18,7 @@ from pipelines.report.model import (
     StreamReport,
     SyncReport,
 )
+from pipelines.report.result import Column, fitted_line, fitted_table
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
 from pipelines.session.task_journal import TaskRow

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from pipelines.report.fitting import Column, fitted_line, fitted_table
+from pipelines.report.result import Column, fitted_line, fitted_table
 
 
 def test_columns_of_the_highest_rank_go_first():
