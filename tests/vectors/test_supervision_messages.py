@@ -219,7 +219,7 @@ def test_first_message_of_a_ground_station():
     supervisor.handle_local_check(None, 0)
     digest = f"{crc16(TEXT.encode()):04x}"
     message = supervisor.poll_transmit(0).hex()
-    # A HELLO of version 2 with a fresh number; nothing was heard that it could echo.
-    assert message[:12] == f"24301234{digest}"
+    # A HELLO of version 3 with a fresh number; nothing was heard that it could echo.
+    assert message[:12] == f"34301234{digest}"
     assert int(message[12:18], 16) > 0
     assert message[18:] == "000000"

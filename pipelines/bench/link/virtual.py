@@ -284,7 +284,7 @@ def _voice_packets(
 
 
 #: Octets of each compressed form of a header, with the tag (`rtp_forms`).
-_COMPRESSED = {"bare": 1, "short": 2, "near": 2, "long": 3}
+_COMPRESSED = {"bare": 1, "short": 2, "near": 2, "long": 3, "wide": 4}
 
 
 def _counted(counts: Mapping[str, int]) -> HeaderOctets:

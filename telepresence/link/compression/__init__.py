@@ -1,1 +1,1 @@
-"""Compression of RTP headers to one to three octets on the link."""
+"""Compression of RTP headers to one to four octets on the link."""

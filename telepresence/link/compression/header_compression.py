@@ -1,4 +1,4 @@
-"""Compresses RTP headers to one to three octets, correct under any loss: contexts and timing.
+"""Compresses RTP headers to one to four octets, correct under any loss: contexts and timing.
 
 The receiver decompresses with the newest context that it holds. The sender knows all contexts that
 this may be: the last one acknowledged, and all sent since then. It sends a compressed header only
@@ -29,6 +29,7 @@ from telepresence.link.compression.rtp_forms import (
     KIND_NEAR,
     KIND_RAW,
     KIND_SHORT,
+    KIND_WIDE,
     PLAIN_RTP,
     RTP_HEADER,
     RTP_HEADER_OCTETS,
@@ -61,14 +62,16 @@ ROUND_TRIP_NS = 30 * NS_PER_S
 MOST_POSSIBLE = 16
 #: Number of whole headers after which a silent receiver is assumed to hold a context.
 FIRST_WHOLE = 3
-#: Tolerated distance of the sequence number from its prediction, by octets of residue. It leaves
-#: room for the packets sent before a new context is acknowledged.
-_SEQUENCE_ERRORS = ((0, 0), (-7, 13), (-3, 5))
+#: Tolerated distance of the sequence number from its prediction. It leaves room for the packets
+#: sent before a new context is acknowledged.
+_SEQUENCE_ERROR = 32
 #: Octets of residue of each form, and of none.
-_OCTETS = (0, 1, 1, 2, 2)
+_OCTETS = (0, 1, 1, 2, 3, 3)
 #: Cost of a context over the raw header that it replaces; the tag is needed either way.
 _CONTEXT_COST_OCTETS = CONTEXT_OCTETS - 2
 _CANDIDATE_NS = NS_PER_S
+#: Forms of headers in the report.
+_NAMES = ("bare", "short", "near", "long", "wide", "context", "raw")
 #: Contexts may have cost this many octets more than they saved; what earlier ones saved counts up
 #: to the same number. It suffices for the retries of the first second.
 _TRUST_OCTETS = 4 * _CONTEXT_COST_OCTETS
@@ -100,13 +103,15 @@ class RtpCompressor:
         self._balance = 0
         #: Packets in a row for which the candidate would have served.
         self._rehearsed = 0
+        #: Slots from the latest acknowledged context to its acknowledgement.
+        self._answer_delay = 0
         self._life, self._fleeting_life, self._round_trip, self._candidate_life = (
             ns // slot_ns for ns in (LIFE_NS, FLEETING_LIFE_NS, ROUND_TRIP_NS, _CANDIDATE_NS)
         )
         self._refresh, self._fleeting_refresh, self._retry, self._longest_retry = (
             ns // slot_ns for ns in (REFRESH_NS, FLEETING_REFRESH_NS, RETRY_NS, LONGEST_RETRY_NS)
         )
-        self._kinds = dict.fromkeys(("bare", "short", "near", "long", "context", "raw"), 0)
+        self._kinds = dict.fromkeys(_NAMES, 0)
         self._header_octets = 0
         self._packets = 0
 
@@ -132,6 +137,8 @@ class RtpCompressor:
                 if context.number == 0 or context.count >= oldest
             ]
             return
+        if self._acknowledged is not named[0]:
+            self._answer_delay = count - named[0].count
         self._acknowledged = named[0]
         since = self._possible.index(named[0])
         newer = self._possible[since + 1 :]
@@ -264,8 +271,7 @@ class RtpCompressor:
             return False
         if header is None:
             return True
-        least, most = _SEQUENCE_ERRORS[len(header[1])]
-        if not least <= self._sequence_error <= most:
+        if abs(self._sequence_error) > _SEQUENCE_ERROR:
             return True
         return not pending and self._renewal_pays(len(header[1]), payload_type, fields, count)
 
@@ -277,11 +283,13 @@ class RtpCompressor:
     def _rehearse(self, payload_type: int, fields: Fields, count: int) -> None:
         """Count for how many packets in a row a context would have served if it had been sent."""
         candidate = self._candidate
+        age = 0 if candidate is None else count - candidate.count
         if candidate is not None and not self._serves(candidate, payload_type, fields, count):
             self._rehearsed = 0
-        elif candidate is not None:
+        elif age >= self._answer_delay:
+            # Before, it would not have been acknowledged.
             self._rehearsed += 1
-        if candidate is None or count - candidate.count >= self._candidate_life:
+        if candidate is None or age >= self._answer_delay + self._candidate_life:
             assert self._source is not None
             self._candidate = self._source.context(0, count, fields[0], payload_type, self._ssrc)
 
@@ -300,12 +308,18 @@ class RtpCompressor:
         of the source's future, this costs at most twice the optimum (ski rental).
         """
         candidate = self._candidate
-        if candidate is None or count - candidate.count >= self._candidate_life:
+        gain = 0
+        if candidate is not None and octets:
+            first, _ = self._forms.shortest(candidate, count, fields)
+            gain = octets - _OCTETS[first]
+            self._missed_octets = max(0, self._missed_octets + gain)
+        # One that needs as much is replaced soon: the source may just have changed.
+        life = self._candidate_life if gain > 0 or octets < 2 else self._retry
+        if candidate is None or count - candidate.count >= life:
             assert self._source is not None
             self._candidate = self._source.context(0, count, fields[0], payload_type, self._ssrc)
-        elif octets:
-            first, _ = self._forms.shortest(candidate, count, fields)
-            self._missed_octets = max(0, self._missed_octets + octets - _OCTETS[first])
+            if gain <= 0 and octets >= 2:
+                self._missed_octets = 0
         return self._missed_octets >= _CONTEXT_COST_OCTETS
 
     def _next_number(self) -> int:
@@ -350,7 +364,7 @@ class RtpDecompressor:
 
         count: frame count, not wrapped, of the frame in which the packet started.
         """
-        if kind >= KIND_BARE:
+        if kind >= KIND_WIDE:
             context = self._context
             if context is None:
                 return "no_context"
@@ -385,4 +399,6 @@ def _name(kind: int) -> str:
         return "long"
     if kind >= KIND_NEAR:
         return "near"
-    return "short" if kind >= KIND_SHORT else "bare"
+    if kind >= KIND_SHORT:
+        return "short"
+    return "bare" if kind == KIND_BARE else "wide"

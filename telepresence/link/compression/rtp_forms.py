@@ -17,12 +17,13 @@ random numbers of each sender, so a *context* carries them, and the receiver ack
 they are not constant: the frame count, which both ends know, gives the source's progress since.
 
 A source is modelled as a *grid*: pictures (or blocks of sound) at equal distances, each with about
-the same number of packets. The four rules, in octets with the tag:
+the same number of packets. The five rules, in octets with the tag:
 
     bare   1   kind 4         -                              exactly as predicted
     short  2   kind 5..7      marker 1, index 2, sequence 5  kind - 5 = timestamp modulo 3
     near   2   kind 8..11     timestamp 8                    kind - 8 = index modulo 4
     long   3   kind 12..15    marker 1, sequence 4, timestamp 13; the kind holds two of the bits
+    wide   4   kind 3         marker 1, sequence 7, timestamp 16
 
 All residues are low bits of absolute values, so they do not depend on the receiver's context. Each
 one stands for the only value with these bits in a window around the prediction.
@@ -30,8 +31,10 @@ one stands for the only value with these bits in a window around the prediction.
     short  timestamp: at a grid point or a tick beside it; for sources with their own clock
     near   timestamp: within 128 ticks of a grid point (1.4 ms at 90 kHz); for cameras
     long   timestamp: 5120 ticks before to 3071 after the link's time; for sources without a grid
+    wide   timestamp: 49152 ticks before to 16383 after the link's time; for pictures out of order
     index  (number of the grid point): 2 before to 1 after the one at the link's time
-    sequence: 12 before to 19 after the grid's prediction (short), 6 before to 9 after it (long)
+    sequence: 12 before to 19 after the grid's prediction (short), 6 before to 9 after it (long),
+           64 before to 63 after the one for the link's time (wide)
 """
 
 import struct
@@ -49,7 +52,7 @@ PLAIN_RTP = 0x80
 
 #: Kinds of the tag octet.
 KIND_RAW, KIND_CONTEXT = 1, 2
-KIND_BARE, KIND_SHORT, KIND_NEAR, KIND_LONG = 4, 5, 8, 12
+KIND_WIDE, KIND_BARE, KIND_SHORT, KIND_NEAR, KIND_LONG = 3, 4, 5, 8, 12
 
 #: The header of a context packet: its number; marker and payload type, sequence number, timestamp
 #: and SSRC of its packet; period in 1/64 ticks, packets a period in sixteenths, phase in ticks,
@@ -71,8 +74,10 @@ _U32 = 0xFFFF_FFFF
 _INDEX_BACK = 2
 _NEAR_BACK = 128
 _LONG_BACK = 5120
+_WIDE_BACK = 49152
 _SHORT_SEQUENCE_BACK = 12
 _LONG_SEQUENCE_BACK = 6
+_WIDE_SEQUENCE_BACK = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,13 +163,19 @@ class RtpForms:
         self._units = NS_PER_S
         self.lead_ticks = max(1, flow.clock_hz // _LEADS_PER_S)
         #: Cheapest first.
-        self.packers: tuple[_Pack, ...] = (pack_bare, pack_short, pack_near, pack_long)
+        self.packers: tuple[_Pack, ...] = (
+            pack_bare,
+            pack_short,
+            pack_near,
+            pack_long,
+            pack_wide,
+        )
 
     def slots_in_ticks(self, slots: int) -> int:
         return slots * self._ticks // self._units
 
     def unpack(self, kind: int, body: bytes, context: HeaderContext, count: int) -> Fields | None:
-        """Restore the fields of a header of `kind` 4 to 15; None if `body` is too short."""
+        """Restore the fields of a header of `kind` 3 to 15; None if `body` is too short."""
         if len(body) < residue_octets(kind):
             return None
         # Expected distance of the timestamp from the context's, for a packet with the usual wait.
@@ -180,6 +191,12 @@ class RtpForms:
             sequence = base + ((bits >> 13) - base & 0xF)
             return bits >> 17, sequence & 0xFFFF, timestamp & _U32
         index = (2 * PERIOD_PARTS * (due - context.phase) + period) // (2 * period)
+        if kind == KIND_WIDE:
+            base = context.timestamp + due - _WIDE_BACK
+            timestamp = base + ((body[1] << 8 | body[2]) - base & 0xFFFF)
+            base = _sequence(context, index) - _WIDE_SEQUENCE_BACK
+            sequence = base + (body[0] - base & 0x7F)
+            return body[0] >> 7, sequence & 0xFFFF, timestamp & _U32
         if kind == KIND_BARE:
             timestamp = _point(context, index)
             return context.marker, _sequence(context, index) & 0xFFFF, timestamp & _U32
@@ -201,7 +218,7 @@ class RtpForms:
     def shortest(self, context: HeaderContext, count: int, fields: Fields) -> tuple[int, int]:
         """Return the index of the first of `packers` that fits, or `len(packers)` for none.
 
-        The second value is the distance of the sequence number from the grid's prediction.
+        The second value is the distance of the sequence number from the one for the link's time.
         """
         marker, sequence, timestamp = fields
         since = (count - context.count) * self._ticks // self._units
@@ -209,27 +226,34 @@ class RtpForms:
         period, phase = context.period, context.phase
         off = signed32(timestamp - context.timestamp)
         index = (2 * PERIOD_PARTS * (off - phase) + period) // (2 * period)
-        error = (sequence - _sequence(context, index) + 0x8000 & 0xFFFF) - 0x8000
-        beside = off - phase - (index * period + PERIOD_PARTS // 2) // PERIOD_PARTS
-        steps = index - (2 * PERIOD_PARTS * (due - phase) + period) // (2 * period)
-        plain = marker == context.marker and not error
+        due_index = (2 * PERIOD_PARTS * (due - phase) + period) // (2 * period)
+        error = _signed16(sequence - _sequence(context, index))
+        steps = index - due_index
+        late = error if not steps else _signed16(sequence - _sequence(context, due_index))
         if -_INDEX_BACK <= steps < 4 - _INDEX_BACK:
+            beside = off - phase - (index * period + PERIOD_PARTS // 2) // PERIOD_PARTS
+            plain = marker == context.marker and not error
             if plain and not steps and not beside:
-                return 0, error
+                return 0, late
             back = _SHORT_SEQUENCE_BACK
             if -1 <= beside <= 1 and -back <= error < 0x20 - back:
-                return 1, error
+                return 1, late
             if plain and -_NEAR_BACK <= beside < 0x100 - _NEAR_BACK:
-                return 2, error
+                return 2, late
         back = _LONG_SEQUENCE_BACK
         if -_LONG_BACK <= off - due < 0x2000 - _LONG_BACK and -back <= error < 0x10 - back:
-            return 3, error
-        return 4, error
+            return 3, late
+        back = _WIDE_SEQUENCE_BACK
+        if -_WIDE_BACK <= off - due < 0x10000 - _WIDE_BACK and -back <= late < 0x80 - back:
+            return 4, late
+        return 5, late
 
 
 def residue_octets(kind: int) -> int:
     """Return how many octets of a compressed header follow its tag."""
-    return 2 if kind >= KIND_LONG else 1 if kind > KIND_BARE else 0
+    if kind >= KIND_LONG:
+        return 2
+    return 1 if kind > KIND_BARE else 0 if kind == KIND_BARE else 3
 
 
 def pack_bare(marker: int, sequence: int, timestamp: int, index: int) -> tuple[int, bytes]:
@@ -248,6 +272,15 @@ def pack_near(marker: int, sequence: int, timestamp: int, index: int) -> tuple[i
 def pack_long(marker: int, sequence: int, timestamp: int, index: int) -> tuple[int, bytes]:
     bits = marker << 17 | (sequence & 0xF) << 13 | timestamp & 0x1FFF
     return KIND_LONG + (bits >> 16), (bits & 0xFFFF).to_bytes(2, "big")
+
+
+def pack_wide(marker: int, sequence: int, timestamp: int, index: int) -> tuple[int, bytes]:
+    bits = marker << 23 | (sequence & 0x7F) << 16 | timestamp & 0xFFFF
+    return KIND_WIDE, bits.to_bytes(3, "big")
+
+
+def _signed16(difference: int) -> int:
+    return (difference + 0x8000 & 0xFFFF) - 0x8000
 
 
 def signed32(difference: int) -> int:

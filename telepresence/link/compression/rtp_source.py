@@ -29,6 +29,8 @@ _WAITS = 64
 _OUTERMOST = 8
 #: Two waits that differ by more than this part of a second mean that the source's clock jumped.
 _JUMPS_PER_S = 2
+#: A block of sound is at most this part of a second: 120 ms (RFC 6716 section 2.1.4).
+_STRIDES_PER_S = 8
 #: The packets a picture are counted over one to two times this number of pictures.
 _PICTURES = 128
 #: After this many pictures on a line, trust the line.
@@ -51,7 +53,7 @@ class RtpSource:
     The grid is a line through the timestamps of the pictures, fitted by recursive least squares.
     Its memory grows up to `_MEMORY` pictures. At the k-th point the gains of such a filter are
     2(2k - 1) / (k(k + 1)) for the position and 6 / (k(k + 1)) for the slope. A flow with a known
-    stride has a given grid.
+    stride has a given grid, until its blocks have another length.
 
     index: number of the grid point nearest to the latest packet.
     """
@@ -60,6 +62,7 @@ class RtpSource:
         self._forms = forms
         self._stride = flow.stride_ticks
         self.index = 0
+        self._grid_index = 0
         #: Timestamp and sequence number, not wrapped.
         self._timestamp = timestamp
         self._sequence = sequence
@@ -75,6 +78,9 @@ class RtpSource:
         self._worst = 0.0
         self._waits: deque[int] = deque(maxlen=_WAITS)
         self._jump = flow.clock_hz // _JUMPS_PER_S
+        self._longest_stride = flow.clock_hz // _STRIDES_PER_S
+        # The latest advance of a timestamp, and how often in a row it was the same.
+        self._step = self._same_steps = 0
 
     def handle_packet(self, sequence: int, timestamp: int, count: int) -> None:
         """Take the next packet to send, and the frame count at which it starts."""
@@ -96,14 +102,15 @@ class RtpSource:
         if self._pictures % _PICTURES == 0:
             self._marks = [self._marks[1], self._last_picture]
         if self._stride:
-            self.index += round(step / self._stride)
+            self._follow_stride(step)
+            self.index = self._grid_index = self.index + round(step / self._stride)
             self._grid = timestamp
             return
         if self._points == 1 and step > 0:
             self._period = float(step)
         periods = round((timestamp - self._grid) / self._period)
         error = timestamp - self._grid - periods * self._period
-        self.index += periods
+        self.index = self._grid_index + periods
         self._steady += 1
         self._worst = max(self._worst, abs(error))
         if abs(error) > self._period / 4 or (periods == 0 and step > 0):
@@ -111,18 +118,27 @@ class RtpSource:
             return
         if periods < 1:
             # A picture out of order (it refers to later ones) says nothing about the line.
-            self.index -= periods
             return
         self._points = points = min(self._points + 1, _MEMORY)
         scale = points * (points + 1)
+        self._grid_index = self.index
         self._grid += periods * self._period + 2 * (2 * points - 1) / scale * error
         self._period += 6 / scale * error / periods
+
+    def _follow_stride(self, step: int) -> None:
+        """Take the blocks' length from the packets, if they have another than the flow's."""
+        self._same_steps = self._same_steps + 1 if step == self._step else 1
+        self._step = step
+        if self._same_steps >= _FEW and 0 < step <= self._longest_stride:
+            self._stride = step
+            self._period = float(step)
 
     def _break(self) -> None:
         """Restart the fit: a pause, another rate, or a source without a grid."""
         self._steady, self._worst = 0, 0.0
         self._points = 1
         self._grid = float(self._timestamp)
+        self._grid_index = self.index
 
     def _usual_wait(self) -> float:
         """Return the middle of the latest waits without the outermost ones.
@@ -147,12 +163,14 @@ class RtpSource:
         """Return a context of the latest packet."""
         lead = round((self._waits[-1] - self._usual_wait()) / self._forms.lead_ticks)
         period, phase = self._period, round(self._grid) - self._timestamp
+        index = self._grid_index
         pictures, sequences, ticks = (
             last - first for last, first in zip(self._last_picture, self._marks[0], strict=True)
         )
         if not self._stride and self._steady < _STEADY <= pictures and ticks > 0:
             # Without a grid, the mean distance still predicts the sequence number.
             period, phase = ticks / pictures, 0
+            index = self.index
         rate = 1.0
         if not self._stride and ticks > 0:
             rate = sequences * period / ticks
@@ -170,6 +188,6 @@ class RtpSource:
             period=max(1, min(round(period * PERIOD_PARTS), LARGEST_PERIOD)),
             rate=max(0, min(round(rate * RATE_PARTS), LARGEST_RATE)),
             phase=phase if -0x8000 <= phase < 0x8000 else 0,
-            index=self.index & 3,
+            index=index & 3,
             lead=max(-LARGEST_LEAD, min(lead, LARGEST_LEAD)),
         )

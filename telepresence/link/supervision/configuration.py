@@ -10,7 +10,7 @@ from telepresence.link.flows import Flow
 from telepresence.link.profile import LinkProfile
 
 #: Version of the link's format and of its supervision.
-VERSION = 2
+VERSION = 3
 
 _LARGEST_RATE_KBPS = 0xFFFF
 

@@ -102,12 +102,11 @@ def test_each_packet_and_each_octet_of_its_header_is_counted(heard):
     assert sum(report.values()) == len(kinds)
 
 
-def test_a_context_of_an_irregular_instant_is_replaced_once_its_absence_has_cost_as_much():
-    """The timestamps jump by 5000, and the context sent at that instant fits them badly."""
+def test_a_jump_gets_a_context_once_its_absence_has_cost_as_much():
     path = Path(VOICE)
     kinds = {
         count: path.send(count, rtp(count // 20, count * 48 + 5000 * (count >= 4000)))
         for count in blocks(8)
     }
     sent = [count for count, kind in kinds.items() if kind == KIND_CONTEXT]
-    assert sent[:2] == [0, 4000] and len(sent) == 3 and 4100 < sent[2] < 7000
+    assert sent[0] == 0 and len(sent) <= 3 and 4100 < sent[1] < 4500

@@ -4,7 +4,7 @@ from itertools import islice, pairwise
 from random import Random
 
 import pytest
-from link_header_sources import SLOT_NS, Path, rtp, video, voice
+from link_header_sources import SLOT_NS, Path, b_pictures, rtp, video, voice
 
 from telepresence.link.compression.header_compression import (
     FIRST_WHOLE,
@@ -38,6 +38,12 @@ SOURCES = {
     "up, on no grid": (VIDEO, 3.4, lambda r: video(r, 60, jitter_ms=16)),
     "voice": (VOICE, 1.1, lambda r: voice(r, 60)),
     "voice, its clock 200 ppm off": (VOICE, 1.2, lambda r: voice(r, 60, ppm=-200)),
+    "voice, blocks of 10 ms": (VOICE, 1.2, lambda r: voice(r, 60, block_ms=10)),
+    "voice, blocks of 60 ms": (VOICE, 1.4, lambda r: voice(r, 60, block_ms=60)),
+    "up, 3 B pictures": (VIDEO, 4.0, lambda r: b_pictures(r, 60)),
+    "down, 3 B pictures": (VIDEO, 4.0, lambda r: b_pictures(r, 60, packets=(2, 3, 4))),
+    "down, 1 B picture": (VIDEO, 4.0, lambda r: b_pictures(r, 60, between=1, **DOWN)),
+    "down, 60 Hz, 8 packets": (VIDEO, 4.0, lambda r: b_pictures(r, 60, hz=60, packets=(8,))),
 }
 
 
@@ -340,7 +346,7 @@ def test_other_headers_are_sent_unchanged(first_octets):
 
 def test_garbage_is_reported_in_one_word():
     decompressor = RtpDecompressor(VIDEO, SLOT_NS)
-    assert decompressor.decompress(3, bytes(40), 0) == "malformed"
+    assert decompressor.decompress(0, bytes(40), 0) == "malformed"
     assert decompressor.decompress(KIND_CONTEXT, bytes(18), 0) == "malformed"
     assert decompressor.decompress(KIND_CONTEXT, bytes(40), 0) == "malformed"  # period 0
     assert decompressor.decompress(KIND_BARE, b"", 0) == "no_context"

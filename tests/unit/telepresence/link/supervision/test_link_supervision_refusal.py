@@ -23,7 +23,7 @@ def varied(**changes):
 @pytest.mark.parametrize(
     ("space", "why"),
     [
-        (varied(version=3), "version"),
+        (varied(version=4), "version"),
         (varied(receive_flows=UP[:2]), "frames or flows differ"),
         (
             varied(transmit=type(DOWNLINK)(name="downlink", frame_octets=400, scid=0x4C)),
