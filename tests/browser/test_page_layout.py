@@ -7,6 +7,7 @@ import functools
 import http.server
 import json
 import threading
+from html import escape
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from browser import Browser
 from pipelines.mission.tmtc_messages import Reported
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
+from pipelines.seats.texts import WelcomeText, pack_text
 from pipelines.session.mission_messages import (
     ExperimentShown,
     PanelShown,
@@ -35,9 +37,17 @@ STATIC = ROOT / "pipelines" / "seats" / "static"
 AXE = ROOT / ".ci" / "web" / "node_modules" / "axe-core" / "axe.min.js"
 WIDTHS = (390, 1280)
 PAGES = {
-    Segment.SPACE: ("space", "panel", "k2cp"),
+    Segment.SPACE: ("welcome", "space", "panel", "k2cp"),
     Segment.GROUND: ("ground", "top", "k2sv"),
 }
+#: What a session's owner is told where people choose a page.
+WELCOME = WelcomeText(
+    role=Role.OPERATOR,
+    seat=Segment.SPACE,
+    ports={"space": 65_534, "ground": 65_535},
+    tasks=True,
+    people={role.value: "t" * 32 for role in Role if role is not Role.OPERATOR},
+)
 #: In the place of the page's worker: what it is given comes as the server's texts.
 WORKER = """
     window.Worker = class {
@@ -124,6 +134,7 @@ def address():
                 super().do_GET()
                 return
             text = (STATIC / f"{name}.html").read_text().replace("__BASE__", "/")
+            text = text.replace("__WELCOME__", escape(pack_text(WELCOME)))
             self.send_response(200)
             self.send_header("Content-Type", "text/html")
             self.end_headers()
@@ -153,8 +164,8 @@ def browser():
 def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name, browser, address):
     page = browser.open(f"{address}{name}")
     page.reload(WORKER)
-    texts = texts_of(segment)
-    page.run(TELL, [json.dumps(json.loads(text)) for text in texts])
+    if name != "welcome":
+        page.run(TELL, [json.dumps(json.loads(text)) for text in texts_of(segment)])
     found = {}
     for width in WIDTHS:
         metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}

@@ -163,13 +163,13 @@ class HandPanel extends HTMLElement {
     if (connection === undefined || control === null) return;
     const { alive, hello, state, mayAct } = connection;
     const usable = alive && state !== null && hello?.joystick === "page" && mayAct;
-    const hand = state?.hand ?? { holder: null, you: false, wanted_by: null };
+    const hand = state?.hand ?? { holder: null, you: false, wanted_by: null, who: "", asks: "" };
     this.#buttons.take.hidden = !usable || hand.holder !== null;
     this.#buttons.ask.hidden = !usable || hand.you || hand.holder === null;
     this.#buttons.give.hidden = !usable || !hand.you;
     this.#buttons.refuse.hidden = !usable || !hand.you || hand.wanted_by === null;
     const wanted = hand.you && hand.wanted_by !== null;
-    setText(this.#buttons.give, wanted ? "Give it to the other page" : ACTIONS.give);
+    setText(this.#buttons.give, wanted ? `Give it to ${hand.asks}` : ACTIONS.give);
     this.#buttons.give.classList.toggle("main", wanted);
     this.#showWords(control, hand);
     const steers = String(control.source !== null);
@@ -199,7 +199,7 @@ class HandPanel extends HTMLElement {
     let words = hand.you ? "you have it" : "free";
     if (hindrance !== "") words = hindrance;
     else if (control.source !== null) words = this.#steering();
-    if (hand.you && hand.wanted_by !== null) words = "another page asks for it";
+    if (hand.you && hand.wanted_by !== null) words = `${hand.asks} asks for it`;
     if (words !== this.#words.textContent && hand.wanted_by !== null) announce(words);
     setText(this.#words, words);
     setText(this.#hint, control.refusal || this.#answer || (hindrance === "" ? this.#advice() : ""));

@@ -79,13 +79,13 @@
  */
 
 /**
- * The first text of a connection. page: its number.
+ * The first text of a connection. page: its number. name: who sits there.
  * @typedef {{kind: "hello", seat: "ground" | "space", setup: string, session: string, streams:
  *   StreamText[], cameras: CameraText[], previews: PreviewText[], inputs: InputText[], joystick:
  *   string, workspace: WorkspaceText, board: BoardText, caps: Record<string, number>,
  *   applications: ApplicationText[], passes: PassText[], tasks: boolean, task_list: TaskText[],
  *   role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "viewer", page:
- *   number, now_us: number}} HelloText
+ *   number, name: string, now_us: number}} HelloText
  */
 
 /**
@@ -109,8 +109,10 @@
  */
 
 /**
- * Who holds the handle, and who asks for it, by numbers of pages.
- * @typedef {{holder: number | null, you: boolean, wanted_by: number | null}} HandText
+ * Who holds the handle, and who asks for it, by numbers of pages. who, asks: their names; "" for
+ * nobody, and at the other end.
+ * @typedef {{holder: number | null, you: boolean, wanted_by: number | null, who: string, asks:
+ *   string}} HandText
  */
 
 /**
@@ -250,6 +252,15 @@
  *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,
  *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number], holds:
  *   boolean}} RobotText
+ */
+
+/**
+ * What the page where people choose a page must know; it stands in that page itself. seat: the end
+ * that serves it. ports: by end, of those on this machine. tasks: whether the session has any.
+ * people: by role, its token, for the owner to hand out; none for others.
+ * @typedef {{role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" |
+ *   "viewer", seat: "ground" | "space", ports: Record<string, number>, tasks: boolean, people:
+ *   Record<string, string>}} WelcomeText
  */
 
 /** @typedef {HelloText
