@@ -113,7 +113,8 @@ def announced_pages(
 ) -> Iterator[Mapping[str, PageListener]]:
     """Make tokens and certificate, print one address, and yield the listeners by process.
 
-    It leads to every page; each page's own address is in `pages.json` in the session's directory, for programs of this user.
+    It leads to every page. Each page's own address is in `pages.json` in the session's directory,
+    for programs of this user.
     tasks: whether the session has any.
     """
     if wish is None:

@@ -75,13 +75,19 @@ class WorkspaceText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BoardText(msgspec.Struct, frozen=True, kw_only=True):
-    """The robot's task board; its middle is (0, 0). lights_m: of the LED panel, with tasks."""
+    """The robot's task board; its middle is (0, 0).
+
+    With tasks, lights_m: of the LED panel; paths_m: by goal, the way that is to be followed;
+    spring_m: where the spring begins.
+    """
 
     width_m: float
     height_m: float
     wall_x_m: float
     leds_m: tuple[tuple[float, float], ...]
     lights_m: tuple[tuple[float, float], ...] = ()
+    paths_m: dict[str, tuple[tuple[float, float], ...]] = {}
+    spring_m: tuple[float, float] = (0.0, 0.0)
 
 
 class SeatText(msgspec.Struct, frozen=True, kw_only=True):

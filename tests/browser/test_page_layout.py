@@ -5,6 +5,7 @@ No session runs: a worker in the page's place tells it what a seat's server woul
 
 import functools
 import http.server
+import itertools
 import json
 import threading
 from html import escape
@@ -94,7 +95,7 @@ TABS = "return [...document.querySelectorAll('[role=tab]')].map(({ id }) => id)"
 REASON = "the robot has a fault: a fault of the trainer's exercise"
 
 
-def texts_of(segment):
+def texts_of(segment, *, connected):
     """What a page is told in the middle of a session with tasks, with the longest words."""
     catalogue = built_in_tasks()
     topology = topology_of(BUILT_IN["spacejustin"], pages=True, tasks=True)
@@ -112,8 +113,16 @@ def texts_of(segment):
         seat.handle_shown("robot", robot)
     else:
         words = "Well held. Now let go of the mouse button, your finger, Space or the trigger."
-        at = {"start_m": (0.0, 0.0), "distance_m": 0.1, "held_s": 3.0}
-        panel = PanelShown(mode="hold", task="contour", run=12, text=words, words=words, **at)
+        at = {
+            "start_m": (0.0, 0.0),
+            "distance_m": 0.1,
+            "held_s": 0.3,
+            "hold_s": 0.5,
+            "left_s": 60.0,
+        }
+        goal = {"goal": "reach", "target_m": (-0.045, 0.0), "step": 2, "steps": 4}
+        task = {"task": "contour", "run": 12, "text": words, "words": words}
+        panel = PanelShown(mode="running" if connected else "hold", **task, **at, **goal)
         seat.handle_shown("panel", panel)
     said = {"state": "recoverable error", "application": "german experiment", "test": "running"}
     report = Reported("housekeeping", "joystick", unix_ns=0, values={**said, "temperature": 60.125})
@@ -122,7 +131,9 @@ def texts_of(segment):
     found = []
     while (message := seat.poll_transmit(page)) is not None:
         found.append(message)
-    return [text for text in found if isinstance(text, str)]
+    told = [json.loads(text) for text in found if isinstance(text, str)]
+    link = "connected" if connected else "lost"
+    return [text | {"link": link} if text["kind"] == "state" else text for text in told]
 
 
 @pytest.fixture(scope="module")
@@ -164,16 +175,18 @@ def browser():
 def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name, browser, address):
     page = browser.open(f"{address}{name}")
     page.reload(WORKER)
-    if name != "welcome":
-        page.run(TELL, [json.dumps(json.loads(text)) for text in texts_of(segment)])
     found = {}
-    for width in WIDTHS:
+    for width, connected in itertools.product(WIDTHS, (False, True)):
+        if name != "welcome":
+            page.run(TELL, [json.dumps(text) for text in texts_of(segment, connected=connected)])
         metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
         browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
         for tab in page.run(TABS) or [""]:
             if tab:
                 page.run("document.getElementById(arguments[0]).click()", tab)
-            found[width, tab] = page.run(CUT)
+            found[width, connected, tab] = page.run(CUT)
+    if name in ("panel", "space"):
+        page.wait("!document.querySelector('task-widget').hidden", "the task over the picture")
     # Without npm, the layout alone.
     if AXE.exists():
         page.run(AXE.read_text())

@@ -40,9 +40,11 @@
  */
 
 /**
- * The robot's task board; its middle is (0, 0). lights_m: of the LED panel, with tasks.
+ * The robot's task board; its middle is (0, 0). With tasks, lights_m: of the LED panel; paths_m:
+ * by goal, the way that is to be followed; spring_m: where the spring begins.
  * @typedef {{width_m: number, height_m: number, wall_x_m: number, leds_m: [number, number][],
- *   lights_m: [number, number][]}} BoardText
+ *   lights_m: [number, number][], paths_m: Record<string, [number, number][]>, spring_m: [number,
+ *   number]}} BoardText
  */
 
 /**
@@ -209,7 +211,8 @@
  * The panel, as `telepresence.tasks.panel.PanelView` has it; handle_m: where the handle is.
  * @typedef {{kind: "panel", mode: string, task: string, run: number, text: string, words: string,
  *   start_m: [number, number], distance_m: number, held_s: number, handle_m: [number, number],
- *   dead_man: boolean}} PanelText
+ *   dead_man: boolean, hold_s: number, left_s: number | null, goal: string, target_m: [number,
+ *   number] | null, step: number, steps: number, percent: number, force_n: number}} PanelText
  */
 
 /**
@@ -223,9 +226,9 @@
  */
 
 /**
- * A run that is over. seconds: from its start; None if it never started.
- * @typedef {{task: string, run: number, result: string, reason: string, seconds: number | null}}
- *   RunShown
+ * A run that is over. seconds: from its start; None if it never started. score: in words.
+ * @typedef {{task: string, run: number, result: string, reason: string, seconds: number | null,
+ *   score: string}} RunShown
  */
 
 /**
