@@ -13,7 +13,7 @@ const PAGES = {
     ["k2cp", "K2CP"],
   ],
   ground: [
-    ["ground", "Ground control"],
+    ["ground", "Ground"],
     ["top", "TOP-UI"],
     ["k2sv", "K2SV"],
   ],

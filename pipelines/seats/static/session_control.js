@@ -11,7 +11,7 @@ import { clockText } from "./wording.js";
 class SessionControl extends HTMLElement {
   #state = make("output", { class: "session-state" }, "–");
   #time = make("span", { class: "number", title: "session time" });
-  #start = make("button", { type: "button", id: "session-start" }, "Start session");
+  #start = make("button", { type: "button", id: "session-start", hidden: true }, "Start session");
   #stop = make("button", { type: "button", id: "session-stop" }, "End session…");
   #error = make("span", { class: "refusal", role: "alert" });
   #dialog = make("dialog", { id: "session-ask", "aria-labelledby": "session-ask-title" });
