@@ -124,9 +124,12 @@ class MissionPanel:
         return view if progress is None else self._with_progress(view, progress)
 
     def _with_progress(self, view: PanelView, told: TaskProgress) -> PanelView:
+        if (told.goal is TaskGoal.START) is (view.mode is PanelMode.RUNNING):
+            # The run has begun, and the robot is not ready for its first goal.
+            return view
         since_s = (self._now_ns - self._told_ns) / NS_PER_S
         view = replace(view, left_s=max(0.0, told.left_ms / 1e3 - since_s))
-        if told.goal is TaskGoal.START or view.mode is not PanelMode.RUNNING:
+        if told.goal is TaskGoal.START:
             return view
         target_m: tuple[float, float] | None = None
         if told.goal in _SPOTS:

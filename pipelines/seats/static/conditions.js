@@ -80,6 +80,7 @@ export function handTile(known) {
 
 /** Whether the robot may follow the hand, and why not. @param {Known} known @returns {{words: string, level: Level}} */
 export function robotWords(known) {
+  if (known.ended) return { words: "This session has ended. Open the address that the new one prints.", level: "warn" };
   const safety = known.alive ? (known.state?.safety ?? null) : null;
   if (safety === null) return { words: "Nobody says whether the robot may move.", level: "none" };
   const { stopped, by, waiting, hold } = safety;
