@@ -9,7 +9,7 @@ export const PANEL_WORDS = {
   move_to_start: "Go to the start",
   hold: "Hold it there",
   press_deadman: "Press now",
-  running: "Telepresence",
+  running: "Do the task",
   finished: "Finished",
   error: "Ended",
 };
