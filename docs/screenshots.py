@@ -35,8 +35,7 @@ SHOWN = {
 _SHOWN = "!['–', ''].includes(document.querySelector({!r})?.textContent ?? '')"
 #: A picture that must not be taken for the present spoils a screenshot, and so does a lost link.
 _LIVE = (
-    "document.querySelector('[data-stale=true]') === null"
-    " && document.body.dataset.link === 'connected'"
+    "document.querySelector('[data-stale=true]') === null && document.body.dataset.link !== 'lost'"
 )
 #: Whether the hand steers and feels a force that can be seen.
 _FELT = (
@@ -100,6 +99,10 @@ def _do_a_task() -> None:
         RunningSession("spacejustin", *options, directory=directory) as session,
         Browser(size=SIZE, scale=1) as browser,
     ):
+        page = _open(browser, session.pages()["pages"])
+        for theme in ("dark", "light"):
+            _take(page, f"welcome-{theme}", theme, feel=False)
+        page.close()
         # One page at a time: each takes half a core.
         for name, words, after in DEEDS:
             page = _open(browser, session.pages()[name])

@@ -75,7 +75,7 @@ def texts_js() -> str:
     parts = [HEAD]
     parts += [f"/** @typedef {{{_union(hint)}}} {name} */\n" for name, hint in ALIASES.items()]
     seen: list[type[msgspec.Struct]] = []
-    for struct in SENT:
+    for struct in (*SENT, texts.WelcomeText):
         _visit(struct, seen)
     parts += [_typedef(struct) for struct in seen]
     names = [_name(struct) for struct in SENT]

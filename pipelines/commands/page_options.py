@@ -52,7 +52,7 @@ class ServerWish:
 
 @dataclass(frozen=True, kw_only=True)
 class PageWish(ServerWish):
-    """The pages, by the seats' names. browser: whether to open them in one."""
+    """The pages, by the seats' names. browser: whether to open the first in one."""
 
     browser: bool = False
 
@@ -66,7 +66,7 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> None:
         "or the next free ports); another host than loopback gets TLS",
     )
     either.add_argument("--no-page", action="store_true", help="serve no browser pages")
-    parser.add_argument("--open", action="store_true", help="open the pages in a browser")
+    parser.add_argument("--open", action="store_true", help="open the first page in a browser")
     parser.add_argument(
         "--page-cert",
         type=Path,
@@ -134,9 +134,10 @@ def served(
 def announced_pages(
     wish: PageWish | None, session: str, *, quiet: bool, tasks: bool = False
 ) -> Iterator[Mapping[str, PageListener]]:
-    """Make tokens and certificate, print the addresses, and yield the listeners by process.
+    """Make tokens and certificate, print one address, and yield the listeners by process.
 
-    The addresses are also in `pages.json` in the session's directory, for programs of this user.
+    It leads to every page. Each page's own address is in `pages.json` in the session's directory,
+    for programs of this user.
     tasks: whether the session has any.
     """
     if wish is None:
@@ -150,47 +151,46 @@ def announced_pages(
             for name, (seat, page, role) in _PEOPLE.items()
             if seat in seats and (tasks or page not in _OF_TASKS)
         }
-        viewer = next(iter(seats.values())).viewer_token
-        kept = {**urls, **people, "viewer_token": viewer}
+        first = next(iter(seats.values()))
+        address, watch = first.url(""), first.url("", role=Role.VIEWER.value)
+        kept = {"pages": address, **urls, **people, "viewer_token": first.viewer_token}
         write_private(root / "pages.json", json.dumps(kept, indent=1) + "\n")
         if not quiet:
-            lines = [f"{seat:<7} {url}" for seat, url in (urls | people).items()]
-            lines.append(f"to watch only: token={viewer}")
+            lines = [f"pages: {address}", f"to watch only: {watch}"]
             if made:
                 lines.append(f"certificate made for this session, SHA-256 {made}")
             say("\n".join(lines))
         if wish.browser:
-            _open_in_browser(urls, root)
+            _open_in_browser(address, root)
         yield {PAGES[Segment(name)]: listener for name, listener in seats.items()}
 
 
-def _open_in_browser(urls: Mapping[str, str], root: Path) -> None:
-    """Open the pages, or say in one line why not.
+def _open_in_browser(address: str, root: Path) -> None:
+    """Open an address, or say in one line why not.
 
-    The browser is given a file that leads to the page, because other users of this machine see the
+    The browser is given a file that leads there, because other users of this machine see the
     arguments of a program, but not this file with its token.
     """
     try:
         webbrowser.get()
     except webbrowser.Error:
-        print("kontur-av: --open: no browser was found; open the addresses", file=sys.stderr)
+        print("kontur-av: --open: no browser was found; open the address", file=sys.stderr)
         return
-    for seat, url in urls.items():
-        leads = root / f"open-{seat}.html"
-        to = escape(url)
-        write_private(
-            leads,
-            f'<!doctype html><meta charset="utf-8"><title>{seat}</title>'
-            f'<meta http-equiv="refresh" content="0;url={to}"><a href="{to}">{seat}</a>\n',
-        )
-        # Some browsers keep their caller waiting, others would take over the terminal.
-        subprocess.Popen(
-            [sys.executable, "-m", "webbrowser", leads.as_uri()],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+    leads = root / "open.html"
+    to = escape(address)
+    write_private(
+        leads,
+        '<!doctype html><meta charset="utf-8"><title>kontur-av</title>'
+        f'<meta http-equiv="refresh" content="0;url={to}"><a href="{to}">kontur-av</a>\n',
+    )
+    # Some browsers keep their caller waiting, others would take over the terminal.
+    subprocess.Popen(
+        [sys.executable, "-m", "webbrowser", leads.as_uri()],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
 
 
 def base_url(listener: PageListener, seat: str) -> str:

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import msgspec
 
@@ -230,6 +230,8 @@ class MissionGround:
             else:
                 self._orders.append(order)
         while (message := experiment.poll_message()) is not None:
+            if isinstance(message, TaskFinished) and message.result is TaskResult.FINISHED:
+                message = replace(message, reason=self.journal.keeper.words)
             self._messages.append(message)
         while (event := experiment.next_event()) is not None:
             self.journal.handle_event(event, self._link)
@@ -247,7 +249,9 @@ class MissionGround:
 
     def _add_run(self, run: TaskRun) -> None:
         seconds = None if run.started_ns is None else (run.ended_ns - run.started_ns) / 1e9
-        self._runs.append(RunShown(run.task, run.run, run.result.value, run.reason, seconds))
+        finished = run.result is TaskResult.FINISHED
+        score = self.journal.keeper.words if finished else ""
+        self._runs.append(RunShown(run.task, run.run, run.result.value, run.reason, seconds, score))
 
     def _end_earlier(self, memory: MissionMemory, now_ns: int) -> None:
         """A run of an earlier life: whatever it was doing is switched off."""

@@ -12,14 +12,7 @@ from types import MappingProxyType
 import msgspec
 
 from kontur_av.errors import ConfigError
-from telepresence.tmtc.k2aci import (
-    Chat,
-    K2aciMessage,
-    PanelState,
-    StartTask,
-    TaskFinished,
-    TaskSelected,
-)
+from telepresence.tmtc.k2aci import CLASSES, K2aciMessage
 from telepresence.tmtc.pus.dictionary import Application
 from telepresence.tmtc.pus.user import SUPERSEDED
 from telepresence.tmtc.pus.values import Parameter, Value
@@ -180,7 +173,7 @@ class K2aciUpdate(msgspec.Struct, frozen=True, tag=True, omit_defaults=True):
 TmtcNews = CommandUpdate | FunctionAsked | ParameterChanged | Reported | K2aciArrived | K2aciUpdate
 
 K2ACI_KINDS: Mapping[str, type[K2aciMessage]] = MappingProxyType(
-    {one.__name__: one for one in (TaskSelected, StartTask, TaskFinished, PanelState, Chat)}
+    {one.__name__: one for one in CLASSES}
 )
 _REQUESTS: msgspec.msgpack.Decoder[TmtcRequest] = msgspec.msgpack.Decoder(TmtcRequest)
 _NEWS: msgspec.msgpack.Decoder[TmtcNews] = msgspec.msgpack.Decoder(TmtcNews)

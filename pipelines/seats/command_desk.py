@@ -152,7 +152,7 @@ class ChatLog:
         if not text or not text.isprintable():
             return "write one line of text"
         if octets > MAX_CHAT_OCTETS:
-            return f"a line of {octets} octets: write at most {MAX_CHAT_OCTETS}"
+            return f"a line has at most {MAX_CHAT_OCTETS} bytes, this one {octets}: shorten it"
         if sum(line.state == "waiting" for line in self._lines) >= _MOST_WAITING:
             return f"{_MOST_WAITING} lines wait for the other end"
         number = self._add(sender, text, "waiting", now_ns)

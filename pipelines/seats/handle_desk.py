@@ -28,15 +28,20 @@ class HandleOwnership:
 
     def __init__(self) -> None:
         self.state = HandleState()
-        self._pages: set[int] = set()
+        self._pages: dict[int, str] = {}
         self._shown = self.state
 
-    def handle_joined(self, page: int) -> None:
-        self._pages.add(page)
+    def handle_joined(self, page: int, name: str) -> None:
+        """A page has come that may hold the handle. name: who sits there, for others' refusals."""
+        self._pages[page] = name
+
+    def name(self, page: int | None) -> str:
+        """Return who sits at a page; "" of no page, or of one that is unknown here."""
+        return "" if page is None else self._pages.get(page, "")
 
     def handle_gone(self, page: int) -> None:
         """A page is gone; what it held is free at once."""
-        self._pages.discard(page)
+        self._pages.pop(page, None)
         holder, wanted_by = self.state
         if page == holder:
             self.state = HandleState()
@@ -51,7 +56,7 @@ class HandleOwnership:
         if holder == page:
             return ""
         if holder is not None:
-            return f"take: page {holder} holds the handle; ask for it"
+            return f"take: {self.name(holder)} has the handle: ask for it"
         self.state = HandleState(page)
         return ""
 
@@ -61,7 +66,7 @@ class HandleOwnership:
         if page not in self._pages or holder is None or holder == page:
             return self.handle_take(page)
         if wanted_by not in (None, page):
-            return f"ask: page {wanted_by} has asked before"
+            return f"ask: {self.name(wanted_by)} has asked before"
         self.state = HandleState(holder, page)
         return ""
 

@@ -159,7 +159,7 @@ def radio_text(
         count = "telecommand was" if unverified == 1 else f"{unverified} telecommands were"
         return RadioText(level="warn", words=f"The last {count} not acknowledged by {peer}.")
     if hears is None:
-        return RadioText(level="none", words="Not known yet.")
+        return RadioText(level="none", words="Nobody knows yet whether the radio carries.")
     return RadioText(level="good", words="Both directions carry.")
 
 

@@ -236,13 +236,14 @@ class PageTalker:
 
 @dataclass(kw_only=True)
 class OpenPage(PageTalker):
-    """A page that is open. plain: without pictures, sound and haptics.
+    """A page that is open. plain: without pictures, sound and haptics. name: who sits there.
 
     idle: it has taken all that there was, so it would take more at once.
     """
 
     number: int
     queue: ClientQueue
+    name: str = ""
     plain: bool = False
     idle: bool = True
     hands: MessageRate = field(default_factory=lambda: MessageRate(_HAND_HZ, _HAND_HZ))

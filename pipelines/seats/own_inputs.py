@@ -11,7 +11,7 @@ from pipelines.seats.open_page import MessageRate, PageTalker
 from pipelines.seats.plan import SeatInput, SeatPlan
 from pipelines.seats.texts import AnswerText, pack_text, parse_media_request
 from pipelines.session.messages import OwnPicture, Ping, pack_pong, parse_media_message
-from pipelines.session.seat_roles import VIEWER_WORDS, Role
+from pipelines.session.seat_roles import VIEWER_WORDS, Role, place_name
 
 #: Pings from which the offset is taken: 16 s of them, so that the clocks may drift apart.
 _KEPT = 16
@@ -70,7 +70,7 @@ class OwnInputs:
 
     def __init__(self, plan: SeatPlan) -> None:
         self._inputs = {each.index: each for each in plan.inputs}
-        self._sizes = plan.sizes
+        self._sizes, self._segment = plan.sizes, plan.segment
         self._links: dict[int, _Link] = {}
         self._owners: dict[int, int] = {}
         self._counts: dict[int, int] = dict.fromkeys(self._inputs, 0)
@@ -130,8 +130,9 @@ class OwnInputs:
         if on:
             if index is None:
                 return f"{name}: no page can give this input here"
-            mine = self._owners.setdefault(index, link) == link
-            return "" if mine else f"{name}: another page has it"
+            owner = self._owners.setdefault(index, link)
+            who = place_name(self._links[owner].role, self._segment)
+            return "" if owner == link else f"{name}: {who} has it at another page"
         if index is None or self._owners.get(index) != link:
             return f"{name}: this page does not have it"
         del self._owners[index]

@@ -41,12 +41,13 @@ from pipelines.session.topology import (
     partner_camera,
     partner_voice,
 )
-from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M
+from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
 from telepresence.tasks.definitions import Catalogue
+from telepresence.tasks.places import goal_paths
 from telepresence.tmtc.pus.dictionary import Dictionary
 
 
@@ -160,6 +161,8 @@ def seat_plan(
             wall_x_m=WALL_X_M,
             leds_m=LEDS_M,
             lights_m=LIGHTS_M if tasked else (),
+            paths_m=goal_paths() if tasked else {},
+            spring_m=(SpringModel().x_m, 0.0),
         ),
         caps={each.value: topology.link(each).profile.capacity_bps for each in Direction},
         applications=application_texts(dictionary),

@@ -3,6 +3,7 @@
 import asyncio
 import traceback
 from functools import partial
+from html import escape
 
 from aiohttp import web
 
@@ -14,7 +15,8 @@ from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
-from pipelines.session.access import AccessError, AccessKind
+from pipelines.seats.texts import WelcomeText, pack_text
+from pipelines.session.access import AccessError, AccessKind, Found
 from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.seat_roles import VIEWER_WORDS, Role
@@ -43,8 +45,8 @@ def run_page(context: Context, *, segment: Segment, tasks: Catalogue | None = No
 _MOST_MEDIA = 16
 #: Answers that a camera or a microphone has not read; it is closed at the next one.
 _MOST_ANSWERS = 16
-#: By end: the pages beside the seat of the same name.
-_OTHERS = {Segment.SPACE: ("panel", "k2cp"), Segment.GROUND: ("top", "k2sv")}
+#: By end: the pages beside the seat of the same name; "" is where people choose one.
+_OTHERS = {Segment.SPACE: ("", "panel", "k2cp"), Segment.GROUND: ("", "top", "k2sv")}
 #: In the query of a socket: without pictures, sound and haptics.
 _PLAIN = "plain"
 
@@ -59,9 +61,8 @@ class PageServer:
         self, context: Context, segment: Segment, bus: TopicBus, tasks: Catalogue | None = None
     ) -> None:
         self._context, self._now_ns = context, context.clock.now_ns
-        self._site = WebSite(
-            context.pages[PAGES[segment]], seat=segment.value, others=_OTHERS[segment]
-        )
+        self._listener = context.pages[PAGES[segment]]
+        self._site = WebSite(self._listener, seat=segment.value, others=_OTHERS[segment])
         components = context.topology.options.components
         dictionary = with_components(built_in_dictionary(), components)
         plan = seat_plan(context.topology, segment, context.session, dictionary, tasks=tasks)
@@ -129,7 +130,8 @@ class PageServer:
                 return await self._serve_seat(request, found.role)
             if found.kind is AccessKind.MEDIA:
                 return await self._serve_media(request, found.role)
-            return self._site.file(request, found)
+            words = {"__WELCOME__": self._welcome(found)} if found.name == "" else {}
+            return self._site.file(request, found, words)
         except AccessError as refusal:
             return self._site.refuse(refusal)
         except (ConnectionError, asyncio.CancelledError):
@@ -139,6 +141,19 @@ class PageServer:
             self._faults += 1
             traceback.print_exc()
             raise
+
+    def _welcome(self, found: Found) -> str:
+        """Return what the page where people choose one must know."""
+        listener, role = self._listener, found.role
+        people = {Role.VIEWER.value: listener.viewer_token, **listener.people}
+        text = WelcomeText(
+            role=role,
+            seat=self._seat.plan.segment,
+            ports=dict(listener.ports),
+            tasks=self._context.topology.options.tasks,
+            people=people if role is Role.OPERATOR else {},
+        )
+        return escape(pack_text(text))
 
     # The socket of a page
 

@@ -33,7 +33,7 @@ from pipelines.seats.texts import (
 )
 from pipelines.session.messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.mission_messages import RobotStatus
-from pipelines.session.seat_roles import VIEWER_WORDS, Role, refusal
+from pipelines.session.seat_roles import VIEWER_WORDS, Role, place_name, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
 from telepresence.haptics.device.page import PageInput
@@ -160,14 +160,15 @@ class Seat:
         """A page has come; return its number. plain: it gets no picture, sound or haptics."""
         number = next(self._numbers)
         lanes = () if plain else self.media.lanes
+        name = self._free_name(role)
         page = self._pages[number] = OpenPage(
-            role, number=number, queue=ClientQueue(lanes), plain=plain
+            role, number=number, queue=ClientQueue(lanes), name=name, plain=plain
         )
         if role is Role.OPERATOR or not refusal(role, self.plan.segment, "hand"):
-            self._hand.handle_joined(number)
+            self._hand.handle_joined(number, name)
         seat = replace(self.plan.text, streams=(), previews=()) if plain else self.plan.text
         now_us = now_ns // NS_PER_US
-        hello = texts.HelloText(role=role, page=number, now_us=now_us, **asdict(seat))
+        hello = texts.HelloText(role=role, page=number, name=name, now_us=now_us, **asdict(seat))
         page.queue.put_answer(texts.pack_text(hello))
         self._tell_mission()
         for kind, text in self.mission.texts.items():
@@ -178,6 +179,13 @@ class Seat:
             page.queue.put_figures(figures)
         self.media.replay(page)
         return number
+
+    def _free_name(self, role: Role) -> str:
+        """Return who sits at a new page: the role, with a number if there are several."""
+        taken = {page.name for page in self._pages.values()}
+        name = place_name(role, self.plan.segment)
+        names = (name if which == 1 else f"{name} {which}" for which in count(1))
+        return next(one for one in names if one not in taken)
 
     def handle_closed(self, number: int, now_ns: int) -> None:
         """A page is gone; its hand lets go at once."""
@@ -385,7 +393,11 @@ class Seat:
                     self._safety, stopped=self._safety.stopped or self._stop[0], by=self._stop[1]
                 ),
                 hand=texts.HandText(
-                    holder=self.holder, you=hand.holder == number, wanted_by=hand.wanted_by
+                    holder=self.holder,
+                    you=hand.holder == number,
+                    wanted_by=hand.wanted_by,
+                    who=self._hand.name(hand.holder),
+                    asks=self._hand.name(hand.wanted_by),
                 ),
                 inputs=self.inputs.owners,
             )

@@ -75,13 +75,19 @@ class WorkspaceText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class BoardText(msgspec.Struct, frozen=True, kw_only=True):
-    """The robot's task board; its middle is (0, 0). lights_m: of the LED panel, with tasks."""
+    """The robot's task board; its middle is (0, 0).
+
+    With tasks, lights_m: of the LED panel; paths_m: by goal, the way that is to be followed;
+    spring_m: where the spring begins.
+    """
 
     width_m: float
     height_m: float
     wall_x_m: float
     leds_m: tuple[tuple[float, float], ...]
     lights_m: tuple[tuple[float, float], ...] = ()
+    paths_m: dict[str, tuple[tuple[float, float], ...]] = {}
+    spring_m: tuple[float, float] = (0.0, 0.0)
 
 
 class SeatText(msgspec.Struct, frozen=True, kw_only=True):
@@ -105,11 +111,26 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class HelloText(SeatText, frozen=True, kw_only=True, tag_field="kind", tag="hello"):
-    """The first text of a connection. page: its number."""
+    """The first text of a connection. page: its number. name: who sits there."""
 
     role: Role
     page: int
+    name: str
     now_us: int
+
+
+class WelcomeText(msgspec.Struct, frozen=True, kw_only=True):
+    """What the page where people choose a page must know; it stands in that page itself.
+
+    seat: the end that serves it. ports: by end, of those on this machine. tasks: whether the
+    session has any. people: by role, its token, for the owner to hand out; none for others.
+    """
+
+    role: Role
+    seat: Segment
+    ports: dict[str, int]
+    tasks: bool
+    people: dict[str, str]
 
 
 class AxisText(msgspec.Struct, frozen=True, kw_only=True):
@@ -152,11 +173,16 @@ class SafetyText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class HandText(msgspec.Struct, frozen=True, kw_only=True):
-    """Who holds the handle, and who asks for it, by numbers of pages."""
+    """Who holds the handle, and who asks for it, by numbers of pages.
+
+    who, asks: their names; "" for nobody, and at the other end.
+    """
 
     holder: int | None
     you: bool
     wanted_by: int | None
+    who: str
+    asks: str
 
 
 class StateText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="state"):

@@ -105,6 +105,14 @@ class PanelShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     held_s: float
     handle_m: tuple[float, float] = (0.0, 0.0)
     dead_man: bool = False
+    hold_s: float = 0.0
+    left_s: float | None = None
+    goal: str = ""
+    target_m: tuple[float, float] | None = None
+    step: int = 0
+    steps: int = 0
+    percent: int = 0
+    force_n: float = 0.0
 
 
 class TaskListed(msgspec.Struct, frozen=True, array_like=True):
@@ -124,13 +132,14 @@ class StepShown(msgspec.Struct, frozen=True, array_like=True):
 
 
 class RunShown(msgspec.Struct, frozen=True, array_like=True):
-    """A run that is over. seconds: from its start; None if it never started."""
+    """A run that is over. seconds: from its start; None if it never started. score: in words."""
 
     task: str
     run: int
     result: str
     reason: str
     seconds: float | None
+    score: str = ""
 
 
 class ExperimentShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.session.datagrams import reaches
-from pipelines.session.seat_roles import PEOPLE
+from pipelines.session.seat_roles import PEOPLE, Role
 
 #: A page takes the first free one of this many ports.
 _MOST_PORTS = 100
@@ -67,6 +67,7 @@ class PageListener:
     names: the hosts, in lower case and without brackets, that a browser may ask for.
     operator_token, viewer_token: who has it may command, or only watch.
     role_tokens: of the people of this end, by the value of their `Role`.
+    people: the tokens of all ends on this machine, for the owner to hand out. ports: of these ends.
     certificate: PEM file with certificate and key, for "https".
     """
 
@@ -79,12 +80,18 @@ class PageListener:
     viewer_token: str = field(repr=False)
     certificate: Path | None = None
     role_tokens: Mapping[str, str] = field(default_factory=dict, repr=False)
+    people: Mapping[str, str] = field(default_factory=dict, repr=False)
+    ports: Mapping[str, int] = field(default_factory=dict)
 
-    def url(self, seat: str, *, role: str = "") -> str:
-        """Return the address of a page, such as "space" or "top". role: whose token it has."""
-        token = self.role_tokens[role] if role else self.operator_token
+    def url(self, page: str, *, role: str = "") -> str:
+        """Return the address of a page, such as "space"; "" is where people choose one.
+
+        role: whose token it has, the owner's without it.
+        """
+        tokens = {Role.VIEWER.value: self.viewer_token, **self.role_tokens}
+        token = tokens[role] if role else self.operator_token
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{self.scheme}://{host}:{self.port}/{seat}?token={token}"
+        return f"{self.scheme}://{host}:{self.port}/{page}?token={token}"
 
 
 def bind_pages(host: PageHost, port: int, names: Iterable[str]) -> Mapping[str, socket.socket]:
@@ -113,22 +120,26 @@ def listeners(
     """
     operator, viewer = (secrets.token_urlsafe(_TOKEN_OCTETS) for _ in range(2))
     names = host.names()
+    ports = {name: listener.getsockname()[1] for name, listener in sockets.items()}
+    tokens = {
+        segment.value: {role.value: secrets.token_urlsafe(_TOKEN_OCTETS) for role in people}
+        for segment, people in PEOPLE.items()
+        if segment.value in sockets
+    }
+    people = {role: token for each in tokens.values() for role, token in each.items()}
     return {
         name: PageListener(
             socket=listener,
             scheme="http" if certificate is None else "https",
             host=names[0],
-            port=listener.getsockname()[1],
+            port=ports[name],
             names=names,
             operator_token=operator,
             viewer_token=viewer,
             certificate=certificate,
-            role_tokens={
-                role.value: secrets.token_urlsafe(_TOKEN_OCTETS)
-                for segment, people in PEOPLE.items()
-                for role in people
-                if segment.value == name
-            },
+            role_tokens=tokens.get(name, {}),
+            people=people,
+            ports=ports,
         )
         for name, listener in sockets.items()
     }

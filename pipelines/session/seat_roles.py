@@ -79,6 +79,12 @@ def refusal(role: Role, segment: Segment, deed: str) -> str:
     return f"{asked}: {who} may, not {you}"
 
 
+def place_name(role: Role, segment: Segment) -> str:
+    """Return who sits at a page, as the others of its end read it."""
+    ground = segment is Segment.GROUND
+    return "ground control" if role is Role.OPERATOR and ground else role.words
+
+
 def chat_role(role: Role, segment: Segment) -> ChatRole:
     """As whom a page writes in the chat."""
     if role is Role.OPERATOR:

@@ -21,6 +21,8 @@ _TYPES = {
 }
 #: In an HTML file: where the page's own files are.
 _BASE = "__BASE__"
+#: The file of the page without a name, where people choose one.
+_FIRST = "welcome"
 #: How long requests may last when the process ends.
 SHUTDOWN_S = 0.5
 
@@ -76,7 +78,7 @@ class WebSite:
     ) -> web.Response:
         """Return a page, or one of its files. words: what else is replaced in a page."""
         page = found.kind is AccessKind.PAGE
-        path = STATIC / (f"{found.name}.html" if page else found.name)
+        path = STATIC / (f"{found.name or _FIRST}.html" if page else found.name)
         if path.suffix not in _TYPES or not path.is_file():
             raise AccessError(404, "no such file")
         text = path.read_text(encoding="utf-8")

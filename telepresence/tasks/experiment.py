@@ -8,7 +8,7 @@ stopped, and a row is there.
 """
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal
 
@@ -28,11 +28,15 @@ from telepresence.tmtc.k2aci import (
     PanelState,
     StartTask,
     TaskFinished,
+    TaskGoal,
+    TaskProgress,
     TaskResult,
     TaskSelected,
     fitted_line,
 )
 
+#: Between two messages about the progress; of some in that time only the newest is sent.
+_PROGRESS_NS = 300 * NS_PER_MS
 _END = Operation("endTask", ENDING)
 
 
@@ -133,6 +137,8 @@ class Experiment:
         self._panel: PanelMode | None = None
         self._steps: set[RunStep] = set()
         self._told: Task | None = None
+        self._progress: TaskProgress | None = None
+        self._progress_ns = 0
         self._messages: deque[K2aciMessage] = deque()
         self._events: deque[Logged | TaskRun | KernelEvent] = deque()
 
@@ -202,6 +208,7 @@ class Experiment:
             self._log(RunStep.TELEPRESENCE, now_ns)
         self.kernel.handle_view(view, now_ns)
         self._drain(now_ns)
+        self._tell_progress(now_ns)
 
     def poll_timeout(self) -> int | None:
         """When to call `handle_view` next; None: whenever it suits."""
@@ -238,6 +245,24 @@ class Experiment:
         self._messages.append(
             TaskSelected(task=task.name, run=self._run, start_um=start_um, text=task.text)
         )
+        # A panel that was restarted knows nothing of it.
+        self._progress = None
+
+    def _tell_progress(self, now_ns: int) -> None:
+        if self._phase is Phase.OFFERED:
+            left_ms = (self._since_ns + self._patience_ns - now_ns) // NS_PER_MS
+            told: TaskProgress | None = TaskProgress(
+                run=self._run, goal=TaskGoal.START, left_ms=max(0, left_ms)
+            )
+        else:
+            told = self.kernel.progress(self._run, now_ns)
+        if told is None or now_ns - self._progress_ns < _PROGRESS_NS:
+            return
+        # The panel counts the times on by itself.
+        kept = replace(told, held_ms=min(1, told.held_ms), left_ms=0)
+        if kept != self._progress:
+            self._progress, self._progress_ns = kept, now_ns
+            self._messages.append(told)
 
     def _watch(self, view: View, now_ns: int) -> None:
         """While the cosmonaut has not started, the kernel executes nothing."""

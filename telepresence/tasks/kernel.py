@@ -13,11 +13,13 @@ to be done, and looks at what is.
 from collections import deque
 from dataclasses import dataclass, replace
 from math import hypot
+from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.board import LIGHTS_M
 from telepresence.tasks.definitions import (
     ControlMode,
+    Curve,
     Elemop,
     Follow,
     Hands,
@@ -39,7 +41,7 @@ from telepresence.tasks.definitions import (
 )
 from telepresence.tasks.panel_picture import PanelPicture
 from telepresence.tasks.places import curve_points, spot_at
-from telepresence.tmtc.k2aci import TaskResult
+from telepresence.tmtc.k2aci import TaskGoal, TaskProgress, TaskResult
 
 TICK_NS = 100 * NS_PER_MS
 #: What is not done yet is asked for again after this time: its process may have been killed.
@@ -203,6 +205,20 @@ class TopKernel:
     def elemop(self) -> Elemop | None:
         return self._check.elemop if self._check is not None else None
 
+    def progress(self, run: int, now_ns: int) -> TaskProgress | None:
+        """Return what the cosmonaut has to do now, in this run; None while that is nothing."""
+        if self._check is None or self._operation is None or self._ending is not None:
+            return None
+        told = self._check.progress(now_ns)
+        if told is None:
+            return None
+        steps = sum(isinstance(one, _GOALS) for one in self._operation.elemops)
+        later = sum(isinstance(one, _GOALS) for one in self._steps)
+        left_ns = round(self._check.lasts_s * NS_PER_S) - (now_ns - self._began_ns)
+        return replace(
+            told, run=run, step=steps - later, steps=steps, left_ms=max(0, left_ns) // NS_PER_MS
+        )
+
     def start(self, operation: Operation, now_ns: int) -> None:
         """Begin `operation`; only while not `busy`."""
         if self.busy:
@@ -315,6 +331,15 @@ class _Check:
     def order(self, now_ns: int) -> Order | None:
         return None
 
+    @property
+    def lasts_s(self) -> float:
+        """The longest that it takes (s)."""
+        return self.elemop.timeout_s
+
+    def progress(self, now_ns: int) -> TaskProgress | None:
+        """What a cosmonaut has to do now; None of what the robot does."""
+        return None
+
 
 class _PowerCheck(_Check):
     elemop: SetPower
@@ -401,6 +426,11 @@ class _Held:
             self._since_ns = now_ns
         return now_ns - self._since_ns >= self._hold_ns
 
+    def progress(self, told: TaskProgress, now_ns: int) -> TaskProgress:
+        """Return `told` with how long the condition must hold, and has."""
+        held_ms = 0 if self._since_ns is None else max(1, (now_ns - self._since_ns) // NS_PER_MS)
+        return replace(told, hold_ms=self._hold_ns // NS_PER_MS, held_ms=held_ms)
+
 
 class _ReachCheck(_Check):
     elemop: Reach
@@ -414,6 +444,10 @@ class _ReachCheck(_Check):
         near = hypot(view.x_m - x, view.y_m - y) <= self.elemop.within_mm / 1e3
         return self._held.handle(near, now_ns)
 
+    def progress(self, now_ns: int) -> TaskProgress:
+        place_um = _um(LIGHTS_M[self.elemop.led])
+        return self._held.progress(_told(TaskGoal.REACH, place_um=place_um), now_ns)
+
 
 class _PursueCheck(_Check):
     elemop: Pursue
@@ -426,6 +460,13 @@ class _PursueCheck(_Check):
 
     def order(self, now_ns: int) -> Order | None:
         return ShowPicture(PanelPicture(Pattern.SPOT, spot_m=self._spot(now_ns)))
+
+    @property
+    def lasts_s(self) -> float:
+        return self.elemop.seconds
+
+    def progress(self, now_ns: int) -> TaskProgress:
+        return _told(TaskGoal(self.elemop.path), turn_ms=round(self.elemop.turn_s * 1e3))
 
 
 class _FollowCheck(_Check):
@@ -451,6 +492,13 @@ class _FollowCheck(_Check):
         self._last = view.x_m, view.y_m
         return len(self._left) <= self._most_left
 
+    def progress(self, now_ns: int) -> TaskProgress:
+        points = len(curve_points(self.elemop.curve))
+        share = (points - len(self._left)) / (points - self._most_left)
+        goal = TaskGoal.CONTOUR if self.elemop.curve is Curve.CONTOUR else TaskGoal.LINE
+        # In steps, because each is a message.
+        return _told(goal, percent=min(100, int(20 * share) * 5))
+
 
 class _PullCheck(_Check):
     elemop: Pull
@@ -462,6 +510,10 @@ class _PullCheck(_Check):
     def holds(self, view: View, now_ns: int) -> bool:
         right = abs(view.push_n - self.elemop.force_n) <= self.elemop.within_n
         return self._held.handle(right, now_ns)
+
+    def progress(self, now_ns: int) -> TaskProgress:
+        told = _told(TaskGoal.SPRING, force_mn=round(self.elemop.force_n * 1e3))
+        return self._held.progress(told, now_ns)
 
 
 class _MeetCheck(_Check):
@@ -480,6 +532,10 @@ class _MeetCheck(_Check):
         )
         return self._held.handle(pushed, now_ns)
 
+    def progress(self, now_ns: int) -> TaskProgress:
+        told = _told(TaskGoal.HANDS, force_mn=round(self.elemop.force_n * 1e3))
+        return self._held.progress(told, now_ns)
+
 
 class _HoldBallCheck(_Check):
     elemop: HoldBall
@@ -493,6 +549,9 @@ class _HoldBallCheck(_Check):
         wanted = (True, False) if self.elemop.hand is Hands.ROBOT else (False, True)
         return self._held.handle(hands == wanted, now_ns)
 
+    def progress(self, now_ns: int) -> TaskProgress:
+        return self._held.progress(_told(TaskGoal.BALL), now_ns)
+
 
 class _WaitCheck(_Check):
     elemop: Wait
@@ -500,7 +559,24 @@ class _WaitCheck(_Check):
     def holds(self, view: View, now_ns: int) -> bool:
         return now_ns - self.began_ns >= round(self.elemop.seconds * NS_PER_S)
 
+    @property
+    def lasts_s(self) -> float:
+        return self.elemop.seconds
 
+    def progress(self, now_ns: int) -> TaskProgress:
+        return _told(TaskGoal.FREE)
+
+
+def _told(goal: TaskGoal, **values: Any) -> TaskProgress:
+    return TaskProgress(run=0, goal=goal, **values)
+
+
+def _um(place_m: tuple[float, float]) -> tuple[int, int]:
+    return round(place_m[0] * 1e6), round(place_m[1] * 1e6)
+
+
+#: Elemops that the cosmonaut carries out.
+_GOALS = (Reach, Pursue, Follow, Pull, Meet, HoldBall, Wait)
 _CHECKS: dict[type[Elemop], type[_Check]] = {
     SetPower: _PowerCheck,
     SetMode: _ModeCheck,

@@ -6,16 +6,20 @@ the dead-man button, the task, its end.
 """
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot
 
 from kontur_av.clock import NS_PER_S
+from telepresence.tasks.definitions import SpotPath
+from telepresence.tasks.places import spot_at
 from telepresence.tmtc.k2aci import (
     K2aciMessage,
     PanelMode,
     PanelState,
     StartTask,
     TaskFinished,
+    TaskGoal,
+    TaskProgress,
     TaskResult,
     TaskSelected,
     fitted_line,
@@ -35,7 +39,6 @@ _WORDS = {
     PanelMode.PRESS_DEADMAN: "Press it now, and keep it pressed: the mouse button, your finger, "
     "Space, the trigger, or the dead-man button of the joystick.",
     PanelMode.RUNNING: "",
-    PanelMode.FINISHED: "Finished. Wait for the next task.",
 }
 _LET_GO = (
     "Well held. Now let go of the mouse button, your finger, Space, the trigger, or the dead-man "
@@ -46,6 +49,8 @@ _RESULT_WORDS = {
     TaskResult.TIMED_OUT: "The task took too long.",
     TaskResult.LOST_SIGNAL: "The signal was lost.",
 }
+#: What a goal shows on the board; a spot moves.
+_SPOTS = {TaskGoal.CIRCLE: SpotPath.CIRCLE, TaskGoal.EIGHT: SpotPath.EIGHT}
 #: The states in which the handle leads from one to the next.
 _AT_HANDLE = (PanelMode.MOVE_TO_START, PanelMode.HOLD, PanelMode.PRESS_DEADMAN)
 #: The states in which a joystick that halts ends the task.
@@ -57,7 +62,11 @@ class PanelView:
     """What the panel shows.
 
     task: "" without one. text: of the task. words: status or instruction. start_m: optimal start
-    position. distance_m: of the handle from it. held_s: how long it has been held.
+    position. distance_m: of the handle from it.
+    held_s, hold_s: how long start position or goal has been held, and is to be held.
+    left_s: until the run ends without it; None while nothing limits it.
+    goal: what is to be done in the run, a `TaskGoal`; "" without. target_m: its place.
+    step, steps, percent, force_n: as in `TaskProgress`.
     """
 
     mode: PanelMode
@@ -68,6 +77,14 @@ class PanelView:
     start_m: tuple[float, float]
     distance_m: float
     held_s: float
+    hold_s: float = 0.0
+    left_s: float | None = None
+    goal: str = ""
+    target_m: tuple[float, float] | None = None
+    step: int = 0
+    steps: int = 0
+    percent: int = 0
+    force_n: float = 0.0
 
 
 class MissionPanel:
@@ -81,16 +98,19 @@ class MissionPanel:
         self._dead_man = False
         self._place = 0.0, 0.0
         self._held_since_ns = self._now_ns = 0
+        self._progress: TaskProgress | None = None
+        self._told_ns = 0
         self._messages: deque[K2aciMessage] = deque()
 
     @property
     def view(self) -> PanelView:
         task, mode = self._task, self.mode
         held_ns = self._now_ns - self._held_since_ns if mode is PanelMode.HOLD else 0
-        words = self._words if mode is PanelMode.ERROR else _WORDS[mode]
+        words = _WORDS.get(mode, self._words)
         if held_ns >= HOLD_NS and self._dead_man:
             words = _LET_GO
-        return PanelView(
+        progress = self._progress if mode in _BUSY else None
+        view = PanelView(
             mode=mode,
             task=task.task if self._known else "",
             run=task.run if self._known else 0,
@@ -99,6 +119,34 @@ class MissionPanel:
             start_m=self._start_m,
             distance_m=self._distance_m,
             held_s=held_ns / NS_PER_S,
+            hold_s=HOLD_NS / NS_PER_S if mode is PanelMode.HOLD else 0.0,
+        )
+        return view if progress is None else self._with_progress(view, progress)
+
+    def _with_progress(self, view: PanelView, told: TaskProgress) -> PanelView:
+        if (told.goal is TaskGoal.START) is (view.mode is PanelMode.RUNNING):
+            # The run has begun, and the robot is not ready for its first goal.
+            return view
+        since_s = (self._now_ns - self._told_ns) / NS_PER_S
+        view = replace(view, left_s=max(0.0, told.left_ms / 1e3 - since_s))
+        if told.goal is TaskGoal.START:
+            return view
+        target_m: tuple[float, float] | None = None
+        if told.goal in _SPOTS:
+            target_m = spot_at(_SPOTS[told.goal], since_s * 1e3 / told.turn_ms)
+        elif told.goal is TaskGoal.REACH:
+            target_m = told.place_um[0] / 1e6, told.place_um[1] / 1e6
+        hold_s = told.hold_ms / 1e3
+        return replace(
+            view,
+            goal=told.goal.value,
+            target_m=target_m,
+            step=told.step,
+            steps=told.steps,
+            percent=told.percent,
+            force_n=told.force_mn / 1e3,
+            hold_s=hold_s,
+            held_s=min(hold_s, told.held_ms / 1e3 + since_s) if told.held_ms else 0.0,
         )
 
     def handle_contact(self, contact: bool, now_ns: int) -> None:
@@ -116,10 +164,15 @@ class MissionPanel:
         if isinstance(message, TaskSelected):
             # The ground may say it twice.
             if not (self._known and message == self._task and self.mode in _BUSY):
-                self._task, self._known = message, True
+                self._task, self._known, self._progress = message, True, None
                 self._go(PanelMode.TASK_INFO)
+        elif isinstance(message, TaskProgress):
+            if self._known and message.run == self._task.run:
+                self._progress, self._told_ns = message, now_ns
         elif isinstance(message, TaskFinished) and self._concerns(message):
             if message.result is TaskResult.FINISHED:
+                score = f": {message.reason}" if message.reason else ""
+                self._words = f"Finished in {message.duration_ms / 1e3:.1f} s{score}."
                 self._go(PanelMode.FINISHED)
             else:
                 because = f" Reason: {message.reason}." if message.reason else ""

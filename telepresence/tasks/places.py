@@ -36,6 +36,14 @@ def curve_points(curve: Curve) -> list[Place]:
     return [(x0 + (x1 - x0) * s, y0 + (y1 - y0) * s) for s in shares]
 
 
+def goal_paths() -> dict[str, tuple[Place, ...]]:
+    """By the name of a curve or a spot's path: points along it (m, to 0.1 mm)."""
+    found = {curve.value: curve_points(curve)[::2] for curve in Curve}
+    for path in SpotPath:
+        found[path.value] = [spot_at(path, k / 60) for k in range(61)]
+    return {name: tuple((round(x, 4), round(y, 4)) for x, y in way) for name, way in found.items()}
+
+
 def distance_m(points: list[Place], x_m: float, y_m: float, *, closed: bool) -> float:
     """The distance of (x_m, y_m) from the polyline through `points`."""
     index = min(

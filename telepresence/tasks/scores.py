@@ -36,6 +36,7 @@ class ScoreKeeper:
         self._error_sum = self._error_max = 0.0
         self._samples = self._errors = self._others = 0
         self._other_sum_n = self._other_max_n = 0.0
+        self._pulled = False
         self._curves: dict[Curve, list[tuple[float, float]]] = {}
 
     def handle_robot(
@@ -81,6 +82,16 @@ class ScoreKeeper:
             error_max=round(self._error_max, 6) if errors else None,
         )
 
+    @property
+    def words(self) -> str:
+        """The scores so far, in one line for people."""
+        scores = self.report()
+        path = f"{scores.path_m * 100:.0f} cm of path"
+        if scores.error_mean is None:
+            return path
+        off = f"{scores.error_mean:.1f} N" if self._pulled else f"{scores.error_mean * 1e3:.1f} mm"
+        return f"{off} off on average, {path}"
+
     def _error(
         self, x_m: float, y_m: float, push_n: float, elemop: Elemop | None, picture: PanelPicture
     ) -> float | None:
@@ -93,5 +104,6 @@ class ScoreKeeper:
             points = self._curves.setdefault(elemop.curve, curve_points(elemop.curve))
             return distance_m(points, x_m, y_m, closed=elemop.curve is Curve.CONTOUR)
         if isinstance(elemop, Pull):
+            self._pulled = True
             return abs(push_n - elemop.force_n)
         return None

@@ -8,9 +8,10 @@ without floating point. Private PUS messages carry it (`telepresence.tmtc.pus`).
 | a message | kind, life, number, oldest, then the message's fields in their order |
 | its acknowledgement | 0, life, number |
 
-Kinds: 1 `TaskSelected`, 2 `StartTask`, 3 `TaskFinished`, 4 `PanelState`, 5 `Chat`. `life` grows
-with each start of the sender. `number` counts its messages from 0. `oldest` is the smallest number
-that the sender still repeats: the receiver waits for no number below it.
+Kinds: 1 `TaskSelected`, 2 `StartTask`, 3 `TaskFinished`, 4 `PanelState`, 5 `Chat`,
+6 `TaskProgress`. `life` grows with each start of the sender. `number` counts its messages from 0.
+`oldest` is the smallest number that the sender still repeats: the receiver waits for no number
+below it.
 """
 
 from collections import deque
@@ -59,6 +60,21 @@ class PanelMode(StrEnum):
     ERROR = "error"
 
 
+class TaskGoal(StrEnum):
+    """What the cosmonaut has to do now. circle, eight: paths of a spot."""
+
+    START = "start"
+    REACH = "reach"
+    CIRCLE = "circle"
+    EIGHT = "eight"
+    CONTOUR = "contour"
+    LINE = "line"
+    SPRING = "spring"
+    HANDS = "hands"
+    BALL = "ball"
+    FREE = "free"
+
+
 class ChatRole(StrEnum):
     """Who writes in the chat."""
 
@@ -84,11 +100,7 @@ class TaskSelected:
     def __post_init__(self) -> None:
         _check_text("task", self.task, MAX_NAME_OCTETS, least=1)
         _check_count("run", self.run)
-        if type(self.start_um) is not tuple or len(self.start_um) != 2:
-            raise ConfigError(f"start_um is {self.start_um!r}: give two integers")
-        for value in self.start_um:
-            if type(value) is not int or abs(value) > 1_000_000:
-                raise ConfigError(f"start_um has {value!r}: give micrometres up to ±1000000")
+        _check_place("start_um", self.start_um)
         _check_text("text", self.text, MAX_TEXT_OCTETS)
 
 
@@ -108,7 +120,8 @@ class StartTask:
 class TaskFinished:
     """To the panel: the run has ended.
 
-    duration_ms: since its start; 0 if it never started. reason: why it did not finish.
+    duration_ms: since its start; 0 if it never started. reason: why it did not finish, or how well
+    it was done.
     """
 
     task: str
@@ -156,11 +169,55 @@ class Chat:
         _check_text("text", self.text, MAX_CHAT_OCTETS, least=1)
 
 
-K2aciMessage = TaskSelected | StartTask | TaskFinished | PanelState | Chat
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaskProgress:
+    """To the panel: what has to be done now, and how far it is. Sent at each change.
+
+    step, steps: this goal is one of so many. place_um: of what is to be reached, or of the hand
+    that is to be met. percent: of a curve. force_mn: with which to pull. turn_ms: of the spot.
+    hold_ms: how long the condition must hold; held_ms: how long it has, 0 while it does not.
+    left_ms: until the run ends. Of what a goal does not have, 0.
+    """
+
+    run: int
+    goal: TaskGoal
+    step: int = 1
+    steps: int = 1
+    place_um: tuple[int, int] = (0, 0)
+    percent: int = 0
+    force_mn: int = 0
+    turn_ms: int = 0
+    hold_ms: int = 0
+    held_ms: int = 0
+    left_ms: int = 0
+
+    def __post_init__(self) -> None:
+        _check_member("goal", self.goal, TaskGoal)
+        _check_place("place_um", self.place_um)
+        for field in fields(self):
+            if field.name not in ("goal", "place_um"):
+                _check_count(field.name, getattr(self, field.name))
+        if self.turn_ms == 0 and self.goal in (TaskGoal.CIRCLE, TaskGoal.EIGHT):
+            raise ConfigError("turn_ms is 0: a spot needs the time of a turn")
+
+
+K2aciMessage = TaskSelected | StartTask | TaskFinished | PanelState | Chat | TaskProgress
 
 #: A class's place is its kind on the wire, from 1.
-_CLASSES: tuple[type[K2aciMessage], ...] = (TaskSelected, StartTask, TaskFinished, PanelState, Chat)
-_ENUMS: dict[str, type[StrEnum]] = {"result": TaskResult, "mode": PanelMode, "sender": ChatRole}
+CLASSES: tuple[type[K2aciMessage], ...] = (
+    TaskSelected,
+    StartTask,
+    TaskFinished,
+    PanelState,
+    Chat,
+    TaskProgress,
+)
+_ENUMS: dict[str, type[StrEnum]] = {
+    "result": TaskResult,
+    "mode": PanelMode,
+    "sender": ChatRole,
+    "goal": TaskGoal,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +254,7 @@ def pack_body(body: Numbered | Acknowledgement) -> bytes:
         return cbor2.dumps([_ACK, body.life, body.number], canonical=True)
     message = body.message
     values = [_plain(getattr(message, field.name)) for field in fields(message)]
-    kind = _CLASSES.index(type(message)) + 1
+    kind = CLASSES.index(type(message)) + 1
     octets = cbor2.dumps([kind, body.life, body.number, body.oldest, *values], canonical=True)
     if len(octets) > MAX_BODY_OCTETS:
         raise ConfigError(f"{len(octets)} octets of K2ACI: shorten it to {MAX_BODY_OCTETS}")
@@ -237,9 +294,9 @@ def _build(values: list[Any]) -> Numbered | Acknowledgement:
     kind = values[0] if values else None
     if kind == _ACK and len(values) == 3:
         return Acknowledgement(values[1], values[2])
-    if type(kind) is not int or not 1 <= kind <= len(_CLASSES):
+    if type(kind) is not int or not 1 <= kind <= len(CLASSES):
         raise ProtocolError(f"K2ACI: unknown kind {kind!r}")
-    cls = _CLASSES[kind - 1]
+    cls = CLASSES[kind - 1]
     names = [field.name for field in fields(cls)]
     if len(values) != 4 + len(names):
         raise ProtocolError(f"K2ACI: {cls.__name__} with {len(values)} values")
@@ -271,6 +328,14 @@ def _check_text(name: str, value: object, most: int, *, least: int = 0) -> None:
         raise ConfigError(f"{name} is {value!r}: give one line of printable text")
     if not least <= len(value.encode()) <= most:
         raise ConfigError(f"{name} has {len(value.encode())} octets: give {least} to {most}")
+
+
+def _check_place(name: str, value: object) -> None:
+    if type(value) is not tuple or len(value) != 2:
+        raise ConfigError(f"{name} is {value!r}: give two integers")
+    for one in value:
+        if type(one) is not int or abs(one) > 1_000_000:
+            raise ConfigError(f"{name} has {one!r}: give micrometres up to ±1000000")
 
 
 def _check_count(name: str, value: object) -> None:

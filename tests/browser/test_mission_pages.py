@@ -19,6 +19,7 @@ NEAR_M = 0.002
 MOST_DRAGS = 20
 
 
+WIDGET = "document.querySelector('task-widget')"
 #: Two pages take most of a small machine, so the cameras are small.
 SETUP = """
 cameras = ["stereo", "static", "head"]
@@ -102,7 +103,13 @@ def done(top):
 def test_a_task_from_its_selection_to_its_end(session, start_browser):
     browser = start_browser(size=(1280, 900))
     pages = session.pages()
-    panel, top = browser.open(pages["panel"]), browser.open(pages["top"])
+    # The one address that is printed leads to every seat.
+    panel = browser.open(pages["pages"])
+    panel.wait("document.querySelectorAll('#seats a').length === 6")
+    roles = "return [...document.querySelectorAll('#others [data-role]')].map(({ href }) => href)"
+    assert panel.run(roles)[2].endswith(pages["top"].partition("token=")[2])
+    panel.find("[data-page=panel]").click()
+    top = browser.open(pages["top"])
     top.wait("document.body.dataset.link === 'connected'")
     top.wait("document.querySelector('experiment-panel').dataset.phase === 'idle'")
     top.run("document.querySelector('[data-task=aiming]').click()")
@@ -118,6 +125,7 @@ def test_a_task_from_its_selection_to_its_end(session, start_browser):
     eventually(lambda: mode(panel) == "press_deadman", "three seconds there")
     hand.press()
     eventually(lambda: mode(panel) == "running", "the start")
+    panel.wait(f"{WIDGET}.hidden === false && {WIDGET}.textContent.includes('1 of 4')")
 
     def aimed():
         for led in AIMED:
@@ -132,6 +140,7 @@ def test_a_task_from_its_selection_to_its_end(session, start_browser):
     eventually(lambda: done(top) == 12, "all steps of Fig. 14")
     result = "document.querySelector('run-table [data-result]').dataset.result"
     assert top.wait(result) == "finished"
+    assert "off on average" in top.find("run-table").text
     panel.show()
     ActionChains(browser.driver).send_keys(Keys.ENTER).perform()
     eventually(lambda: mode(panel) == "wait_task", "the next task")

@@ -5,8 +5,10 @@ No session runs: a worker in the page's place tells it what a seat's server woul
 
 import functools
 import http.server
+import itertools
 import json
 import threading
+from html import escape
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ from browser import Browser
 from pipelines.mission.tmtc_messages import Reported
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
+from pipelines.seats.texts import WelcomeText, pack_text
 from pipelines.session.mission_messages import (
     ExperimentShown,
     PanelShown,
@@ -35,9 +38,17 @@ STATIC = ROOT / "pipelines" / "seats" / "static"
 AXE = ROOT / ".ci" / "web" / "node_modules" / "axe-core" / "axe.min.js"
 WIDTHS = (390, 1280)
 PAGES = {
-    Segment.SPACE: ("space", "panel", "k2cp"),
+    Segment.SPACE: ("welcome", "space", "panel", "k2cp"),
     Segment.GROUND: ("ground", "top", "k2sv"),
 }
+#: What a session's owner is told where people choose a page.
+WELCOME = WelcomeText(
+    role=Role.OPERATOR,
+    seat=Segment.SPACE,
+    ports={"space": 65_534, "ground": 65_535},
+    tasks=True,
+    people={role.value: "t" * 32 for role in Role if role is not Role.OPERATOR},
+)
 #: In the place of the page's worker: what it is given comes as the server's texts.
 WORKER = """
     window.Worker = class {
@@ -84,7 +95,7 @@ TABS = "return [...document.querySelectorAll('[role=tab]')].map(({ id }) => id)"
 REASON = "the robot has a fault: a fault of the trainer's exercise"
 
 
-def texts_of(segment):
+def texts_of(segment, *, connected):
     """What a page is told in the middle of a session with tasks, with the longest words."""
     catalogue = built_in_tasks()
     topology = topology_of(BUILT_IN["spacejustin"], pages=True, tasks=True)
@@ -102,8 +113,16 @@ def texts_of(segment):
         seat.handle_shown("robot", robot)
     else:
         words = "Well held. Now let go of the mouse button, your finger, Space or the trigger."
-        at = {"start_m": (0.0, 0.0), "distance_m": 0.1, "held_s": 3.0}
-        panel = PanelShown(mode="hold", task="contour", run=12, text=words, words=words, **at)
+        at = {
+            "start_m": (0.0, 0.0),
+            "distance_m": 0.1,
+            "held_s": 0.3,
+            "hold_s": 0.5,
+            "left_s": 60.0,
+        }
+        goal = {"goal": "reach", "target_m": (-0.045, 0.0), "step": 2, "steps": 4}
+        task = {"task": "contour", "run": 12, "text": words, "words": words}
+        panel = PanelShown(mode="running" if connected else "hold", **task, **at, **goal)
         seat.handle_shown("panel", panel)
     said = {"state": "recoverable error", "application": "german experiment", "test": "running"}
     report = Reported("housekeeping", "joystick", unix_ns=0, values={**said, "temperature": 60.125})
@@ -112,7 +131,9 @@ def texts_of(segment):
     found = []
     while (message := seat.poll_transmit(page)) is not None:
         found.append(message)
-    return [text for text in found if isinstance(text, str)]
+    told = [json.loads(text) for text in found if isinstance(text, str)]
+    link = "connected" if connected else "lost"
+    return [text | {"link": link} if text["kind"] == "state" else text for text in told]
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +145,7 @@ def address():
                 super().do_GET()
                 return
             text = (STATIC / f"{name}.html").read_text().replace("__BASE__", "/")
+            text = text.replace("__WELCOME__", escape(pack_text(WELCOME)))
             self.send_response(200)
             self.send_header("Content-Type", "text/html")
             self.end_headers()
@@ -153,16 +175,18 @@ def browser():
 def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name, browser, address):
     page = browser.open(f"{address}{name}")
     page.reload(WORKER)
-    texts = texts_of(segment)
-    page.run(TELL, [json.dumps(json.loads(text)) for text in texts])
     found = {}
-    for width in WIDTHS:
+    for width, connected in itertools.product(WIDTHS, (False, True)):
+        if name != "welcome":
+            page.run(TELL, [json.dumps(text) for text in texts_of(segment, connected=connected)])
         metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
         browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
         for tab in page.run(TABS) or [""]:
             if tab:
                 page.run("document.getElementById(arguments[0]).click()", tab)
-            found[width, tab] = page.run(CUT)
+            found[width, connected, tab] = page.run(CUT)
+    if name in ("panel", "space"):
+        page.wait("!document.querySelector('task-widget').hidden", "the task over the picture")
     # Without npm, the layout alone.
     if AXE.exists():
         page.run(AXE.read_text())

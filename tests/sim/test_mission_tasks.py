@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mission import Mission
 
+from telepresence.haptics.board import LIGHTS_M
 from telepresence.haptics.sample import MODE_OFF
 from telepresence.tasks.experiment import Experiment, Phase, RunStep, TaskRun
 from telepresence.tasks.kernel import PowerRobot, View
@@ -47,6 +48,38 @@ def test_every_task_is_done_and_each_step_is_logged_once_in_order(skill, tasks):
         assert_at_rest(mission)
         assert len(mission.records) == 2 * number
     assert mission.panel.mode is PanelMode.WAIT_TASK
+
+
+def test_the_panel_says_what_to_do_how_far_it_is_and_how_much_time_is_left():
+    mission, seen = Mission(skill=1.0), []
+
+    def done():
+        view = mission.panel.view
+        if view.left_s is not None:
+            seen.append(view)
+        return mission.runs
+
+    for task in ("aiming", "pursuit", "contour", "spring"):
+        mission.runs.clear()
+        assert mission.experiment.select(task, mission.now_ns) == ""
+        assert mission.run(240, until=done)
+        mission.run(3)
+    by_task = {task: [one for one in seen if one.task == task] for task in ("aiming", "contour")}
+    waited = [one for one in by_task["aiming"] if one.goal == ""]
+    assert 170.0 < waited[0].left_s <= 180.0 and waited[-1].left_s < waited[0].left_s
+    aimed = [one for one in by_task["aiming"] if one.goal]
+    lit = {(one.step, one.steps): one.target_m for one in aimed}
+    expected = [LIGHTS_M[led] for led in (7, 0, 5, 0)]
+    assert list(lit) == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert [*map(list, lit.values())] == [pytest.approx(place, abs=1e-6) for place in expected]
+    # Each is held for half a second, which the panel counts.
+    assert {one.hold_s for one in aimed} == {0.5} and max(one.held_s for one in aimed) > 0.3
+    spots = [one.target_m for one in seen if one.goal == "eight"]
+    assert len({*spots}) > 900 and all(abs(y_m) <= 0.024 for _, y_m in spots)
+    percents = [one.percent for one in by_task["contour"] if one.goal == "contour"]
+    assert percents == sorted(percents) and percents[-1] >= 80
+    (force_n,) = {one.force_n for one in seen if one.goal == "spring"}
+    assert force_n == 3.0
 
 
 def test_a_trained_cosmonaut_is_faster_and_nearer():

@@ -13,6 +13,8 @@ from telepresence.tmtc.k2aci import (
     PanelState,
     StartTask,
     TaskFinished,
+    TaskGoal,
+    TaskProgress,
     TaskResult,
     TaskSelected,
     pack_body,
@@ -36,6 +38,25 @@ GOLDEN = [
     (
         "86 05 1affffffff 09 09 69 63 6f736d6f6e617574 62 c3bc",
         Numbered((1 << 32) - 1, 9, 9, Chat(sender=ChatRole.COSMONAUT, text="ü")),
+    ),
+    (
+        # [6, 0, 0, 0, 1, "reach", 2, 4, [-45000, 0], 0, 0, 0, 500, 1, 60000]
+        "8f 06 00 00 00 01 65 7265616368 02 04 82 39afc7 00 00 00 00 1901f4 01 19ea60",
+        Numbered(
+            0,
+            0,
+            0,
+            TaskProgress(
+                run=1,
+                goal=TaskGoal.REACH,
+                step=2,
+                steps=4,
+                place_um=(-45_000, 0),
+                hold_ms=500,
+                held_ms=1,
+                left_ms=60_000,
+            ),
+        ),
     ),
     ("83 00 190102 07", Acknowledgement(258, 7)),
 ]
@@ -69,7 +90,8 @@ def test_the_longest_message_fits() -> None:
         "83 00 20 07",  # a negative life
         "9f 00 01 07 ff",  # an array without its length
         "84 00 01 07 07",
-        "86 06 00 00 00 6161 01",  # an unknown kind
+        "86 07 00 00 00 6161 01",  # an unknown kind
+        "8f 06 00 00 00 01 65 6569676874 01 01 820000 00 00 00 00 00 00",  # a spot without a turn
         "86 f5 00 00 00 6161 01",  # true instead of a kind
         "86 02 00 00 01 6161 01",  # the oldest above the number
         "86 02 00 00 00 60 01",  # no name

@@ -144,7 +144,7 @@ class Page {
       signal: through,
       joystick: seat === "space" ? joystick : null,
       safety: seat === "ground" ? own : heard === null ? before : { ...before, stopped: heard.stopped, waiting: heard.waiting },
-      hand: { holder: world.holder, you: seat === "space" && world.holder === 1, wanted_by: null },
+      hand: { holder: world.holder, you: seat === "space" && world.holder === 1, wanted_by: null, who: world.holder === null ? "" : "operator", asks: "" },
     };
     if (seat === "ground") {
       this.robot = { powered: world.powered, mode: world.mode, error: world.fault === "" ? "none" : "force", fault: world.fault };

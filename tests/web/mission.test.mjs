@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./modules.mjs";
 
-const { Telemetry, ageS, isOld, valueText } = await load("telemetry.js");
+const { Telemetry, ageS, alarmsOf, isOld, valueText } = await load("telemetry.js");
 const { agoText } = await load("wording.js");
 
 const value = (at_us, known = 1) => ({ application: "a", name: "x", value: known, level: "good", at_us });
@@ -30,6 +30,26 @@ test("a value is old after two and a half of its reports, at least three seconds
 test("values are read as they are, and nothing stands for what is no number", () => {
   assert.deepEqual([0.0123456, 7, true, "halted", null, undefined].map(valueText), ["0.012346", "7", "yes", "halted", "–", "–"]);
   assert.deepEqual([0.24, 12.2, 125, null].map(agoText), ["0.2 s", "12 s", "02:05", "–"]);
+});
+
+test("alarms are what is beyond a limit or in a bad state now, the worst first", () => {
+  const told = new Told();
+  const telemetry = new Telemetry(told);
+  const parameters = ["heat", "state", "place"].map((name) => ({ name, unit: name === "heat" ? "degC" : "" }));
+  const structures = [{ name: "all", parameters: parameters.map(({ name }) => name), interval_s: 1, on: true }];
+  const applications = [{ name: "joystick", end: "ground", parameters, structures, functions: [] }];
+  Object.assign(told, { alive: true, hello: { seat: "ground" }, state: null, robot: null });
+  told.tell("hello", { applications });
+  const values = [
+    ["heat", 61, "warn"],
+    ["state", "fatal error", "none"],
+    ["place", 0, "good"],
+  ].map(([name, known, level]) => ({ application: "joystick", name, value: known, level, at_us: 1e6 }));
+  told.tell("values", { values });
+  const words = (nowUs) => alarmsOf(telemetry, nowUs).map(({ level, words: text }) => `${level} ${text}`);
+  assert.deepEqual(words(2e6), ["bad joystick: state fatal error", "warn joystick: heat 61 degC"]);
+  // What was heard long ago is no alarm of now.
+  assert.deepEqual(words(9e6), []);
 });
 
 test("another session's values are forgotten, and each parameter has its report", () => {

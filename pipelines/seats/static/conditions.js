@@ -65,7 +65,7 @@ export function whyStill(known) {
 export function handTile(known) {
   const { alive, state, hello } = known;
   if (!alive || state === null || hello === null) return { label: "Handle", value: "–", level: "none" };
-  const { holder, you } = state.hand;
+  const { holder, you, who } = state.hand;
   if (hello.joystick !== "page") return { label: "Handle", value: hello.joystick.toUpperCase(), level: "none" };
   if (you && state.joystick?.dead_man !== true) return { label: "Handle", value: "YOU HAVE IT", level: "good" };
   if (you) {
@@ -75,11 +75,12 @@ export function handTile(known) {
   }
   if (holder === null) return { label: "Handle", value: "NOBODY", level: "none" };
   if (hello.seat === "ground") return { label: "Handle", value: "IN SPACE", level: "none" };
-  return { label: "Handle", value: "ANOTHER PAGE", level: "warn" };
+  return { label: "Handle is with", value: who.toUpperCase(), level: "warn" };
 }
 
 /** Whether the robot may follow the hand, and why not. @param {Known} known @returns {{words: string, level: Level}} */
 export function robotWords(known) {
+  if (known.ended) return { words: "This session has ended. Open the address that the new one prints.", level: "warn" };
   const safety = known.alive ? (known.state?.safety ?? null) : null;
   if (safety === null) return { words: "Nobody says whether the robot may move.", level: "none" };
   const { stopped, by, waiting, hold } = safety;
@@ -112,7 +113,7 @@ export function panelShown(known, { mode, words }) {
  */
 export function joystickWords({ state, reason, test, test_reason: why }, away) {
   if (test === "running") {
-    const where = away ? "At the handle (the page Seat or Panel, or the joystick): " : "";
+    const where = away ? "At the handle (the page Operator or Panel, or the joystick): " : "";
     return `Functional test: ${where}${reason}`;
   }
   if (test === "none" || reason !== "" || state === "application") return reason;

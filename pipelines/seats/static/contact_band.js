@@ -60,7 +60,7 @@ class ContactBand extends HTMLElement {
     const untilS = figures.number("contact.until_loss_s");
     this.#pass.hidden = sinceS === null || untilS === null;
     if (sinceS === null || untilS === null) {
-      setText(this.#words, "no pass: the channel does not end");
+      setText(this.#words, "no loss of signal planned");
       return;
     }
     const lossS = sinceS + untilS;

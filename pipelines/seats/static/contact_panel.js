@@ -44,8 +44,8 @@ class ContactPanel extends HTMLElement {
     showWay(this.#downlink, alive ? figures.get("gateways.ground.supervision.signal") : null);
     const sinceS = figures.number("contact.since_acquisition_s");
     const untilS = figures.number("contact.until_loss_s");
-    setText(this.#since, sinceS === null ? "no pass" : minutes(sinceS));
-    setText(this.#until, untilS === null ? "no pass" : minutes(untilS));
+    setText(this.#since, sinceS === null ? "–" : minutes(sinceS));
+    setText(this.#until, untilS === null ? "none planned" : minutes(untilS));
     const level = untilS === null ? "none" : untilS < 10 ? "bad" : untilS < 60 ? "warn" : "good";
     this.#until.dataset.level = level;
   }

@@ -32,7 +32,7 @@ class ExperimentPanel extends HTMLElement {
     const planned = make("p", { class: "small quiet", hidden: true }, "A plan selects the tasks of this session.");
     this.append(
       make("header", {}, make("h2", {}, "Experiment"), this.#phase),
-      make("dl", { class: "values" }, ...row("Task", this.#task), ...row("Operation", this.#elemop), ...row("Panel in space", this.#panel)),
+      make("dl", { class: "values" }, ...row("Task", this.#task), ...row("Now", this.#elemop), ...row("Panel in space", this.#panel)),
       make("div", { class: "buttons" }, this.#start, this.#abort),
       this.#answer,
       make("h2", {}, "Tasks"),
@@ -60,7 +60,7 @@ class ExperimentPanel extends HTMLElement {
     this.dataset.phase = phase;
     setText(this.#phase, words);
     setText(this.#task, task === "" ? "–" : `${nameText(task)}, run ${run}`);
-    setText(this.#elemop, elemop || "–");
+    setText(this.#elemop, elemop === "" ? "–" : nameText(elemop));
     setText(this.#panel, PANEL_WORDS[panel] ?? (panel || "not known"));
     const mayAct = this.#seat?.connection.mayAct === true;
     this.#start.disabled = !mayAct || phase !== "offered";

@@ -84,8 +84,8 @@ export class HandControl extends EventTarget {
     if (!alive || hello === null || state === null) return this.#connection.hindrance || "the server does not answer";
     if (hello.joystick !== "page") return `the joystick "${hello.joystick}" steers`;
     if (!mayAct) return "a viewer may watch only";
-    const { holder, you } = state.hand;
-    return holder === null || you ? "" : "another page has the handle: ask for it";
+    const { holder, you, who } = state.hand;
+    return holder === null || you ? "" : `${who} has the handle: ask for it`;
   }
 
   /** Presses the dead-man switch; a free handle is taken. Returns whether the press counts. @param {Source} source */

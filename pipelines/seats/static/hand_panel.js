@@ -3,7 +3,7 @@
  * and how to steer it.
  *
  * @import { Seat } from "./seat.js"
- * @import { StateText } from "./texts.js"
+ * @import { PanelText, StateText } from "./texts.js"
  */
 import { announce } from "./announcer.js";
 import { AxisSliders } from "./axis_sliders.js";
@@ -47,6 +47,8 @@ class HandPanel extends HTMLElement {
   #newest = null;
   /** Where a task begins, while that counts. @type {{xM: number, yM: number} | null} */
   #start = null;
+  /** What the panel shows. @type {PanelText | null} */
+  #task = null;
   /** What the last request came to. */
   #answer = "";
 
@@ -84,7 +86,11 @@ class HandPanel extends HTMLElement {
     newest.onchange = redraw;
     control.addEventListener("target", redraw);
     connection.on("hello", redraw);
-    connection.on("panel", ({ mode, start_m: [xM, yM] }) => {
+    connection.on("panel", (panel) => {
+      const { mode, start_m: [xM, yM] } = panel;
+      const moved = panel.goal !== this.#task?.goal || String(panel.target_m) !== String(this.#task.target_m);
+      this.#task = panel;
+      if (moved) redraw();
       const start = AT_START.has(mode) ? { xM, yM } : null;
       if (start?.xM === this.#start?.xM && start?.yM === this.#start?.yM) return;
       this.#start = start;
@@ -137,6 +143,7 @@ class HandPanel extends HTMLElement {
       handle,
       target: target === null ? null : { xM: target.x * half_width_m, yM: target.y * half_height_m },
       start: this.#start,
+      task: this.#task,
     });
     this.#bar.show(this.#newest?.forceN ?? null, handle?.contact ?? false);
   }
@@ -163,13 +170,13 @@ class HandPanel extends HTMLElement {
     if (connection === undefined || control === null) return;
     const { alive, hello, state, mayAct } = connection;
     const usable = alive && state !== null && hello?.joystick === "page" && mayAct;
-    const hand = state?.hand ?? { holder: null, you: false, wanted_by: null };
+    const hand = state?.hand ?? { holder: null, you: false, wanted_by: null, who: "", asks: "" };
     this.#buttons.take.hidden = !usable || hand.holder !== null;
     this.#buttons.ask.hidden = !usable || hand.you || hand.holder === null;
     this.#buttons.give.hidden = !usable || !hand.you;
     this.#buttons.refuse.hidden = !usable || !hand.you || hand.wanted_by === null;
     const wanted = hand.you && hand.wanted_by !== null;
-    setText(this.#buttons.give, wanted ? "Give it to the other page" : ACTIONS.give);
+    setText(this.#buttons.give, wanted ? `Give it to ${hand.asks}` : ACTIONS.give);
     this.#buttons.give.classList.toggle("main", wanted);
     this.#showWords(control, hand);
     const steers = String(control.source !== null);
@@ -199,7 +206,7 @@ class HandPanel extends HTMLElement {
     let words = hand.you ? "you have it" : "free";
     if (hindrance !== "") words = hindrance;
     else if (control.source !== null) words = this.#steering();
-    if (hand.you && hand.wanted_by !== null) words = "another page asks for it";
+    if (hand.you && hand.wanted_by !== null) words = `${hand.asks} asks for it`;
     if (words !== this.#words.textContent && hand.wanted_by !== null) announce(words);
     setText(this.#words, words);
     setText(this.#hint, control.refusal || this.#answer || (hindrance === "" ? this.#advice() : ""));

@@ -1,6 +1,6 @@
 /**
  * `<joystick-panel>`: the joystick's state, and the few requests that a person may make. With
- * `telecommands` they go by telecommand, which is verified, and the functional test is one of them.
+ * `telecommands` they go by telecommand, which is verified, and its application is chosen here.
  *
  * The joystick decides which requests it takes; the next one that makes sense is marked.
  *
@@ -22,8 +22,12 @@ const REQUESTS = [
   ["acknowledge", "Acknowledge"],
 ];
 
-/** @type {[JoystickRequest, string]} */
-const TEST = ["test", "Functional test"];
+/** What the joystick is used for, in the place of start and stop. @type {[JoystickRequest, string][]} */
+const APPLICATIONS = [
+  ["start", "German experiment"],
+  ["test", "Joystick test"],
+  ["stop", "Stop experiment"],
+];
 
 /** By state: what a person would do next. @type {Record<string, JoystickRequest>} */
 const NEXT = {
@@ -59,19 +63,14 @@ class JoystickPanel extends HTMLElement {
   /** @param {Seat} seat */
   follow(seat) {
     this.#seat = seat;
-    const buttons = make("div", { class: "buttons" });
-    for (const [event, words] of this.hasAttribute("telecommands") ? [...REQUESTS, TEST] : REQUESTS) {
-      const button = make("button", { type: "button", "data-joystick": event }, words);
-      if (event === "halt") button.classList.add("danger");
-      button.addEventListener("click", () => void this.#request(event));
-      this.#buttons.set(event, button);
-      buttons.append(button);
-    }
+    const chosen = this.hasAttribute("telecommands") ? APPLICATIONS : [];
+    const others = REQUESTS.filter(([event]) => !chosen.some(([one]) => one === event));
     this.append(
       make("header", {}, make("h2", {}, "Joystick"), this.#limit),
       make("div", { class: "joystick-line" }, this.#state, this.#dead),
       this.#reason,
-      buttons,
+      ...(chosen.length > 0 ? [make("h2", {}, "Application"), this.#row(chosen), make("h2", {}, "Joystick itself")] : []),
+      this.#row(others),
       this.#answer,
     );
     seat.keyboard.add({ keys: ["x"], what: "halt the joystick", down: () => void this.#request("halt") });
@@ -80,6 +79,19 @@ class JoystickPanel extends HTMLElement {
     seat.connection.on("state", show);
     seat.connection.on("lost", show);
     show();
+  }
+
+  /** @param {[JoystickRequest, string][]} requests */
+  #row(requests) {
+    const buttons = make("div", { class: "buttons" });
+    for (const [event, words] of requests) {
+      const button = make("button", { type: "button", "data-joystick": event }, words);
+      if (event === "halt") button.classList.add("danger");
+      button.addEventListener("click", () => void this.#request(event));
+      this.#buttons.set(event, button);
+      buttons.append(button);
+    }
+    return buttons;
   }
 
   /** @param {JoystickRequest} event */

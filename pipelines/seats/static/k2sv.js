@@ -1,4 +1,5 @@
 /** The supervisor's page: the state of every system, and what the systems operator looks after. */
+import "./alarm_list.js";
 import "./chat_panel.js";
 import "./command_log.js";
 import "./contact_band.js";

@@ -31,7 +31,7 @@ class LinkTable extends HTMLElement {
     const units = make("tr", { class: "units" }, make("th", { scope: "col" }, "queue"));
     for (const direction of DIRECTIONS) {
       head.append(make("th", { scope: "colgroup", colspan: "2" }, direction));
-      units.append(make("th", { scope: "col" }, "oldest, ms"), make("th", { scope: "col" }, "octets"));
+      units.append(make("th", { scope: "col" }, "oldest, ms"), make("th", { scope: "col" }, "bytes"));
     }
     const body = make("tbody");
     for (const { level, name } of LEVELS) {

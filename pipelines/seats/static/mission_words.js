@@ -9,7 +9,7 @@ export const PANEL_WORDS = {
   move_to_start: "Go to the start",
   hold: "Hold it there",
   press_deadman: "Press now",
-  running: "Telepresence",
+  running: "Do the task",
   finished: "Finished",
   error: "Ended",
 };
@@ -19,6 +19,19 @@ export const BUTTON_WORDS = { task_info: "I have read it", finished: "Next task"
 
 /** The states in which the start position counts. */
 export const AT_START = new Set(["task_info", "move_to_start", "hold", "press_deadman"]);
+
+/** By goal of a run: what to do now. @type {Record<string, string>} */
+export const GOAL_WORDS = {
+  reach: "Move to the marked LED and hold still",
+  circle: "Stay on the moving spot",
+  eight: "Stay on the moving spot",
+  contour: "Follow the groove",
+  line: "Trace the line",
+  spring: "Pull the spring to the mark",
+  hands: "Push the partner's hand",
+  ball: "Take or pass the ball",
+  free: "Explore the board",
+};
 
 /** By phase of the experiment. @type {Record<string, string>} */
 export const PHASE_WORDS = {

@@ -8,12 +8,12 @@ import { make } from "./dom.js";
 /** By end: address and name of its pages. @type {Record<string, [string, string][]>} */
 const PAGES = {
   space: [
-    ["space", "Seat"],
+    ["space", "Operator"],
     ["panel", "Panel"],
     ["k2cp", "K2CP"],
   ],
   ground: [
-    ["ground", "Ground control"],
+    ["ground", "Ground"],
     ["top", "TOP-UI"],
     ["k2sv", "K2SV"],
   ],
@@ -29,6 +29,7 @@ class PageLinks extends HTMLElement {
       const links = shown.map(([page, name]) =>
         make("a", { href: `${location.origin}/${page}?token=${token}`, ...(page === here ? { "aria-current": "page" } : {}) }, name),
       );
+      links.unshift(make("a", { href: `${location.origin}/?token=${token}`, title: "Choose another seat" }, "Seats"));
       this.replaceChildren(make("nav", { "aria-label": "Pages of this end" }, ...links));
     });
   }

@@ -8,6 +8,7 @@ import "./panel_text.js";
 import "./picture_view.js";
 import "./status_tiles.js";
 import "./stop_control.js";
+import "./task_widget.js";
 import { startSeat } from "./seat.js";
 
 startSeat();

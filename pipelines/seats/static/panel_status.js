@@ -11,15 +11,16 @@ import { panelShown } from "./conditions.js";
 import { holdsDeadMan } from "./controller_hand.js";
 import { make, setText } from "./dom.js";
 import { BUTTON_WORDS, PANEL_WORDS } from "./mission_words.js";
+import { nameText } from "./wording.js";
 
-const HOLD_S = 3;
 const LOOK_MS = 30;
 
 class PanelStatus extends HTMLElement {
   #mode = make("strong", { class: "panel-mode" }, "–");
   #words = make("p", { class: "panel-words", role: "status" });
   #away = make("p", { class: "panel-away", hidden: true });
-  #held = make("progress", { max: String(HOLD_S), value: "0", "aria-label": "Held", hidden: true });
+  #held = make("progress", { value: "0", "aria-label": "Held", hidden: true });
+  #left = make("p", { class: "small quiet", hidden: true });
   #button = make("button", { type: "button", class: "main", id: "panel-button", hidden: true });
   #label = make("span");
   #error = make("p", { class: "small", role: "alert", "data-level": "bad" });
@@ -34,7 +35,7 @@ class PanelStatus extends HTMLElement {
     this.#seat = seat;
     const { connection, keyboard } = seat;
     this.#button.append(this.#label, make("kbd", {}, "Enter"));
-    this.append(make("header", {}, make("h2", {}, "What to do"), this.#mode), this.#words, this.#away, this.#held, this.#button, this.#error);
+    this.append(make("header", {}, make("h2", {}, "What to do"), this.#mode), this.#words, this.#away, this.#held, this.#left, this.#button, this.#error);
     this.#button.addEventListener("click", () => void this.#press());
     keyboard.add({ keys: ["enter"], shown: "Enter", what: "the panel's button", down: () => void this.#press() });
     this.#followController();
@@ -55,7 +56,7 @@ class PanelStatus extends HTMLElement {
     const connection = this.#seat?.connection;
     const panel = this.#panel;
     if (panel === null || connection === undefined) return;
-    const { held_s: heldS, distance_m: distanceM } = panel;
+    const { held_s: heldS, hold_s: holdS, distance_m: distanceM, left_s: leftS } = panel;
     const { mode, words } = panelShown(connection, panel);
     if (this.dataset.mode !== mode) {
       this.dataset.mode = mode;
@@ -63,11 +64,15 @@ class PanelStatus extends HTMLElement {
       announce(words);
     }
     setText(this.#mode, PANEL_WORDS[mode] ?? mode);
-    setText(this.#words, words);
+    setText(this.#words, nameText(words));
     this.#away.hidden = mode !== "move_to_start";
     setText(this.#away, `${(1000 * distanceM).toFixed(0)} mm from it`);
     this.#held.hidden = mode !== "hold";
-    this.#held.value = Math.min(HOLD_S, heldS);
+    this.#held.max = holdS || 1;
+    this.#held.value = Math.min(this.#held.max, heldS);
+    this.#left.hidden = leftS === null || !connection.alive || mode === "no_contact";
+    const what = mode === "running" ? "left" : "to begin";
+    setText(this.#left, leftS === null ? "" : `${Math.ceil(leftS)} s ${what}`);
     const does = BUTTON_WORDS[mode];
     this.#button.hidden = does === undefined;
     this.#button.disabled = this.#asking || !connection.alive || !connection.mayAct;

@@ -57,7 +57,7 @@ class ParameterTable extends HTMLElement {
           const cells = [
             make("th", { scope: "row", title: parameter.text }, nameText(parameter.name)),
             value,
-            make("td", { class: "unit" }, parameter.unit),
+            make("td", { class: "unit" }, parameter.unit.replace("octet", "byte")),
             limit,
             age,
           ];

@@ -10,7 +10,7 @@ const ENDS = ["space", "ground"];
 /** Name and figure of each row. @type {[string, string][]} */
 const ROWS = [
   ["packets sent", "pus_sent"],
-  ["octets sent", "pus_sent_octets"],
+  ["bytes sent", "pus_sent_octets"],
   ["packets received", "pus_received"],
   ["garbage", "pus_garbage"],
   ["delayed for the pictures' share", "pus_delayed"],

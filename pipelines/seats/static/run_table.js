@@ -20,7 +20,7 @@ class RunTable extends HTMLElement {
       if (shown === this.#shown) return;
       this.#shown = shown;
       body.replaceChildren(
-        ...runs.toReversed().map(({ task, run, result, reason, seconds }) => {
+        ...runs.toReversed().map(({ task, run, result, reason, seconds, score }) => {
           const level = result === "finished" ? "good" : "bad";
           const words = RESULT_WORDS[result] ?? result;
           return make(
@@ -28,7 +28,7 @@ class RunTable extends HTMLElement {
             { "data-result": result },
             make("td", { class: "number" }, String(run)),
             make("th", { scope: "row" }, nameText(task)),
-            make("td", { "data-level": level }, reason === "" ? words : `${words}: ${reason}`),
+            make("td", { "data-level": level }, [words, nameText(reason || score)].filter(Boolean).join(": ")),
             make("td", { class: "number" }, seconds === null ? "–" : `${seconds.toFixed(1)} s`),
           );
         }),

@@ -11,17 +11,17 @@ import { clockText } from "./wording.js";
 class SessionControl extends HTMLElement {
   #state = make("output", { class: "session-state" }, "–");
   #time = make("span", { class: "number", title: "session time" });
-  #start = make("button", { type: "button", id: "session-start" }, "Start");
-  #stop = make("button", { type: "button", id: "session-stop" }, "Stop…");
+  #start = make("button", { type: "button", id: "session-start", hidden: true }, "Start session");
+  #stop = make("button", { type: "button", id: "session-stop" }, "End session…");
   #error = make("span", { class: "refusal", role: "alert" });
   #dialog = make("dialog", { id: "session-ask", "aria-labelledby": "session-ask-title" });
 
   /** @param {Seat} seat */
   follow({ connection }) {
-    const confirm = make("button", { type: "button", class: "danger", id: "session-stop-confirm" }, "Stop the session");
+    const confirm = make("button", { type: "button", class: "danger", id: "session-stop-confirm" }, "End the session");
     const cancel = make("button", { type: "button", autofocus: true }, "Let it run");
     this.#dialog.append(
-      make("h2", { id: "session-ask-title" }, "Stop the session?"),
+      make("h2", { id: "session-ask-title" }, "End the session?"),
       make("p", {}, "Pictures, voices and the hand end at both seats. It can be started again from here."),
       make("div", { class: "buttons" }, cancel, confirm),
     );
@@ -46,7 +46,7 @@ class SessionControl extends HTMLElement {
     this.#stop.hidden = state === "stopped";
     this.#start.disabled = !mayAct || state === null;
     this.#stop.disabled = !mayAct || state === null;
-    const why = mayAct ? null : "who watches only cannot start or stop the session";
+    const why = mayAct ? null : "who watches only cannot start or end the session";
     setAttribute(this.#start, "title", why);
     setAttribute(this.#stop, "title", why);
   }

@@ -13,6 +13,7 @@ import "./picture_view.js";
 import "./senses_panel.js";
 import "./status_tiles.js";
 import "./stop_control.js";
+import "./task_widget.js";
 import { startSeat } from "./seat.js";
 
 startSeat();

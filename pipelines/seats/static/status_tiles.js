@@ -73,17 +73,15 @@ class HandTile extends Tile {
   }
 }
 
-/** By role: what stands beside the page's number. @type {Record<string, string>} */
-const PEOPLE = { operator: "", systems: " · systems operator", viewer: " · WATCHES ONLY" };
-
-/** `<seat-name>`: session, setup, page and role. */
+/** `<seat-name>`: the setup, and who sits here. */
 class SeatName extends HTMLElement {
   /** @param {Seat} seat */
   follow({ connection }) {
     const role = make("span", { class: "quiet small" });
     this.append(role);
-    connection.on("hello", ({ setup, page, role: may }) => {
-      setText(role, `${setup} · page ${page}${PEOPLE[may] ?? ` · ${may}`}`);
+    connection.on("hello", ({ setup, page, name, role: may }) => {
+      setText(role, `${setup} · ${name}${may === "viewer" ? ", WATCHES ONLY" : ""}`);
+      this.dataset.page = String(page);
     });
   }
 }

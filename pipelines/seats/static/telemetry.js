@@ -6,6 +6,7 @@
  * @import { ApplicationText, Figure, Level, ParameterText, StructureText, ValueText } from "./texts.js"
  */
 import { hindranceOf, ownValues } from "./conditions.js";
+import { nameText } from "./wording.js";
 
 /** Reports in a row that may be missing before a value counts as old. */
 const MISSED = 2.5;
@@ -110,6 +111,22 @@ const LEVELS = {
   speed: "bad",
   other: "bad",
 };
+
+/**
+ * What is beyond a limit or in a bad state now, the worst first, in words.
+ * @param {Telemetry} telemetry @param {number | null} nowUs
+ */
+export function alarmsOf(telemetry, nowUs) {
+  const found = telemetry.entries().flatMap(({ application, parameter, structure, value }) => {
+    if (value === null || telemetry.isPast(application, structure, ageS(value, nowUs))) return [];
+    const text = valueText(value.value);
+    const level = value.level === "none" || value.level === "good" ? (LEVELS[text] ?? "none") : value.level;
+    if (level !== "warn" && level !== "bad") return [];
+    const words = `${nameText(application.name)}: ${nameText(parameter.name)} ${text} ${parameter.unit ?? ""}`;
+    return [{ level, words: words.trim() }];
+  });
+  return found.toSorted((one, other) => Number(other.level === "bad") - Number(one.level === "bad"));
+}
 
 /**
  * What a row says; null: the session has no such part.

@@ -40,9 +40,11 @@
  */
 
 /**
- * The robot's task board; its middle is (0, 0). lights_m: of the LED panel, with tasks.
+ * The robot's task board; its middle is (0, 0). With tasks, lights_m: of the LED panel; paths_m:
+ * by goal, the way that is to be followed; spring_m: where the spring begins.
  * @typedef {{width_m: number, height_m: number, wall_x_m: number, leds_m: [number, number][],
- *   lights_m: [number, number][]}} BoardText
+ *   lights_m: [number, number][], paths_m: Record<string, [number, number][]>, spring_m: [number,
+ *   number]}} BoardText
  */
 
 /**
@@ -79,13 +81,13 @@
  */
 
 /**
- * The first text of a connection. page: its number.
+ * The first text of a connection. page: its number. name: who sits there.
  * @typedef {{kind: "hello", seat: "ground" | "space", setup: string, session: string, streams:
  *   StreamText[], cameras: CameraText[], previews: PreviewText[], inputs: InputText[], joystick:
  *   string, workspace: WorkspaceText, board: BoardText, caps: Record<string, number>,
  *   applications: ApplicationText[], passes: PassText[], tasks: boolean, task_list: TaskText[],
  *   role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "viewer", page:
- *   number, now_us: number}} HelloText
+ *   number, name: string, now_us: number}} HelloText
  */
 
 /**
@@ -109,8 +111,10 @@
  */
 
 /**
- * Who holds the handle, and who asks for it, by numbers of pages.
- * @typedef {{holder: number | null, you: boolean, wanted_by: number | null}} HandText
+ * Who holds the handle, and who asks for it, by numbers of pages. who, asks: their names; "" for
+ * nobody, and at the other end.
+ * @typedef {{holder: number | null, you: boolean, wanted_by: number | null, who: string, asks:
+ *   string}} HandText
  */
 
 /**
@@ -207,7 +211,8 @@
  * The panel, as `telepresence.tasks.panel.PanelView` has it; handle_m: where the handle is.
  * @typedef {{kind: "panel", mode: string, task: string, run: number, text: string, words: string,
  *   start_m: [number, number], distance_m: number, held_s: number, handle_m: [number, number],
- *   dead_man: boolean}} PanelText
+ *   dead_man: boolean, hold_s: number, left_s: number | null, goal: string, target_m: [number,
+ *   number] | null, step: number, steps: number, percent: number, force_n: number}} PanelText
  */
 
 /**
@@ -221,9 +226,9 @@
  */
 
 /**
- * A run that is over. seconds: from its start; None if it never started.
- * @typedef {{task: string, run: number, result: string, reason: string, seconds: number | null}}
- *   RunShown
+ * A run that is over. seconds: from its start; None if it never started. score: in words.
+ * @typedef {{task: string, run: number, result: string, reason: string, seconds: number | null,
+ *   score: string}} RunShown
  */
 
 /**
@@ -250,6 +255,15 @@
  *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,
  *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number], holds:
  *   boolean}} RobotText
+ */
+
+/**
+ * What the page where people choose a page must know; it stands in that page itself. seat: the end
+ * that serves it. ports: by end, of those on this machine. tasks: whether the session has any.
+ * people: by role, its token, for the owner to hand out; none for others.
+ * @typedef {{role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" |
+ *   "viewer", seat: "ground" | "space", ports: Record<string, number>, tasks: boolean, people:
+ *   Record<string, string>}} WelcomeText
  */
 
 /** @typedef {HelloText

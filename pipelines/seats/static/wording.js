@@ -64,7 +64,7 @@ export function countText(value) {
  * @param {string} name
  */
 export function nameText(name) {
-  return name.replaceAll("_", " ");
+  return name.replaceAll("_", " ").replace(/([a-z])([A-Z])/g, (_, end, begin) => `${end} ${begin.toLowerCase()}`);
 }
 
 /**

@@ -2,7 +2,7 @@
  * A map of the workspace: wall, LEDs, handle, where the hand wants it, and the force as an arrow
  * at the stylus. y is up.
  *
- * @import { BoardText } from "./texts.js"
+ * @import { BoardText, PanelText } from "./texts.js"
  */
 import { FAINT_N, FULL_N, drawArrow } from "./force_view.js";
 import { SharpCanvas } from "./sharp_canvas.js";
@@ -16,6 +16,7 @@ import { colour } from "./theme.js";
  * @property {{xM: number, yM: number, forceXN: number, forceYN: number, contact: boolean, lit: number | null} | null} handle
  * @property {{xM: number, yM: number} | null} target
  * @property {{xM: number, yM: number} | null} start Where a task begins.
+ * @property {PanelText | null} [task] What is to be done in a run.
  */
 
 /** The LEDs' names, as they stand on the board. */
@@ -65,7 +66,7 @@ export class WorkspaceMap {
   }
 
   /** @param {Scene} scene */
-  #draw({ workspace, board, handle, target, start }) {
+  #draw({ workspace, board, handle, target, start, task = null }) {
     const { width, height } = this.#sharp;
     if (width === 0) return;
     const context = this.#sharp.cleared();
@@ -144,6 +145,7 @@ export class WorkspaceMap {
     });
     context.font = "11px system-ui, sans-serif";
 
+    if (task !== null && task.goal !== "") drawGoal(context, task, board, across, down, paint("--force"));
     if (start !== null) {
       const [x, y] = [across(start.xM), down(start.yM)];
       context.strokeStyle = context.fillStyle = paint("--accent");
@@ -189,6 +191,37 @@ export class WorkspaceMap {
     context.strokeStyle = context.fillStyle = paint("--force");
     drawArrow(context, x, y, handle.forceXN * newton, -handle.forceYN * newton, 4);
   }
+}
+
+/**
+ * Draws what a task is about: the way, and what is to be reached now.
+ * @param {CanvasRenderingContext2D} context @param {PanelText} task @param {BoardText} board
+ * @param {(xM: number) => number} across @param {(yM: number) => number} down @param {string} paint
+ */
+function drawGoal(context, { goal, target_m: target }, board, across, down, paint) {
+  const way = board.paths_m?.[goal] ?? [];
+  context.save();
+  context.strokeStyle = context.fillStyle = paint;
+  context.lineWidth = 2;
+  context.setLineDash(target === null ? [] : [3, 5]);
+  context.beginPath();
+  for (const [xM, yM] of way) context.lineTo(across(xM), down(yM));
+  if (goal === "contour") context.closePath();
+  context.stroke();
+  context.setLineDash([]);
+  const at = goal === "spring" ? (board.spring_m ?? null) : target;
+  if (at !== null) {
+    const [x, y] = [across(at[0]), down(at[1])];
+    context.beginPath();
+    context.arc(x, y, 5, 0, 2 * Math.PI);
+    context.fill();
+    context.lineWidth = 2.5;
+    context.beginPath();
+    context.arc(x, y, 11, 0, 2 * Math.PI);
+    context.stroke();
+    if (goal === "spring") drawArrow(context, x - 14, y, -26, 0, 4);
+  }
+  context.restore();
 }
 
 /** On which side of `x` a word has room. @param {number} x @param {number} width @returns {CanvasTextAlign} */

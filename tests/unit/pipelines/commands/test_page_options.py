@@ -40,23 +40,18 @@ def test_an_address_has_a_host_or_only_a_port():
             parse_page(wrong)
 
 
-def test_the_addresses_are_printed_and_kept_for_the_user_alone(capsys, root):
+def test_one_address_is_printed_and_all_are_kept_for_the_user_alone(capsys, root):
     wish = bound_pages(options())
     with announced_pages(wish, "taskboard-1", quiet=False) as pages:
         kept = json.loads((root / "pages.json").read_text())
         assert stat.S_IMODE((root / "pages.json").stat().st_mode) == 0o600
+        assert kept["pages"] == pages["page_space"].url("")
         assert kept["space"] == pages["page_space"].url("space")
         assert kept["ground"] == pages["page_ground"].url("ground")
         assert kept["k2sv"] == pages["page_ground"].url("k2sv", role="supervisor")
     printed = capsys.readouterr().out.splitlines()
-    assert printed == [
-        f"space   {kept['space']}",
-        f"ground  {kept['ground']}",
-        f"k2cp    {kept['k2cp']}",
-        f"k2sv    {kept['k2sv']}",
-        f"systems {kept['systems']}",
-        f"to watch only: token={kept['viewer_token']}",
-    ]
+    watch = kept["pages"].partition("token=")[0] + f"token={kept['viewer_token']}"
+    assert printed == [f"pages: {kept['pages']}", f"to watch only: {watch}"]
     assert all(page.socket.fileno() == -1 for page in pages.values())
 
 
@@ -102,6 +97,6 @@ def test_no_token_is_an_argument_of_the_browser(monkeypatch, root):
     monkeypatch.setattr(page_options.subprocess, "Popen", lambda words, **_: started.append(words))
     with announced_pages(bound_pages(options("--open", "-q")), "taskboard-1", quiet=True) as pages:
         token = pages["page_space"].operator_token
-    assert len(started) == 2 and token not in str(started)
-    leads = root / "open-space.html"
+    assert len(started) == 1 and token not in str(started)
+    leads = root / "open.html"
     assert token in leads.read_text() and stat.S_IMODE(leads.stat().st_mode) == 0o600

@@ -18,7 +18,7 @@ deeds = st.tuples(
 def joined(*pages):
     ownership = HandleOwnership()
     for page in pages:
-        ownership.handle_joined(page)
+        ownership.handle_joined(page, f"operator {page}")
     return ownership
 
 
@@ -41,7 +41,7 @@ def test_only_the_one_holder_moves_the_handle_and_each_hand_begins_with_a_releas
                 told.append((page, passed))
         elif deed == "joined":
             if page != VIEWER:
-                ownership.handle_joined(page)
+                ownership.handle_joined(page, f"operator {page}")
                 here.add(page)
         elif deed == "gone":
             ownership.handle_gone(page)
@@ -71,10 +71,10 @@ def test_only_the_one_holder_moves_the_handle_and_each_hand_begins_with_a_releas
 def test_the_handle_is_handed_over_by_its_holder_or_free_when_that_is_gone():
     ownership = joined(1, 2, 3)
     assert ownership.handle_take(1) == ""
-    assert ownership.handle_take(2) == "take: page 1 holds the handle; ask for it"
+    assert ownership.handle_take(2) == "take: operator 1 has the handle: ask for it"
     assert ownership.handle_ask(2) == ""
     assert ownership.state == HandleState(1, 2)
-    assert ownership.handle_ask(3) == "ask: page 2 has asked before"
+    assert ownership.handle_ask(3) == "ask: operator 2 has asked before"
     assert ownership.handle_refuse(1) == ""
     assert ownership.handle_ask(3) == ""
     assert ownership.handle_give(1) == ""

@@ -50,7 +50,7 @@ def ask(inputs, link, name, *, on=True):
 def test_an_input_belongs_to_one_page_until_it_is_given_back_or_gone():
     inputs = opened(Role.OPERATOR, Role.OPERATOR)
     assert ask(inputs, 0, "iss_camera") == ask(inputs, 0, "iss_camera") == ""
-    assert ask(inputs, 1, "iss_camera") == "iss_camera: another page has it"
+    assert ask(inputs, 1, "iss_camera") == "iss_camera: operator has it at another page"
     assert ask(inputs, 1, "iss_camera", on=False) == "iss_camera: this page does not have it"
     assert ask(inputs, 1, "iss_mic") == ""
     assert inputs.owners == {"iss_camera": 0, "iss_mic": 1}

@@ -190,7 +190,27 @@ def test_the_hand_of_the_holder_alone_moves_and_lets_go_when_its_page_is_gone():
     (released,) = events(seat)
     assert (released.dead_man, released.received_ns) == (False, 12)
     (state,) = texts(seat, other, "state")
-    assert state["hand"] == {"holder": None, "you": False, "wanted_by": None}
+    free = {"holder": None, "you": False, "wanted_by": None, "who": "", "asks": ""}
+    assert state["hand"] == free
+
+
+def test_people_know_who_has_the_handle_and_who_asks_for_it():
+    seat = seat_of()
+    one, cosmonaut, other = map(
+        seat.handle_opened, (Role.OPERATOR, Role.COSMONAUT, Role.OPERATOR), (0, 0, 0)
+    )
+    names = [texts(seat, page, "hello")[0]["name"] for page in (one, cosmonaut, other)]
+    assert names == ["operator", "cosmonaut", "operator 2"]
+    ask(seat, other, "hand", action="take")
+    ask(seat, cosmonaut, "hand", action="ask")
+    hand = texts(seat, other, "state")[-1]["hand"]
+    assert (hand["who"], hand["asks"]) == ("operator 2", "cosmonaut")
+    ask(seat, one, "hand", action="ask")
+    assert texts(seat, one, "answer")[0]["error"] == "ask: cosmonaut has asked before"
+    # A name is free again when its page is gone.
+    seat.handle_closed(one, 1)
+    again = seat.handle_opened(Role.OPERATOR, 2)
+    assert texts(seat, again, "hello")[0]["name"] == "operator"
 
 
 def test_a_viewer_watches_only():
@@ -407,6 +427,8 @@ def test_ground_control_sees_who_holds_the_handle_in_space():
             "holder": holder,
             "you": False,
             "wanted_by": None,
+            "who": "",
+            "asks": "",
         }
 
 

@@ -58,6 +58,10 @@ def test_both_pages_have_the_same_two_tokens():
     assert len(space.operator_token) >= 32
     assert space.url("space").startswith("http://127.0.0.1:")
     assert space.operator_token not in repr(space) and space.viewer_token not in repr(space)
+    # The owner may hand out every role, and an end takes those of its own people.
+    assert {*space.people} == {"cosmonaut", "experimenter", "supervisor", "systems"}
+    assert space.people == ground.people and not any(map(repr(space).count, space.people.values()))
+    assert {*space.role_tokens} == {"cosmonaut"} and space.ports == ground.ports
     again = listeners(sockets, LOOPBACK, None)
     assert again["space"].operator_token != space.operator_token
     close(sockets)

@@ -1,0 +1,79 @@
+/**
+ * `<task-widget>`: over the picture, while a task runs: what to do now, where on the board, how far it
+ * is and how much time is left.
+ *
+ * @import { Seat } from "./seat.js"
+ * @import { PanelText } from "./texts.js"
+ */
+import { panelShown } from "./conditions.js";
+import { make, setAttribute, setText } from "./dom.js";
+import { GOAL_WORDS } from "./mission_words.js";
+import { NewestRow } from "./newest_row.js";
+import { onNextFrame } from "./next_frame.js";
+import { WorkspaceMap } from "./workspace_map.js";
+
+/** The mark of a force stands here on its bar, as a share of it. */
+const MARK = 0.6;
+
+class TaskWidget extends HTMLElement {
+  #map = new WorkspaceMap();
+  #what = make("strong");
+  #step = make("span", { class: "small" });
+  #bar = make("progress", { max: "1", value: "0", "aria-label": "How far it is" });
+  #gauge = make("div", { class: "task-gauge" }, this.#bar);
+  #left = make("span", { class: "small" });
+  /** @type {Seat | null} */
+  #seat = null;
+  /** @type {NewestRow | null} */
+  #newest = null;
+
+  /** @param {Seat} seat */
+  follow(seat) {
+    const { connection } = seat;
+    this.#seat = seat;
+    this.hidden = true;
+    const { canvas } = this.#map;
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", "The task board with the handle and its goal");
+    this.append(canvas, this.#what, this.#step, this.#gauge, this.#left);
+    const newest = new NewestRow(connection, "joystick");
+    const redraw = onNextFrame(() => this.#show());
+    this.#newest = newest;
+    newest.onchange = redraw;
+    for (const kind of /** @type {const} */ (["panel", "state", "lost"])) connection.on(kind, redraw);
+  }
+
+  #show() {
+    const connection = this.#seat?.connection;
+    const hello = connection?.hello ?? null;
+    const panel = connection?.panel ?? null;
+    const runs = connection !== undefined && panel !== null && panelShown(connection, panel).mode === "running";
+    this.hidden = !runs || panel.goal === "" || hello === null;
+    if (this.hidden || panel === null || hello === null) return;
+    this.dataset.goal = panel.goal;
+    const handle = this.#newest?.row ?? null;
+    this.#map.show({ workspace: hello.workspace, board: hello.board, handle, target: null, start: null, task: panel });
+    setText(this.#what, GOAL_WORDS[panel.goal] ?? panel.goal);
+    const { share, words } = progressOf(panel, this.#newest?.forceN ?? 0);
+    setText(this.#step, words);
+    this.#bar.hidden = share === null;
+    this.#bar.value = share ?? 0;
+    setAttribute(this.#gauge, "data-mark", panel.goal === "spring" ? `${panel.force_n} N` : null);
+    setText(this.#left, panel.left_s === null ? "" : `${Math.ceil(panel.left_s)} s left`);
+  }
+}
+
+/** How far a goal is, 0 to 1, and in words. @param {PanelText} panel @param {number} forceN @returns {{share: number | null, words: string}} */
+function progressOf({ goal, step, steps, percent, force_n: markN, held_s: heldS, hold_s: holdS }, forceN) {
+  const holding = heldS > 0 ? `hold: ${Math.max(0, holdS - heldS).toFixed(1)} s more` : "";
+  if (goal === "spring") {
+    const words = holding || `${forceN.toFixed(1)} N of ${markN.toFixed(1)} N`;
+    return { share: Math.min(1, (MARK * forceN) / markN), words };
+  }
+  if (goal === "contour" || goal === "line") return { share: percent / 100, words: `${percent} %` };
+  const which = steps > 1 ? `${step} of ${steps}` : "";
+  const words = [which, holding].filter(Boolean).join(" · ");
+  return { share: holdS > 0 ? heldS / holdS : null, words };
+}
+
+customElements.define("task-widget", TaskWidget);
