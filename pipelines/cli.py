@@ -56,6 +56,7 @@ _COMMANDS = {
     "topology": "list the processes, streams and topics of a session",
     "simulate": "run a session on virtual time: the same seed, the same report",
     "sweep": "run many sessions on virtual time: any fields, radios and seeds, one table",
+    "study": "measure how stiffness, damping and inertia of the handle change what hands can do",
     "robot": "check the driver of your own robot",
     "joystick": "list joysticks, check one, or drive a robot with one",
     "bench": "measure this machine and this link: latency, sync, pictures, cost",

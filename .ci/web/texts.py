@@ -26,6 +26,7 @@ from pipelines.session.mission_messages import (  # noqa: E402
     PanelShown,
     RobotStatus,
 )
+from pipelines.study.desk import StudyFrame, StudyShown  # noqa: E402
 
 FILE = ROOT / "pipelines" / "seats" / "static" / "texts.js"
 HEAD = """/**
@@ -50,6 +51,8 @@ SENT: Mapping[type[msgspec.Struct], str] = {
     ExperimentShown: "experiment",
     RobotStatus: "robot",
 }
+#: What the server of a study sends to its own page.
+OF_STUDIES = (StudyShown, StudyFrame)
 #: Names that the page has for types of other rooms.
 NAMES = {
     Event: "EventText",
@@ -75,7 +78,7 @@ def texts_js() -> str:
     parts = [HEAD]
     parts += [f"/** @typedef {{{_union(hint)}}} {name} */\n" for name, hint in ALIASES.items()]
     seen: list[type[msgspec.Struct]] = []
-    for struct in (*SENT, texts.WelcomeText):
+    for struct in (*SENT, texts.WelcomeText, *OF_STUDIES):
         _visit(struct, seen)
     parts += [_typedef(struct) for struct in seen]
     names = [_name(struct) for struct in SENT]

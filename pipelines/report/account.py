@@ -1,13 +1,10 @@
-"""An account of a session to look at: a report as one HTML file, which needs nothing beside it.
+"""An account of a session to look at: a report as one HTML file, which needs nothing beside it."""
 
-Bars are boxes whose places are percentages, so that they fit a telephone and a wide screen.
-"""
-
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from html import escape
-from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
+from pipelines.report.html_page import Bar, section, table, track, whole_page
 from pipelines.report.model import ContentSkew, SessionReport, SkewReport, Spread
 from pipelines.report.summary import first_line, task_line
 from pipelines.session.task_journal import TaskRow
@@ -19,34 +16,6 @@ _STAGES = {
     "sent_to_received": "link",
     "received_to_displayed": "decoding and playout",
 }
-_STYLE = """
-:root { color-scheme: light dark; --faint: #8884; --good: #009e73; --bad: #d55e00; --run: #0072b2;
-  --s0: #0072b2; --s1: #e69f00; --s2: #009e73; --s3: #cc79a7; }
-body { font: 15px/1.45 system-ui, sans-serif; max-width: 60rem; margin: 0 auto; padding: 1rem; }
-h1 { font-size: 1.4rem; } h2 { font-size: 1.1rem; margin-top: 2rem; }
-.row { display: grid; grid-template-columns: minmax(6rem, 11rem) 1fr; gap: .6rem; margin: .3rem 0; }
-.row > :first-child { overflow-wrap: anywhere; }
-.track { position: relative; height: 1.2rem; background: var(--faint); border-radius: 3px; }
-.track i { position: absolute; top: 0; bottom: 0; min-width: 2px; }
-.good { background: var(--good); } .bad { background: var(--bad); } .run { background: var(--run); }
-.mark { width: 2px; background: currentColor; }
-.s0 { background: var(--s0); } .s1 { background: var(--s1); }
-.s2 { background: var(--s2); } .s3 { background: var(--s3); }
-.key span { display: inline-block; margin-right: 1rem; }
-.key b { padding: 0 .5em; margin-right: .4em; }
-small { display: block; opacity: .8; } table { border-collapse: collapse; }
-td, th { text-align: left; vertical-align: top; padding: .15rem .8rem .15rem 0; }
-td:first-child { white-space: nowrap; } .failed { color: var(--bad); font-weight: bold; }
-"""
-
-
-class _Bar(NamedTuple):
-    """A part of a track, in the track's unit."""
-
-    begin: float
-    end: float
-    look: str
-    title: str
 
 
 def account_of(report: SessionReport) -> str:
@@ -55,53 +24,15 @@ def account_of(report: SessionReport) -> str:
     line = " · ".join(first_line(report, _WIDE).split("  "))
     parts = [
         f"<h1>{escape(title)}</h1><p>{escape(line)}</p>",
-        *_section("What fell short", _shortcomings(report)),
-        *_section("What happened, over the time of the session", _times(report)),
-        *_section("Events", _table(("s", "what"), _events(report))),
-        *_section("Latency, ms", _latencies(report)),
-        *_section("Rates, as parts of their caps", _rates(report)),
-        *_section("Skew, ms", _table(("first to second", "p50", "p95", "p99"), _skews(report))),
-        *_section("Tasks", _tasks(report.tasks or ())),
+        *section("What fell short", _shortcomings(report)),
+        *section("What happened, over the time of the session", _times(report)),
+        *section("Events", table(("s", "what"), _events(report))),
+        *section("Latency, ms", _latencies(report)),
+        *section("Rates, as parts of their caps", _rates(report)),
+        *section("Skew, ms", table(("first to second", "p50", "p95", "p99"), _skews(report))),
+        *section("Tasks", _tasks(report.tasks or ())),
     ]
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width">'
-        f"<title>{escape(title)}</title><style>{_STYLE}</style>\n"
-        + "\n".join(parts)
-        + "\n</html>\n"
-    )
-
-
-def _section(heading: str, lines: Iterable[str]) -> Iterator[str]:
-    """The heading and the lines; nothing without lines."""
-    found = list(lines)
-    if found:
-        yield f"<section><h2>{heading}</h2>"
-        yield from found
-        yield "</section>"
-
-
-def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
-    found = [_cells("td", row) for row in rows]
-    if found:
-        yield f"<table>{_cells('th', headings)}{''.join(found)}</table>"
-
-
-def _cells(kind: str, words: Sequence[str]) -> str:
-    return f"<tr>{''.join(f'<{kind}>{escape(word)}</{kind}>' for word in words)}</tr>"
-
-
-def _track(name: str, bars: Iterable[_Bar], most: float, words: str) -> str:
-    """A row: its name, its bars on a scale from 0 to `most`, and the same in words."""
-    boxes = []
-    for bar in bars:
-        begin, end = (100 * min(1.0, max(0.0, at / most)) for at in (bar.begin, bar.end))
-        width = "" if bar.look == "mark" else f"width:{end - begin:.2f}%"
-        style = f"left:{begin:.2f}%;{width}"
-        boxes.append(f'<i class="{bar.look}" style="{style}" title="{escape(bar.title)}"></i>')
-    track = f'<div class="track" role="img" aria-label="{escape(words)}">{"".join(boxes)}</div>'
-    said = f"<small>{escape(words)}</small>"
-    return f'<div class="row"><div>{escape(name)}</div><div>{track}{said}</div></div>'
+    return whole_page(title, parts)
 
 
 def _shortcomings(report: SessionReport) -> Iterator[str]:
@@ -109,7 +40,7 @@ def _shortcomings(report: SessionReport) -> Iterator[str]:
         yield "<p>Nothing failed.</p>"
     for failure in report.failures:
         yield f'<p class="failed">failed: {escape(failure)}</p>'
-    yield from _table(
+    yield from table(
         ("where", "measured", "mend"),
         ((warning.where, warning.measured, warning.mend) for warning in report.warnings),
     )
@@ -123,33 +54,32 @@ def _times(report: SessionReport) -> Iterator[str]:
         bars = []
         for contact in supervision.contacts:
             ended_s = whole if contact.lost_ns is None else contact.lost_ns / NS_PER_S
-            bars.append(_Bar(contact.acquired_ns / NS_PER_S, ended_s, "good", "signal"))
+            bars.append(Bar(contact.acquired_ns / NS_PER_S, ended_s, "good", "signal"))
         contact_s = sum(bar.end - bar.begin for bar in bars)
         words = f"{contact_s:.1f} of {whole:.1f} s, acquired {_times_of(bars)}"
-        yield _track(f"signal, {end}", bars, whole, words)
+        yield track(f"signal, {end}", bars, whole, words)
     pauses = {name: stream.pauses_s for name, stream in report.streams.items()}
     pauses.update((f"haptic_{name}", haptic.pauses_s) for name, haptic in report.haptic.items())
     for name, spans in pauses.items():
         # What received nothing to the end has no pause.
         bars = [
-            _Bar(begin, end, "bad", f"pause from {begin:.1f} to {end:.1f} s")
-            for begin, end in spans
+            Bar(begin, end, "bad", f"pause from {begin:.1f} to {end:.1f} s") for begin, end in spans
         ]
         silent_s = sum(end - begin for begin, end in spans)
         words = f"paused {silent_s:.1f} s, {_times_of(spans)}" if spans else "no pause"
-        yield _track(name, bars, whole, words)
+        yield track(name, bars, whole, words)
     for run in report.tasks or ():
         begin_s, end_s = run.selected_ns / NS_PER_S, _ended_s(run)
-        bars = [_Bar(begin_s, end_s, "run", task_line(run))]
-        yield _track(
+        bars = [Bar(begin_s, end_s, "run", task_line(run))]
+        yield track(
             f"{run.name}, run {run.run}",
             bars,
             whole,
             f"{run.result.replace('_', ' ')}, {begin_s:.1f} to {end_s:.1f} s",
         )
     if report.stopped_s:
-        bars = [_Bar(begin, end, "bad", "stopped") for begin, end in report.stopped_s]
-        yield _track("stopped on request", bars, whole, _times_of(bars))
+        bars = [Bar(begin, end, "bad", "stopped") for begin, end in report.stopped_s]
+        yield track("stopped on request", bars, whole, _times_of(bars))
 
 
 def _times_of(found: Sequence[object]) -> str:
@@ -202,12 +132,12 @@ def _latencies(report: SessionReport) -> Iterator[str]:
     for name, spread in counted.items():
         bars, begin = [], 0.0
         for number, (words, mean_ms) in enumerate(_stages(report, name)):
-            bars.append(_Bar(begin, begin + mean_ms, f"s{number}", f"{words} {mean_ms:.1f} ms"))
+            bars.append(Bar(begin, begin + mean_ms, f"s{number}", f"{words} {mean_ms:.1f} ms"))
             begin += mean_ms
         ranks = {"p50": spread.p50, "p95": spread.p95, "p99": spread.p99}
-        bars += [_Bar(ms, ms, "mark", f"{rank} {ms:.1f} ms") for rank, ms in ranks.items()]
+        bars += [Bar(ms, ms, "mark", f"{rank} {ms:.1f} ms") for rank, ms in ranks.items()]
         said = ", ".join(f"{rank} {ms:.1f}" for rank, ms in ranks.items())
-        yield _track(name, bars, most, f"{said}, largest {spread.max:.1f}")
+        yield track(name, bars, most, f"{said}, largest {spread.max:.1f}")
 
 
 def _stages(report: SessionReport, name: str) -> Iterator[tuple[str, float]]:
@@ -231,10 +161,10 @@ def _rates(report: SessionReport) -> Iterator[str]:
             f"{stream.payload_bps_mean / 1000:.1f} kbit/s, largest second "
             f"{stream.payload_bps_max_1s / 1000:.1f}, cap {stream.cap_bps / 1000:.0f}"
         )
-        bars = [_Bar(0.0, stream.payload_bps_mean, look, words)]
+        bars = [Bar(0.0, stream.payload_bps_mean, look, words)]
         for title, bps in (("largest second", stream.payload_bps_max_1s), ("cap", stream.cap_bps)):
-            bars.append(_Bar(bps, bps, "mark", f"{title} {bps / 1000:.1f} kbit/s"))
-        yield _track(name, bars, most_bps, words)
+            bars.append(Bar(bps, bps, "mark", f"{title} {bps / 1000:.1f} kbit/s"))
+        yield track(name, bars, most_bps, words)
 
 
 def _skews(report: SessionReport) -> Iterator[tuple[str, ...]]:
@@ -255,6 +185,6 @@ def _tasks(runs: Sequence[TaskRow]) -> Iterator[str]:
             f"{1000 * run.path_m:.0f} mm, force {run.force_mean_n:.1f} N, at most "
             f"{run.force_max_n:.1f} N"
         )
-        bars = [_Bar(0.0, run.force_mean_n, "run", "mean force")]
-        bars.append(_Bar(run.force_max_n, run.force_max_n, "mark", "largest force"))
-        yield _track(f"{run.name}, run {run.run}", bars, most_n, words)
+        bars = [Bar(0.0, run.force_mean_n, "run", "mean force")]
+        bars.append(Bar(run.force_max_n, run.force_max_n, "mark", "largest force"))
+        yield track(f"{run.name}, run {run.run}", bars, most_n, words)

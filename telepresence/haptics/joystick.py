@@ -57,6 +57,7 @@ class Joystick:
     temperature_c: temperature of the motors.
     force_limit_n: the force that the motors can exert at that temperature.
     work_j: work that the motors have done at the handle so far.
+    virtual_kg: inertia that the motors add to the handle's mass; the caller sets it.
     dead_man, buttons, state: the values that samples carry; the caller sets them.
     more: axes behind x and y; the caller moves them.
     """
@@ -68,7 +69,7 @@ class Joystick:
         self.x_m, self.y_m = x_m, y_m
         self.vx_m_s = self.vy_m_s = 0.0
         self.motor_x_n = self.motor_y_n = 0.0
-        self.work_j = 0.0
+        self.work_j = self.virtual_kg = 0.0
         self.temperature_c = model.ambient_c
         self.force_limit_n = model.force_limit_n
         self.dead_man = True
@@ -123,7 +124,7 @@ class Joystick:
             force_x += self._stop(x, vx, width)
             force_y += self._stop(y, vy, height)
         # Semi-implicit Euler moves the handle with the new velocity, which keeps springs stable.
-        per_kg = dt_s / (model.mass_kg + hand_kg)
+        per_kg = dt_s / (model.mass_kg + self.virtual_kg + hand_kg)
         vx += force_x * per_kg
         vy += force_y * per_kg
         self.x_m = x + vx * dt_s

@@ -160,7 +160,7 @@ class Cosmonaut(Hand):
             # Once: the next press needs another reaction.
             self._mode_ns = now_ns
         elif mode in (PanelMode.MOVE_TO_START, PanelMode.HOLD, PanelMode.PRESS_DEADMAN):
-            self._aim(view.start_m, within_m=0.002, seen_m=handle_m)
+            self.aim(view.start_m, within_m=0.002, seen_m=handle_m)
         elif mode is PanelMode.RUNNING and now_ns - self._picture_ns >= self.skill.reaction_ns:
             self._apart = tip_m[0] - handle_m[0], tip_m[1] - handle_m[1]
             self._work(tip_m)
@@ -169,9 +169,9 @@ class Cosmonaut(Hand):
         picture = self._picture
         if picture.pattern is Pattern.LEDS and picture.leds:
             led = (picture.leds & -picture.leds).bit_length() - 1
-            self._aim(LIGHTS_M[led], within_m=0.003, seen_m=tip_m)
+            self.aim(LIGHTS_M[led], within_m=0.003, seen_m=tip_m)
         elif picture.pattern is Pattern.SPOT:
-            self._track(self._in_hand(picture.spot_m), speed_m_s=2 * self.skill.speed_m_s)
+            self.track(self._in_hand(picture.spot_m), speed_m_s=2 * self.skill.speed_m_s)
         elif picture.pattern in (Pattern.CONTOUR, Pattern.LINE):
             curve = Curve.CONTOUR if picture.pattern is Pattern.CONTOUR else Curve.LINE
             self._follow(curve, tip_m)
@@ -182,7 +182,7 @@ class Cosmonaut(Hand):
             place = self._random.uniform(-0.08, 0.03), self._random.uniform(-0.05, 0.05)
             self._go(place, speed_m_s=self.skill.speed_m_s)
 
-    def _aim(
+    def aim(
         self, place: tuple[float, float], *, within_m: float, seen_m: tuple[float, float]
     ) -> None:
         """Move to a place; after each movement look whether it is reached, and correct it."""
@@ -221,7 +221,7 @@ class Cosmonaut(Hand):
             if not closed and not 0 <= self._at < len(points):
                 self._onwards = not self._onwards
                 self._at = min(max(self._at, 0.0), len(points) - 1.0)
-        self._track(self._in_hand(points[ahead]), speed_m_s=2 * self.skill.follow_m_s)
+        self.track(self._in_hand(points[ahead]), speed_m_s=2 * self.skill.follow_m_s)
 
     def _pull(self, tip_m: tuple[float, float]) -> None:
         """Pull at the spring until the muscles feel as much as they should."""
@@ -242,7 +242,7 @@ class Cosmonaut(Hand):
         # A minimum-jerk movement is no shorter than a twitch.
         self._lasts_ns = max(80 * NS_PER_MS, round(way_m / speed_m_s * NS_PER_S))
 
-    def _track(self, place: tuple[float, float], *, speed_m_s: float) -> None:
+    def track(self, place: tuple[float, float], *, speed_m_s: float) -> None:
         """Follow what moves, at up to this speed; the hand is never quite where it wants to be."""
         wander, aim_m = self._wander, self.skill.aim_m
         # Its standard deviation settles at `aim_m`.

@@ -5,7 +5,6 @@
  * go when it loses the focus, is hidden or left, when the server is lost, and when the handle is
  * another's.
  *
- * @import { Connection } from "./connection.js"
  * @import { Hand } from "./wire.js"
  */
 
@@ -14,6 +13,20 @@ const HEARTBEAT_MS = 30;
 
 /** More than the page's error about the session's clock. */
 const CLOCK_ERROR_US = 20_000;
+
+/**
+ * What the hand needs of a connection: `Connection` has it, and the line of a study.
+ * @typedef {object} HandLine
+ * @property {boolean} alive
+ * @property {boolean} mayAct
+ * @property {string} hindrance
+ * @property {{joystick: string, workspace: {half_width_m: number, half_height_m: number}} | null} hello
+ * @property {{hand: {holder: number | null, you: boolean}, now_us: number, joystick?: {axes: {place: number, half_range: number}[]} | null} | null} state
+ * @property {(name: any, listener: (event: any) => void) => unknown} on
+ * @property {(request: {do: "hand", action: "take"}) => Promise<{ok: boolean, error: string}>} request
+ * @property {(hand: Hand) => void} sendHand
+ * @property {() => number | null} nowUs
+ */
 
 /** @typedef {"pointer" | "keys" | "controller" | "axis"} Source */
 
@@ -38,7 +51,7 @@ export class HandControl extends EventTarget {
   /** Why the last press was refused or ended, or "". */
   refusal = "";
 
-  /** @param {Connection} connection */
+  /** @param {HandLine} connection */
   constructor(connection) {
     super();
     this.#connection = connection;

@@ -266,6 +266,23 @@
  *   Record<string, string>}} WelcomeText
  */
 
+/**
+ * What a page of the study says. screen: its number, which a press names. main, other: words of
+ * the buttons; "" for none. wait_s: until they can be pressed. trial: the number of those that are
+ * finished, of `trials`. half_width_m, half_height_m: the field.
+ * @typedef {{kind: "study", screen: number, phase: "consent" | "return" | "read" | "start" |
+ *   "trial" | "break" | "done", title: string, words: string[], main: string, other: string,
+ *   wait_s: number, trial: number, trials: number, half_width_m: number, half_height_m: number}}
+ *   StudyShown
+ */
+
+/**
+ * Where dot and target are. starting: the target is the start. rest: how long the dot has rested
+ * there, 0 to 1.
+ * @typedef {{kind: "frame", x_m: number, y_m: number, target_x_m: number, target_y_m: number,
+ *   radius_m: number, starting: boolean, rest: number}} StudyFrame
+ */
+
 /** @typedef {HelloText
  *   | StateText
  *   | FiguresText

@@ -1,0 +1,119 @@
+"""`kontur-av study`: how the handle changes what a hand can do, measured on this machine alone."""
+
+import argparse
+import asyncio
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from kontur_av.errors import ConfigError
+from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.page_options import parse_page
+from pipelines.commands.rtc_running import driven, say
+from pipelines.report.report_file import words_console
+from pipelines.session.page_certificate import certificate_for
+from pipelines.session.page_sockets import bind_pages, listeners
+from pipelines.study.account import HEADINGS, effect_words, summary_of
+from pipelines.study.desk import StudyDesk
+from pipelines.study.effects import study_report
+from pipelines.study.hands import simulate_person
+from pipelines.study.plan import StudyPlan
+from pipelines.study.results import StudyFolder, check_scipy, load_study, write_tables
+from pipelines.study.server import StudyServer
+from telepresence.haptics.device.page import PageDevice
+
+_PAGE = "study"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("plan", type=Path, metavar="PLAN.toml", help="handles, tasks and trials")
+    parser.add_argument(
+        "--simulated",
+        type=int,
+        metavar="N",
+        help="on virtual time, by the first N participants as simulated hands; then the report",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="S", help="of the simulated hands (default 0)"
+    )
+    parser.add_argument(
+        "--report",
+        action="store_true",
+        help="show the effects, and write them as HTML, CSV and a MATLAB file beside the trials",
+    )
+    parser.add_argument(
+        "--results",
+        type=Path,
+        metavar="DIR",
+        help="the folder of the trials (default PLAN.results, or PLAN.simulated)",
+    )
+    parser.add_argument(
+        "--page",
+        metavar="[HOST:]PORT",
+        help="where the page is served (default 127.0.0.1:8270, or the next free port)",
+    )
+    parser.set_defaults(seconds=None)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when the page is left by Ctrl-C, or the report is written."""
+    plan, simulated = load_study(args.plan), args.simulated
+    if simulated is not None and not 1 <= simulated <= plan.participants:
+        raise ConfigError(
+            f"--simulated {simulated}: the plan has {plan.participants} participants: give 1 to "
+            f"{plan.participants}"
+        )
+    ending = ".results" if simulated is None else ".simulated"
+    folder = args.results or args.plan.with_suffix(ending)
+    if simulated is not None or args.report:
+        check_scipy()
+        if args.report and simulated is None and not folder.is_dir():
+            raise ConfigError(f"{folder}: has no trials: do the study first, without --report")
+    with StudyFolder(folder, plan, simulated=simulated is not None) as trials:
+        if simulated is not None:
+            for participant in range(1, simulated + 1):
+                for result in simulate_person(plan, participant, args.seed):
+                    trials.add(result)
+                say(f"participant {participant} of {simulated} is through")
+        elif not args.report:
+            asyncio.run(_serve(args, plan, trials))
+            return 0
+        _report(folder, plan, trials)
+    return 0
+
+
+def _report(folder: Path, plan: StudyPlan, trials: StudyFolder) -> None:
+    report = study_report(plan, trials.results)
+    table = Table(*HEADINGS, box=SIMPLE_HEAD)
+    for effect in report.effects:
+        table.add_row(*effect_words(effect))
+    with output_that_may_fail():
+        for line in summary_of(report):
+            print(line)
+        words_console().print(table)
+    for path in write_tables(folder, trials.results, report):
+        say(str(path))
+
+
+async def _serve(args: argparse.Namespace, plan: StudyPlan, trials: StudyFolder) -> None:
+    host, port = parse_page(args.page)
+    with TemporaryDirectory() as place:
+        sockets = bind_pages(host, port, [_PAGE])
+        certificate, made = certificate_for(host, None, Path(place) / "page.pem")
+        listener = listeners(sockets, host, certificate)[_PAGE]
+        device = PageDevice(start_m=(0.0, 0.0))
+        desk = StudyDesk(plan, device, trials.finished)
+        server = StudyServer(desk, device, listener, trials.add)
+        say(f"{listener.url(_PAGE)}\nCtrl-C ends it; it goes on where it was")
+        if made:
+            say(f"certificate made for this study, SHA-256 {made}")
+        running = asyncio.create_task(server.run())
+        try:
+            async for _ in driven(args, running):
+                pass
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+            listener.socket.close()

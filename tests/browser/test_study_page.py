@@ -1,0 +1,144 @@
+"""The page of a study, by mouse on a desk's screen and by finger on a telephone's."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+from browser import eventually
+
+PLAN = """
+name = "handle"
+consent = "I take part of my own will."
+participants = 2
+practice = 0
+trials = 1
+break_s = 0
+break_every = 1
+note = "sitting"
+[handle]
+damping_n_s_m = [0, 10]
+inertia_kg = [0.5]
+[[aiming]]
+name = "still"
+width_m = 0.04
+targets = 5
+hold_s = 0.1
+"""
+#: Keeps the newest frame that the server sent, as a person sees it.
+WATCH = """
+    const Plain = WebSocket;
+    window.WebSocket = class extends Plain {
+      set onmessage(take) {
+        super.onmessage = (event) => {
+          const text = JSON.parse(event.data);
+          if (text.kind === "frame") window.frame = text;
+          else if (!["start", "trial"].includes(text.phase)) window.frame = null;
+          take(event);
+        };
+      }
+    };
+"""
+LOOK = """
+    if (!window.frame) return null;
+    const canvas = document.querySelector("#field canvas");
+    const { left, top, width, height } = canvas.getBoundingClientRect();
+    const scale = Math.min(width / 0.15, height / 0.10) / 2.08;
+    const at = (x, y) => [left + width / 2 + x * scale, top + height / 2 - y * scale];
+    const { x_m, y_m, target_x_m, target_y_m } = window.frame;
+    return [...at(x_m, y_m), ...at(target_x_m, target_y_m)];
+"""
+
+
+class Study:
+    """The command, with the page that it serves. Every exit ends it."""
+
+    def __init__(self, plan):
+        command = [sys.executable, "-m", "pipelines.cli", "study", str(plan), "--page", "28270"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.url = self.process.stdout.readline().strip()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(10) == 0
+        self.process.stdout.close()
+
+
+def open_page(browser, url, *, width, touch):
+    page = browser.open("about:blank")
+    driver = page.driver()
+    driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH})
+    metrics = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": touch}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": touch})
+    driver.get(url)
+    page.wait("document.body.dataset.phase")
+    return page
+
+
+def press(page, label):
+    page.wait(f"document.querySelector('#go').textContent === {json.dumps(label)}")
+    page.find("#go").click()
+
+
+def point(page, kind, x, y, *, touch):
+    """kind: Pressed, Moved or Released for a mouse; Start, Move or End for a finger."""
+    if touch:
+        points = [] if kind == "End" else [{"x": x, "y": y}]
+        told = {"type": f"touch{kind}", "touchPoints": points}
+        page.driver().execute_cdp_cmd("Input.dispatchTouchEvent", told)
+    else:
+        told = {"type": f"mouse{kind}", "x": x, "y": y, "button": "left", "clickCount": 1}
+        told["buttons"] = 0 if kind == "Released" else 1
+        page.driver().execute_cdp_cmd("Input.dispatchMouseEvent", told)
+
+
+def do_trial(page, *, touch, picture=None):
+    """Take the dot, and drag it to whatever the page shows, until the trial is over."""
+    down, move, up = ("Start", "Move", "End") if touch else ("Pressed", "Moved", "Released")
+    x, y, *_ = eventually(lambda: page.run(LOOK), "the field")
+    point(page, down, x, y, touch=touch)
+    began = time.monotonic()
+    while (seen := page.run(LOOK)) is not None:
+        assert time.monotonic() - began < 30, "the trial does not end"
+        x, y = seen[2:]
+        point(page, move, x, y, touch=touch)
+        if picture and page.run("return document.body.dataset.phase") == "trial":
+            page.screenshot(picture)
+            picture = None
+    point(page, up, x, y, touch=touch)
+
+
+def trials(folder):
+    lines = (folder / "plan.results" / "trials.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines[1:]]
+
+
+def test_a_study_goes_by_mouse_and_after_an_interruption_on_by_finger(tmp_path, start_browser):
+    (tmp_path / "plan.toml").write_text(PLAN)
+    browser = start_browser(scale=1)
+    with Study(tmp_path / "plan.toml") as study:
+        page = open_page(browser, study.url, width=1280, touch=False)
+        press(page, "I agree: begin")
+        press(page, "Begin")
+        do_trial(page, touch=False)
+        page.wait("document.body.dataset.phase === 'break'")
+        (first,) = trials(tmp_path)
+    with Study(tmp_path / "plan.toml") as study:
+        page = open_page(browser, study.url, width=390, touch=True)
+        press(page, "Go on")
+        press(page, "Begin")
+        do_trial(page, touch=True)
+        page.wait("document.body.dataset.phase === 'done'")
+        assert page.find("#go").text == "Next person"
+        both = trials(tmp_path)
+    assert both[0] == first
+    assert [one["participant"] for one in both] == [1, 1]
+    assert {one["damping_n_s_m"] for one in both} == {0.0, 10.0}
+    assert all(one["path_m"] > 0.4 and one["missed"] == 0 for one in both)
+    assert all(one["note"] == "sitting" for one in both)
+    browser.assert_no_errors(server_gone=True)

@@ -1,0 +1,38 @@
+"""Simulated hands go through a whole study: what changes their hands is found, and only that."""
+
+import pytest
+
+from pipelines.study.effects import study_report
+from pipelines.study.hands import simulate_person
+from pipelines.study.plan import Aiming, HandleLevels, StudyPlan, Tracking
+
+pytest.importorskip("scipy")
+
+#: A damper that the hand feels, and a spring that nobody can.
+PLAN = StudyPlan(
+    name="x",
+    consent="Yes.",
+    participants=8,
+    handle=HandleLevels(stiffness_n_m=(0.0, 0.001), damping_n_s_m=(0.0, 50.0)),
+    aiming=(Aiming(name="still", targets=5),),
+    tracking=(Tracking(name="spot", seconds=3.0),),
+    practice=0,
+    trials=1,
+    break_s=600.0,
+)
+
+
+def report_of(seed, plan=PLAN):
+    people = range(1, plan.participants + 1)
+    results = [one for person in people for one in simulate_person(plan, person, seed)]
+    return results, study_report(plan, results)
+
+
+def test_the_effect_is_found_the_null_is_not_and_the_same_seed_gives_the_same():
+    results, report = report_of(1)
+    assert len(report.participants) == 8 and report.voids == 0
+    found = {(one.task, one.measure, one.factor) for one in report.effects if one.differs}
+    assert ("still", "time of a movement", "damping") in found
+    assert ("spot", "error, root mean square", "damping") in found
+    assert {factor for _, _, factor in found} == {"damping"}
+    assert [*simulate_person(PLAN, 3, 1)] == [one for one in results if one.participant == 3]

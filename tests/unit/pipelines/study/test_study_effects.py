@@ -1,0 +1,107 @@
+"""The analysis finds what differs, and says so of nothing more often than it promises."""
+
+import numpy as np
+import pytest
+
+from pipelines.study.effects import Effect, helmert, holm, repeated_measures, study_report
+from pipelines.study.plan import HandleLevels, StudyPlan, Tracking, trials_of
+from pipelines.study.trial import TrialResult
+
+stats = pytest.importorskip("scipy.stats")
+
+PLAN = StudyPlan(
+    name="x",
+    consent="Yes.",
+    participants=12,
+    handle=HandleLevels(stiffness_n_m=(0.0, 30.0), damping_n_s_m=(0.0, 5.0, 10.0)),
+    tracking=(Tracking(name="spot"),),
+    practice=1,
+    trials=2,
+)
+
+
+def results_of(seed, *, damping=0.0):
+    """Trials of people who differ, with noise that repeats itself for nobody.
+
+    damping: what each N s/m of it adds to the error (m).
+    """
+    chance, found = np.random.default_rng(seed), []
+    for participant in range(1, PLAN.participants + 1):
+        own_m = chance.normal(0.008, 0.002)
+        for number, one in enumerate(trials_of(PLAN, participant), 1):
+            learned_m = 0.002 * np.exp(-number / 10)
+            error_m = own_m + learned_m + chance.normal(0.0, 0.001)
+            found.append(
+                TrialResult(
+                    **vars(one.condition),
+                    participant=participant,
+                    trial=number,
+                    place=one.place,
+                    task="spot",
+                    counts=one.counts,
+                    repetition=one.repetition,
+                    attempts=1,
+                    missed=0,
+                    difficulty_bits=None,
+                    seconds=15.0,
+                    path_m=chance.normal(1.0, 0.1),
+                    overshoot_m=None,
+                    # Practice does not count, whatever it was.
+                    rms_error_m=error_m + damping * one.condition.damping_n_s_m
+                    if one.counts
+                    else 1.0,
+                    throughput_bit_s=None,
+                    force_mean_n=chance.normal(1.0, 0.1),
+                    force_max_n=2.0,
+                    note="",
+                )
+            )
+    return found
+
+
+def test_two_levels_are_a_paired_t_test():
+    values = np.random.default_rng(1).normal(size=(9, 2))
+    f, df, df_error, p, _ = repeated_measures(values @ helmert(2))
+    expected = stats.ttest_rel(values[:, 0], values[:, 1])
+    assert (df, df_error) == pytest.approx((1, 8))
+    assert (f, p) == pytest.approx((expected.statistic**2, expected.pvalue))
+
+
+def test_what_does_not_vary_is_not_tested():
+    report = study_report(PLAN, results_of(1))
+    assert {one.measure for one in report.effects} == {
+        "error, root mean square",
+        "path",
+        "mean force",
+    }
+
+
+def test_an_effect_is_found_with_its_size_and_no_other():
+    report = study_report(PLAN, results_of(3, damping=0.0004))
+    assert [(one.measure, one.factor) for one in report.effects if one.differs] == [
+        ("error, root mean square", "damping")
+    ]
+    (found,) = (one for one in report.effects if one.differs)
+    assert found.levels["10"] - found.levels["0"] == pytest.approx(4.0, abs=0.8)
+    assert found.partial_eta2 > 0.5 and 1.0 < found.df <= 2.0
+
+
+def test_where_nothing_differs_few_reports_say_so():
+    said = sum(
+        any(one.differs for one in study_report(PLAN, results_of(n)).effects) for n in range(60)
+    )
+    # 3 are expected of 60; more than 8 come by chance once in 200.
+    assert said <= 8
+
+
+def test_who_is_not_through_is_left_out_and_named():
+    results = results_of(1)
+    report = study_report(PLAN, [one for one in results if (one.participant, one.trial) != (4, 18)])
+    assert report.unfinished == (4,) and 4 not in report.participants
+    assert len(report.participants) == 11
+
+
+def test_holm_multiplies_by_the_tests_that_are_left():
+    base = {"task": "", "measure": "", "unit": "", "factor": "", "f": 1.0, "df": 1.0}
+    tests = [Effect(**base, df_error=1.0, partial_eta2=0.0, p=p) for p in (0.04, 0.01, 0.03, 0.5)]
+    assert [one.p_holm for one in holm(tests)] == pytest.approx([0.09, 0.04, 0.09, 0.5])
