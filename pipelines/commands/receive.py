@@ -255,7 +255,10 @@ class _ReceiveShell:
         if not counts.rtp_packets:
             failed.append(f"no packet came to UDP port {self._stream.port}: {self._what_came()}")
         elif not output.decoded:
-            failed.append(f"{counts.rtp_packets} packets came, but nothing could be decoded")
+            failed.append(
+                f"{counts.rtp_packets} packets came, but nothing could be decoded"
+                + self._output.missing()
+            )
         return rtp, latency, failed
 
     def _what_came(self) -> str:
