@@ -36,6 +36,9 @@ _MOST_CANDIDATES = 64
 _AHEAD_NS, _BEHIND_NS = 200 * NS_PER_MS, 10 * NS_PER_S
 #: Timestamps that step back by more, or otherwise than time by more, no longer belong to a report.
 _STEP_BACK_NS, _STEP_NS = NS_PER_S, 10 * NS_PER_S
+#: A report that dates captures otherwise by more tells of a clock that was set. A smaller error
+#: comes in slowly, by one part in `_BEND` of the stream's time: captures never run back.
+_CLOCK_SET_NS, _BEND = NS_PER_S // 2, 4
 
 
 class RtpReceived(NamedTuple):
@@ -167,6 +170,8 @@ class RtpReceiver:
         self._former: deque[int] = deque(maxlen=_MOST_CANDIDATES)
         #: By SSRC: the newest report, and when it came.
         self._reports: dict[int, tuple[RtcpSrPacket, int]] = {}
+        #: The timestamp at the newest report, and by how many ns those before it dated it later.
+        self._bend: tuple[int, int] | None = None
         self._first = self._next = self._highest = 0
         self._restart = False
         self._last_heard_ns = 0
@@ -281,6 +286,7 @@ class RtpReceiver:
                 told = self._reports.get(self.ssrc)
                 if told is not None and told[1] <= self._last_heard_ns:
                     del self._reports[self.ssrc]
+                    self._bend = None
                 told_timestamp, _ = self._captured.get(self.ssrc, (timestamp, 0))
                 if told_timestamp != timestamp:
                     del self._captured[self.ssrc]
@@ -435,6 +441,7 @@ class RtpReceiver:
         self._captured = {ssrc: kept for ssrc, kept in self._captured.items() if ssrc == self.ssrc}
         self._log = ReceptionLog(ssrc=first.ssrc, clock_rate_hz=self.clock_rate_hz)
         self._given_up.clear()
+        self._bend = None
         self._reports = {
             ssrc: report for ssrc, report in self._reports.items() if ssrc == self.ssrc
         }
@@ -479,6 +486,8 @@ class RtpReceiver:
             self._drop_candidates()
 
     def _take_report(self, report: RtcpSrPacket, now_ns: int) -> None:
+        newest = self._newest_timestamp if report.ssrc == self.ssrc else None
+        before_ns = None if newest is None else self.capture_ns(newest)
         if report.ssrc == self.ssrc:
             self.counts.rtcp_reports += 1
             if self._log is not None:
@@ -491,6 +500,12 @@ class RtpReceiver:
         elif len(self._reports) >= 2:
             self._reports.clear()
         self._reports[report.ssrc] = report, now_ns
+        if newest is not None:
+            self._bend = None
+            after_ns = self.capture_ns(newest)
+            if before_ns is not None and after_ns is not None:
+                later_ns = before_ns - after_ns
+                self._bend = (newest, later_ns) if abs(later_ns) <= _CLOCK_SET_NS else None
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up the gaps that are due by `now_ns`. Drain `next_event` afterwards."""
@@ -524,7 +539,14 @@ class RtpReceiver:
             anchor = info.rtp_timestamp * self._scale, info.ntp_timestamp
         ticks = signed_32(timestamp - anchor[0])
         anchor_ns = unix_ns_from_ntp(anchor[1]) - self._wall_offset_ns
-        return anchor_ns + round(ticks * NS_PER_S / self.clock_rate_hz)
+        told_ns = anchor_ns + round(ticks * NS_PER_S / self.clock_rate_hz)
+        return told_ns if self._bend is None else told_ns + self._bent_ns(timestamp, *self._bend)
+
+    def _bent_ns(self, timestamp: int, since: int, later_ns: int) -> int:
+        """Return what is left of a former dating."""
+        passed_ns = signed_32(timestamp - since) * NS_PER_S // self.clock_rate_hz
+        left_ns = max(abs(later_ns) - max(passed_ns, 0) // _BEND, 0)
+        return left_ns if later_ns > 0 else -left_ns
 
     def _dates(self, report: RtcpSrPacket, came_ns: int) -> bool:
         """Return whether a report tells the stream's time. Some senders tell 0, or rubbish."""

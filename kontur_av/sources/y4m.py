@@ -51,7 +51,7 @@ class Y4mHeader:
 def parse_header(line: bytes) -> Y4mHeader:
     """Parse a header line without its newline. Raises ProtocolError."""
     if not line.startswith(MAGIC):
-        raise ProtocolError("no YUV4MPEG2 header")
+        raise ProtocolError("no YUV4MPEG2 header: FFmpeg writes one with -f yuv4mpegpipe")
     fields: dict[str, str] = {}
     for word in line[len(MAGIC) :].decode("ascii", "replace").split():
         fields["XCOLORRANGE" if word.startswith("XCOLORRANGE=") else word[0]] = word[1:]

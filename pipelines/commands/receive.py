@@ -232,7 +232,10 @@ class _ReceiveShell:
         if not counts.rtp_packets:
             failed.append(f"no packet came to UDP port {self._stream.port}: {self._what_came()}")
         elif not output.decoded:
-            failed.append(f"{counts.rtp_packets} packets came, but nothing could be decoded")
+            failed.append(
+                f"{counts.rtp_packets} packets came, but nothing could be decoded"
+                + self._output.missing()
+            )
         return ReceiveReport(
             stream=self._stream.kind,
             seconds=(self._clock.now_ns() - start_ns) / NS_PER_S,

@@ -6,6 +6,7 @@ from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.codecs.h264 import DecodedPicture
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.meters import Histogram
+from kontur_av.rtp.payload_h264 import NAL_PPS, NAL_SPS, nal_type, split_annex_b
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
@@ -68,6 +69,8 @@ class PictureOutput:
         self._time_line = TimeLine(stream.clock_rate_hz)
         self._writers = writers
         self._size: tuple[int, int] | None = None
+        #: The types of NAL units that came before the first picture.
+        self._came: set[int] = set()
 
     @property
     def decoded(self) -> int:
@@ -78,6 +81,8 @@ class PictureOutput:
             capture_ns = self.receiver.capture_ns(unit.timestamp)
             if capture_ns is not None:
                 self.received_ns.add(unit.received_ns - capture_ns)
+            if not self.decoded:
+                self._came.update(map(nal_type, split_annex_b(unit.data)))
             for picture, stamp in pictures:
                 self._show(picture)
                 if stamp is not None:
@@ -94,6 +99,12 @@ class PictureOutput:
         """Show the pictures that the decoder has held back."""
         for picture in self._decoding.decoder.drain():
             self._show(picture)
+
+    def missing(self) -> str:
+        """Say what the decoder waits for; "" where that is not known."""
+        wanted = {NAL_SPS: "SPS", NAL_PPS: "PPS"}
+        names = [f"no {name}" for kind, name in wanted.items() if kind not in self._came]
+        return f": {' and '.join(names)} came, in the stream or in the SDP" if names else ""
 
     def _show(self, picture: DecodedPicture) -> None:
         if self._raw is not None:
@@ -141,6 +152,10 @@ class SoundOutput:
 
     def finish(self) -> None:
         """All that was decoded was played."""
+
+    def missing(self) -> str:
+        """Nothing: each packet of sound can be decoded alone."""
+        return ""
 
     def report(self) -> OutputReport:
         return OutputReport(voice=self.receiver.counts)

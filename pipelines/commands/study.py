@@ -9,9 +9,9 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail
+from pipelines.commands.common import output_that_may_fail, say
 from pipelines.commands.page_options import parse_page
-from pipelines.commands.rtc_running import driven, say
+from pipelines.commands.rtc_running import driven
 from pipelines.report.report_file import words_console
 from pipelines.session.page_certificate import certificate_for
 from pipelines.session.page_sockets import bind_pages, listeners

@@ -227,10 +227,13 @@ class Scan:
         return None if record is None else _Read([record], end, checked)
 
     def _loose_message(self, begin: int, end: int) -> _Read | None:
-        """A message outside of chunks: only in a file of another program, which has no chunks."""
-        if self.figures.chunks or self.ours or end - begin < MESSAGE.size:
+        """A message outside of chunks: only in a file that another program wrote without chunks."""
+        if self.figures.chunks or end - begin < MESSAGE.size:
             return None
         message = self._message(begin, end, self._octets)
+        # A copy of ours tells its channels first. Otherwise it is a damaged chunk.
+        if self.ours and message.channel_id not in self._loose_channels:
+            return None
         found = self._with_channel(message, self._loose_channels, self._loose_schemas)
         self.channels, self.schemas = self._loose_channels, self._loose_schemas
         return _Read([] if found is None else [found], end, False)

@@ -1,6 +1,7 @@
 """Sequence numbers, timestamps, markers, loss, order and restarts of an RTP stream."""
 
 import struct
+from itertools import pairwise
 
 import pytest
 from rtp_packets import PromptSender
@@ -510,6 +511,39 @@ def test_the_receiver_knows_when_a_picture_was_captured_across_wrap_around(octet
         # Half a tick of 90 kHz for the report's timestamp, half a tick for this one's.
         assert abs(capture_ns - number * FRAME_NS - NS_PER_S) <= 11_119
     assert receiver.counts.rtcp_reports == 2
+
+
+@pytest.mark.parametrize("set_ahead_ns", [0, 3 * NS_PER_S])
+def test_captures_never_run_back_though_reports_waver_and_a_clock_that_was_set_is_heeded(
+    set_ahead_ns,
+):
+    """Senders that date reports by arrival are off by as much as that wavers."""
+    rtp, receiver, captured = make_sender(), make_receiver(), []
+    for number in range(300):
+        now_ns = number * FRAME_NS
+        receiver.handle_packet(rtp.video_packets(picture(number)).packets[0], now_ns)
+        if number % 30 == 0:
+            seconds = number // 30
+            late_ns = seconds * 7919 % 151 * NS_PER_MS + set_ahead_ns * (seconds >= 5)
+            timestamp = (2**32 - 5000 + 3000 * number) % 2**32
+            receiver.handle_report(report_at(now_ns + late_ns, timestamp), now_ns)
+        (event,) = drain(receiver)
+        captured.append(receiver.capture_ns(event.timestamp))
+    assert all(early < late for early, late in pairwise(captured))
+    for number, capture_ns in enumerate(captured):
+        late_ns = capture_ns - number * FRAME_NS - set_ahead_ns * (number >= 150)
+        assert -NS_PER_MS <= late_ns <= 151 * NS_PER_MS
+    # It has come in before the next report.
+    assert captured[-1] - 299 * FRAME_NS == pytest.approx(
+        9 * 7919 % 151 * NS_PER_MS + set_ahead_ns, abs=20_000
+    )
+
+
+def report_at(unix_ns, timestamp):
+    """Return the report of the source 1 that dates this timestamp so."""
+    seconds, rest_ns = divmod(unix_ns, NS_PER_S)
+    ntp = (seconds + 2_208_988_800 << 32) + (rest_ns << 32) // NS_PER_S
+    return struct.pack("!BBHIQIII", 0x80, 200, 6, 1, ntp, timestamp, 1, 1)
 
 
 def test_an_unknown_or_foreign_report_gives_no_capture_time():

@@ -10,12 +10,16 @@ from threading import Event, Thread, Timer
 import numpy as np
 import pytest
 
+from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.coding import SLOW_REFRESH_S
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.payload_h264 import NAL_SPS, nal_type, split_annex_b
+from kontur_av.rtp.sdp import parse_sdp
+from kontur_av.rtp.wire import pack_rtp
 from pipelines.commands import receive, send
+from pipelines.commands.receive_media import PictureOutput
 
 SDP = "v=0\nc=IN IP4 127.0.0.1\nm=audio {port} RTP/AVP 97\na=rtpmap:97 opus/48000/2\n"
 GOOD = ["--audio", "tone.wav", "--to", "127.0.0.1:5004", "--cap-kbps", "64"]
@@ -124,6 +128,29 @@ def test_receive_says_what_came_instead(second_octet, to_report_port, said, tmp_
         done.set()
         sending.join()
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("units", "said"),
+    [
+        ([b"\x41\x88abcd"], "no SPS and no PPS came"),
+        ([b"\x67\x42\xc0\x1e", b"\x65\x88abcd"], ": no PPS came"),
+        ([b"\x67\x42\xc0\x1e", b"\x68\xce", b"\x65\x88abcd"], ""),
+    ],
+)
+def test_receive_says_which_parameter_sets_never_came(units, said):
+    stream = "v=0\nm=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n"
+    output = PictureOutput(parse_sdp(stream), MonotonicClock(), [])
+    for number, unit in enumerate(units * 3):
+        last = number % len(units) == len(units) - 1
+        timestamp = number // len(units) * 3000
+        packet = pack_rtp(
+            unit, payload_type=96, marker=last, sequence=number, timestamp=timestamp, ssrc=1
+        )
+        output.receiver.handle_packet(packet, number)
+        output.drain()
+    assert (output.decoded, said in output.missing()) == (0, True)
+    assert bool(output.missing()) == bool(said)
 
 
 #: H.264 table A-1: of each level_idc the macroblocks a second and a picture, and kbit/s.

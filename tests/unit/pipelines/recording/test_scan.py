@@ -128,6 +128,24 @@ def test_a_file_of_another_program_is_read(chunks, compression):
     assert len(scan.channels) == 3
 
 
+def test_our_recording_is_whole_when_another_program_has_copied_it_without_chunks():
+    _, told, (facts,) = scanned(write(SCRIPT).octets)
+    stream = BytesIO()
+    writer = Writer(stream, use_chunking=False)
+    writer.start(library="other")
+    writer.add_metadata(facts.name, facts.metadata)
+    names = {}
+    for topic, sequence, log_ns, publish_ns, data in told:
+        if topic not in names:
+            names[topic] = writer.register_channel(topic, "protobuf", 0)
+        writer.add_message(names[topic], log_ns, data, publish_ns, sequence)
+    writer.finish()
+    scan, found, _ = scanned(stream.getvalue())
+    assert found == told
+    assert scan.ours
+    assert scan.figures.sound
+
+
 def test_an_attachment_without_a_check_is_passed_over_in_a_file_of_another_program():
     octets = other_program(chunks=True, compression=CompressionType.ZSTD)
     text = octets.index(b"text", octets.index(b"a.txt") + 20)
