@@ -11,6 +11,7 @@ import av
 from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, CaptureStamp
+from kontur_av.sources.file import set_up_decoder
 from kontur_av.sources.fit import Fitter
 from kontur_av.sources.source import RETRY_NS
 
@@ -158,7 +159,7 @@ class CameraVideo:
 
     def _read_all(self, container: av.container.InputContainer) -> None:
         stream = container.streams.video[0]
-        stream.codec_context.thread_count = 1
+        set_up_decoder(stream)
         for packet in container.demux(stream):
             now_ns = self._clock.now_ns()
             if self._closed:

@@ -70,6 +70,14 @@ def check_file(path: str, kind: Literal["video", "audio"]) -> None:
         raise ConfigError(f"{path!r} has sound at {found.rate} Hz: resample it to 48000 Hz")
 
 
+def set_up_decoder(stream: av.VideoStream | av.AudioStream) -> None:
+    """Decode on the caller's thread, and refuse broken JPEGs."""
+    stream.codec_context.thread_count = 1
+    if stream.codec_context.name == "mjpeg":
+        # Such a picture would come out green from the damage on.
+        stream.codec_context.options = {"err_detect": "explode"}
+
+
 def _opened(path: str) -> av.container.InputContainer:
     # Titles and comments come in any encoding, and are not used.
     return av.open(f"file:{path}", metadata_errors="replace")
@@ -130,7 +138,7 @@ class _Reading:
         if stream is None:
             raise ValueError("it has no such stream")
         self.stream = stream
-        self.stream.codec_context.thread_count = 1
+        set_up_decoder(stream)
         #: Whether the file has both pictures and sound.
         self.both = other is not None
         self._streams = [one for one in (stream, other) if one is not None]

@@ -17,13 +17,22 @@ from kontur_av.sources.source import RETRY_NS
 from telepresence.world.scenes import media_folder
 
 
-def write_video(path, *, size=(64, 48), fps=25, pictures=10, codec="libx264", first_level=40):
+def write_video(
+    path,
+    *,
+    size=(64, 48),
+    fps=25,
+    pictures=10,
+    codec="libx264",
+    first_level=40,
+    form="yuv420p",
+):
     """Write grey pictures, each brighter than the one before."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=fps)
-        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        stream.width, stream.height, stream.pix_fmt = *size, form
         for k in range(pictures):
-            frame = av.VideoFrame(*size, "yuv420p")
+            frame = av.VideoFrame(*size, form)
             for plane, level in zip(frame.planes, (first_level + 15 * k, 128, 128), strict=True):
                 plane.update(bytes([level]) * plane.buffer_size)
             container.mux(stream.encode(frame))
@@ -172,6 +181,27 @@ def test_a_file_that_is_cut_short_while_it_plays(tmp_path):
     ends = [source.read(picture, 100 * NS_PER_MS) for _ in range(40)]
     assert ends[-1] is None
     assert source.faults > 0
+
+
+def test_broken_jpegs_are_left_out(tmp_path):
+    path = tmp_path / "camera.avi"
+    write_video(path, codec="mjpeg", size=(320, 240), form="yuvj420p")
+    film = bytearray(path.read_bytes())
+    chunk = film.index(b"movi")
+    for number in range(10):
+        chunk = film.index(b"00dc", chunk + 4)
+        if number in (0, 4):
+            # The camera stopped in the midst of it.
+            size = int.from_bytes(film[chunk + 4 : chunk + 8], "little")
+            scan = film.index(b"\xff\xda", chunk) + 40
+            film[scan : chunk + 8 + size] = b"\xff\xd9" + bytes(chunk + 6 + size - scan)
+    path.write_bytes(film)
+    source = opened(path, ManualClock(0), size=(320, 240))
+    levels = [level for _, level in take(source, 8, size=(320, 240))]
+    # Written with full range, read with 16 to 235.
+    wanted = [50 + 12.9 * number for number in range(10) if number not in (0, 4)]
+    assert levels == pytest.approx(wanted, abs=5)
+    assert source.faults == 2
 
 
 def test_sound_comes_in_blocks_without_a_gap_where_it_loops(tmp_path):
