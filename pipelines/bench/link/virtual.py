@@ -221,7 +221,8 @@ def goodput(
 class HeaderOctets:
     """Octets of the headers of a flow on the link, tags included.
 
-    packets, whole: number of packets, and of those with a whole header. mean: over all packets.
+    packets, whole: number of packets, and of those with a whole header or a wide one. mean:
+        over all packets.
     most_compressed: the largest compressed header.
     """
 
@@ -283,8 +284,9 @@ def _voice_packets(
         yield handed_ns, gateway, VOICE, talker.packet(handed_ns)
 
 
-#: Octets of each compressed form of a header, with the tag (`rtp_forms`).
-_COMPRESSED = {"bare": 1, "short": 2, "near": 2, "long": 3, "wide": 4}
+#: Octets of each compressed form of a header, with the tag (`rtp_forms`). The wide form is for
+#: what does not fit these; it is counted with whole headers.
+_COMPRESSED = {"bare": 1, "short": 2, "near": 2, "long": 3}
 
 
 def _counted(counts: Mapping[str, int]) -> HeaderOctets:
