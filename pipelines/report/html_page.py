@@ -23,6 +23,7 @@ h1 { font-size: 1.4rem; } h2 { font-size: 1.1rem; margin-top: 2rem; }
 .key span { display: inline-block; margin-right: 1rem; }
 .key b { padding: 0 .5em; margin-right: .4em; }
 small { display: block; opacity: .8; } table { border-collapse: collapse; }
+section { overflow-x: auto; }
 td, th { text-align: left; vertical-align: top; padding: .15rem .8rem .15rem 0; }
 td:first-child { white-space: nowrap; } .failed { color: var(--bad); font-weight: bold; }
 """

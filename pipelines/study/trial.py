@@ -25,8 +25,8 @@ class TrialResult:
 
     trial: its number in the participant's order, from 1. place: of the handle in that order, from
     1. counts: it is no practice. attempts: how often it was begun. missed: targets that were not
-    hit. seconds: of a movement, to where the dot came to stay in the target, on average; of
-    tracking, how long it counted. overshoot_m: beyond the target's far edge, on average.
+    hit. seconds: of a movement, to where the dot came to stay in the target, on average.
+    overshoot_m: beyond the target's far edge, on average.
     rms_error_m: of the dot to the target's middle, at the end of each movement or all the time.
     throughput_bit_s: ISO 9241-411, with the effective width. force_mean_n, force_max_n: of the
     handle on the hand, with its inertia. None: the task has no such figure.
@@ -170,10 +170,8 @@ class StudyTrial:
         steps = max(1, self._ns // NS_PER_MS)
         if isinstance(self.task, Tracking):
             counted = max(1, steps - LEAD_NS // NS_PER_MS)
-            seconds: float | None = counted / 1000
             rms_m: float | None = sqrt(self._square_m2 / counted)
         else:
-            seconds = fmean(hit.seconds for hit in hits) if hits else None
             rms_m = sqrt(fmean(hit.miss_m**2 for hit in hits)) if hits else None
         return TrialResult(
             **asdict(planned.condition),
@@ -186,7 +184,7 @@ class StudyTrial:
             attempts=attempts,
             missed=self._missed,
             difficulty_bits=planned.task.difficulty_bits,
-            seconds=seconds,
+            seconds=fmean(hit.seconds for hit in hits) if hits else None,
             path_m=self._path_m,
             overshoot_m=fmean(hit.beyond_m for hit in hits) if hits else None,
             rms_error_m=rms_m,
