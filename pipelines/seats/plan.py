@@ -21,9 +21,11 @@ from pipelines.seats.texts import (
     StreamText,
     TaskText,
     Via,
+    WelcomeText,
     WorkspaceText,
 )
 from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
+from pipelines.session.seat_roles import Role
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import (
     JOYSTICK_TRACE_TOPIC,
@@ -185,6 +187,17 @@ def seat_plan(
         orders=ground or len(topology.segments) > 1,
         text=text,
     )
+
+
+def welcome_text(
+    role: Role, segment: Segment, *, ports: dict[str, int], people: dict[str, str], tasks: bool
+) -> WelcomeText:
+    """Return what a person of `role` is told where people choose a page.
+
+    people: by role, its token; tokens of others are for the owner alone.
+    """
+    told = people if role is Role.OPERATOR else {}
+    return WelcomeText(role=role, seat=segment, ports=ports, tasks=tasks, people=told)
 
 
 def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:

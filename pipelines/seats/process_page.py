@@ -11,12 +11,12 @@ from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import TopicBus
 from pipelines.seats.figures import PageFigures
 from pipelines.seats.own_inputs import Given
-from pipelines.seats.plan import seat_plan
+from pipelines.seats.plan import seat_plan, welcome_text
 from pipelines.seats.seat import Seat
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
-from pipelines.seats.texts import WelcomeText, pack_text
-from pipelines.session.access import AccessError, AccessKind, Found
+from pipelines.seats.texts import pack_text
+from pipelines.session.access import AccessError, AccessKind
 from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.seat_roles import VIEWER_WORDS, Role
@@ -130,8 +130,12 @@ class PageServer:
                 return await self._serve_seat(request, found.role)
             if found.kind is AccessKind.MEDIA:
                 return await self._serve_media(request, found.role)
-            words = {"__WELCOME__": self._welcome(found)} if found.name == "" else {}
-            return self._site.file(request, found, words)
+            tasks = self._context.topology.options.tasks
+            listener, segment = self._listener, self._seat.plan.segment
+            people = {Role.VIEWER.value: listener.viewer_token, **listener.people}
+            ports = dict(listener.ports)
+            text = welcome_text(found.role, segment, ports=ports, people=people, tasks=tasks)
+            return self._site.file(request, found, {"__WELCOME__": escape(pack_text(text))})
         except AccessError as refusal:
             return self._site.refuse(refusal)
         except (ConnectionError, asyncio.CancelledError):
@@ -141,19 +145,6 @@ class PageServer:
             self._faults += 1
             traceback.print_exc()
             raise
-
-    def _welcome(self, found: Found) -> str:
-        """Return what the page where people choose one must know."""
-        listener, role = self._listener, found.role
-        people = {Role.VIEWER.value: listener.viewer_token, **listener.people}
-        text = WelcomeText(
-            role=role,
-            seat=self._seat.plan.segment,
-            ports=dict(listener.ports),
-            tasks=self._context.topology.options.tasks,
-            people=people if role is Role.OPERATOR else {},
-        )
-        return escape(pack_text(text))
 
     # The socket of a page
 
