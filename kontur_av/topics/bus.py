@@ -70,6 +70,16 @@ _LOAN = "__loan_slice_uninit"
 _NO_TIMESTAMP = -1
 
 
+def _header(stamp: CaptureStamp, width: int, height: int) -> bytes:
+    source = stamp.source.encode("ascii", "replace")[: _SOURCE_OCTETS - 1]
+    timestamp = _NO_TIMESTAMP if stamp.rtp_timestamp is None else stamp.rtp_timestamp
+    return _HEADER.pack(
+        *(stamp.capture_ns, time.monotonic_ns()),
+        *(stamp.sequence, timestamp, stamp.quality),
+        *(width, height, source),
+    )
+
+
 class Loan:
     """A buffer in shared memory that its writer fills, then publishes or gives back."""
 
@@ -94,14 +104,8 @@ class Loan:
 
     def publish(self, stamp: CaptureStamp) -> None:
         """Send the buffer to the readers. Do not touch it afterwards."""
-        source = stamp.source.encode("ascii", "replace")[: _SOURCE_OCTETS - 1]
-        timestamp = _NO_TIMESTAMP if stamp.rtp_timestamp is None else stamp.rtp_timestamp
-        header = _HEADER.pack(
-            *(stamp.capture_ns, time.monotonic_ns()),
-            *(stamp.sequence, timestamp, stamp.quality),
-            *(self._width, self._height, source),
-        )
         # One copy; setting the fields one by one through ctypes takes several times as long.
+        header = _header(stamp, self._width, self._height)
         ctypes.memmove(self._sample.user_header_ptr, header, len(header))
         self._sample.assume_init().send()
         self._published()
@@ -139,8 +143,12 @@ class Writer:
     def publish_octets(self, data: bytes, stamp: CaptureStamp) -> None:
         """Copy `data` into the topic."""
         sample = self._loan(len(data))
-        ctypes.memmove(sample.payload_ptr, data, len(data))
-        Loan(sample, len(data), 0, 0, self._wake).publish(stamp)
+        # The data lie right behind the header, so one copy does for both.
+        record = _header(stamp, 0, 0) + data
+        ctypes.memmove(sample.user_header_ptr, record, len(record))
+        sample.assume_init().send()
+        if self._notifier is not None:
+            self._notifier.notify()
 
     def publish_video(self, frame: VideoFrame) -> None:
         """Copy a picture into the topic."""
@@ -209,11 +217,13 @@ class Lease:
         self.release()
 
 
-def _copied(lease: Lease | None) -> bytes | None:
-    if lease is None:
+def _copied(sample: Any) -> bytes | None:
+    """Return the octets of a sample and release it, without reading its stamp."""
+    if sample is None:
         return None
-    with lease:
-        return lease.octets()
+    octets = ctypes.string_at(sample.payload_ptr, sample.header.number_of_elements)
+    sample.delete()
+    return octets
 
 
 class Reader:
@@ -264,14 +274,18 @@ class Reader:
 
     def next_octets(self) -> bytes | None:
         """As `next`: a copy of the sample's octets, which needs no release."""
-        return _copied(self.next())
+        return _copied(self._subscriber.receive())
 
     def latest_octets(self) -> bytes | None:
         """As `latest`: a copy of the sample's octets, which needs no release."""
-        return _copied(self.latest())
+        return _copied(self._newest())
 
     def latest(self) -> Lease | None:
         """The newest sample, or None; older ones are released and counted in `skipped`."""
+        newest = self._newest()
+        return None if newest is None else Lease(newest)
+
+    def _newest(self) -> Any:
         newest = self._subscriber.receive()
         if newest is None:
             return None
@@ -282,7 +296,7 @@ class Reader:
             newest.delete()
             newest = newer
             self.skipped += 1
-        return Lease(newest)
+        return newest
 
 
 class TopicBus(Closing):

@@ -146,11 +146,18 @@ class OwnOutlet:
         self._path = own_path(session, port)
 
     def send(self, data: bytes) -> None:
-        # By its path each time: the listener may have been restarted.
         try:
-            self._own.sendto(data, self._path)
-        except OSError:
+            # Connected, so that the kernel does not look up the path each time.
+            self._own.send(data)
+        except BlockingIOError:
             self.failed += 1
+        except OSError:
+            # Nobody has listened yet, or the listener was restarted.
+            try:
+                self._own.connect(self._path)
+                self._own.send(data)
+            except OSError:
+                self.failed += 1
 
 
 class OwnInlet:

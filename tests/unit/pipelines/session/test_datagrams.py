@@ -6,8 +6,10 @@ import pytest
 
 from pipelines.session.datagrams import (
     Inlet,
+    OwnOutlet,
     is_loopback,
     listen_alone,
+    listen_own,
     listen_to,
     open_peer,
     outlet,
@@ -116,3 +118,15 @@ def test_which_addresses_are_this_machines():
     assert is_loopback("127.9.9.9")
     assert not is_loopback("128.0.0.1")
     assert reaches(("127.0.0.5", 9)) == "127.0.0.1"
+
+
+def test_samples_reach_a_listener_that_comes_late_and_one_that_was_restarted(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    to_robot = OwnOutlet("lab", 27_008)
+    to_robot.send(b"too soon")
+    for life in (b"first", b"second"):
+        with listen_own("lab", 27_008) as robot:
+            to_robot.send(life)
+            assert receive(robot) == life
+        to_robot.send(b"nobody listens")
+    assert to_robot.failed == 3
