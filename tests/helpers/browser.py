@@ -119,7 +119,9 @@ class Browser:
     def _write_starter(self):
         """Write what starts a Chromium that ends with its driver, also when that is killed."""
         path = self.directory / "chromium"
-        path.write_text(f'#!/bin/sh\nexec setpriv --pdeathsig KILL {shutil.which("chromium")} "$@"\n')
+        path.write_text(
+            f'#!/bin/sh\nexec setpriv --pdeathsig KILL {shutil.which("chromium")} "$@"\n'
+        )
         path.chmod(0o700)
         return path
 
