@@ -8,7 +8,12 @@ from typing import Any
 
 import iceoryx2 as iox2
 
-from kontur_av.topics.session_files import make_session_root, shared_memory_prefix, topics_root
+from kontur_av.topics.session_files import (
+    SHARED_MEMORY,
+    make_session_root,
+    shared_memory_prefix,
+    topics_root,
+)
 
 #: A killed writer counts until another process has cleaned up after it.
 _MAX_WRITERS = 4
@@ -33,7 +38,8 @@ class IceoryxNode:
         self, session: str, header_octets: int, *, most_readers: int, most_depth: int
     ) -> None:
         config = iox2.config.default()
-        config.global_cfg.prefix = iox2.FileName.new(shared_memory_prefix(session))
+        self._prefix = shared_memory_prefix(session)
+        config.global_cfg.prefix = iox2.FileName.new(self._prefix)
         root = topics_root(session)
         make_session_root(session)
         root.mkdir(mode=0o700, exist_ok=True)
@@ -62,7 +68,6 @@ class IceoryxNode:
         present: KeyError if there is no such topic. OSError: no room in shared memory.
         """
         service = self._service(topic, present=present)
-        before = _segments()
         publisher = (
             service.publisher_builder()
             .initial_max_slice_len(max_octets)
@@ -72,8 +77,9 @@ class IceoryxNode:
             .create()
         )
         try:
-            for path in _segments() - before:
-                self._reserve(path, max_octets)
+            # iceoryx2 names a publisher's first segment so.
+            (segment,) = SHARED_MEMORY.glob(f"{self._prefix}*_{publisher.id.value}__0.data")
+            self._reserve(segment, max_octets)
         except OSError:
             publisher.delete()
             raise
@@ -108,7 +114,7 @@ class IceoryxNode:
         except iox2.PublishSubscribeOpenError:
             raise KeyError(topic) from None
 
-    def _reserve(self, segment: str, max_octets: int) -> None:
+    def _reserve(self, segment: Path, max_octets: int) -> None:
         """Take the pages of the first samples of a segment; OSError if there are too few.
 
         iceoryx2 uses the lowest sample that is free.
@@ -120,10 +126,3 @@ class IceoryxNode:
             os.posix_fallocate(descriptor, 0, min(wanted, os.fstat(descriptor).st_size))
         finally:
             os.close(descriptor)
-
-
-def _segments() -> set[str]:
-    """The segments with samples that this process has mapped."""
-    with Path("/proc/self/maps").open(encoding="utf-8", errors="replace") as maps:
-        paths = {line.rpartition(" ")[2].rstrip("\n") for line in maps if "_0.data" in line}
-    return {path for path in paths if path.endswith("_0.data")}

@@ -7,6 +7,7 @@ page takes nearly half a core where no graphics card helps.
 import asyncio
 import time
 import wave
+from itertools import cycle
 from urllib.parse import parse_qs, urlsplit
 
 import aiohttp
@@ -313,15 +314,18 @@ def press_with_finger(page):
 
 
 def test_a_finger_moves_the_robot_and_lets_go_when_it_is_lifted(space, robot):
+    # To and fro, or a repetition would begin where the last one led to.
+    sides = cycle((-1, 1))
+
     def moved():
         press_with_finger(space)
         if not robot.held():
             return False
-        from_m = robot.x_m()
+        side, from_m = next(sides), robot.x_m()
         for step in range(1, 9):
-            touch(space, "touchMove", -5 * step)
+            touch(space, "touchMove", 5 * side * step)
         time.sleep(0.3)
-        return robot.held() and robot.x_m() < from_m - 0.01
+        return robot.held() and side * (robot.x_m() - from_m) > 0.01
 
     # Only a finger that is down can be lifted.
     touch(space, "touchStart")

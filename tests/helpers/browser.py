@@ -65,7 +65,7 @@ class Browser:
 
         self.directory = Path(tempfile.mkdtemp(prefix="kavb"))
         options = webdriver.ChromeOptions()
-        options.binary_location = shutil.which("chromium")
+        options.binary_location = str(self._write_starter())
         for flag in (
             "headless=new",
             "no-sandbox",
@@ -88,7 +88,10 @@ class Browser:
             shutil.which("chromedriver"),
             env={**os.environ, "TMPDIR": str(self.directory)},
             log_output=subprocess.DEVNULL,
-            popen_kw={"start_new_session": True},
+            popen_kw={
+                "start_new_session": True,
+                "preexec_fn": running_session.end_with_the_tests,
+            },
         )
         self._errors = []
         try:
@@ -112,6 +115,15 @@ class Browser:
             self._service.process.wait()
         eventually(lambda: self.pids() == [], "the browser's end")
         shutil.rmtree(self.directory, ignore_errors=True)
+
+    def _write_starter(self):
+        """Write what starts a Chromium that ends with its driver, also when that is killed."""
+        path = self.directory / "chromium"
+        path.write_text(
+            f'#!/bin/sh\nexec setpriv --pdeathsig KILL {shutil.which("chromium")} "$@"\n'
+        )
+        path.chmod(0o700)
+        return path
 
     def pids(self):
         """Return the pids of the driver and of all processes of Chromium."""
