@@ -33,7 +33,10 @@ export function yamcs(fetch) {
 }
 
 function byName({ parameters = [] }) {
-  const own = parameters.filter((one) => one.qualifiedName.startsWith(`/${INSTANCE}/`) && one.type);
+  // Fields of packets have capitals.
+  const own = parameters.filter(
+    (one) => /^\/kontur_av\/[a-z]/.test(one.qualifiedName) && one.type,
+  );
   own.sort((one, other) => one.name.localeCompare(other.name));
   return new Map(own.map((one) => [one.name, one]));
 }

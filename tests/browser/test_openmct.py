@@ -1,0 +1,85 @@
+"""Open MCT, as the sample has it, shows a live session's values: those that YAMCS has."""
+
+import shutil
+import subprocess
+
+import pytest
+from janus_room import free_port
+from places import ROOT
+from running_session import RunningSession, end_with_the_tests, eventually
+from yamcs import Yamcs, milliseconds, new_instance, value_of
+
+PACKAGES = ROOT / ".ci" / "web" / "node_modules"
+NEEDED = ("openmct/dist/openmct.js", "http-server/bin/http-server")
+pytestmark = pytest.mark.skipif(
+    shutil.which("node") is None or not all((PACKAGES / one).exists() for one in NEEDED),
+    reason="run npm install in .ci/web",
+)
+#: Rows of the table of one parameter: its texts.
+ROWS = """
+    return [...document.querySelectorAll(".c-telemetry-table__body tr")].map(
+      (row) => [...row.querySelectorAll("td")].map((cell) => cell.textContent.trim()));
+"""
+PARAMETER, WHICH = "robot_x", "x"
+
+
+@pytest.fixture
+def served(tmp_path):
+    """served(port): the address of the sample before YAMCS at that port, by its README."""
+    site, started = tmp_path / "site", []
+    shutil.copytree(ROOT / "samples" / "openmct", site)
+    (site / "node_modules").symlink_to(PACKAGES)
+
+    def start(port):
+        own = free_port()
+        words = ("-s", "-a", "127.0.0.1", "-p", own, "--proxy", f"http://127.0.0.1:{port}")
+        command = ["node", PACKAGES / NEEDED[1], *map(str, words)]
+        with (tmp_path / "http.txt").open("w") as log:
+            started.append(
+                subprocess.Popen(
+                    command, cwd=site, stdout=log, stderr=log, preexec_fn=end_with_the_tests
+                )
+            )
+        return f"http://127.0.0.1:{own}"
+
+    yield start
+    for process in started:
+        process.terminate()
+        process.wait()
+
+
+def test_open_mct_shows_the_values_of_yamcs_as_they_come(served, start_browser, tmp_path):
+    packets, port, ground = free_port(), free_port(), tmp_path / "ground"
+    new_instance(ground, "--packets", f"tcp:{packets}", "--http-port", port)
+    session = RunningSession("taskboard", "--packets", f"tcp:{packets}", directory=tmp_path)
+    with session, Yamcs(ground, port) as yamcs, start_browser(size=(1280, 800)) as browser:
+        eventually(yamcs.is_linked, "YAMCS' connection")
+        # A value of before the page was there.
+        yamcs.do("robot_get", which=WHICH)
+        page = browser.open(f"{served(port)}/#/browse/yamcs:session/yamcs:{PARAMETER}?view=table")
+        shown = eventually(lambda: page.run(ROWS), "a row")
+        for _ in range(3):
+            yamcs.do("robot_get", which=WHICH)
+            before = len(shown)
+            shown = eventually(lambda n=before: newer(page, n), "a new row")
+        told = {
+            milliseconds(row["generationTime"]): value_of(row["engValue"])
+            for row in yamcs.all(
+                f"archive/kontur_av/parameters/kontur_av/{PARAMETER}",
+                "parameter",
+                source="replay",
+            )
+        }
+        for name, instant, value, unit in shown:
+            assert (name, unit) == (PARAMETER, "m")
+            # It shows five places.
+            assert float(value) == pytest.approx(told[milliseconds(instant)], abs=1e-5)
+        assert len(shown) == len({instant for _, instant, *_ in shown})
+        browser.assert_no_errors()
+        code, report = session.interrupt()
+        assert code == 0, report["failures"]
+
+
+def newer(page, count):
+    rows = page.run(ROWS)
+    return rows if len(rows) > count else None
