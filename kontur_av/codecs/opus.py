@@ -173,7 +173,7 @@ class OpusDecoder:
         samples = self._decode(state, packet, octets, room, most_samples, decode_fec)
         if samples < 0:
             raise self._error(samples)
-        return np.frombuffer(room, np.int16, samples)
+        return np.frombuffer(memoryview(room), np.int16, samples)
 
 
 def _free(coder: Any, state: str) -> None:
