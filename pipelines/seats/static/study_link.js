@@ -29,7 +29,7 @@ export class StudyLink extends EventTarget {
   hindrance = "";
   /** @type {HandLine["hello"]} */
   hello = null;
-  state = { hand: { holder: 1, you: true }, now_us: 0 };
+  state = { hand: { holder: 1, you: true, who: "" }, now_us: 0 };
 
   /** @param {string} name @param {(event: any) => void} listener */
   on(name, listener) {
