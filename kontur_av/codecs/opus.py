@@ -1,6 +1,5 @@
 """Blocks of sound to Opus packets of one constant size, and back (RFC 6716, RFC 7587)."""
 
-import ctypes
 import weakref
 from typing import Any
 
@@ -126,6 +125,7 @@ class OpusDecoder:
         self._error: type[Exception] = opuslib.OpusError
         self._decoder = opuslib.Decoder(AUDIO_CLOCK_HZ, 1)
         self._decode = opuslib.api.decoder.libopus_decode
+        self._pointer = opuslib.api.c_int16_pointer
         weakref.finalize(self, _free, self._decoder, "decoder_state")
 
     def decode(self, packet: bytes) -> Pcm:
@@ -168,12 +168,12 @@ class OpusDecoder:
 
     def _decoded(self, packet: bytes, most_samples: int, *, decode_fec: bool = False) -> Pcm:
         # opuslib makes a Python integer of each sample, which takes five times as long.
-        room = (ctypes.c_int16 * most_samples)()
-        state, octets = self._decoder.decoder_state, len(packet)
-        samples = self._decode(state, packet, octets, room, most_samples, decode_fec)
+        pcm = np.empty(most_samples, np.int16)
+        state, room = self._decoder.decoder_state, pcm.ctypes.data_as(self._pointer)
+        samples = self._decode(state, packet, len(packet), room, most_samples, decode_fec)
         if samples < 0:
             raise self._error(samples)
-        return np.frombuffer(memoryview(room), np.int16, samples)
+        return pcm[:samples]
 
 
 def _free(coder: Any, state: str) -> None:

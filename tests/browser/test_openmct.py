@@ -1,6 +1,7 @@
 """Open MCT, as the sample has it, shows a live session's values: those that YAMCS has."""
 
 import shutil
+import socket
 import subprocess
 
 import pytest
@@ -40,6 +41,7 @@ def served(tmp_path):
                     command, cwd=site, stdout=log, stderr=log, preexec_fn=end_with_the_tests
                 )
             )
+        eventually(lambda: _answers(own), "the sample's server")
         return f"http://127.0.0.1:{own}"
 
     yield start
@@ -78,6 +80,11 @@ def test_open_mct_shows_the_values_of_yamcs_as_they_come(served, start_browser, 
         browser.assert_no_errors()
         code, report = session.interrupt()
         assert code == 0, report["failures"]
+
+
+def _answers(port):
+    with socket.socket() as one:
+        return one.connect_ex(("127.0.0.1", port)) == 0
 
 
 def newer(page, count):
