@@ -81,7 +81,7 @@ class Aiming:
     """Targets on a ring, each across from the one before (ISO 9241-411, annex B). ConfigError.
 
     distance_m: diameter of the ring. width_m: of a target. targets: how many, an odd number.
-    hold_s: a target is hit when the dot was in it for so long. patience_s: then it is missed.
+    hold_s: how long the dot must stay in a target to hit it. patience_s: after that it is missed.
     speed_m_s: of targets that move to and fro along the ring; 0 for still ones.
     """
 
@@ -239,7 +239,7 @@ class PlannedTrial:
 def trials_of(plan: StudyPlan, participant: int) -> list[PlannedTrial]:
     """All trials of a participant, from 1, in their order."""
     conditions, square = plan.handle.conditions, latin_square(len(plan.handle.conditions))
-    # Who comes at which row, and which handle a number means, is left to chance.
+    # Random: each participant's row, and the handle behind each number.
     chance = Random(plan.seed)
     chance.shuffle(square)
     chance.shuffle(conditions)
