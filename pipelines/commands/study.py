@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
             for participant in range(1, simulated + 1):
                 for result in simulate_person(plan, participant, args.seed):
                     trials.add(result)
-                say(f"participant {participant} of {simulated} is through")
+                say(f"participant {participant} of {simulated} has finished")
         elif not args.report:
             asyncio.run(_serve(args, plan, trials))
             return 0

@@ -29,7 +29,7 @@ def effect_words(effect: Effect) -> tuple[str, ...]:
 def summary_of(report: StudyReport) -> Iterator[str]:
     """Who took part, in lines."""
     note = f", {report.note}" if report.note else ""
-    yield f"{report.plan}{note}: {len(report.participants)} participants are through"
+    yield f"{report.plan}{note}: {len(report.participants)} participants have finished"
     if report.unfinished:
         yield f"left out, because they are not through: {', '.join(map(str, report.unfinished))}"
     yield f"targets missed: {report.missed}; trials begun again: {report.voids}"

@@ -76,7 +76,7 @@ class Cell:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyReport:
-    """participants: those who are through, whose trials count. missed, voids: targets that were not
+    """participants: who have finished, whose trials count. missed, voids: targets that were not
     hit, trials that were begun again."""
 
     plan: str
