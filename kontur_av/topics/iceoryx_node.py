@@ -55,6 +55,8 @@ class IceoryxNode:
         self._header_octets = header_octets
         fields = [("words", ctypes.c_uint64 * (header_octets // 8))]
         self._header: Any = type("_Header", (ctypes.Structure,), {"_fields_": fields})
+        #: Topics that were opened: opening one takes as long as joining it.
+        self._services: dict[str, Any] = {}
 
     def topics(self) -> list[str]:
         found: list[Any] = iox2.Service.list(self._config, iox2.ServiceType.Ipc)
@@ -92,9 +94,16 @@ class IceoryxNode:
 
     def close(self) -> None:
         """Give up the node, after its ports."""
+        self._services.clear()
         self._node = None
 
     def _service(self, topic: str, *, present: bool) -> Any:
+        service = self._services.get(topic)
+        if service is None:
+            service = self._services[topic] = self._open(topic, present=present)
+        return service
+
+    def _open(self, topic: str, *, present: bool) -> Any:
         service = (
             self._node.service_builder(iox2.ServiceName.new(topic))
             .publish_subscribe(iox2.Slice[ctypes.c_uint8])

@@ -229,11 +229,13 @@ class _Ros2Process:
         self._pictured = []
         for source in self._sources:
             wanted = self._wanted.intersection(source.publications)
-            if wanted and source.content is RosContent.PICTURE:
+            picture = source.content is RosContent.PICTURE
+            if wanted and picture:
                 self._pictured.append(source)
-            elif wanted and source not in self._readers:
+            if wanted and source not in self._readers:
                 self._messages.handle_joined(source)
-                self._readers[source] = self._bus.reader(source.topic, depth=_DEPTH)
+                depth = 1 if picture else _DEPTH
+                self._readers[source] = self._bus.reader(source.topic, depth=depth)
             elif not wanted and source in self._readers and source.content not in _ALWAYS_READ:
                 self._readers.pop(source).close()
             if source.content is RosContent.UNIT and (source in self._joined or wanted - before):
@@ -260,21 +262,14 @@ class _Ros2Process:
                     self._publish(message)
 
     def _picture(self, source: RosSource) -> None:
-        """Join a topic for one picture at a time, so that a built-in scene draws only these."""
-        reader, messages = self._readers.get(source), self._messages
-        if reader is None:
-            if messages.due(source, self._now_ns()):
-                self._readers[source] = self._bus.reader(source.topic)
-            return
-        lease = reader.latest()
+        messages = self._messages
+        lease = self._readers[source].latest()
         if lease is None:
             return
         with lease:
-            # A new reader is also given the newest picture of before.
             if not messages.due(source, lease.stamp.capture_ns):
                 return
             made = list(messages.picture(source, lease.video().data, lease.stamp))
-        self._readers.pop(source).close()
         for message in made:
             self._publish(message)
 
