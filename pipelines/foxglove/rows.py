@@ -4,6 +4,7 @@ from pipelines.recording.rows import shown_topics
 from pipelines.session.topology import (
     FOXGLOVE,
     TMTC_TOPICS,
+    WATCHER_PRIORITY,
     ProcessRow,
     Segment,
     Stage,
@@ -19,6 +20,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             when=session.options.foxglove,
             segment=None,
             stage=Stage.SINK,
+            priority=WATCHER_PRIORITY,
             run="pipelines.foxglove.process_foxglove:run_foxglove",
             reads=(
                 *shown_topics(session),

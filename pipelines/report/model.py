@@ -398,7 +398,7 @@ class ProcessReport(Report, frozen=True, kw_only=True):
     restarts: int
     #: The last fault of an input's source.
     source_fault: str | None = None
-    #: `fifo` with real-time priority, else `other`.
+    #: `fifo` with real-time priority, `idle` if it leaves the cores to others, else `other`.
     scheduler: str | None = None
     #: Why it ended last, if it was not told to.
     last_error: str | None = None

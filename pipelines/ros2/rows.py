@@ -4,6 +4,7 @@ from pipelines.ros2.publications import sources_of
 from pipelines.session.topology import (
     ROS2,
     ROS2_HAND_TOPIC,
+    WATCHER_PRIORITY,
     ProcessRow,
     Stage,
     Topology,
@@ -14,15 +15,17 @@ from telepresence.haptics.device.spec import ROS2_HAND
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
     """The process of `--ros2`."""
+    steers = session.options.joystick == ROS2_HAND
     return (
         ProcessRow(
             name=ROS2,
             when=session.options.ros2,
             segment=None,
             stage=Stage.SINK,
+            priority=0 if steers else WATCHER_PRIORITY,
             run="pipelines.ros2.process_ros2:run_ros2",
             reads=tuple(source.topic for source in sources_of(session)),
-            writes=given(session.options.joystick == ROS2_HAND, ROS2_HAND_TOPIC),
+            writes=given(steers, ROS2_HAND_TOPIC),
             what="is a node of a ROS 2 system",
         ),
     )

@@ -24,7 +24,7 @@ from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Probe
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import LOOP_PRIORITY, ProcessRow, Topology
+from pipelines.session.topology import LOOP_PRIORITY, WATCHER_PRIORITY, ProcessRow, Topology
 
 if TYPE_CHECKING:
     from kontur_av.topics.bus import TopicBus
@@ -157,7 +157,10 @@ def become(row: ProcessRow, context: Context) -> None:
     # When the launcher is killed, its processes end, too.
     prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])
-    if row.priority:
+    if row.priority == WATCHER_PRIORITY:
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+        context.probe.message.scheduler = "idle"
+    elif row.priority:
         context.probe.message.scheduler = take_realtime(row.priority)
 
 

@@ -23,6 +23,9 @@ def test_whatever_is_killed_of_those_attached_the_session_goes_on(start, tmp_pat
     session = start("taskboard", *options(ports))
     pids = session.pids()
     session.wait_for_flow()
+    # Pictures for others never take a core from the session.
+    for name in ("ros2", "foxglove"):
+        assert os.sched_getscheduler(pids[name]) == os.SCHED_IDLE
     first, second = Attached(ports, tmp_path / "first"), None
     try:
         first.join(address(session))

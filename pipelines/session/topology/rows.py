@@ -14,6 +14,8 @@ from telepresence.link.profile import LinkProfile
 #: playout buffer. Then the recorder: what it does not read within 0.6 s is lost for ever, and a
 #: picture that waits for it is only late.
 LOOP_PRIORITY, VOICE_PRIORITY, RECORDER_PRIORITY = 10, 5, 1
+#: Below all others, for processes that only show a session to other programs.
+WATCHER_PRIORITY = -1
 
 
 class Stage(IntEnum):
@@ -59,7 +61,8 @@ class ProcessRow:
     segment: None for a process that observes all segments of its machine.
     run: "module:function"; the function is called with a `Context` and `arguments`.
     when: whether the session has it.
-    priority: real-time priority where the system permits it; 0 for none.
+    priority: real-time priority where the system permits it; 0 for none. With `WATCHER_PRIORITY` it
+        runs when no other process wants the core.
     reads: topics that it reads if anything writes them (`Topology.reads`). writes: topics.
     ports: UDP ports on which it listens beside those of its streams and links.
     what: its task in a few words.
