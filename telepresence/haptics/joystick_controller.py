@@ -84,7 +84,10 @@ class JoystickController(PortController):
     limit_n: the force (N) that the motors can exert now; set it before a step.
     acted: number of cycles in which the credit bounded the force.
     damping_n_s_m: the present damping.
+    spared_j: kept for the damping, whose force turns later than the hand, when the robot lacks all.
     """
+
+    spared_j = 0.0
 
     def __init__(
         self, model: JoystickControllerModel | None = None, *, passive: bool = True
@@ -138,7 +141,7 @@ class JoystickController(PortController):
             # The velocity is not known yet, so neither is the energy that a force would cost.
             return 0.0, 0.0
         dx, dy = x_m - last[0], y_m - last[1]
-        port.handle_flow(self._fx * dx + self._fy * dy)
+        self._book(self._fx * dx + self._fy * dy)
         if feedback is None:
             port.handle_silence(dt_ns)
             self._silent_s += dt_s
@@ -214,6 +217,10 @@ class JoystickController(PortController):
         self._fx, self._fy = gx + bx, gy + by
         return self._fx, self._fy
 
+    def _book(self, energy_j: float) -> None:
+        """Count the energy that this controller's force gave to the hand, or took if negative."""
+        self.port.handle_flow(energy_j)
+
     def _payable_n(self, credit_j: float, outward_m_s: float) -> float:
         """Return the largest force that can fade on this credit.
 
@@ -255,7 +262,7 @@ class JoystickController(PortController):
         keep_j = model.reserve_j
         if feedback[6]:
             goal_2 = self._goal_x * self._goal_x + self._goal_y * self._goal_y
-            keep_j = min(keep_j, goal_2 / (2.0 * model.fade_n_m))
+            keep_j = min(keep_j, self.spared_j + goal_2 / (2.0 * model.fade_n_m))
         surplus_j = port.credit_j - keep_j
         if surplus_j > 0.0:
             port.return_credit(surplus_j * dt_s / (dt_s + model.return_s))

@@ -12,6 +12,7 @@ from telepresence.haptics.mediated.renderer import RendererModel
 
 MS = 1_000_000
 HEAVY_ARM = HandModel(stiffness_n_m=800.0, damping_n_s_m=24.0, mass_kg=2.0)
+SPRINGY_ARM = HandModel(stiffness_n_m=400.0, damping_n_s_m=1.0, mass_kg=1.0)
 #: Touches the wall for 2 s, leaves it for 1 s.
 PRESS = (
     Waypoint(0.04, 0.0, 300 * MS, 700 * MS),
@@ -50,6 +51,17 @@ def test_the_robot_presses_as_the_hand_feels():
     far = MediatedPair(300, SOFT_GRIP, script=PRESS)
     far.run(8)
     assert far.ground.robot.force_n == pytest.approx(-far.rows[-1, 1], rel=0.1)
+
+
+@pytest.mark.parametrize("grip", [SOFT_GRIP, HEAVY_ARM, SPRINGY_ARM], ids=["soft", "arm", "light"])
+@pytest.mark.parametrize("stiffness_n_m", [300.0, 5000.0])
+def test_the_robot_is_granted_what_the_hand_put_in_and_not_what_the_wall_gave_back(
+    grip, stiffness_n_m
+):
+    far = MediatedPair(150, grip, stiffness_n_m=stiffness_n_m, script=PRESS)
+    far.run(12)
+    gave_j = -np.diff(far.rows[:, 2])
+    assert 0.2 < far.space.controller.port.in_j <= gave_j[gave_j > 0.0].sum() + 1e-9
 
 
 @pytest.mark.parametrize("wall", [WallModel(x_m=0.09), WallModel(x_m=0.052), WallModel(x_m=0.2)])

@@ -22,6 +22,8 @@ class MediatedController(JoystickController):
     renderer: what it renders with. garbage: messages that were not a wall.
     """
 
+    spared_j = 0.002
+
     def __init__(
         self,
         model: JoystickControllerModel | None = None,
@@ -61,8 +63,6 @@ class MediatedController(JoystickController):
         renderer.limit_n = limit_n
         felt = feedback is None or not feedback[7]
         wall_x, wall_y = renderer.step(x_m, y_m, dt_ns, felt=felt)
-        if renderer.taken_j:
-            self.port.handle_flow(-renderer.taken_j)
         if feedback is not None:
             feedback = _tuple(Feedback, (0.0, 0.0, *feedback[2:]))
         # The wall has one axis, so its force is the larger of the two numbers.
@@ -70,3 +70,9 @@ class MediatedController(JoystickController):
         self._damping_n = bx, by = super().step(feedback, x_m, y_m, dt_ns)
         self.limit_n = limit_n
         return wall_x + bx, wall_y + by
+
+    def _book(self, energy_j: float) -> None:
+        """Count wall and damping together: what the wall gives back, the damper takes."""
+        given_j = self.renderer.given_j
+        # The tank pays for the rest of it.
+        super()._book(energy_j + min(given_j, max(0.0, -energy_j)))

@@ -53,7 +53,7 @@ class WallRenderer:
     limit_n: the greatest force (N) now; set it before a step.
     tank_j: energy taken from the hand less energy given to it, bounded by `limit_j`.
     least_j: the lowest value of `tank_j` so far.
-    taken_j: energy that the spring took from the hand in the last step; 0 if it gave some.
+    given_j: energy that the spring gave to the hand in the last step, or took if negative.
     used, stale: messages taken, and messages that were not newer than one before.
     """
 
@@ -61,7 +61,7 @@ class WallRenderer:
         self.model = model = model or RendererModel()
         self.limit_n = 12.0
         self.tank_j = self.least_j = model.start_j
-        self.taken_j = 0.0
+        self.given_j = 0.0
         self.used = self.stale = 0
         self._goal: Wall | None = None
         self._stamp_ms: int | None = None
@@ -107,14 +107,14 @@ class WallRenderer:
         dt_s = dt_ns / NS_PER_S
         self._age_ns += dt_ns
         last, self._last = self._last, (x_m, y_m)
-        self.taken_j = 0.0
+        self.given_j = 0.0
         if last is None:
             return 0.0, 0.0
         held_n, stiffness = self._force_n, self._stiffness
         at_m = self._inward * (y_m if self._axis else x_m)
         moved_m = at_m - self._inward * (last[1] if self._axis else last[0])
-        self.handle_flow(-held_n * moved_m)
-        self.taken_j = max(0.0, held_n * moved_m)
+        self.given_j = -held_n * moved_m
+        self.handle_flow(self.given_j)
         # What the spring does by itself.
         force = stiffness * (at_m - self._from_m) if stiffness else 0.0
         goal = self._goal if felt and self._age_ns <= self.model.old_ns else None
