@@ -1,4 +1,4 @@
-"""Where a merged stereo picture is cut: beside what stands above the plane that both cameras see."""
+"""Where a merged picture is cut: beside what stands above the plane that both cameras see."""
 
 import cv2
 import numpy as np

@@ -104,7 +104,8 @@ class VideoStudio:
         picture = parts[0]
         if len(parts) == 2:
             picture = self._rooms[2]
-            merge(*parts, picture, self._finder.handle_pictures(*parts))
+            seam = self._finder.handle_pictures(parts[0], parts[1])
+            merge(parts[0], parts[1], picture, seam)
         assert picture is not None
         stamp = CaptureStamp(0, self._encoder.encoded, self._stream.name)
         unit = self._encoder.encode(VideoFrame(picture, stamp), coding, region=region)
