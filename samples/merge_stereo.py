@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from kontur_av.media import I420, empty_picture
+from kontur_av.sources.seam import SeamFinder
 from kontur_av.sources.stereo import merge
 from telepresence.world import WorldState, render
 
@@ -39,7 +40,7 @@ def main() -> None:
     else:
         left, right = look("left"), look("right")
     merged = np.empty_like(left)
-    merge(left, right, into=merged, seam=0.5)
+    merge(left, right, into=merged, seam=SeamFinder().handle_pictures(left, right))
     for name, picture in (("left", left), ("right", right), ("merged", merged)):
         path = folder / f"{name}.png"
         cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_YUV2BGR_I420))

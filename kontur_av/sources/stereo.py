@@ -2,7 +2,8 @@
 
 A tool in front of the cameras hides a different part of the work from each. The right camera sees
 what the left one misses. A picture of the two outer halves thus shows both sides of the tool at
-the bit rate of one camera (Kontur-2).
+the bit rate of one camera (Kontur-2). Two cameras that see one plane at the same pixels join on it
+without a step. What stands above it is elsewhere in each: `seam.SeamFinder` cuts beside that.
 """
 
 import struct

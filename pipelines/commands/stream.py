@@ -47,7 +47,12 @@ from pipelines.commands.rtc_leg import (
 )
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
 from pipelines.link.peer_socket import PeerPlan
-from pipelines.recording.part_files import check_recordable, clear_parts
+from pipelines.recording.part_files import (
+    LEAST_RECORDED_S,
+    check_disk,
+    check_recordable,
+    clear_parts,
+)
 from pipelines.report.collector import Collector
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
@@ -167,6 +172,7 @@ def run(args: argparse.Namespace) -> int:
     wish = wish_of(args, held=False)
     if wish is not None:
         check_recordable(Path(wish.file), overwrite=args.overwrite, sources=setup.sources.values())
+        check_disk(Path(wish.file), setup, args.seconds or LEAST_RECORDED_S)
     clear_dead_sessions()
     check_room(setup, inputs, pages=not args.no_page)
     topology = topology_of(

@@ -1,22 +1,30 @@
-"""A camera that is coded by its reader while no stream carries it."""
+"""A camera that is coded by its reader: while no stream carries it, or always and whole."""
 
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.recording.channels import Source
 from pipelines.recording.own_pictures import CameraCoder
 
+#: Unread pictures that are kept of a camera that is coded whole: a quarter of a second at 30 Hz.
+_DEPTH = 8
+
 
 class CameraReader:
     """Reads the topic of one camera.
 
     It is joined for one picture at a time, so that a built-in scene draws only these.
+
+    whole: every picture is coded, whether a stream carries the camera or not.
     """
 
-    def __init__(self, bus: TopicBus, source: Source, coder: CameraCoder) -> None:
+    def __init__(
+        self, bus: TopicBus, source: Source, coder: CameraCoder, *, whole: bool = False
+    ) -> None:
         self.source = source
         self._bus, self._coder = bus, coder
         self._reader: Reader | None = None
         self._carried = True
+        self._every = bus.reader(source.topic, depth=_DEPTH) if whole else None
 
     def handle_carried(self, carried: bool) -> None:
         """Whether a stream carries the camera, or nobody wants it."""
@@ -27,6 +35,12 @@ class CameraReader:
 
     def poll(self, now_ns: int) -> tuple[bytes, CaptureStamp] | None:
         """Return an access unit of a picture that is due, with its stamp, or None."""
+        if self._every is not None:
+            lease = self._every.next()
+            if lease is None:
+                return None
+            with lease:
+                return self._coder.encode(lease.video().data, lease.stamp.capture_ns), lease.stamp
         if self._carried:
             return None
         if self._reader is None:

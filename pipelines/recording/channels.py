@@ -182,7 +182,9 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
         yield _sound(RTC_VOICE, RECEIVED, RTC_CODED_VOICE_TOPIC, "of the partner")
     for row in topology.inputs:
         if topology.media(row.stream).kind is Kind.VIDEO:
-            what = "access unit, while no stream carries the camera"
+            every = topology.setup.recorded_cameras == "all"
+            when = "of every picture" if every else "while no stream carries the camera"
+            what = f"access unit, {when}"
             yield Source(row.topic, Content.CAMERA, row.name, {f"/camera/{row.name}": what})
     for segment in Segment:
         for (kind, way), topic in packet_topics(segment).items():

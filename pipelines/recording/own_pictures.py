@@ -88,10 +88,9 @@ class StreamStart:
         return Begun(black_key(unit.width, unit.height), data)
 
 
-#: Pictures a second, and how many follow a key picture.
+#: Pictures a second unless a camera is recorded whole, and the seconds between key pictures.
 RATE_HZ: Final = 5
-_PERIOD_NS = NS_PER_S // RATE_HZ
-_KEY_EVERY = 2 * RATE_HZ
+_KEY_EVERY_S = 2
 #: Of libx264, with a constant rate factor that is good enough to see what happened.
 _OPTIONS = {
     "preset": "ultrafast",
@@ -106,11 +105,15 @@ _OPTIONS = {
 class CameraCoder:
     """One camera. Ask `due` for each new picture, and hand it to `encode` if it is.
 
-    The rate is 5 Hz or the camera's own, if that is less. Every tenth picture is a key picture, and
-    the first one after a pause, in a new part and of another size.
+    A key picture comes every 2 s, and is the first one after a pause, in a new part and of another
+    size.
+
+    rate_hz: of the pictures that `due` lets through.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, rate_hz: int = RATE_HZ) -> None:
+        self._rate_hz = rate_hz
+        self._period_ns = NS_PER_S // rate_hz
         self._codec: VideoCodecContext | None = None
         self._due_ns: int | None = None
         self._since_key = 0
@@ -132,16 +135,16 @@ class CameraCoder:
     def encode(self, picture: I420, capture_ns: int) -> bytes:
         """Return the access unit (Annex B) of a picture that is due."""
         due_ns = self._due_ns
-        if due_ns is None or capture_ns - due_ns > _PERIOD_NS:
+        if due_ns is None or capture_ns - due_ns > self._period_ns:
             due_ns = capture_ns
-        self._due_ns = due_ns + _PERIOD_NS
+        self._due_ns = due_ns + self._period_ns
         codec = self._codec
         size = picture.shape[1], picture.shape[0] * 2 // 3
         if codec is None or (codec.width, codec.height) != size:
-            codec = self._codec = i420_encoder(*size, RATE_HZ, _OPTIONS)
+            codec = self._codec = i420_encoder(*size, self._rate_hz, _OPTIONS)
             self._key = True
         frame = av.VideoFrame.from_numpy_buffer(picture, "yuv420p")
-        key = self._key or self._since_key >= _KEY_EVERY
+        key = self._key or self._since_key >= _KEY_EVERY_S * self._rate_hz
         self._key, self._since_key = False, 1 if key else self._since_key + 1
         frame.pict_type = PictureType.I if key else PictureType.NONE
         (packet,) = codec.encode(frame)

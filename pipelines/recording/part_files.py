@@ -6,6 +6,7 @@ So neither a slow disk nor a full one holds up the reader of the topics.
 import fcntl
 import glob
 import os
+import shutil
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -19,6 +20,7 @@ from kontur_av.sources.spec import played_file
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.recording_file import check_new, octets_of_file
 from pipelines.recording.scan import first_facts
+from pipelines.session.setup.table import Setup
 
 if TYPE_CHECKING:
     # `record` checks a path, for which the codecs need not be loaded.
@@ -27,6 +29,10 @@ if TYPE_CHECKING:
 _SYNC_S = 1.0
 _MOST_PARTS = 100_000
 _TRIAL = ".trial"
+#: A recording without a known end has room for so long at its beginning.
+LEAST_RECORDED_S = 60.0
+#: Of a camera that is recorded whole: the most that three clips of real footage took.
+_OCTETS_PER_PIXEL = 0.021
 
 
 def part_path(path: Path, part: int) -> Path:
@@ -65,6 +71,24 @@ def check_recordable(path: Path, *, overwrite: bool, sources: Iterable[str] = ()
         trial.unlink()
     except OSError as error:
         raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def check_disk(path: Path, setup: Setup, seconds: float) -> None:
+    """Raise ConfigError if the disk of `path` has no room for all cameras for so many seconds.
+
+    A setup that does not record all cameras needs little, and is not checked.
+    """
+    if setup.recorded_cameras != "all":
+        return
+    streams = [setup.stream_of(name) for name in setup.inputs if setup.kind_of(name) == "video"]
+    octets_per_s = sum(_OCTETS_PER_PIXEL * one.width * one.height * one.fps for one in streams)
+    free = shutil.disk_usage(path.parent).free
+    if free < octets_per_s * seconds:
+        raise ConfigError(
+            f"{path}: {len(streams)} cameras take about {60 * octets_per_s / 1e6:.0f} MB a minute, "
+            f"{octets_per_s * seconds / 1e6:.0f} MB in {seconds:g} s, and the disk has "
+            f'{free / 1e6:.0f} MB free: record to another disk, or take recorded_cameras = "idle"'
+        )
 
 
 def clear_parts(path: Path) -> None:

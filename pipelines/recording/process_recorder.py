@@ -26,7 +26,13 @@ from pipelines.recording.desk import Ask, RecorderDesk, Start, Stop
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
-from pipelines.recording.part_files import PartFiles, check_recordable, clear_parts
+from pipelines.recording.part_files import (
+    LEAST_RECORDED_S,
+    PartFiles,
+    check_disk,
+    check_recordable,
+    clear_parts,
+)
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
 from pipelines.session.asking import desk_path
 from pipelines.session.figures import SessionEvents
@@ -124,6 +130,7 @@ class _RecorderProcess:
                 overwrite=start.overwrite,
                 sources=self._context.setup.sources.values(),
             )
+            check_disk(path, self._context.setup, LEAST_RECORDED_S)
             clear_parts(path)
             write_wish(self._context.session, start.wish)
         except ConfigError as error:
@@ -199,8 +206,9 @@ class _Recording:
             if source.content is not Content.CAMERA
         ]
         self._selected = self._bus.reader(SELECTED_TOPIC)
+        whole = setup.recorded_cameras == "all"
         self._cameras = [
-            CameraReader(self._bus, source, self._recorder.coder(source))
+            CameraReader(self._bus, source, self._recorder.coder(source), whole=whole)
             for source in sources
             if source.content is Content.CAMERA
         ]
@@ -249,7 +257,7 @@ class _Recording:
             with chosen:
                 self._follow(Choice.unpack(chosen.octets()).camera)
         for camera in self._cameras:
-            if (coded := camera.poll(self._now_ns())) is not None:
+            while (coded := camera.poll(self._now_ns())) is not None:
                 recorder.handle_camera(camera.source, *coded, self._now_ns())
         recorder.handle_time(self._now_ns())
         self._pump()

@@ -117,6 +117,7 @@ class Recorder:
         self._wanted: deque[KeyPictureWanted] = deque()
         self._keys_wanted = self._keys_late = 0
         self._coders: dict[str, CameraCoder] = {}
+        self._setup = topology.setup
         self._coded: Counter[str] = Counter()
         #: Events that wait for earlier ones, with the instants at which they came.
         self._events_due: list[tuple[RecordedEvent, int]] = []
@@ -167,10 +168,18 @@ class Recorder:
 
     def coder(self, source: Source) -> CameraCoder:
         """Return what codes the pictures of a camera."""
-        return self._coders.setdefault(source.name, CameraCoder())
+        whole = self._setup.recorded_cameras == "all"
+        coder = CameraCoder(self._setup.stream_of(source.name).fps) if whole else CameraCoder()
+        return self._coders.setdefault(source.name, coder)
 
     def handle_camera(self, source: Source, unit: bytes, stamp: CaptureStamp, now_ns: int) -> None:
-        """A picture of a camera was coded. Pictures between two coded ones are not missed."""
+        """A picture of a camera was coded.
+
+        Pictures between two coded ones are missed only if all cameras are recorded.
+        """
+        if self._setup.recorded_cameras == "all":
+            missed = self._sample_numbers.handle_sample(source.topic, stamp.sequence)
+            self._missed[self._numbers[source.channels[0]]] += missed
         self._coded[source.name] += 1
         number = self._coded[source.name]
         self._put([self._told.of_camera(source, unit, stamp, number, now_ns)])

@@ -10,6 +10,7 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.media.previewing import preview_size
+from pipelines.media.tip_region import board_view
 from pipelines.seats.mission_desk import application_texts
 from pipelines.seats.texts import (
     BoardText,
@@ -26,7 +27,7 @@ from pipelines.seats.texts import (
 )
 from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
 from pipelines.session.seat_roles import Role
-from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import (
     JOYSTICK_TRACE_TOPIC,
     MISSION_GROUND_TOPIC,
@@ -173,6 +174,7 @@ def seat_plan(
             TaskText(name=one.name, text=one.text)
             for one in (() if tasks is None else tasks.tasks.values())
         ),
+        views={} if ground else dict(_views(setup)),
         passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
     )
     return SeatPlan(
@@ -187,6 +189,15 @@ def seat_plan(
         orders=ground or len(topology.segments) > 1,
         text=text,
     )
+
+
+def _views(setup: Setup) -> Iterator[tuple[str, tuple[float, ...]]]:
+    """Where the board is in the pictures of the cameras of which that is known."""
+    stream = setup.uplink_video
+    for camera in setup.cameras:
+        view = board_view(setup, camera)
+        if view is not None:
+            yield camera, view.shares(stream.width, stream.height)
 
 
 def welcome_text(

@@ -91,7 +91,11 @@ class BoardText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SeatText(msgspec.Struct, frozen=True, kw_only=True):
-    """What does not change at a seat. tasks: whether the session has any."""
+    """What does not change at a seat. tasks: whether the session has any.
+
+    views: by camera, where the board is in its pictures, as far as it is known: a homography, row
+    by row, from (x, y, 1) in metres to shares of the picture's width and height, x right, y down.
+    """
 
     seat: Segment
     setup: str
@@ -108,6 +112,7 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     passes: tuple["PassText", ...] = ()
     tasks: bool = False
     task_list: tuple["TaskText", ...] = ()
+    views: dict[str, tuple[float, ...]] = {}
 
 
 class HelloText(SeatText, frozen=True, kw_only=True, tag_field="kind", tag="hello"):

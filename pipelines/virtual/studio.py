@@ -20,6 +20,7 @@ from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
+from kontur_av.sources.seam import SeamFinder
 from kontur_av.sources.stereo import merge
 from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.session.setup.table import VideoStream, VoiceStream
@@ -77,6 +78,7 @@ class VideoStudio:
             coded_size=stream.coded,
             regions=regions,
         )
+        self._finder = SeamFinder()
         self._views: dict[str, str] = {}
         self._films: dict[str, _Film] = {}
         for name, spec in cameras.items():
@@ -102,7 +104,8 @@ class VideoStudio:
         picture = parts[0]
         if len(parts) == 2:
             picture = self._rooms[2]
-            merge(parts[0], parts[1], picture)
+            seam = self._finder.handle_pictures(parts[0], parts[1])
+            merge(parts[0], parts[1], picture, seam)
         assert picture is not None
         stamp = CaptureStamp(0, self._encoder.encoded, self._stream.name)
         unit = self._encoder.encode(VideoFrame(picture, stamp), coding, region=region)

@@ -92,15 +92,15 @@ def looking_at(
 
 
 def looking_down(
-    position: tuple[float, float, float], focal: float, width: int, height: int
+    position: Point, focal: float, width: int, height: int, centre: Point = (0.0, 0.0, 0.0)
 ) -> PinholeCamera:
-    """Return a camera that looks straight down, shifted so that the origin is the centre.
+    """Return a camera that looks straight down, its lens shifted so that `centre` is in the middle.
 
     Two such cameras at one height see the plane z = 0 in the same pixels. Everything above it is
     displaced. The two halves of a merged stereo picture thus join on the board without a step.
     """
     straight = looking_at(position, (position[0], position[1], 0.0), focal, width, height)
-    (shift,) = straight.centre - straight.project(np.zeros((1, 3)))
+    (shift,) = straight.centre - straight.project(np.array([centre]))
     return PinholeCamera(straight.position, straight.rotation, focal, straight.centre + shift)
 
 

@@ -56,6 +56,11 @@ class BoardView:
         solution = np.linalg.solve(np.array(rows, float), np.array(points, float).ravel())
         return cls(np.append(solution, 1.0).reshape(3, 3))
 
+    def shares(self, width: int, height: int) -> tuple[float, ...]:
+        """Return the nine numbers, row by row, for pixels as shares of a picture of this size."""
+        scale = np.array(((1 / width,), (1 / height,), (1.0,)))
+        return tuple(float(value) for value in (self.homography * scale).ravel())
+
     def pixel(self, x_m: float, y_m: float) -> Point2 | None:
         """Return the pixel of a place on the board, which may lie outside of the picture.
 

@@ -23,11 +23,19 @@ from telepresence.world.state import LEDS_M, Lights, WorldState
 
 #: Half the distance between the two eyes of the stereo pair, and their position over the board.
 EYE_X_M, EYE_Y_M, EYE_Z_M = 0.115, -0.055, 0.56
+#: The static camera is before the board: what stands above the board leans to the upper edge.
+_STATIC_M = (0.0, -0.55, 1.25)
+#: The place on the board at the centre of its pictures: the arm needs the room above the board.
+_STATIC_CENTRE_M = (0.0, 0.012, 0.0)
 
 
 @dataclass(frozen=True)
 class _Mount:
-    """The mount of a camera. sway: its largest turn, in pixels of a 640x480 picture."""
+    """The mount of a camera.
+
+    from_above: it looks straight at the board. sway: its largest turn, in pixels of a 640x480
+    picture.
+    """
 
     from_above: bool
     sway: int = 0
@@ -36,7 +44,7 @@ class _Mount:
 MOUNTS = {
     "left": _Mount(True),
     "right": _Mount(True),
-    "static": _Mount(False),
+    "static": _Mount(True),
     "head": _Mount(False, sway=14),
 }
 
@@ -48,7 +56,7 @@ def camera_of(view: str, width: int, height: int) -> PinholeCamera:
         side = -EYE_X_M if view == "left" else EYE_X_M
         return looking_down((side, EYE_Y_M, EYE_Z_M), 1010 * scale, width, height)
     if view == "static":
-        return looking_at((-0.50, -0.66, 0.50), (0.04, 0.10, 0.14), 700 * scale, width, height)
+        return looking_down(_STATIC_M, 2200 * scale, width, height, _STATIC_CENTRE_M)
     return looking_at((-0.02, -0.40, 0.50), (0.01, 0.035, 0.03), 800 * scale, width, height)
 
 
@@ -62,7 +70,8 @@ class GroundView:
         self._camera = camera_of(view, width, height)
         self._still = _draw_still(view, width, height, self._sway)
         self._arm = Arm(self._camera, above=self._mount.from_above, size=max(width, height))
-        self._caption = Caption(view, width, height)
+        # Of one width, so that a merged picture has its number from either camera.
+        self._caption = Caption(view.ljust(len("right")), width, height)
         self._backdrop = Backdrop(self._still, self._sway, seed=7)
         if not self._sway:
             for copy in self._backdrop.copies:

@@ -246,6 +246,7 @@ LIBRARIES = {
     "kontur_av/codecs/": ({"av", "cv2"}, "FFmpeg's coders, and scaling of pictures"),
     "kontur_av/codecs/libopus.py": ({"ctypes", "pathlib", "sys", "warnings"}, "finds libopus"),
     "kontur_av/detect/light.py": ({"cv2"}, "looks at pictures"),
+    "kontur_av/sources/seam.py": ({"cv2"}, "looks at pictures"),
     "kontur_av/lazy.py": ({"ast", "sys"}, "the table of modules, and what a package imports"),
     "kontur_av/rtp/wire.py": ({"aiortc"}, "RTP and RTCP, octets only"),
     "kontur_av/sources/file.py": ({"av", "pathlib"}, "a file"),

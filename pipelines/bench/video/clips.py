@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, empty_picture, planes
+from kontur_av.sources.seam import SeamFinder
 from kontur_av.sources.stereo import merge
 from telepresence.world import render, scripted_state
 
@@ -149,13 +150,14 @@ def scene(width: int, height: int, fps: int, count: int) -> Clip:
     """The built-in task board through its cameras, with a camera switch every 5 s."""
     pictures = shared_array(count, height * 3 // 2, width)
     left, right = empty_picture(width, height), empty_picture(width, height)
+    finder = SeamFinder()
     for number in range(count):
         state = scripted_state(number * NS_PER_S // fps)
         camera = _CAMERAS[number // (_SWITCH_S * fps) % len(_CAMERAS)]
         if camera == "stereo":
             render("left", state, left, number)
             render("right", state, right, number)
-            merge(left, right, pictures[number])
+            merge(left, right, pictures[number], finder.handle_pictures(left, right))
         else:
             render(camera, state, pictures[number], number)
     return Clip(SCENE, pictures, np.arange(count), tuned_on=True)

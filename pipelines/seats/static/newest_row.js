@@ -11,7 +11,7 @@ const FRESH_MS = 300;
 const STEP_M = 0.0002;
 const STEP_N = 0.04;
 
-/** @typedef {{xM: number, yM: number, forceXN: number, forceYN: number, contact: boolean, lit: number | null}} Row */
+/** @typedef {{xM: number, yM: number, forceXN: number, forceYN: number, contact: boolean, deadMan: boolean, lit: number | null}} Row */
 
 export class NewestRow {
   /** The newest row; null without a fresh one. @type {Row | null} */
@@ -35,6 +35,7 @@ export class NewestRow {
         forceXN: forceXN[last] ?? 0,
         forceYN: forceYN[last] ?? 0,
         contact: (flag & HapticFlag.CONTACT) !== 0,
+        deadMan: (flag & HapticFlag.DEAD_MAN) !== 0,
         lit: litLed(flag),
       });
     });
@@ -56,7 +57,7 @@ export class NewestRow {
         ? ""
         : [row.xM / STEP_M, row.yM / STEP_M, row.forceXN / STEP_N, row.forceYN / STEP_N]
             .map(Math.round)
-            .concat(Number(row.contact), row.lit ?? -1)
+            .concat(Number(row.contact), Number(row.deadMan), row.lit ?? -1)
             .join();
     if (shown === this.#shown) return;
     this.#shown = shown;

@@ -1,4 +1,5 @@
 /** The mission control panel: what the cosmonaut has to do, the picture, and the handle. */
+import "./board_overlay.js";
 import "./force_dial.js";
 import "./hand_panel.js";
 import "./page_links.js";

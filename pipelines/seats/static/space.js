@@ -1,4 +1,5 @@
 /** The operator's seat. */
+import "./board_overlay.js";
 import "./camera_buttons.js";
 import "./camera_panel.js";
 import "./contact_panel.js";

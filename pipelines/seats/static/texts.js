@@ -86,8 +86,8 @@
  *   StreamText[], cameras: CameraText[], previews: PreviewText[], inputs: InputText[], joystick:
  *   string, workspace: WorkspaceText, board: BoardText, caps: Record<string, number>,
  *   applications: ApplicationText[], passes: PassText[], tasks: boolean, task_list: TaskText[],
- *   role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "viewer", page:
- *   number, name: string, now_us: number}} HelloText
+ *   views: Record<string, number[]>, role: "operator" | "cosmonaut" | "experimenter" |
+ *   "supervisor" | "systems" | "viewer", page: number, name: string, now_us: number}} HelloText
  */
 
 /**

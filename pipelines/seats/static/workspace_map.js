@@ -145,7 +145,7 @@ export class WorkspaceMap {
     });
     context.font = "11px system-ui, sans-serif";
 
-    if (task !== null && task.goal !== "") drawGoal(context, task, board, across, down, paint("--force"));
+    if (task !== null && task.goal !== "") drawGoal(context, task, board, (xM, yM) => [across(xM), down(yM)], paint("--force"));
     if (start !== null) {
       const [x, y] = [across(start.xM), down(start.yM)];
       context.strokeStyle = context.fillStyle = paint("--accent");
@@ -196,22 +196,23 @@ export class WorkspaceMap {
 /**
  * Draws what a task is about: the way, and what is to be reached now.
  * @param {CanvasRenderingContext2D} context @param {PanelText} task @param {BoardText} board
- * @param {(xM: number) => number} across @param {(yM: number) => number} down @param {string} paint
+ * @param {(xM: number, yM: number) => [number, number] | null} at Where a place is drawn. @param {string} paint
  */
-function drawGoal(context, { goal, target_m: target }, board, across, down, paint) {
+export function drawGoal(context, { goal, target_m: target }, board, at, paint) {
   const way = board.paths_m?.[goal] ?? [];
   context.save();
   context.strokeStyle = context.fillStyle = paint;
   context.lineWidth = 2;
   context.setLineDash(target === null ? [] : [3, 5]);
   context.beginPath();
-  for (const [xM, yM] of way) context.lineTo(across(xM), down(yM));
+  for (const [xM, yM] of way) context.lineTo(...(at(xM, yM) ?? [NaN, NaN]));
   if (goal === "contour") context.closePath();
   context.stroke();
   context.setLineDash([]);
-  const at = goal === "spring" ? (board.spring_m ?? null) : target;
-  if (at !== null) {
-    const [x, y] = [across(at[0]), down(at[1])];
+  const there = goal === "spring" ? (board.spring_m ?? null) : target;
+  const drawn = there === null ? null : at(...there);
+  if (drawn !== null) {
+    const [x, y] = drawn;
     context.beginPath();
     context.arc(x, y, 5, 0, 2 * Math.PI);
     context.fill();

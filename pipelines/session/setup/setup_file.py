@@ -77,6 +77,7 @@ class _File:
     partner_arm: str = "none"
     tasks: bool = False
     safety: SafetyLimits = field(default_factory=SafetyLimits)
+    recorded_cameras: str = "idle"
     region: str = "off"
     region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(
         default_factory=dict,

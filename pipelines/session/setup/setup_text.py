@@ -27,6 +27,7 @@ def _plain(setup: Setup) -> Iterator[str]:
     yield f"gripper = {str(setup.gripper).lower()}"
     yield f"partner_arm = {_text(setup.partner_arm)}"
     yield f"tasks = {'true' if setup.tasks else 'false'}"
+    yield f"recorded_cameras = {_text(setup.recorded_cameras)}"
     yield f"region = {_text(setup.region)}"
     yield f"base_port = {setup.base_port}"
 

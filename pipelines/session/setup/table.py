@@ -151,11 +151,15 @@ PartnerArm = Literal["none", "shared", "second"]
 
 #: What of the uplink video is coded finer. `off`: nothing. `stylus`: what is around its tip.
 RegionChoice = Literal["off", "stylus"]
+#: Which cameras are recorded. `idle`: those that no stream carries, at 5 Hz. `all`: every camera at
+#: its full rate.
+RecordedCameras = Literal["idle", "all"]
 #: By field: what it may be.
 _CHOICES: Mapping[str, tuple[str, ...]] = {
     "deadband": DEADBANDS,
     "hand": HAND_MODES,
     "partner_arm": get_args(PartnerArm),
+    "recorded_cameras": get_args(RecordedCameras),
     "region": get_args(RegionChoice),
 }
 #: The built-in scenes that see the task board.
@@ -208,6 +212,7 @@ class Setup:
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).
     safety: when the robot may follow the hand, and how fast (docs/safety.md).
+    recorded_cameras: which cameras a recording has beside the streams (docs/recordings.md).
     region: what of the uplink video is coded finer than the rest (docs/video.md).
     region_points: for a camera other than a built-in scene, the four corners of the task board in
         its pictures: upper left, upper right, lower right, lower left; (x, y) in pixels.
@@ -232,6 +237,7 @@ class Setup:
     partner_arm: PartnerArm = "none"
     tasks: bool = False
     safety: SafetyLimits = field(default_factory=SafetyLimits)
+    recorded_cameras: RecordedCameras = "idle"
     region: RegionChoice = "off"
     region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     #: Below 32768, where Linux takes the ports of sockets that ask for any port.

@@ -1,5 +1,7 @@
 """The recorder's core on virtual time, its files read back with the plain `mcap` package."""
 
+from contextlib import nullcontext
+from dataclasses import replace
 from fractions import Fraction
 from io import BytesIO
 
@@ -19,6 +21,7 @@ from pipelines.hand.haptic_trace import CONTACT, ROW
 from pipelines.link.frame_batch import pack_frames
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.key_picture_maker import last_key
+from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Content, sources_of
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.mcap_stream import MAGIC
@@ -66,8 +69,8 @@ FACTS_OF_TEST = RecordingFacts(
 class Disk:
     """Drives a recorder as its process does; `files` is what a disk would hold."""
 
-    def __init__(self, **options):
-        self.recorder = Recorder(TOPOLOGY, FACTS_OF_TEST, wall_offset_ns=OFFSET_NS, **options)
+    def __init__(self, topology=TOPOLOGY, **options):
+        self.recorder = Recorder(topology, FACTS_OF_TEST, wall_offset_ns=OFFSET_NS, **options)
         self.files = {}
         self.full = False
         #: Whether key pictures are made at once.
@@ -476,6 +479,41 @@ def test_every_channel_that_is_read_exists_and_cameras_are_coded_cheaply():
     assert len(units) == 10
     assert parameter_sets(units[0].data)
     assert {unit.frame_id for unit in units} == {"head"}
+
+
+class _Lease(nullcontext):
+    def __init__(self, frame):
+        super().__init__()
+        self.stamp, self.video = frame.stamp, lambda: frame
+
+
+class _Pictures:
+    """A bus with one topic, of which these pictures are unread; each is its own lease."""
+
+    def __init__(self, frames):
+        self._frames = iter(frames)
+
+    def reader(self, topic, *, depth):
+        return self
+
+    def next(self):
+        frame = next(self._frames, None)
+        return frame and _Lease(frame)
+
+
+def test_a_setup_that_wants_all_cameras_gets_each_picture_and_counts_those_that_are_missing():
+    disk = Disk(topology_of(replace(SETUP, recorded_cameras="all"), recorder=True))
+    disk.pump(0)
+    source, picture = SOURCES["input/head"], empty_picture(64, 48)
+    stamps = [stamp(number, number * NS_PER_S // 30) for number in range(60) if number != 7]
+    bus = _Pictures([VideoFrame(picture, each) for each in stamps])
+    reader = CameraReader(bus, source, disk.recorder.coder(source), whole=True)
+    reader.handle_carried(True)
+    while (coded := reader.poll(0)) is not None:
+        disk.recorder.handle_camera(source, *coded, coded[1].capture_ns)
+    (file,) = disk.end(3 * NS_PER_S)
+    assert len(file["/camera/head"]) == 59
+    assert disk.recorder.figures("").lost == 1
 
 
 def test_a_sample_from_before_the_recording_is_left_out():

@@ -2,12 +2,14 @@
 
 import os
 import stat
+from dataclasses import replace
 
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.recording.part_files import PartFiles, check_recordable
+from pipelines.recording.part_files import PartFiles, check_disk, check_recordable
 from pipelines.recording.recording_file import Outputs, write_whole
+from pipelines.session.setup.built_in import BUILT_IN
 
 
 def test_recordings_are_for_their_user_alone(tmp_path):
@@ -54,3 +56,12 @@ def test_a_recording_that_goes_on_is_not_overwritten(tmp_path):
         check_recordable(tmp_path / "a.mcap", overwrite=True)
     files.close(1)
     check_recordable(tmp_path / "a.mcap", overwrite=True)
+
+
+def test_a_disk_without_room_for_all_cameras_is_refused(tmp_path):
+    setup = BUILT_IN["taskboard"]
+    check_disk(tmp_path / "a.mcap", setup, 1e12)
+    whole = replace(setup, recorded_cameras="all")
+    check_disk(tmp_path / "a.mcap", whole, 1.0)
+    with pytest.raises(ConfigError, match=r"3 cameras take about 35 MB a minute, .*\bidle"):
+        check_disk(tmp_path / "a.mcap", whole, 1e12)

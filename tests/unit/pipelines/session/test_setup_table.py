@@ -35,6 +35,7 @@ axes = 2
 gripper = false
 partner_arm = "second"
 tasks = true
+recorded_cameras = "all"
 region = "stylus"
 base_port = 21000
 
@@ -93,6 +94,7 @@ def test_every_field_of_a_file_reaches_the_setup(tmp_path):
     assert (setup.axes, setup.gripper) == (2, False)
     assert (setup.hand, setup.partner_arm, setup.tasks) == ("mediated", "second", True)
     corners = ((40, 30), (280, 33.5), (300, 210), (25, 205))
+    assert setup.recorded_cameras == "all"
     assert (setup.region, setup.region_points) == ("stylus", {"wrist": corners})
     assert setup.rtc == RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000)
     assert setup.safety == SafetyLimits(resume_within_s=0.2, slow_m_s=0.05)

@@ -19,6 +19,7 @@ SETUPS = [
         deadband="latency",
         hand="mediated",
         tasks=True,
+        recorded_cameras="all",
         region="stylus",
         region_points={"stereo": ((80.0, 60.0), (560.0, 66.5), (600.0, 420.0), (50.0, 410.0))},
         uplink_video=replace(
