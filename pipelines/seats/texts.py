@@ -90,8 +90,20 @@ class BoardText(msgspec.Struct, frozen=True, kw_only=True):
     spring_m: tuple[float, float] = (0.0, 0.0)
 
 
+class ExerciseText(msgspec.Struct, frozen=True, kw_only=True):
+    """An exercise that a trainer can give here. seconds: how long, by default. camera: or ""."""
+
+    name: str
+    text: str
+    seconds: float
+    camera: str
+
+
 class SeatText(msgspec.Struct, frozen=True, kw_only=True):
-    """What does not change at a seat. tasks: whether the session has any."""
+    """What does not change at a seat. tasks: whether the session has any.
+
+    exercises: of its trainer; none without one.
+    """
 
     seat: Segment
     setup: str
@@ -108,6 +120,7 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     passes: tuple["PassText", ...] = ()
     tasks: bool = False
     task_list: tuple["TaskText", ...] = ()
+    exercises: tuple[ExerciseText, ...] = ()
 
 
 class HelloText(SeatText, frozen=True, kw_only=True, tag_field="kind", tag="hello"):
@@ -406,6 +419,14 @@ class RecordingRequest(_Request, frozen=True, tag="record"):
     action: Literal["start", "stop"]
 
 
+class ExerciseRequest(_Request, frozen=True, tag="exercise"):
+    """Begin an exercise, or `end` all; the fields are those of `TrainerRequest`."""
+
+    exercise: _Name
+    seconds: float = 0.0
+    camera: Annotated[str, msgspec.Meta(max_length=64)] = ""
+
+
 class InputRequest(_Request, frozen=True, tag="input"):
     """Take an input over with the page's own camera or microphone, or give it back."""
 
@@ -439,6 +460,7 @@ SeatRequest = (
     | SessionRequest
     | StopRequest
     | RecordingRequest
+    | ExerciseRequest
     | CommandRequest
     | ChatRequest
 )
