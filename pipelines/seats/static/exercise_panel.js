@@ -54,7 +54,7 @@ class ExercisePanel extends HTMLElement {
   /** @param {ExerciseText} one */
   #row(one) {
     const { name, text, seconds, camera } = one;
-    const words = [nameText(name.replaceAll("-", " ")), nameText(camera)].filter(Boolean).join(": ");
+    const words = [name === "los" ? "loss of signal" : name.replaceAll("-", " "), nameText(camera)].filter(Boolean).join(": ");
     const lasts = make("span", { class: "small", "data-level": "warn" });
     const time = make("input", { type: "number", min: "0.1", max: "3600", step: "any", value: String(seconds), "aria-label": `${words}: seconds` });
     const button = make("button", { type: "button", "data-exercise": name }, "Begin");
