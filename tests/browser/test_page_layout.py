@@ -150,7 +150,6 @@ def texts_of(segment, *, connected):
         words = "Well held. Now let go of the mouse button, your finger, Space or the trigger."
         at = {
             "start_m": (0.0, 0.0),
-            "distance_m": 0.1,
             "held_s": 0.3,
             "hold_s": 0.5,
             "left_s": 60.0,

@@ -215,9 +215,9 @@
 /**
  * The panel, as `telepresence.tasks.panel.PanelView` has it; handle_m: where the handle is.
  * @typedef {{kind: "panel", mode: string, task: string, run: number, text: string, words: string,
- *   start_m: [number, number], distance_m: number, held_s: number, handle_m: [number, number],
- *   dead_man: boolean, hold_s: number, left_s: number | null, goal: string, target_m: [number,
- *   number] | null, step: number, steps: number, percent: number, force_n: number}} PanelText
+ *   start_m: [number, number], held_s: number, handle_m: [number, number], dead_man: boolean,
+ *   hold_s: number, left_s: number | null, goal: string, target_m: [number, number] | null, step:
+ *   number, steps: number, percent: number, force_n: number}} PanelText
  */
 
 /**

@@ -206,7 +206,6 @@ def test_messages_are_what_was_packed():
             text="",
             words="Hold it there.",
             start_m=(0.0, 0.1),
-            distance_m=0.001,
             held_s=1.5,
         ),
     )
