@@ -234,3 +234,17 @@ def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name,
             found["axe", theme] = page.run(SERIOUS)
     page.close()
     assert {what: wrong for what, wrong in found.items() if wrong} == {}
+
+
+def test_no_page_says_that_a_server_is_silent_which_is_heard_again(browser, address):
+    page = browser.open(f"{address}top")
+    page.reload(WORKER)
+    page.run(TELL, [json.dumps(text) for text in texts_of(Segment.GROUND, connected=True)])
+    silent = "document.querySelector('radio-banner').innerText.includes('does not answer')"
+    for note, says in (
+        ({"kind": "lost", "why": "silent", "reason": ""}, True),
+        ({"kind": "heard"}, False),
+    ):
+        page.run("worker.tell(arguments[0])", note)
+        assert page.run(f"return {silent}") is says
+    page.close()
