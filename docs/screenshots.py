@@ -51,6 +51,7 @@ DEEDS = (
     ("top", "", "take"),
     ("k2cp", "", "take"),
 )
+_PHASE = "document.querySelector('experiment-panel').dataset.phase === '{}'"
 _MODE = "document.querySelector('panel-status').dataset.mode === '{}'"
 #: Writes a line into the chat.
 _SAY = """
@@ -113,9 +114,7 @@ def _do_a_task() -> None:
                 page.find("#panel-button").click()
                 page.wait(_MODE.format("move_to_start"))
             elif after == "select":
-                page.wait("document.querySelector('experiment-panel').dataset.phase === 'idle'")
-                page.find("[data-task=aiming]").click()
-                page.wait("document.querySelectorAll('[data-done]').length > 2")
+                _select(page)
             if after == "take":
                 # Telemetry of the gateways comes every ten seconds.
                 page.run("return new Promise((done) => setTimeout(done, 4_000))")
@@ -123,6 +122,19 @@ def _do_a_task() -> None:
                     _take(page, f"{name}-{theme}", theme, feel=False)
             page.close()
         browser.assert_no_errors()
+
+
+def _select(top: Page) -> None:
+    """Select a task until it is offered: on a busy machine a run may end before."""
+    for before in range(5):
+        top.wait(_PHASE.format("idle"))
+        top.find("[data-task=aiming]").click()
+        ended = f"document.querySelectorAll('[data-result]')[{before}] !== undefined"
+        top.wait(f"{_PHASE.format('offered')} || {ended}")
+        if not top.run(f"return {ended}"):
+            return
+        print(f"selected again, because of {top.find('run-table').text!r}")
+    sys.exit("no task was offered")
 
 
 def _open(browser: Browser, address: str) -> Page:

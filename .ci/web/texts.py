@@ -26,6 +26,7 @@ from pipelines.session.mission_messages import (  # noqa: E402
     PanelShown,
     RobotStatus,
 )
+from pipelines.session.training import Exercises  # noqa: E402
 from pipelines.study.desk import StudyFrame, StudyShown  # noqa: E402
 
 FILE = ROOT / "pipelines" / "seats" / "static" / "texts.js"
@@ -50,12 +51,14 @@ SENT: Mapping[type[msgspec.Struct], str] = {
     PanelShown: "panel",
     ExperimentShown: "experiment",
     RobotStatus: "robot",
+    Exercises: "exercises",
 }
 #: What the server of a study sends to its own page.
 OF_STUDIES = (StudyShown, StudyFrame)
 #: Names that the page has for types of other rooms.
 NAMES = {
     Event: "EventText",
+    Exercises: "ExercisesText",
     ExperimentShown: "ExperimentText",
     PanelShown: "PanelText",
     RobotStatus: "RobotText",

@@ -115,14 +115,15 @@ def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]
 
 @contextmanager
 def served(
-    wish: ServerWish, root: Path, name: str
+    wish: ServerWish, root: Path, name: str, *, trainer: bool = False
 ) -> Iterator[tuple[Mapping[str, PageListener], str]]:
     """Yield the listeners, and the SHA-256 of a certificate that was made for them, or "".
 
-    root: where such a certificate is kept, as `name`.pem.
+    root: where such a certificate is kept, as `name`.pem. trainer: one has a page, too.
     """
     certificate, made = certificate_for(wish.host, wish.certificate, root / f"{name}.pem")
-    found = listeners(wish.sockets, wish.host, certificate and certificate.resolve())
+    pem = certificate and certificate.resolve()
+    found = listeners(wish.sockets, wish.host, pem, trainer=trainer)
     try:
         yield found, made
     finally:
@@ -132,19 +133,24 @@ def served(
 
 @contextmanager
 def announced_pages(
-    wish: PageWish | None, session: str, *, quiet: bool, tasks: bool = False
+    wish: PageWish | None,
+    session: str,
+    *,
+    quiet: bool,
+    tasks: bool = False,
+    trainer: bool = False,
 ) -> Iterator[Mapping[str, PageListener]]:
     """Make tokens and certificate, print one address, and yield the listeners by process.
 
     It leads to every page. Each page's own address is in `pages.json` in the session's directory,
     for programs of this user.
-    tasks: whether the session has any.
+    tasks, trainer: whether the session has any.
     """
     if wish is None:
         yield {}
         return
     root = session_root(session)
-    with served(wish, root, "page") as (seats, made):
+    with served(wish, root, "page", trainer=trainer) as (seats, made):
         urls = {seat: listener.url(seat) for seat, listener in seats.items()}
         people = {
             name: seats[seat].url(page, role=role.value)
@@ -152,6 +158,8 @@ def announced_pages(
             if seat in seats and (tasks or page not in _OF_TASKS)
         }
         first = next(iter(seats.values()))
+        if trainer:
+            people["trainer"] = first.url("trainer", role=Role.TRAINER.value)
         address, watch = first.url(""), first.url("", role=Role.VIEWER.value)
         kept = {"pages": address, **urls, **people, "viewer_token": first.viewer_token}
         write_private(root / "pages.json", json.dumps(kept, indent=1) + "\n")

@@ -209,7 +209,13 @@ def run(args: argparse.Namespace) -> int:
         say(path_line(one))
     with (
         hold_session(setup.name, end="" if one is None else one.segment.value) as session,
-        announced_pages(page_wish, session, quiet=args.quiet, tasks=tasks is not None) as pages,
+        announced_pages(
+            page_wish,
+            session,
+            quiet=args.quiet,
+            tasks=tasks is not None,
+            trainer=args.trainer,
+        ) as pages,
         announced_rtc(rtc_wish, session, quiet=args.quiet) as partners,
         announced_metrics(metrics, quiet=args.quiet),
         announced_foxglove(foxglove_wish, session, quiet=args.quiet) as foxglove,

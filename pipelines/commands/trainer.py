@@ -9,22 +9,12 @@ from pipelines.session.asking import ask_desk, running_sessions
 from pipelines.session.training import (
     CAMERA,
     END,
-    JOYSTICK,
-    LOS,
-    ROBOT,
+    EXERCISES,
     TRAINER_DESK,
     TrainerAnswer,
     TrainerRequest,
 )
 
-#: By exercise: what it does, and how long it lasts by default.
-_EXERCISES = {
-    LOS: ("no frame gets through, either way", 20.0),
-    JOYSTICK: ("the joystick has a fault, and recovers afterwards", 5.0),
-    ROBOT: ("the robot has a fault and is off; afterwards the fault can be reset", 5.0),
-    CAMERA: ("a camera gives no pictures", 10.0),
-    END: ("end all exercises at once", None),
-}
 _MISSING = (
     "no session here has a trainer: start it with --trainer, "
     "as `kontur-av stream --setup spacejustin --end space --trainer`"
@@ -33,20 +23,21 @@ _MISSING = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     exercises = parser.add_subparsers(dest="exercise", required=True, metavar="EXERCISE")
-    for name, (text, seconds) in _EXERCISES.items():
+    for name, (text, seconds) in EXERCISES.items():
         exercise = exercises.add_parser(name, help=text, description=text)
         if name == CAMERA:
             exercise.add_argument("camera", metavar="NAME", help="the camera, such as iss_camera")
-        if seconds is not None:
-            exercise.add_argument(
-                "seconds",
-                nargs="?",
-                type=float,
-                default=seconds,
-                metavar="S",
-                help=f"for S seconds (default {seconds:g})",
-            )
+        exercise.add_argument(
+            "seconds",
+            nargs="?",
+            type=float,
+            default=seconds,
+            metavar="S",
+            help=f"for S seconds (default {seconds:g})",
+        )
         add_session_argument(exercise)
+    text = "end all exercises at once"
+    add_session_argument(exercises.add_parser(END, help=text, description=text))
 
 
 def run(args: argparse.Namespace) -> int:

@@ -39,7 +39,8 @@ _KILLED = "the task's process was restarted"
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Seen:
     """What the ground sees at a tick. camera: the selected one. link: for the report. other: the
-    hand of the partner's arm, None without one that the robot's can meet.
+    hand of the partner's arm, None without one that the robot's can meet. exercise: a trainer lets
+    each task fail.
     """
 
     robot: RobotStatus
@@ -48,6 +49,7 @@ class Seen:
     signal: bool
     link: LinkMeanwhile
     other: OtherHand | None = None
+    exercise: bool = False
 
 
 class MissionMemory(msgspec.Struct, frozen=True, kw_only=True):
@@ -179,6 +181,8 @@ class MissionGround:
             wanted = self._follower.poll_select(idle=idle, signal=seen.signal, now_ns=now_ns)
             if wanted is not None:
                 self._select(wanted, now_ns)
+        if seen.exercise:
+            experiment.abort("a fault of the trainer's exercise", now_ns)
         robot = seen.robot
         view = View(
             powered=robot.powered,

@@ -38,7 +38,7 @@ from pipelines.session.recorder_requests import (
 )
 from pipelines.session.robot_state import unpack_state
 from pipelines.session.task_journal import KEPT, LinkMeanwhile
-from pipelines.session.topic_ends import MissionReader, MissionWriter
+from pipelines.session.topic_ends import MissionReader, MissionWriter, new_exercises
 from pipelines.session.topology import (
     MISSION_CAMERA_TOPIC,
     MISSION_GROUND_TOPIC,
@@ -47,10 +47,12 @@ from pipelines.session.topology import (
     SECOND_ROBOT_TOPIC,
     SELECTED_TOPIC,
     TASKS,
+    TRAINER_TOPIC,
     Segment,
     leds_port,
     link_state_topic,
 )
+from pipelines.session.training import Exercises
 from telepresence.tasks.definitions import Catalogue, ControlMode
 from telepresence.tasks.kernel import TICK_NS, ChooseCamera, OtherHand, Record
 from telepresence.tasks.panel_picture import ACKNOWLEDGEMENT_OCTETS
@@ -115,6 +117,9 @@ class _Tasks:
         self._status = MissionReader(bus, ROBOT_STATUS_TOPIC, RobotStatus)
         self._selected = bus.reader(SELECTED_TOPIC)
         self._links = bus.reader(link_state_topic(Segment.GROUND))
+        trained = TRAINER_TOPIC in context.topology.reads(TASKS)
+        self._new_exercises = new_exercises(bus) if trained else None
+        self._exercises = Exercises()
         self._orders = MissionWriter(bus, ROBOT_ORDER_TOPIC)
         self._cameras = MissionWriter(bus, MISSION_CAMERA_TOPIC)
         self._shown = MissionWriter(bus, MISSION_GROUND_TOPIC, wake=True)
@@ -154,6 +159,8 @@ class _Tasks:
                 self._ground.handle_message(came, now_ns)
         while (octets := receive(self._udp, ACKNOWLEDGEMENT_OCTETS + 1)) is not None:
             self._ground.leds.handle_datagram(octets, now_ns)
+        if self._new_exercises is not None:
+            self._exercises = self._new_exercises() or self._exercises
         if (choice := self._selected.latest_octets()) is not None:
             self._camera = Choice.unpack(choice).camera
         if (link := self._links.latest_octets()) is not None:
@@ -177,6 +184,7 @@ class _Tasks:
             signal=self._signal,
             link=self._link,
             other=self._other_hand(now_ns),
+            exercise=now_ns < self._exercises.tasks_ns,
         )
 
     def _other_hand(self, now_ns: int) -> OtherHand | None:

@@ -7,24 +7,16 @@ from itertools import count
 
 from kontur_av.media import CaptureStamp
 from pipelines.session.process import Context
-from pipelines.session.setup.table import VideoStream
 from pipelines.session.terminals import serve_terminals
-from pipelines.session.topology import TRAINER_TOPIC, Segment, Topology
-from pipelines.session.training import TRAINER_DESK, Trainer
+from pipelines.session.topology import TRAINER_TOPIC
+from pipelines.session.training import TRAINER_DESK, Trainer, TrainerReach
 
 _OCTETS = 4096
 
 
 def run_trainer(context: Context) -> None:
     """Take requests, and publish what lasts."""
-    topology = context.topology
-    trainer = Trainer(
-        context.probe,
-        radio=topology.alone is not Segment.GROUND,
-        joystick=Segment.SPACE in topology.segments,
-        robot=Segment.GROUND in topology.segments,
-        cameras=_cameras(topology),
-    )
+    trainer = Trainer(context.probe, TrainerReach.of(context.topology))
     context.on_flush(trainer.tell)
     published, numbers = trainer.exercises, count()
     with context.open_bus() as bus:
@@ -38,12 +30,3 @@ def run_trainer(context: Context) -> None:
                 writer.publish_octets(published.pack(), stamp)
 
         serve_terminals(context, TRAINER_DESK, trainer.desk, publish)
-
-
-def _cameras(topology: Topology) -> list[str]:
-    """The inputs with pictures that are captured here."""
-    return [
-        row.name
-        for row in topology.inputs
-        if topology.runs(row.process) and isinstance(topology.media(row.stream).stream, VideoStream)
-    ]

@@ -97,6 +97,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 SELECTED_TOPIC,
                 link_state_topic(Segment.GROUND),
                 TMTC_TOPICS[Segment.GROUND],
+                TRAINER_TOPIC,
             ),
             writes=(ROBOT_ORDER_TOPIC, MISSION_CAMERA_TOPIC, MISSION_GROUND_TOPIC),
             what="executes tasks, ten times a second",
@@ -132,6 +133,6 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             stage=Stage.LINK,
             run="pipelines.mission.process_trainer:run_trainer",
             writes=(TRAINER_TOPIC,),
-            what="takes a trainer's requests: no signal, a fault, a lost camera",
+            what="takes a trainer's requests: no signal, faults, failed tasks, a lost camera",
         ),
     )

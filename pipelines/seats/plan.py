@@ -15,6 +15,7 @@ from pipelines.seats.mission_desk import application_texts
 from pipelines.seats.texts import (
     BoardText,
     CameraText,
+    ExerciseText,
     InputText,
     PassText,
     PreviewText,
@@ -37,6 +38,7 @@ from pipelines.session.topology import (
     RTC_CODED_CAMERA_TOPIC,
     RTC_DECODED_CAMERA_TOPIC,
     RTC_VOICE_TOPIC,
+    TRAINER_TOPIC,
     Direction,
     Segment,
     Topology,
@@ -44,6 +46,7 @@ from pipelines.session.topology import (
     partner_camera,
     partner_voice,
 )
+from pipelines.session.training import CAMERA, EXERCISES, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_controller import RobotControllerModel
@@ -87,15 +90,21 @@ class SeatInput:
     fps: int
 
 
-Shown = PanelShown | ExperimentShown | RobotStatus
+Shown = PanelShown | ExperimentShown | RobotStatus | Exercises
 Unpack = Callable[[bytes], Shown]
+#: Of both ends: what a trainer's exercises are.
+_EXERCISES: tuple[str, Unpack] = (TRAINER_TOPIC, Exercises.unpack)
 #: By end: kind of text, the topic of what the processes of a mission show.
 _SHOWN: Mapping[Segment, Mapping[str, tuple[str, Unpack]]] = MappingProxyType(
     {
-        Segment.SPACE: {"panel": (MISSION_PANEL_TOPIC, partial(unpack, PanelShown))},
+        Segment.SPACE: {
+            "panel": (MISSION_PANEL_TOPIC, partial(unpack, PanelShown)),
+            "exercises": _EXERCISES,
+        },
         Segment.GROUND: {
             "experiment": (MISSION_GROUND_TOPIC, partial(unpack, ExperimentShown)),
             "robot": (ROBOT_STATUS_TOPIC, partial(unpack, RobotStatus)),
+            "exercises": _EXERCISES,
         },
     }
 )
@@ -176,6 +185,7 @@ def seat_plan(
         ),
         views={} if ground else dict(_views(setup)),
         passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
+        exercises=tuple(_exercises(topology)) if topology.options.trainer else (),
     )
     return SeatPlan(
         segment=segment,
@@ -209,6 +219,15 @@ def welcome_text(
     """
     told = people if role is Role.OPERATOR else {}
     return WelcomeText(role=role, seat=segment, ports=ports, tasks=tasks, people=told)
+
+
+def _exercises(topology: Topology) -> Iterator[ExerciseText]:
+    """What the trainer of this machine can do, each camera apart."""
+    reach = TrainerReach.of(topology)
+    for name, (text, seconds) in EXERCISES.items():
+        for camera in reach.cameras if name == CAMERA else ("",):
+            if not reach.lacks(name, camera):
+                yield ExerciseText(name=name, text=text, seconds=seconds, camera=camera)
 
 
 def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:

@@ -46,7 +46,10 @@ _MOST_MEDIA = 16
 #: Answers that a camera or a microphone has not read; it is closed at the next one.
 _MOST_ANSWERS = 16
 #: By end: the pages beside the seat of the same name; "" is where people choose one.
-_OTHERS = {Segment.SPACE: ("", "panel", "k2cp"), Segment.GROUND: ("", "top", "k2sv")}
+_OTHERS = {
+    Segment.SPACE: ("", "panel", "k2cp", "trainer"),
+    Segment.GROUND: ("", "top", "k2sv", "trainer"),
+}
 #: In the query of a socket: without pictures, sound and haptics.
 _PLAIN = "plain"
 

@@ -23,6 +23,7 @@ from pipelines.seats.texts import (
     Answered,
     ChatRequest,
     CommandRequest,
+    ExerciseRequest,
     HandleRequest,
     JoystickRequest,
     RecordingRequest,
@@ -36,6 +37,7 @@ from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, place_name, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
+from pipelines.session.training import TrainerRequest
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import (
     REQUESTS,
@@ -46,11 +48,19 @@ from telepresence.haptics.device.states import (
 
 
 class RecordingAsked(NamedTuple):
-    """The recorder is to begin or to end; pass its answer to `Seat.handle_recorder`."""
+    """The recorder is to begin or to end; pass its answer to `Seat.handle_answered`."""
 
     page: int
     request: int
     begin: bool
+
+
+class ExerciseAsked(NamedTuple):
+    """The trainer is to give an exercise; pass its answer to `Seat.handle_answered`."""
+
+    page: int
+    request: int
+    wish: TrainerRequest
 
 
 class StopAsked(NamedTuple):
@@ -60,9 +70,11 @@ class StopAsked(NamedTuple):
     by: str
 
 
-#: What to tell: the joystick of the hand or of a command, the launcher of an order, the recorder
-#: and the TM/TC end of this segment of what is asked.
-SeatEvent = PageInput | HandRequest | Order | RecordingAsked | StopAsked | TmtcRequest
+#: What to tell: the joystick of the hand or of a command, the launcher of an order; recorder,
+#: trainer and the TM/TC end of this segment of what is asked.
+SeatEvent = (
+    PageInput | HandRequest | Order | RecordingAsked | ExerciseAsked | StopAsked | TmtcRequest
+)
 
 #: Pages that are open at a time: of viewers, and of all who may act.
 MOST_VIEWERS, MOST_ACTING = 12, 12
@@ -89,6 +101,7 @@ _RULES: Mapping[type[SeatRequest], _Rule] = MappingProxyType(
         SessionRequest: _Rule("session"),
         StopRequest: _Rule("stop"),
         RecordingRequest: _Rule("record", (Segment.GROUND,), "ground control records the session"),
+        ExerciseRequest: _Rule("exercise"),
     }
 )
 
@@ -261,7 +274,9 @@ class Seat:
         deed = rule.deed
         if isinstance(request, StopRequest):
             deed = f"robot.{'emergency_stop' if request.action == 'stop' else 'release_stop'}"
-        refused = "" if page.role is Role.OPERATOR else refusal(page.role, segment, deed)
+        # Nobody but the trainer spoils a session, not even its owner.
+        owner = page.role is Role.OPERATOR and deed != "exercise"
+        refused = "" if owner else refusal(page.role, segment, deed)
         if refused or segment not in rule.at:
             return refused or rule.elsewhere
         number = page.number
@@ -283,6 +298,11 @@ class Seat:
             case RecordingRequest():
                 begin = request.action == "start"
                 self._events.append(RecordingAsked(number, request.request, begin))
+            case ExerciseRequest():
+                wish = TrainerRequest(
+                    exercise=request.exercise, seconds=request.seconds, camera=request.camera
+                )
+                self._events.append(ExerciseAsked(number, request.request, wish))
         return None
 
     # What topics and the launcher tell
@@ -347,8 +367,8 @@ class Seat:
             self.camera = camera
             self._tell_state(now_ns)
 
-    def handle_recorder(self, asked: RecordingAsked, error: str) -> None:
-        """The recorder's answer. error: "" if it does what was asked."""
+    def handle_answered(self, asked: RecordingAsked | ExerciseAsked, error: str) -> None:
+        """The answer of recorder or trainer. error: "" if it does what was asked."""
         self._answer(Answered(asked.page, asked.request, error))
 
     def handle_figures(self, text: bytes, now_ns: int) -> None:

@@ -9,8 +9,9 @@ from concurrent.futures import Future
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
+import msgspec
 import numpy as np
 
 from kontur_av.media import I420, CaptureStamp
@@ -30,7 +31,7 @@ from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import SeatStream, Unpack
-from pipelines.seats.seat import RecordingAsked, Seat, StopAsked
+from pipelines.seats.seat import ExerciseAsked, RecordingAsked, Seat, StopAsked
 from pipelines.seats.texts import Via
 from pipelines.session.asking import desk_path
 from pipelines.session.feeds import Feed, TopicState
@@ -55,6 +56,7 @@ from pipelines.session.topology import (
     TMTC_TOPICS,
     Segment,
 )
+from pipelines.session.training import TRAINER_DESK, TrainerAnswer
 from telepresence.haptics.device.page import PageInput
 from telepresence.link.backlog import Backlog
 
@@ -323,8 +325,8 @@ class SeatDeeds:
                         self._orders.stop(event.by)
                     else:
                         self._orders.release()
-                case RecordingAsked():
-                    self._serving.begin(self._record(event))
+                case RecordingAsked() | ExerciseAsked():
+                    self._serving.begin(self._ask(event))
                 case _:
                     # One that is not taken now is repeated.
                     send_to_tmtc(self._context.session, self._seat.plan.segment, event)
@@ -343,14 +345,20 @@ class SeatDeeds:
         loan.payload[:] = np.frombuffer(given.data, np.uint8)
         loan.publish(given.stamp)
 
-    async def _record(self, asked: RecordingAsked) -> None:
-        error = await ask_recorder(self._context.session, begin=asked.begin)
-        self._seat.handle_recorder(asked, error)
+    async def _ask(self, asked: RecordingAsked | ExerciseAsked) -> None:
+        session = self._context.session
+        if isinstance(asked, RecordingAsked):
+            error = await ask_recorder(session, begin=asked.begin)
+        else:
+            said = await ask_process(session, TRAINER_DESK, asked.wish, TrainerAnswer)
+            error = said if isinstance(said, str) else "" if said.ok else said.text
+        self._seat.handle_answered(asked, error)
         self._settle()
 
 
 #: A recorder that ends writes a slow disk's file to its end first.
 _PATIENCE_S = 15.0
+_Answer = TypeVar("_Answer", bound=msgspec.Struct)
 
 
 async def ask_recorder(session: str, *, begin: bool) -> str:
@@ -365,20 +373,29 @@ async def ask_recorder(session: str, *, begin: bool) -> str:
         path = Path.cwd() / f"{session}-{instant}.mcap"
         wish = RecordingWish(file=os.fspath(path), command="the page of ground control")
         request = RecordRequest(record=START, wish=wish)
+    said = await ask_process(session, RECORDER_DESK, request, RecordAnswer)
+    return said if isinstance(said, str) else "" if said.ok else said.error
+
+
+async def ask_process(
+    session: str, desk: str, request: msgspec.Struct, answer: type[_Answer]
+) -> _Answer | str:
+    """Return the answer of a session's process to a line; in words why there is none.
+
+    desk: the name of its socket. answer: the type.
+    """
     try:
         reader, writer = await asyncio.open_unix_connection(
-            os.fspath(desk_path(session, RECORDER_DESK)), limit=MAX_LINE_OCTETS
+            os.fspath(desk_path(session, desk)), limit=MAX_LINE_OCTETS
         )
     except OSError:
-        return "the session's recorder is not running"
+        return f"the session's {desk} is not running"
     try:
         writer.write(pack_line(request))
         async with asyncio.timeout(_PATIENCE_S):
-            answer = parse_line(await reader.readline(), RecordAnswer)
+            said = parse_line(await reader.readline(), answer)
     except (OSError, ValueError, TimeoutError):
-        answer = None
+        said = None
     finally:
         writer.close()
-    if answer is None:
-        return "the session's recorder has ended before it answered"
-    return "" if answer.ok else answer.error
+    return f"the session's {desk} has ended before it answered" if said is None else said

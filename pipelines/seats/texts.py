@@ -90,11 +90,21 @@ class BoardText(msgspec.Struct, frozen=True, kw_only=True):
     spring_m: tuple[float, float] = (0.0, 0.0)
 
 
+class ExerciseText(msgspec.Struct, frozen=True, kw_only=True):
+    """An exercise that a trainer can give here. seconds: how long, by default. camera: or ""."""
+
+    name: str
+    text: str
+    seconds: float
+    camera: str
+
+
 class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     """What does not change at a seat. tasks: whether the session has any.
 
     views: by camera, where the board is in its pictures, as far as it is known: a homography, row
     by row, from (x, y, 1) in metres to shares of the picture's width and height, x right, y down.
+    exercises: of its trainer; none without one.
     """
 
     seat: Segment
@@ -113,6 +123,7 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     tasks: bool = False
     task_list: tuple["TaskText", ...] = ()
     views: dict[str, tuple[float, ...]] = {}
+    exercises: tuple[ExerciseText, ...] = ()
 
 
 class HelloText(SeatText, frozen=True, kw_only=True, tag_field="kind", tag="hello"):
@@ -411,6 +422,14 @@ class RecordingRequest(_Request, frozen=True, tag="record"):
     action: Literal["start", "stop"]
 
 
+class ExerciseRequest(_Request, frozen=True, tag="exercise"):
+    """Begin an exercise, or `end` all; the fields are those of `TrainerRequest`."""
+
+    exercise: _Name
+    seconds: float = 0.0
+    camera: Annotated[str, msgspec.Meta(max_length=64)] = ""
+
+
 class InputRequest(_Request, frozen=True, tag="input"):
     """Take an input over with the page's own camera or microphone, or give it back."""
 
@@ -444,6 +463,7 @@ SeatRequest = (
     | SessionRequest
     | StopRequest
     | RecordingRequest
+    | ExerciseRequest
     | CommandRequest
     | ChatRequest
 )

@@ -101,7 +101,6 @@ class PanelShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     text: str
     words: str
     start_m: tuple[float, float]
-    distance_m: float
     held_s: float
     handle_m: tuple[float, float] = (0.0, 0.0)
     dead_man: bool = False

@@ -112,17 +112,23 @@ def bind_pages(host: PageHost, port: int, names: Iterable[str]) -> Mapping[str, 
 
 
 def listeners(
-    sockets: Mapping[str, socket.socket], host: PageHost, certificate: Path | None
+    sockets: Mapping[str, socket.socket],
+    host: PageHost,
+    certificate: Path | None,
+    *,
+    trainer: bool = False,
 ) -> Mapping[str, PageListener]:
     """Return what the page processes are handed. All ends have the same two tokens.
 
-    Each of the people of an end has one more, for the pages of that end. sockets: by the end.
+    A trainer has one for all ends. Each of the people of an end has one more, for the pages of
+    that end. sockets: by the end.
     """
     operator, viewer = (secrets.token_urlsafe(_TOKEN_OCTETS) for _ in range(2))
+    given = {Role.TRAINER.value: secrets.token_urlsafe(_TOKEN_OCTETS)} if trainer else {}
     names = host.names()
     ports = {name: listener.getsockname()[1] for name, listener in sockets.items()}
     tokens = {
-        segment.value: {role.value: secrets.token_urlsafe(_TOKEN_OCTETS) for role in people}
+        segment.value: {role.value: secrets.token_urlsafe(_TOKEN_OCTETS) for role in people} | given
         for segment, people in PEOPLE.items()
         if segment.value in sockets
     }

@@ -16,6 +16,7 @@ class Role(Enum):
     EXPERIMENTER = "experimenter"
     SUPERVISOR = "supervisor"
     SYSTEMS = "systems"
+    TRAINER = "trainer"
     VIEWER = "viewer"
 
     @property
@@ -24,7 +25,7 @@ class Role(Enum):
         return "systems operator" if self is Role.SYSTEMS else self.value
 
 
-#: By end: its people, besides the session's owner and those who watch.
+#: By end: its people, besides the session's owner, its trainer and those who watch.
 PEOPLE: Mapping[Segment, tuple[Role, ...]] = MappingProxyType(
     {
         Segment.SPACE: (Role.COSMONAUT,),
@@ -56,6 +57,7 @@ _MAY: Mapping[str, tuple[Role, ...]] = MappingProxyType(
         "robot.reset_error": (Role.EXPERIMENTER,),
         "robot.emergency_stop": (*PEOPLE[Segment.SPACE], *PEOPLE[Segment.GROUND]),
         "robot.release_stop": (Role.COSMONAUT, Role.SUPERVISOR),
+        "exercise": (Role.TRAINER,),
     }
 )
 

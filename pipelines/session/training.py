@@ -1,4 +1,4 @@
-"""A trainer's exercises: a loss of signal, faults, a lost camera. A core.
+"""A trainer's exercises: a loss of signal, faults, a lost camera, failed tasks. A core.
 
 Requests of terminals are lines of JSON, such as `{"exercise": "los", "seconds": 20}`. The answer is
 `{"ok": true, "text": "..."}` or `{"ok": false, "text": "..."}`.
@@ -8,20 +8,35 @@ so a process that is started again finds those that still last.
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from math import isfinite
+from types import MappingProxyType
 
 import msgspec
 
 from kontur_av.clock import NS_PER_S
 from pipelines.session.figures import DatedEvent, TrainerFigures
 from pipelines.session.probe import Probe
+from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.table import VideoStream
 from pipelines.session.terminal_lines import LineDesk
+from pipelines.session.topology import Topology
 
 #: The name of the trainer's Unix socket.
 TRAINER_DESK = "trainer"
 LOS, JOYSTICK, ROBOT = "los", "joystick-error", "robot-fault"
-CAMERA, END = "camera-lost", "end"
+TASK, CAMERA, END = "task-failed", "camera-lost", "end"
+#: By exercise: what it does, and how long it lasts by default (s).
+EXERCISES: Mapping[str, tuple[str, float]] = MappingProxyType(
+    {
+        LOS: ("no frame gets through, either way", 20.0),
+        JOYSTICK: ("the joystick has a fault, and recovers afterwards", 5.0),
+        ROBOT: ("the robot has a fault and is off; afterwards the fault can be reset", 5.0),
+        TASK: ("each task fails", 1.0),
+        CAMERA: ("a camera gives no pictures", 10.0),
+    }
+)
 #: An exercise is no longer than this.
 LONGEST_S = 3600.0
 #: How many events are kept for the report.
@@ -32,12 +47,13 @@ class Exercises(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """What lasts, until when on the session's clock; an instant in the past: it is over.
 
     los_ns: no frame gets through, either way. joystick_ns, robot_ns: joystick or robot has a fault.
-    cameras_ns: by input, until when it gives no pictures.
+    tasks_ns: each task fails. cameras_ns: by input, until when it gives no pictures.
     """
 
     los_ns: int = 0
     joystick_ns: int = 0
     robot_ns: int = 0
+    tasks_ns: int = 0
     cameras_ns: Mapping[str, int] = {}
 
     def pack(self) -> bytes:
@@ -65,22 +81,60 @@ class TrainerAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     mistake: bool = False
 
 
-class Trainer:
-    """Turns requests into `exercises`.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TrainerReach:
+    """What a trainer can make fail. radio, joystick, robot, tasks: whether these are here.
 
-    radio: whether the radio of this session is here. joystick, robot: whether these are.
     cameras: the inputs with pictures that are here.
+    """
+
+    radio: bool
+    joystick: bool
+    robot: bool
+    tasks: bool = False
+    cameras: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, topology: Topology) -> "TrainerReach":
+        """What the trainer of a session reaches."""
+        ground = Segment.GROUND in topology.segments
+        cameras = (
+            row.name
+            for row in topology.inputs
+            if topology.runs(row.process)
+            and isinstance(topology.media(row.stream).stream, VideoStream)
+        )
+        return cls(
+            radio=topology.alone is not Segment.GROUND,
+            joystick=Segment.SPACE in topology.segments,
+            robot=ground,
+            tasks=ground and topology.options.tasks,
+            cameras=tuple(cameras),
+        )
+
+    def lacks(self, exercise: str, camera: str) -> str:
+        """Why an exercise cannot be here, in one line; "" if it can."""
+        here = {LOS: self.radio, JOYSTICK: self.joystick, ROBOT: self.robot}
+        if not here.get(exercise, True):
+            part = {LOS: "radio", JOYSTICK: "joystick", ROBOT: "robot"}[exercise]
+            return f"the {part} is at the other end: ask there"
+        if exercise == TASK and not self.tasks:
+            return "no tasks are here: they are at the ground's end, with --tasks"
+        if exercise == CAMERA and camera not in self.cameras:
+            known = ", ".join(self.cameras) or "none"
+            return f"no camera {camera} is here: here are {known}"
+        return ""
+
+
+class Trainer:
+    """Turns requests into `exercises`. reach: what is here.
 
     desk: takes the requests. exercises: what lasts at present; a new object after each change.
     """
 
-    def __init__(
-        self, probe: Probe, *, radio: bool, joystick: bool, robot: bool, cameras: Sequence[str]
-    ) -> None:
+    def __init__(self, probe: Probe, reach: TrainerReach) -> None:
         self.exercises = Exercises()
-        self._probe = probe
-        self._radio, self._joystick, self._robot = radio, joystick, robot
-        self._cameras = tuple(cameras)
+        self._probe, self._reach = probe, reach
         self.desk = LineDesk(TrainerRequest, self._answer)
         self._events: deque[DatedEvent] = deque(maxlen=_DEPTH)
 
@@ -104,6 +158,9 @@ class Trainer:
         elif request.exercise == ROBOT:
             self.exercises = change(now, robot_ns=until_ns)
             text = f"robot fault {text}"
+        elif request.exercise == TASK:
+            self.exercises = change(now, tasks_ns=until_ns)
+            text = f"tasks fail {text}"
         elif request.exercise == CAMERA:
             cameras_ns = {**now.cameras_ns, request.camera: until_ns}
             self.exercises = change(now, cameras_ns=cameras_ns)
@@ -117,17 +174,8 @@ class Trainer:
     def _mistake(self, request: TrainerRequest) -> str:
         """Why a request cannot be, in one line; "" if it can."""
         exercise, seconds = request.exercise, request.seconds
-        if exercise not in (LOS, JOYSTICK, ROBOT, CAMERA, END):
-            return f"no exercise {exercise}: take {LOS}, {JOYSTICK}, {ROBOT}, {CAMERA} or {END}"
+        if exercise not in (*EXERCISES, END):
+            return f"no exercise {exercise}: take {', '.join(EXERCISES)} or {END}"
         if exercise != END and not (isfinite(seconds) and 0 < seconds <= LONGEST_S):
             return f"{seconds:g} s: take more than 0 and at most {LONGEST_S:g}"
-        if exercise == LOS and not self._radio:
-            return "the radio is at the other end: ask there"
-        if exercise == JOYSTICK and not self._joystick:
-            return "the joystick is at the other end: ask there"
-        if exercise == ROBOT and not self._robot:
-            return "the robot is at the other end: ask there"
-        if exercise == CAMERA and request.camera not in self._cameras:
-            known = ", ".join(self._cameras) or "none"
-            return f"no camera {request.camera} is here: here are {known}"
-        return ""
+        return self._reach.lacks(exercise, request.camera)

@@ -61,9 +61,8 @@ _BUSY = (PanelMode.TASK_INFO, *_AT_HANDLE, PanelMode.RUNNING)
 class PanelView:
     """What the panel shows.
 
-    task: "" without one. text: of the task. words: status or instruction. start_m: optimal start
-    position. distance_m: of the handle from it.
-    held_s, hold_s: how long start position or goal has been held, and is to be held.
+    task: "" without one. text: of the task. words: status or instruction. start_m: best place
+    to begin. held_s, hold_s: how long start position or goal has been held, and is to be held.
     left_s: until the run ends without it; None while nothing limits it.
     goal: what is to be done in the run, a `TaskGoal`; "" without. target_m: its place.
     step, steps, percent, force_n: as in `TaskProgress`.
@@ -75,7 +74,6 @@ class PanelView:
     text: str
     words: str
     start_m: tuple[float, float]
-    distance_m: float
     held_s: float
     hold_s: float = 0.0
     left_s: float | None = None
@@ -117,7 +115,6 @@ class MissionPanel:
             text=task.text if self._known else "",
             words=words or task.text,
             start_m=self._start_m,
-            distance_m=self._distance_m,
             held_s=held_ns / NS_PER_S,
             hold_s=HOLD_NS / NS_PER_S if mode is PanelMode.HOLD else 0.0,
         )

@@ -1,6 +1,6 @@
-"""Each page of a seat on a telephone and a small screen: nothing is cut, and axe-core agrees.
+"""Each page on a telephone and on screens, dark and light: nothing is cut, and axe-core agrees.
 
-No session runs: a worker in the page's place tells it what a seat's server would.
+No session runs: a worker or a socket in the page's place tells it what a server would.
 """
 
 import functools
@@ -11,9 +11,11 @@ import threading
 from html import escape
 from pathlib import Path
 
+import msgspec
 import pytest
 from browser import Browser
 
+from kontur_av.clock import NS_PER_S
 from pipelines.mission.tmtc_messages import Reported
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
@@ -28,7 +30,11 @@ from pipelines.session.mission_messages import (
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.segments import Segment
+from pipelines.session.training import Exercises
+from pipelines.study.desk import StudyDesk, StudyPhase, StudyPress
+from pipelines.study.plan import Aiming, HandleLevels, StudyPlan
 from pipelines.table import topology_of
+from telepresence.haptics.device.page import PageDevice
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -36,9 +42,10 @@ from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 ROOT = Path(__file__).parents[2]
 STATIC = ROOT / "pipelines" / "seats" / "static"
 AXE = ROOT / ".ci" / "web" / "node_modules" / "axe-core" / "axe.min.js"
-WIDTHS = (390, 1280)
+WIDTHS = (390, 1280, 1920)
 PAGES = {
-    Segment.SPACE: ("welcome", "space", "panel", "k2cp"),
+    None: ("study",),
+    Segment.SPACE: ("welcome", "space", "panel", "k2cp", "trainer"),
     Segment.GROUND: ("ground", "top", "k2sv"),
 }
 #: What a session's owner is told where people choose a page.
@@ -49,14 +56,19 @@ WELCOME = WelcomeText(
     tasks=True,
     people={role.value: "t" * 32 for role in Role if role is not Role.OPERATOR},
 )
-#: In the place of the page's worker: what it is given comes as the server's texts.
+#: In the place of the page's worker or socket: what it is given comes as the server's texts.
 WORKER = """
+    window.WebSocket = class {
+      constructor() { window.socket = this; }
+      send() {}
+    };
     window.Worker = class {
       constructor() { window.worker = this; }
       postMessage() {}
       tell(data) { this.onmessage({ data }); }
     };
 """
+TELL_STUDY = "for (const data of arguments[0]) socket.onmessage({ data })"
 TELL = """
     worker.tell({ kind: "heard" });
     for (const text of arguments[0]) worker.tell({ kind: "text", text: JSON.parse(text) });
@@ -86,6 +98,9 @@ CUT = """
     return found;
 """
 SERIOUS = """
+    // Colours fade into those of another theme.
+    const fades = document.getAnimations().filter((one) => one.effect.getTiming().iterations < 9);
+    await Promise.all(fades.map(({ finished }) => finished));
     const { violations } = await axe.run(document, { resultTypes: ["violations"] });
     return violations
       .filter(({ impact }) => ["serious", "critical"].includes(impact))
@@ -93,12 +108,32 @@ SERIOUS = """
 """
 TABS = "return [...document.querySelectorAll('[role=tab]')].map(({ id }) => id)"
 REASON = "the robot has a fault: a fault of the trainer's exercise"
+STUDY = StudyPlan(
+    name="handle",
+    consent="I take part of my own will. I may stop whenever I like, and nobody asks me why.",
+    participants=2,
+    handle=HandleLevels(damping_n_s_m=(0.0, 8.0)),
+    aiming=(Aiming(name="still"),),
+    trials=2,
+)
+
+
+def texts_of_study(*, begun):
+    """What the page of a study is told on its first screen, and where a trial begins."""
+    desk = StudyDesk(STUDY, PageDevice(start_m=(0.0, 0.0)), {})
+    for now_ns in range(0, 10 * NS_PER_S, NS_PER_S):
+        desk.handle_time(now_ns)
+        if begun and desk.phase is not StudyPhase.START:
+            desk.handle_press(StudyPress(desk.show(now_ns).screen), now_ns)
+    told = [desk.show(now_ns), *([] if desk.frame is None else [desk.frame])]
+    assert (told[0].phase is StudyPhase.START) is begun
+    return [msgspec.json.encode(one).decode() for one in told]
 
 
 def texts_of(segment, *, connected):
     """What a page is told in the middle of a session with tasks, with the longest words."""
     catalogue = built_in_tasks()
-    topology = topology_of(BUILT_IN["spacejustin"], pages=True, tasks=True)
+    topology = topology_of(BUILT_IN["spacejustin"], pages=True, tasks=True, trainer=True)
     plan = seat_plan(topology, segment, "x", built_in_dictionary(), tasks=catalogue)
     seat = Seat(plan, first_command=1)
     if segment is Segment.GROUND:
@@ -115,7 +150,6 @@ def texts_of(segment, *, connected):
         words = "Well held. Now let go of the mouse button, your finger, Space or the trigger."
         at = {
             "start_m": (0.0, 0.0),
-            "distance_m": 0.1,
             "held_s": 0.3,
             "hold_s": 0.5,
             "left_s": 60.0,
@@ -127,6 +161,8 @@ def texts_of(segment, *, connected):
     said = {"state": "recoverable error", "application": "german experiment", "test": "running"}
     report = Reported("housekeeping", "joystick", unix_ns=0, values={**said, "temperature": 60.125})
     seat.handle_news(report, 0)
+    lost = {"left": 3600 * NS_PER_S}
+    seat.handle_shown("exercises", Exercises(los_ns=20 * NS_PER_S, cameras_ns=lost))
     page = seat.handle_opened(Role.OPERATOR, 0)
     found = []
     while (message := seat.poll_transmit(page)) is not None:
@@ -177,7 +213,9 @@ def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name,
     page.reload(WORKER)
     found = {}
     for width, connected in itertools.product(WIDTHS, (False, True)):
-        if name != "welcome":
+        if name == "study":
+            page.run(TELL_STUDY, texts_of_study(begun=connected))
+        elif name != "welcome":
             page.run(TELL, [json.dumps(text) for text in texts_of(segment, connected=connected)])
         metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
         browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
@@ -190,6 +228,23 @@ def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name,
     # Without npm, the layout alone.
     if AXE.exists():
         page.run(AXE.read_text())
-        found["axe"] = page.run(SERIOUS)
+        for theme in ("dark", "light"):
+            scheme = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
+            browser.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", scheme)
+            found["axe", theme] = page.run(SERIOUS)
     page.close()
     assert {what: wrong for what, wrong in found.items() if wrong} == {}
+
+
+def test_no_page_says_that_a_server_is_silent_which_is_heard_again(browser, address):
+    page = browser.open(f"{address}top")
+    page.reload(WORKER)
+    page.run(TELL, [json.dumps(text) for text in texts_of(Segment.GROUND, connected=True)])
+    silent = "document.querySelector('radio-banner').innerText.includes('does not answer')"
+    for note, says in (
+        ({"kind": "lost", "why": "silent", "reason": ""}, True),
+        ({"kind": "heard"}, False),
+    ):
+        page.run("worker.tell(arguments[0])", note)
+        assert page.run(f"return {silent}") is says
+    page.close()

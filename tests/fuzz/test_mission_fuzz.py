@@ -54,7 +54,7 @@ SEEDS = [
         commanded=3,
     ),
     PanelShown(
-        mode="hold", task="aiming", run=1, text="Aim.", words="", start_m=(0, 0), distance_m=0.0,
+        mode="hold", task="aiming", run=1, text="Aim.", words="", start_m=(0, 0),
         held_s=0.5,
     ),
     ExperimentShown(

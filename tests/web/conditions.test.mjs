@@ -3,9 +3,9 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./modules.mjs";
 
-const { handTile, joystickWords, linkTile, panelShown, robotWords, whyStill } = await load("conditions.js");
+const { experimentWords, handTile, joystickWords, linkTile, panelShown, robotWords, whyStill } = await load("conditions.js");
 const { Telemetry, systemSays } = await load("telemetry.js");
-const { commandText } = await load("mission_words.js");
+const { PANEL_WORDS, PHASE_WORDS, commandText } = await load("mission_words.js");
 
 const HISTORIES = 400;
 const STEPS = 80;
@@ -107,6 +107,7 @@ class Page {
   robot = null;
   experiment = null;
   panel = null;
+  panelHeard = "";
   #listeners = {};
   #past = [];
 
@@ -135,6 +136,8 @@ class Page {
     if (!this.alive) return;
     const heard = through ? (this.#past.at(-1 - ON_THE_WAY_STEPS) ?? this.#past[0]) : null;
     this.stopped = !world.running;
+    // The processes of a session that was stopped leave what they said last.
+    const told = world.running;
     const joystick = { state: world.joystick, test: world.test, test_reason: "", reason: "", dead_man: world.dead_man };
     const own = { stopped: world.stopped, by: "", waiting: world.waiting, hold: world.waiting ? "the dead-man button is released" : "" };
     const before = this.state?.safety ?? { stopped: false, by: "", waiting: true, hold: "" };
@@ -142,14 +145,15 @@ class Page {
       now_us: world.now_us,
       link: through ? "connected" : "lost",
       signal: through,
-      joystick: seat === "space" ? joystick : null,
+      joystick: seat !== "space" ? null : told ? joystick : (this.state?.joystick ?? joystick),
       safety: seat === "ground" ? own : heard === null ? before : { ...before, stopped: heard.stopped, waiting: heard.waiting },
       hand: { holder: world.holder, you: seat === "space" && world.holder === 1, wanted_by: null, who: world.holder === null ? "" : "operator", asks: "" },
     };
-    if (seat === "ground") {
+    if (told && seat === "ground") {
       this.robot = { powered: world.powered, mode: world.mode, error: world.fault === "" ? "none" : "force", fault: world.fault };
-      this.experiment = { phase: world.phase };
-    } else this.panel = { mode: world.panel, words: "" };
+      if (heard !== null) this.panelHeard = heard.values["panel.mode"];
+      this.experiment = { phase: world.phase, panel: this.panelHeard };
+    } else if (told) this.panel = { mode: world.panel, words: "" };
     if (heard === null || random() > 0.1) return;
     const values = Object.entries(heard.values).map(([key, value]) => {
       const [of, name] = key.split(".");
@@ -180,12 +184,21 @@ function check(page, world) {
     const truth = world.values(end)[`${name}.${parameter}`];
     const off = name === "robot" && parameter === "mode" && !world.powered;
     // What is near is said at once; what is far is never good beyond a lost link.
-    if (end === seat) {
+    if (end === seat && page.stopped) assert.ok(said.past && said.level === "none");
+    else if (end === seat) {
       assert.equal(said.past, false);
       assert.equal(said.text, off ? "off" : String(truth === true ? "yes" : truth === false ? "no" : truth));
     } else if (!carries) assert.equal(said.past && said.level === "none", true);
   }
-  if (seat === "ground" && !world.powered) assert.ok(rows.every(({ said }) => said.text !== "telepresence"));
+  if (seat === "ground" && !world.powered && world.running) assert.ok(rows.every(({ said }) => said.text !== "telepresence"));
+  if (page.experiment !== null) {
+    const { phase, panel, acts } = experimentWords(page, page.experiment);
+    assert.equal(acts, world.running);
+    if (world.running) assert.equal(phase, PHASE_WORDS[world.phase]);
+    else assert.match(phase, /^Last known: /);
+    // What the panel beyond a lost link shows, nobody here knows.
+    if (!carries) assert.ok(!Object.values(PANEL_WORDS).includes(panel));
+  }
   // Tile and line above the page agree, and say "steer" only where nothing is known against it.
   if (hand.value === "YOU STEER") assert.equal(robot.level, "good");
   assert.equal(robot.level === "good", whyStill(page) === "");

@@ -4,6 +4,7 @@
  *
  * @import { ExperimentText, Figure, HelloText, JoystickText, Level, PanelText, RobotText, StateText } from "./texts.js"
  */
+import { PANEL_WORDS, PHASE_WORDS } from "./mission_words.js";
 import { linkText } from "./wording.js";
 
 /**
@@ -97,6 +98,22 @@ export function robotWords(known) {
   }
   if (still === "") return { words: "● The robot may follow the hand.", level: "good" };
   return { words: `○ The robot holds still: ${still}.`, level: "none" };
+}
+
+/**
+ * What an experimenter reads of a run's phase, and of the panel beyond the link: marked as the last
+ * that is known where neither can be heard.
+ * @param {Known} known @param {{phase: string, panel: string}} experiment
+ */
+export function experimentWords(known, { phase, panel }) {
+  const hindrance = hindranceOf(known);
+  const here = known.alive && !known.stopped && !known.ended;
+  const [phaseWords, panelWords] = [PHASE_WORDS[phase] ?? phase, PANEL_WORDS[panel] ?? (panel || "not known")];
+  return {
+    phase: here ? phaseWords : `Last known: ${phaseWords}`,
+    panel: hindrance === "" || panel === "" ? panelWords : `Last known: ${panelWords}`,
+    acts: here,
+  };
 }
 
 /** What the panel is to show: without the link there is no contact. @param {Known} known @param {PanelText} panel */

@@ -6,8 +6,8 @@
  * @import { ExperimentText } from "./texts.js"
  */
 import { announce } from "./announcer.js";
+import { experimentWords } from "./conditions.js";
 import { make, setAttribute, setText } from "./dom.js";
-import { PANEL_WORDS, PHASE_WORDS } from "./mission_words.js";
 import { nameText } from "./wording.js";
 
 class ExperimentPanel extends HTMLElement {
@@ -44,25 +44,29 @@ class ExperimentPanel extends HTMLElement {
     connection.on("hello", ({ tasks }) => {
       if (!tasks) setText(this.#answer, "This session has no tasks: start it with --tasks.");
     });
-    connection.on("experiment", (experiment) => {
+    const show = () => {
+      const { experiment } = connection;
+      if (experiment === null) return;
       planned.hidden = !experiment.planned;
-      this.#show(experiment);
-    });
+      this.#show(connection, experiment);
+    };
+    for (const kind of /** @type {const} */ (["experiment", "state", "figures", "lost"])) connection.on(kind, show);
   }
 
-  /** @param {ExperimentText} experiment */
-  #show({ phase, task, run, elemop, panel, tasks }) {
+  /** @param {Seat["connection"]} connection @param {ExperimentText} experiment */
+  #show(connection, experiment) {
+    const { phase, task, run, elemop, tasks } = experiment;
     const listed = tasks.map(({ name }) => name).join();
     if (listed !== this.#listed) this.#build(tasks);
     this.#listed = listed;
-    const words = PHASE_WORDS[phase] ?? phase;
+    const { phase: words, panel, acts } = experimentWords(connection, experiment);
     if (this.dataset.phase !== phase) announce(words);
     this.dataset.phase = phase;
     setText(this.#phase, words);
     setText(this.#task, task === "" ? "–" : `${nameText(task)}, run ${run}`);
     setText(this.#elemop, elemop === "" ? "–" : nameText(elemop));
-    setText(this.#panel, PANEL_WORDS[panel] ?? (panel || "not known"));
-    const mayAct = this.#seat?.connection.mayAct === true;
+    setText(this.#panel, panel);
+    const mayAct = acts && connection.mayAct;
     this.#start.disabled = !mayAct || phase !== "offered";
     this.#abort.disabled = !mayAct || phase === "idle" || phase === "ending";
     for (const [name, { item, button }] of this.#tasks) {

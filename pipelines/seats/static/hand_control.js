@@ -104,8 +104,9 @@ export class HandControl extends EventTarget {
   /** Presses the dead-man switch; a free handle is taken. Returns whether the press counts. @param {Source} source */
   press(source) {
     if (this.#source !== null) return this.#source === source;
-    this.refusal = this.hindrance;
-    if (this.refusal === "") {
+    const why = this.hindrance;
+    this.refusal = why === "" ? "" : `This press does not count: ${why.replace(/\.$/, "")}. Let go, and press anew.`;
+    if (why === "") {
       this.#source = source;
       this.#target = { ...(this.#handle ?? { x: 0, y: 0 }) };
       const axes = this.#connection.state?.joystick?.axes ?? [];

@@ -23,9 +23,11 @@ class PageLinks extends HTMLElement {
   /** @param {Seat} seat */
   follow({ connection }) {
     const token = new URL(document.baseURI).pathname.split("/")[1] ?? "";
-    connection.on("hello", ({ seat, tasks }) => {
+    connection.on("hello", ({ seat, tasks, role }) => {
       const here = location.pathname.slice(1);
-      const shown = (PAGES[seat] ?? []).filter(([page]) => tasks || !["panel", "top"].includes(page) || page === here);
+      /** @type {[string, string][]} */
+      const own = role === "trainer" ? [["trainer", "Trainer"]] : [];
+      const shown = [...(PAGES[seat] ?? []), ...own].filter(([page]) => tasks || !["panel", "top"].includes(page) || page === here);
       const links = shown.map(([page, name]) =>
         make("a", { href: `${location.origin}/${page}?token=${token}`, ...(page === here ? { "aria-current": "page" } : {}) }, name),
       );

@@ -11,7 +11,7 @@ import { panelShown } from "./conditions.js";
 import { holdsDeadMan } from "./controller_hand.js";
 import { make, setText } from "./dom.js";
 import { BUTTON_WORDS, PANEL_WORDS } from "./mission_words.js";
-import { nameText } from "./wording.js";
+import { nameText, wayText } from "./wording.js";
 
 const LOOK_MS = 30;
 
@@ -56,7 +56,8 @@ class PanelStatus extends HTMLElement {
     const connection = this.#seat?.connection;
     const panel = this.#panel;
     if (panel === null || connection === undefined) return;
-    const { held_s: heldS, hold_s: holdS, distance_m: distanceM, left_s: leftS } = panel;
+    const { held_s: heldS, hold_s: holdS, left_s: leftS } = panel;
+    const [[startX, startY], [x, y]] = [panel.start_m, panel.handle_m];
     const { mode, words } = panelShown(connection, panel);
     if (this.dataset.mode !== mode) {
       this.dataset.mode = mode;
@@ -66,7 +67,7 @@ class PanelStatus extends HTMLElement {
     setText(this.#mode, PANEL_WORDS[mode] ?? mode);
     setText(this.#words, nameText(words));
     this.#away.hidden = mode !== "move_to_start";
-    setText(this.#away, `${(1000 * distanceM).toFixed(0)} mm from it`);
+    setText(this.#away, `Go ${wayText(startX - x, startY - y)}`);
     this.#held.hidden = mode !== "hold";
     this.#held.max = holdS || 1;
     this.#held.value = Math.min(this.#held.max, heldS);

@@ -3,6 +3,7 @@
  * acknowledged, as the server of this end knows it.
  *
  * @import { Seat } from "./seat.js"
+ * @import { RadioText } from "./texts.js"
  */
 import { announce } from "./announcer.js";
 import { make, setText } from "./dom.js";
@@ -17,11 +18,21 @@ class RadioBanner extends HTMLElement {
   follow({ connection }) {
     this.append(this.#words);
     this.dataset.level = "none";
-    connection.on("radio", ({ level, words }) => {
+    /** @type {RadioText | null} */
+    let newest = null;
+    const show = () => {
+      if (newest === null || !connection.alive) return;
+      const { level, words } = newest;
       this.dataset.level = level;
       setText(this.#words, `${SIGNS[level]}${words}`);
-      if (level === "bad") announce(words);
+    };
+    connection.on("radio", (radio) => {
+      newest = radio;
+      show();
+      if (radio.level === "bad") announce(radio.words);
     });
+    // A server that was silent says only what changed.
+    connection.on("heard", show);
     connection.on("lost", () => {
       this.dataset.level = "none";
       setText(this.#words, connection.ended ? "This session has ended: open the address of the new one." : "The server does not answer.");

@@ -53,13 +53,14 @@ export class Telemetry {
   }
 
   /**
-   * Whether a value must not be taken for the present: it is old, or nothing comes from its end.
+   * Whether a value must not be taken for the present: it is old, or nothing comes from its end. Of a
+   * session that was stopped nothing runs at this end either.
    * @param {ApplicationText} application @param {StructureText | null} structure @param {number | null} age In s.
    */
   isPast({ end }, structure, age) {
-    const { alive, hello } = this.#connection;
+    const { alive, stopped, hello } = this.#connection;
     const away = end !== hello?.seat && hindranceOf(this.#connection) !== "";
-    return !alive || away || isOld(age, structure?.interval_s ?? Infinity);
+    return !alive || stopped || away || isOld(age, structure?.interval_s ?? Infinity);
   }
 
   /** Every parameter of the dictionary. @returns {Entry[]} */

@@ -81,13 +81,19 @@
  */
 
 /**
+ * An exercise that a trainer can give here. seconds: how long, by default. camera: or "".
+ * @typedef {{name: string, text: string, seconds: number, camera: string}} ExerciseText
+ */
+
+/**
  * The first text of a connection. page: its number. name: who sits there.
  * @typedef {{kind: "hello", seat: "ground" | "space", setup: string, session: string, streams:
  *   StreamText[], cameras: CameraText[], previews: PreviewText[], inputs: InputText[], joystick:
  *   string, workspace: WorkspaceText, board: BoardText, caps: Record<string, number>,
  *   applications: ApplicationText[], passes: PassText[], tasks: boolean, task_list: TaskText[],
- *   views: Record<string, number[]>, role: "operator" | "cosmonaut" | "experimenter" |
- *   "supervisor" | "systems" | "viewer", page: number, name: string, now_us: number}} HelloText
+ *   views: Record<string, number[]>, exercises: ExerciseText[], role: "operator" | "cosmonaut" |
+ *   "experimenter" | "supervisor" | "systems" | "trainer" | "viewer", page: number, name: string,
+ *   now_us: number}} HelloText
  */
 
 /**
@@ -210,9 +216,9 @@
 /**
  * The panel, as `telepresence.tasks.panel.PanelView` has it; handle_m: where the handle is.
  * @typedef {{kind: "panel", mode: string, task: string, run: number, text: string, words: string,
- *   start_m: [number, number], distance_m: number, held_s: number, handle_m: [number, number],
- *   dead_man: boolean, hold_s: number, left_s: number | null, goal: string, target_m: [number,
- *   number] | null, step: number, steps: number, percent: number, force_n: number}} PanelText
+ *   start_m: [number, number], held_s: number, handle_m: [number, number], dead_man: boolean,
+ *   hold_s: number, left_s: number | null, goal: string, target_m: [number, number] | null, step:
+ *   number, steps: number, percent: number, force_n: number}} PanelText
  */
 
 /**
@@ -258,12 +264,20 @@
  */
 
 /**
+ * What lasts, until when on the session's clock; an instant in the past: it is over. los_ns: no
+ * frame gets through, either way. joystick_ns, robot_ns: joystick or robot has a fault. tasks_ns:
+ * each task fails. cameras_ns: by input, until when it gives no pictures.
+ * @typedef {{kind: "exercises", los_ns: number, joystick_ns: number, robot_ns: number, tasks_ns:
+ *   number, cameras_ns: Record<string, number>}} ExercisesText
+ */
+
+/**
  * What the page where people choose a page must know; it stands in that page itself. seat: the end
  * that serves it. ports: by end, of those on this machine. tasks: whether the session has any.
  * people: by role, its token, for the owner to hand out; none for others.
  * @typedef {{role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" |
- *   "viewer", seat: "ground" | "space", ports: Record<string, number>, tasks: boolean, people:
- *   Record<string, string>}} WelcomeText
+ *   "trainer" | "viewer", seat: "ground" | "space", ports: Record<string, number>, tasks: boolean,
+ *   people: Record<string, string>}} WelcomeText
  */
 
 /**
@@ -294,7 +308,8 @@
  *   | RadioText
  *   | PanelText
  *   | ExperimentText
- *   | RobotText} ServerText */
+ *   | RobotText
+ *   | ExercisesText} ServerText */
 
 /**
  * What a page may ask for.
@@ -303,6 +318,7 @@
  *   | {do: "session", action: "start" | "stop"}
  *   | {do: "stop", action: "stop" | "release"}
  *   | {do: "record", action: "start" | "stop"}
+ *   | {do: "exercise", exercise: string, seconds?: number, camera?: string}
  *   | {do: "command", application: string, verb?: Verb, name?: string, arguments?: (boolean | number | string)[]}
  *   | {do: "chat", text: string}
  *   | {do: "input", name: string, on: boolean}} Request

@@ -14,7 +14,7 @@ const LOOK_MS = 3000;
 const OF_TASKS = ["panel", "top"];
 
 /**
- * In the order of a session. roles: whose place it is.
+ * In the order of a session. roles: whose place it is. end: "" for every end.
  * @typedef {{page: string, end: string, roles: string[], name: string, what: string, keys: string}} Place
  * @type {Place[]}
  */
@@ -67,6 +67,14 @@ const PLACES = [
     what: "On the ground: watch every system and every alarm, command the joystick, know the next contacts.",
     keys: "1 to 9 open a tab.",
   },
+  {
+    page: "trainer",
+    end: "",
+    roles: ["trainer"],
+    name: "Trainer",
+    what: "At each end: make signal, joystick, robot, tasks or cameras fail, and see what people do.",
+    keys: "Tab and Enter reach every button.",
+  },
 ];
 
 /** By role: its name. @type {Record<string, string>} */
@@ -76,6 +84,7 @@ const ROLES = {
   experimenter: "the experimenter",
   supervisor: "the supervisor",
   systems: "the systems operator",
+  trainer: "the trainer",
   viewer: "a viewer",
 };
 
@@ -92,7 +101,8 @@ function address(end, page, given = token) {
 
 function showPlaces() {
   const shown = PLACES.filter(
-    ({ page, end }) => end in ports && (everywhere || end === seat) && (tasks || !OF_TASKS.includes(page)),
+    ({ page, end, roles }) =>
+      (end === "" ? roles.includes(role) : end in ports && (everywhere || end === seat)) && (tasks || !OF_TASKS.includes(page)),
   );
   const items = shown.map(({ page, end, roles, name, what, keys }) =>
     make(
@@ -100,7 +110,7 @@ function showPlaces() {
       {},
       make(
         "a",
-        { href: address(end, page), "data-page": page, "data-yours": roles.includes(role) },
+        { href: address(end || seat, page), "data-page": page, "data-yours": roles.includes(role) },
         make("strong", {}, name),
         make("span", {}, what),
         make("span", { class: "small quiet" }, keys),
@@ -121,7 +131,7 @@ function showPeople() {
   const rows = Object.entries(people).flatMap(([who, given]) => {
     const place = PLACES.find(({ roles }) => roles.includes(who));
     // Who only watches may look everywhere.
-    const to = address(who === "viewer" ? seat : (place?.end ?? seat), "", given);
+    const to = address(who === "viewer" ? seat : place?.end || seat, "", given);
     return [make("dt", {}, ROLES[who] ?? who), make("dd", {}, make("a", { href: to, "data-role": who }, to))];
   });
   one("#others", HTMLDetailsElement).hidden = rows.length === 0;

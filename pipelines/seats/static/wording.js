@@ -60,6 +60,16 @@ export function countText(value) {
   return String(Math.round(value)).replace(/\B(?=(\d{3})+$)/g, "\u2009");
 }
 
+/** How far to go and whereto; "" if no further. @param {number} xM To the right. @param {number} yM Up. */
+export function wayText(xM, yM) {
+  /** @param {number} m @param {string} onwards @param {string} back */
+  const along = (m, onwards, back) => {
+    const mm = Math.round(1000 * Math.abs(m));
+    return mm === 0 ? "" : `${mm} mm ${m > 0 ? onwards : back}`;
+  };
+  return [along(xM, "right", "left"), along(yM, "up", "down")].filter(Boolean).join(", ");
+}
+
 /** A name of the report in words: `uplink_video` is "uplink video".
  * @param {string} name
  */

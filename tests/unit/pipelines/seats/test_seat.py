@@ -15,11 +15,12 @@ from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import RecordingAsked, Seat
+from pipelines.seats.seat import ExerciseAsked, RecordingAsked, Seat
 from pipelines.session.seat_roles import Role
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
+from pipelines.session.training import TrainerRequest
 from pipelines.table import topology_of
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -339,6 +340,29 @@ def test_in_space_a_session_at_two_machines_is_not_stopped():
     page = seat.handle_opened(Role.OPERATOR, 0)
     ask(seat, page, "session", action="stop")
     assert events(seat) == []
+
+
+@pytest.mark.parametrize("segment", list(Segment))
+def test_only_the_trainer_gives_exercises_at_either_end(segment):
+    seat = seat_of(segment, topology_of(BUILT_IN["spacejustin"], pages=True, trainer=True))
+    for role in Role:
+        page = seat.handle_opened(role, 0)
+        if role is Role.TRAINER:
+            (hello,) = texts(seat, page, "hello")
+        ask(seat, page, "exercise", exercise="camera-lost", seconds=2, camera="head")
+        found = events(seat)
+        if role is Role.TRAINER:
+            wish = TrainerRequest(exercise="camera-lost", seconds=2, camera="head")
+            assert found == [ExerciseAsked(page, 7, wish)]
+            seat.handle_answered(found[0], "no camera head is here")
+        answers = [text["error"] for text in texts(seat, page, "answer")]
+        assert found if role is Role.TRAINER else not found
+        assert len(answers) == 1 and answers[0] != ""
+        # Nor may a trainer do what other people do.
+        ask(seat, page, "stop", action="stop")
+        assert (events(seat) == []) is (role in (Role.TRAINER, Role.VIEWER))
+    offered = [(one["name"], one["camera"]) for one in hello["exercises"]]
+    assert ("los", "") in offered and ("camera-lost", "static") in offered
 
 
 def test_a_role_does_what_is_its_own_and_is_told_who_may_the_rest():

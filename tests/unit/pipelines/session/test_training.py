@@ -8,7 +8,7 @@ from kontur_av.clock import NS_PER_S
 from pipelines.session.figures import TrainerFigures
 from pipelines.session.probe import Probe
 from pipelines.session.terminal_lines import MOST_TERMINALS
-from pipelines.session.training import Exercises, Trainer
+from pipelines.session.training import Exercises, Trainer, TrainerReach
 
 S = NS_PER_S
 
@@ -20,7 +20,9 @@ def probe():
 
 @pytest.fixture
 def trainer(probe):
-    return Trainer(probe, radio=True, joystick=True, robot=True, cameras=["iss_camera", "head"])
+    cameras = ("iss_camera", "head")
+    reach = TrainerReach(radio=True, joystick=True, robot=True, tasks=True, cameras=cameras)
+    return Trainer(probe, reach)
 
 
 def ask(trainer, now_ns=0, **request):
@@ -37,6 +39,7 @@ def test_each_exercise_lasts_until_its_own_end_and_all_can_be_ended(trainer, pro
     assert ask(trainer, 5 * S, exercise="los", seconds=20)["text"] == "no signal for 20 s"
     assert ask(trainer, 6 * S, exercise="joystick-error", seconds=2.5)["ok"]
     assert ask(trainer, 6 * S, exercise="robot-fault", seconds=4)["text"] == "robot fault for 4 s"
+    assert ask(trainer, 6 * S, exercise="task-failed", seconds=1)["text"] == "tasks fail for 1 s"
     for camera in ("head", "iss_camera"):
         assert ask(trainer, 7 * S, exercise="camera-lost", seconds=3, camera=camera)["ok"]
     exercises = Exercises.unpack(trainer.exercises.pack())
@@ -44,13 +47,14 @@ def test_each_exercise_lasts_until_its_own_end_and_all_can_be_ended(trainer, pro
         los_ns=25 * S,
         joystick_ns=round(8.5 * S),
         robot_ns=10 * S,
+        tasks_ns=7 * S,
         cameras_ns={"head": 10 * S, "iss_camera": 10 * S},
     )
     assert ask(trainer, 9 * S, exercise="end")["ok"]
     assert trainer.exercises == Exercises()
     trainer.tell()
     gauges = probe.message.figures[TrainerFigures, ""]
-    assert [event.at_ns // S for event in gauges.exercises] == [5, 6, 6, 7, 7, 9]
+    assert [event.at_ns // S for event in gauges.exercises] == [5, 6, 6, 6, 7, 7, 9]
 
 
 @pytest.mark.parametrize(
@@ -73,7 +77,9 @@ def test_what_cannot_be_is_refused_and_changes_nothing(trainer, request_, says):
 
 
 def test_what_is_at_the_other_end_is_asked_for_there(probe):
-    ground = Trainer(probe, radio=False, joystick=False, robot=False, cameras=["head"])
+    reach = TrainerReach(radio=False, joystick=False, robot=False, cameras=("head",))
+    ground = Trainer(probe, reach)
+    assert "at the ground's end" in ask(ground, exercise="task-failed", seconds=1)["text"]
     for exercise in ("los", "joystick-error", "robot-fault"):
         assert "ask there" in ask(ground, exercise=exercise, seconds=1)["text"]
     assert ask(ground, exercise="camera-lost", seconds=1, camera="head")["ok"]

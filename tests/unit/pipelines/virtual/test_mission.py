@@ -40,6 +40,7 @@ class Ground:
             life=1, powered=False, mode=ControlMode.POSITION, x_m=0, y_m=0, push_n=0
         )
         self.camera, self.recording, self.messages = "", False, []
+        self.exercise = False
         self.core = MissionGround(built_in_tasks(), plan, now_ns=0, memory=memory)
         self.settle()
 
@@ -74,6 +75,7 @@ class Ground:
                 recording=self.recording,
                 signal=True,
                 link=LinkMeanwhile(0, 0, 0),
+                exercise=self.exercise,
             )
             self.core.handle_tick(seen, self.now_ns)
             self.settle()
@@ -143,6 +145,16 @@ def test_a_plan_repeats_a_run_that_failed_and_goes_on_after_one_that_a_person_en
     assert ground.core.telemetry["task"] == list(built_in_tasks().tasks).index("line")
 
 
+@pytest.mark.parametrize("begin", [offered, running])
+def test_a_trainer_lets_a_task_fail_and_says_why(begin):
+    ground = begin()
+    ground.exercise = True
+    ground.go(2)
+    (row,) = ground.core.journal.closed
+    assert (row.result, row.reason) == ("aborted", "a fault of the trainer's exercise")
+    assert ground.phase == "idle" and not ground.robot.powered
+
+
 def test_a_panel_that_was_restarted_is_told_its_task_again_or_ends_the_run():
     ground = offered()
     ground.messages.clear()
@@ -194,7 +206,6 @@ def test_messages_are_what_was_packed():
             text="",
             words="Hold it there.",
             start_m=(0.0, 0.1),
-            distance_m=0.001,
             held_s=1.5,
         ),
     )

@@ -1,0 +1,178 @@
+"""A newcomer, who only reads what the pages say, does every task of one person's two hands."""
+
+import re
+import time
+
+import pytest
+from browser import eventually
+from running_session import RunningSession
+from selenium.common.exceptions import WebDriverException
+from selenium.webdriver import ActionChains
+
+#: Two pages take most of a small machine, so the cameras are small.
+SETUP = """
+cameras = ["stereo", "static", "head"]
+uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
+"""
+TASKS = 6
+#: The words of the page, and of one box on it, as a person sees them.
+SEEN = "return document.querySelector('main').innerText"
+BOX = """
+    const titles = [...document.querySelectorAll("h2")];
+    const found = titles.find((one) => one.innerText.toLowerCase() === arguments[0]);
+    return found?.checkVisibility() ? found.closest(".panel") : null;
+"""
+WAY = re.compile(r"(\d+) mm (left|right|up|down)")
+#: A hand guesses how far it must go for "a little".
+LITTLE_MM = 3
+SIGNS = {"left": (-1, 0), "right": (1, 0), "up": (0, -1), "down": (0, 1)}
+#: So near the edge of the window a hand lets the handle go, and takes it anew in the middle.
+EDGE = 20
+
+
+@pytest.fixture
+def session(tmp_path):
+    (tmp_path / "board.toml").write_text(SETUP)
+    options = ("--tasks", "--page", "24140", "--joystick", "page")
+    with RunningSession(str(tmp_path / "board.toml"), *options, directory=tmp_path) as running:
+        yield running
+        code, report = running.interrupt()
+        assert code == 0, running.errors()
+        assert report["failures"] == []
+        results = [run["result"] for run in report["tasks"]]
+        assert results.count("finished") == TASKS, report["tasks"]
+
+
+class Newcomer:
+    """Knows what a button and a mouse are, and nothing of this program."""
+
+    def __init__(self, browser, address):
+        self.page, self.driver = browser.open(address), browser.driver
+        self.per_mm, self.at, self.holds = 1.0, (0, 0), False
+
+    def sit_down(self, words):
+        """Take the seat that is for what one wants to do."""
+        self.click("take a seat", words, "a")
+        eventually(lambda: "Take a seat" not in self.page.driver().title, "the seat")
+
+    def read(self, title=""):
+        """Return the words of the page, or of the box with this title."""
+        if not title:
+            return self.page.run(SEEN)
+        box = self.page.run(BOX, title)
+        return "" if box is None else box.text
+
+    def click(self, title, words, kind="button", which=0):
+        """Click what has these words; whether there was something to click."""
+        driver = self.page.driver()
+        root = self.page.run(BOX, title) or driver.find_element("css selector", "main")
+        found = [one for one in root.find_elements("css selector", kind) if words in one.text]
+        if len(found) <= which or not found[which].is_enabled():
+            return False
+        try:
+            found[which].click()
+        except WebDriverException:
+            # It has gone since it was read.
+            return False
+        return True
+
+    # The mouse on the picture
+
+    def press(self):
+        picture = self.page.find("#picture")
+        ActionChains(self.page.driver(), duration=50).click_and_hold(picture).perform()
+        where = picture.rect
+        middle = where["x"] + where["width"] / 2, where["y"] + where["height"] / 2
+        self.at, self.holds = middle, True
+
+    def release(self):
+        ActionChains(self.page.driver(), duration=50).release().perform()
+        self.holds = False
+
+    def drag(self, words):
+        """Drag the handle to where the page says; learn how far a millimetre is."""
+        if not self.holds:
+            self.press()
+        mm = [0, 0]
+        for far, way in WAY.findall(words):
+            for axis in (0, 1):
+                mm[axis] += int(far) * SIGNS[way][axis]
+        across, down = (round(self.per_mm * one) for one in mm)
+        width, height = self.page.run("return [innerWidth, innerHeight]")
+        to = self.at[0] + across, self.at[1] + down
+        if not (EDGE < to[0] < width - EDGE and EDGE < to[1] < height - EDGE):
+            self.release()
+            return mm
+        ActionChains(self.page.driver(), duration=200).move_by_offset(across, down).perform()
+        self.at = to
+        self.wait(0.25)
+        return mm
+
+    def wait(self, seconds):
+        self.page.run("return new Promise((done) => setTimeout(done, arguments[0]))", 1e3 * seconds)
+
+    # What it does
+
+    def act(self):
+        """Do what the page says now; return what it says."""
+        says = self.read("what to do")
+        if "press the button" in says or "Next task" in says:
+            self.click("what to do", "")
+        elif "let go of the mouse button" in says:
+            self.release()
+        elif "Press it now" in says:
+            self.release()
+            self.press()
+        elif "Go " in says:
+            self.go(says)
+        elif "Do the task" in says:
+            self.do()
+        return says
+
+    def go(self, says):
+        before = WAY.findall(says)
+        gone = self.drag(says)
+        after = WAY.findall(self.read("what to do"))
+        # The first way tells how far a millimetre is on this screen.
+        if before and after and before[0][1] == after[0][1] and int(before[0][0]) > 20:
+            share = 1 - int(after[0][0]) / int(before[0][0])
+            if share > 0.05 and any(gone):
+                self.per_mm = min(8.0, self.per_mm / share)
+
+    def do(self):
+        """In a run: words over the picture lead."""
+        seen = self.read()
+        if "press anew" in seen or "you steer" not in seen:
+            self.release()
+        if not self.holds:
+            self.press()
+        if WAY.search(seen):
+            self.drag(" ".join(line for line in seen.split("\n") if WAY.search(line)))
+        elif "further left" in seen:
+            self.drag(f"{LITTLE_MM} mm left")
+        elif "little to the right" in seen:
+            self.drag(f"{LITTLE_MM} mm right")
+        else:
+            self.wait(0.2)
+
+
+def test_a_newcomer_finishes_every_task_by_what_the_pages_say(session, start_browser):
+    browser = start_browser(size=(1280, 900))
+    # The one address that is printed leads to every seat.
+    address = session.pages()["pages"]
+    panel, top = Newcomer(browser, address), Newcomer(browser, address)
+    top.sit_down("select a task")
+    panel.sit_down("do the tasks")
+    began = time.monotonic()
+    for number in range(TASKS):
+        eventually(lambda: "Wait for a task" in panel.act(), "a panel that waits")
+        eventually(lambda n=number: top.click("experiment", "Select", which=n), "the selection")
+        eventually(lambda: "Wait" not in panel.read("what to do"), "the task on the panel")
+        eventually(lambda: "Finished" in panel.act(), f"the end of task {number}")
+        print(f"task {number} was done after {time.monotonic() - began:.0f} s")
+        panel.release()
+        runs = eventually(lambda: "✓ finished" in top.read("runs") and top.read("runs"), "the run")
+        assert runs.count("finished") == number + 1
+        steps = top.read("steps")
+        assert (steps.count("●"), steps.count("○")) == (12, 0)
+    browser.assert_no_errors()
