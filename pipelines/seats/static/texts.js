@@ -48,9 +48,9 @@
  */
 
 /**
- * A parameter, and from where on it is coloured.
- * @typedef {{name: string, unit: string, text: string, low: number | null, high: number | null}}
- *   ParameterText
+ * A parameter, from where on it is coloured, and the texts that it may have.
+ * @typedef {{name: string, unit: string, text: string, low: number | null, high: number | null,
+ *   choices: string[]}} ParameterText
  */
 
 /**
