@@ -32,6 +32,8 @@ _OFF_NOMINAL = (
     JoystickState.FATAL,
 )
 _MOST_ASKED = 16
+#: The dictionary has parameters for so many.
+MOST_JOINTS = 7
 
 
 class GatewaySource:
@@ -129,12 +131,22 @@ class RobotSource:
         known = tuple(values.values())
         if known != self._known or now_ns >= self._known_ns:
             self._known, self._known_ns = known, now_ns + SAMPLE_NS
-            self._end.handle_values("robot", values, now_ns)
+            self._end.handle_values("robot", values | _joints(status), now_ns)
         faults = (status.life, status.faults)
         if status.faults and faults != self._faults:
             self._end.handle_event("robot", "error", now_ns)
         self._faults = faults
         self._asked.handle_answer(status.commanded, status.command_refusal, now_ns)
+
+
+def _joints(status: RobotStatus) -> Values:
+    """Angle and torque of each joint; no number where the robot has or tells none."""
+    values: Values = {}
+    for number in range(1, MOST_JOINTS + 1):
+        angle_rad, torque_n_m = dict(enumerate(status.joints, 1)).get(number, (nan, nan))
+        values[f"joint_{number}_angle"] = angle_rad
+        values[f"joint_{number}_torque"] = torque_n_m
+    return values
 
 
 class JoystickSource:

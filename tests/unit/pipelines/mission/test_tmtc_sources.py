@@ -1,9 +1,11 @@
 """Parameters of joystick, robot and gateways, and the rules of the built-in dictionary."""
 
+import pytest
+
 from pipelines.hand.hand_topics import JoystickStatus, unpack_request
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, Reported, SendCommand
-from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
+from pipelines.mission.tmtc_sources import MOST_JOINTS, GatewaySource, JoystickSource, RobotSource
 from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.setup.segments import Segment
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
@@ -128,6 +130,19 @@ def test_signal_and_force_are_watched():
 def robot_status(**changes):
     known = {"powered": True, "mode": ControlMode.TELEPRESENCE, "push_n": 0.0}
     return RobotStatus(life=1, x_m=0.0, y_m=0.0, **{**known, **changes})
+
+
+def test_joints_are_housekeeping_and_those_that_are_not_there_have_no_number():
+    space = Space(Segment.GROUND)
+    robot = RobotSource(space.end, first_number=7)
+    space.now_ns += 11 * S
+    robot.handle_status(robot_status(joints=((0.05, 1.5), (-0.1, -0.5))), space.now_ns)
+    (report,) = [one for one in space.news() if getattr(one, "name", "") == "joints"]
+    found = {name: value for name, value in report.values.items() if value == value}
+    wanted = {"joint_1_angle": 0.05, "joint_1_torque": 1.5}
+    wanted |= {"joint_2_angle": -0.1, "joint_2_torque": -0.5}
+    assert found == pytest.approx(wanted)
+    assert len(report.values) == 2 * MOST_JOINTS
 
 
 def test_the_dictionary_has_the_modes_of_the_robot():
