@@ -189,6 +189,7 @@ class JoystickSource:
                 "y": status.y_m,
                 "test": status.test,
                 "test_part": status.test_part,
+                **self._measured(status),
             }
             self._end.handle_values("joystick", values, now_ns)
         if changed:
@@ -201,6 +202,18 @@ class JoystickSource:
             self._end.handle_event("joystick", event, now_ns)
         self._state = state
         self._asked.handle_answer(status.commanded, status.command_refusal, now_ns)
+
+    def _measured(self, status: JoystickStatus) -> Values:
+        """What the newest functional test measured; no number for what it did not."""
+        table = self._end.applications["joystick"].table
+        found = {
+            f"test_{name.replace(' ', '_')}": nan if value is None else value
+            for name, value in status.test_figures.items()
+        }
+        pressed = [value for name, value in found.items() if name.endswith("_let_go")]
+        if pressed:
+            found["test_buttons"] = sum(pressed)
+        return {name: found.get(name, nan) for name in table.structure("test_figures").parameters}
 
 
 def _application(status: JoystickStatus, state: JoystickState) -> str:

@@ -8,7 +8,11 @@ from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, Report
 from pipelines.mission.tmtc_sources import MOST_JOINTS, GatewaySource, JoystickSource, RobotSource
 from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
+from telepresence.haptics.hand import Hand
+from telepresence.haptics.sample import Feedback
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.world import WorldState
@@ -125,6 +129,36 @@ def test_signal_and_force_are_watched():
         state = WorldState(space.now_ns, 0.01, -0.02, force_n, contact=True)
         robot.handle_state(state, space.now_ns)
     assert events(space.news()) == ["force_too_high"]
+
+
+def test_what_the_functional_test_measured_is_housekeeping():
+    space = Space()
+    space.now_ns += 10 * S
+    figures = {"left end": 99.5, "stiffness x": None, "Coulomb friction y": 0.5}
+    pressed = {f"button {number} pressed and let go": float(number != 2) for number in range(1, 5)}
+    news = space.status(test="failed", test_part="buttons", test_figures=figures | pressed)
+    (report,) = [one for one in news if getattr(one, "name", "") == "test_figures"]
+    found = {name: value for name, value in report.values.items() if value == value}
+    wanted = {"test_left_end": 99.5, "test_Coulomb_friction_y": 0.5, "test_buttons": 3.0}
+    assert found == pytest.approx(wanted)
+
+
+def test_the_dictionary_has_a_parameter_of_each_measure_of_the_functional_test():
+    handle = OperatedHandle(SimulatedDevice(hand=Hand()))
+    quiet = Feedback(0.0, 0.0, 0, False)
+    for cycle in range(60_000):
+        if cycle == 4000:
+            assert handle.handle_command(JoystickEvent.STOP) == ""
+            assert handle.handle_command(JoystickEvent.TEST) == ""
+        if cycle > 4000 and not handle.operation.testing:
+            break
+        handle.handle_feedback(quiet)
+        handle.step(0.0, 0.0, S // 1000)
+    report = handle.operation.test
+    assert report.outcome == "passed"
+    names = {f"test_{one.name.replace(' ', '_')}" for one in report.figures if one.unit}
+    known = {one.name for one in built_in_dictionary().application("joystick").parameters}
+    assert names and names <= known
 
 
 def robot_status(**changes):
