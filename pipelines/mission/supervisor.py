@@ -149,7 +149,7 @@ def _supervising(table: Application, rows: Sequence[ProcessRow]) -> Application:
 
 
 def _structures(parameters: Sequence[Parameter]) -> tuple[Structure, ...]:
-    """As many reports as packets are needed."""
+    """As many reports as packets are needed; off at first, as links keep no room for them."""
     reports: list[list[str]] = []
     octets = MAX_REPORT_OCTETS
     for one in parameters:
@@ -164,6 +164,7 @@ def _structures(parameters: Sequence[Parameter]) -> tuple[Structure, ...]:
             number=number,
             parameters=tuple(names),
             interval_s=_INTERVAL_S,
+            on=False,
         )
         for number, names in enumerate(reports, 1)
     )

@@ -200,6 +200,8 @@ class JoystickSource:
             passed = status.test == Outcome.PASSED
             event = "test_passed" if passed else "test_failed"
             self._end.handle_event("joystick", event, now_ns)
+            if status.test_figures:
+                self._end.handle_event("joystick", "test_measured", now_ns)
         self._state = state
         self._asked.handle_answer(status.commanded, status.command_refusal, now_ns)
 

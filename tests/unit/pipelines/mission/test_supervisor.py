@@ -149,6 +149,12 @@ def test_a_silent_a_slipping_and_a_busy_process_are_off_nominal_once_it_lasts(il
 def test_housekeeping_has_the_figures_of_every_process_of_the_end():
     ground = Ground()
     loop = LoopFigures(cycles=9_990, slips=10)
+    for number in (1, 2):
+        request = SendCommand(
+            "test", number, "ground_supervisor", "housekeeping_on", f"processes_{number}"
+        )
+        ground.end.handle_request(request, ground.now_ns)
+    ground.work()
     news = ground.look(11, robot={"restarts": 2, "cpu_s": 1.5, "age_ms": 400.0, "loop": loop})
     values = {}
     for one in news:

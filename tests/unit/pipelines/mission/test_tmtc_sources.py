@@ -131,13 +131,15 @@ def test_signal_and_force_are_watched():
     assert events(space.news()) == ["force_too_high"]
 
 
-def test_what_the_functional_test_measured_is_housekeeping():
+def test_what_the_functional_test_measured_is_an_event():
     space = Space()
-    space.now_ns += 10 * S
+    space.status(test="running", test_number=1)
     figures = {"left end": 99.5, "stiffness x": None, "Coulomb friction y": 0.5}
     pressed = {f"button {number} pressed and let go": float(number != 2) for number in range(1, 5)}
-    news = space.status(test="failed", test_part="buttons", test_figures=figures | pressed)
-    (report,) = [one for one in news if getattr(one, "name", "") == "test_figures"]
+    failed = {"test": "failed", "test_part": "buttons", "test_number": 1}
+    news = space.status(**failed, test_figures=figures | pressed)
+    assert events(news) == ["test_failed", "test_measured"]
+    report = next(one for one in news if getattr(one, "name", "") == "test_measured")
     found = {name: value for name, value in report.values.items() if value == value}
     wanted = {"test_left_end": 99.5, "test_Coulomb_friction_y": 0.5, "test_buttons": 3.0}
     assert found == pytest.approx(wanted)
@@ -169,6 +171,8 @@ def robot_status(**changes):
 def test_joints_are_housekeeping_and_those_that_are_not_there_have_no_number():
     space = Space(Segment.GROUND)
     robot = RobotSource(space.end, first_number=7)
+    space.end.handle_request(SendCommand("test", 1, "robot", "housekeeping_on", "joints"), 0)
+    space.news()
     space.now_ns += 11 * S
     robot.handle_status(robot_status(joints=((0.05, 1.5), (-0.1, -0.5))), space.now_ns)
     (report,) = [one for one in space.news() if getattr(one, "name", "") == "joints"]
