@@ -75,7 +75,20 @@ def topology_of(
         ros2=ros2,
         components=components,
     )
+    both = SessionOptions(pages=True, tasks=True, components=components)
+    every = _process_rows(setup, both, segments)
+    return Topology(
+        setup=setup,
+        options=options,
+        processes=_process_rows(setup, options, segments),
+        supervised=tuple(row for row in every if row.segment is not None),
+        segments=segments,
+    )
+
+
+def _process_rows(
+    setup: Setup, options: SessionOptions, segments: tuple[Segment, ...]
+) -> tuple[ProcessRow, ...]:
     streams = Topology(setup=setup, options=options, segments=segments)
     rows = (row for room in ROOMS for row in room(streams) if row.when)
-    processes = tuple(sorted(rows, key=lambda row: row.stage))
-    return Topology(setup=setup, options=options, processes=processes, segments=segments)
+    return tuple(sorted(rows, key=lambda row: row.stage))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
     from telepresence.haptics.device.device import JoystickDevice, JoystickFacts, JoystickReading
     from telepresence.haptics.device.states import JoystickState
-    from telepresence.haptics.robot import RobotFacts
+    from telepresence.haptics.robot import JointReading, RobotFacts
     from telepresence.haptics.robot_device import RobotDevice, RobotReading
     from telepresence.haptics.sample import Command, Feedback
     from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_flow
@@ -41,6 +41,7 @@ __all__ = [
     "FunctionCall",
     "Gateway",
     "Handle",
+    "JointReading",
     "JoystickDevice",
     "JoystickFacts",
     "JoystickReading",

@@ -9,13 +9,12 @@ from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import resolve, say
-from pipelines.mission.choosing import session_dictionary
+from pipelines.mission.session_dictionary import session_dictionary
 from pipelines.packets.allowed import allowed_commands
 from pipelines.packets.process_packets import PacketsPlan
 from pipelines.session.datagrams import Address, is_loopback
-from pipelines.session.setup.table import Setup
+from pipelines.session.topology import Topology
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
-from telepresence.tmtc.telemetry_source import Component, with_components
 
 _OPTION, _FRAMES = "--packets", "--frames"
 _TCP, _UDP = r"tcp:(?:([^:]+):)?(\d{1,5})", r"udp:([^:]+):(\d{1,5})"
@@ -50,17 +49,14 @@ def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def bound_packets(
-    args: argparse.Namespace, setup: Setup, components: tuple[Component, ...]
-) -> Iterator[PacketsPlan | None]:
+def bound_packets(args: argparse.Namespace, topology: Topology) -> Iterator[PacketsPlan | None]:
     """Yield what the options ask for, with its socket; ConfigError if that cannot be."""
     if args.packets is None:
         if args.packets_allow:
             raise ConfigError(f"--packets-allow needs {_OPTION}")
         yield None
         return
-    known = with_components(built_in_dictionary(), components)
-    dictionary = session_dictionary(known, setup.cameras)
+    dictionary = session_dictionary(built_in_dictionary(), topology)
     allowed = allowed_commands(args.packets_allow, dictionary)
     wish = parse_packets(args.packets)
     host, port = wish.address

@@ -219,7 +219,7 @@ def run(args: argparse.Namespace) -> int:
         announced_rtc(rtc_wish, session, quiet=args.quiet) as partners,
         announced_metrics(metrics, quiet=args.quiet),
         announced_foxglove(foxglove_wish, session, quiet=args.quiet) as foxglove,
-        bound_packets(args, setup, components) as packets,
+        bound_packets(args, topology) as packets,
         live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         if wish is not None:

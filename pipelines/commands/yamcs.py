@@ -5,12 +5,16 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.packets_options import DEFAULT_PACKETS, parse_frames, parse_packets
+from pipelines.mission.session_dictionary import session_dictionary
 from pipelines.packets.yamcs import instance_files
+from pipelines.session.options import add_setup_argument
 from pipelines.session.output import print_data
 from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.table import topology_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.xtce import dictionary_xtce
-from telepresence.tmtc.telemetry_source import load_components, with_components
+from telepresence.tmtc.telemetry_source import load_components
 
 _HTTP_PORT = 8090
 
@@ -20,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "write the instance's directory: etc/ and mdb/"
     new = actions.add_parser("new", help=text, description=text)
     new.add_argument("directory", type=Path, metavar="DIR")
+    add_setup_argument(new, default="spacejustin")
     new.add_argument(
         "--packets",
         metavar="tcp:[HOST:]PORT|udp:HOST:PORT",
@@ -41,8 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     wish, frames = parse_packets(args.packets), parse_frames(args.frames)
-    dictionary = built_in_dictionary()
-    dictionary = with_components(dictionary, load_components(args.telemetry, dictionary))
+    known = built_in_dictionary()
+    components = load_components(args.telemetry, known)
+    topology = topology_of(load_setup(args.setup), components=components)
+    dictionary = session_dictionary(known, topology)
     files = instance_files(
         dictionary_xtce(dictionary, args.end),
         wish.address,

@@ -106,7 +106,8 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     that an emergency stop holds it.
     axes: those behind x and y.
     test, test_part, test_reason, test_number: the newest functional test, as
-    `telepresence.haptics.device.functional_test.TestReport` has it.
+    `telepresence.haptics.device.functional_test.TestReport` has it. test_figures: what it measured,
+    by the figures' names; None where nothing could be.
     """
 
     state: int
@@ -131,6 +132,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     test_part: str = "none"
     test_reason: str = ""
     test_number: int = 0
+    test_figures: dict[str, float | None] = {}
 
 
 def pack_status(status: JoystickStatus) -> bytes:

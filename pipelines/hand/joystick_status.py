@@ -93,5 +93,6 @@ class JoystickStatusTeller(WatchedTopic):
             test_part=test.part.value,
             test_reason=test.reason[:MOST_CHARACTERS],
             test_number=test.number,
+            test_figures={figure.name: figure.value for figure in test.figures},
         )
         return pack_status(status)

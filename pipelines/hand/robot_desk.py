@@ -131,6 +131,7 @@ class RobotDesk:
             stopped=envelope.stopped,
             offset_mm=safety.offset_mm,
             holds=robot.holds,
+            joints=robot.joints,
         )
 
     def _carry_out(self, command: RobotCommand, now_ns: int) -> str:

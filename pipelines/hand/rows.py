@@ -47,6 +47,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.GROUND,
             stage=Stage.LINK,
             run="pipelines.hand.process_ends:run_robot",
+            stoppable=False,
             priority=LOOP_PRIORITY,
             reads=(
                 ROBOT_COMMAND_TOPIC,
@@ -72,6 +73,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.GROUND,
             stage=Stage.LINK,
             run="pipelines.hand.process_owner:run_owner_desk",
+            stoppable=False,
             reads=(ARM_STATE_TOPIC,),
             writes=(ARM_ORDER_TOPIC,),
             what="hands the robot over to a partner and back",
@@ -82,6 +84,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.GROUND,
             stage=Stage.LINK,
             run="pipelines.hand.partner_arm:run_second_robot",
+            stoppable=False,
             priority=LOOP_PRIORITY,
             writes=(SECOND_ROBOT_TOPIC,),
             ports=(taken,),
@@ -92,6 +95,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.SPACE,
             stage=Stage.LINK,
             run="pipelines.hand.process_ends:run_joystick",
+            stoppable=False,
             priority=LOOP_PRIORITY,
             reads=(
                 WALL_TOPIC,

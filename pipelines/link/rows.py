@@ -20,6 +20,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=segment,
             stage=Stage.LINK,
             run="pipelines.link.process_gateway:run_gateway",
+            stoppable=False,
             arguments={"segment": segment},
             priority=LOOP_PRIORITY,
             reads=(TRAINER_TOPIC,),

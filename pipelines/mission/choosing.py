@@ -2,13 +2,11 @@
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import replace
 
 from pipelines.media.figures import SelectorFigures
 from pipelines.media.following import AGAIN_NS, Choice
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValues
 from pipelines.session.probe import Probe
-from telepresence.tmtc.pus.dictionary import Dictionary
 
 CAMERA = "camera"
 SELECT = "select"
@@ -109,16 +107,3 @@ class CameraChoice:
     def tell(self) -> None:
         """Put the counters into the probe."""
         self._probe.tell(SelectorFigures(selected=self.selected, switches=self._switches))
-
-
-def session_dictionary(dictionary: Dictionary, cameras: Sequence[str]) -> Dictionary:
-    """Return `dictionary` with the cameras of a session, so that others are refused at once."""
-    table = dictionary.application(CAMERA)
-    known = [
-        replace(one, choices=tuple(cameras)) if one.name == CAMERA else one
-        for one in table.parameters
-    ]
-    session = replace(table, parameters=tuple(known))
-    return Dictionary(
-        applications=tuple(session if one is table else one for one in dictionary.applications)
-    )

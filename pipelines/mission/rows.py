@@ -44,6 +44,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.GROUND,
             stage=Stage.RELAY,
             run="pipelines.mission.process_selector:run_selector",
+            stoppable=False,
             reads=(
                 FOLLOWED_TOPIC,
                 ROBOT_TOPIC,
@@ -64,6 +65,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.SPACE,
             stage=Stage.LINK,
             run="pipelines.mission.process_console:run_console",
+            stoppable=False,
             reads=(JOYSTICK_STATE_TOPIC, link_state_topic(Segment.SPACE)),
             writes=(
                 *given(setup.hand == "mediated", WALL_TOPIC),

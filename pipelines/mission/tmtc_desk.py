@@ -8,17 +8,21 @@ from collections.abc import Callable
 from itertools import count
 from socket import socket
 
+import msgspec
+
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import Reader, TopicBus
 from kontur_av.topics.session_files import make_session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
 from pipelines.link.figures import unpack_link
-from pipelines.mission.choosing import session_dictionary
+from pipelines.mission.session_dictionary import session_dictionary
+from pipelines.mission.supervisor import ProcessSupervisor
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, FunctionAsked, pack_news
 from pipelines.mission.tmtc_socket import TmtcSocket, write_dictionary
 from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
+from pipelines.session.figures import ProcessState
 from pipelines.session.mission_messages import MISSION_OCTETS, RobotStatus, pack, unpack
 from pipelines.session.process import Context
 from pipelines.session.robot_state import unpack_state
@@ -39,10 +43,11 @@ from pipelines.session.topology import (
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import is_telecommand
 from telepresence.tmtc.pus.packets import COUNT_MODULUS
-from telepresence.tmtc.telemetry_source import with_components
 
 #: Each state of the joystick or the robot may answer another telecommand.
 _STATES = 16
+
+_STATES_TOLD = msgspec.json.Decoder(list[ProcessState])
 
 Take = Callable[[bytes, int], None]
 
@@ -77,10 +82,7 @@ class TmtcDesk:
     ) -> None:
         clock = context.clock
         now_ns = clock.now_ns()
-        dictionary = session_dictionary(
-            with_components(built_in_dictionary(), context.topology.options.components),
-            context.setup.cameras,
-        )
+        dictionary = session_dictionary(built_in_dictionary(), context.topology)
         self.end = TmtcEnd(
             segment,
             dictionary,
@@ -90,7 +92,8 @@ class TmtcDesk:
             epoch_ns=clock.wall_offset_ns,
             delay_ns=context.setup.radio_profile.longest_delay_ns,
         )
-        self._send, self._ask = send, ask
+        self._send, self._ask, self._context = send, ask, context
+        self._supervisor = ProcessSupervisor(segment, context.topology)
         self._packets = _PacketTopics(bus, segment)
         self._source = f"tmtc.{segment.value}"
         self._numbers = count()
@@ -156,6 +159,10 @@ class TmtcDesk:
                 take(octets, now_ns)
         while (request := self._requests.receive()) is not None:
             end.handle_octets(request, now_ns)
+        while (told := self._context.receive_figures()) is not None:
+            self._supervisor.handle_told(_STATES_TOLD.decode(told), now_ns)
+        while (done := self._supervisor.next_event()) is not None:
+            end.handle_request(done, now_ns)
         while (packet := end.poll_transmit(now_ns)) is not None:
             self._send(packet)
             self._packets.publish(packet, "sent", now_ns)
@@ -164,6 +171,9 @@ class TmtcDesk:
         while (news := end.next_event()) is not None:
             if isinstance(news, FunctionAsked):
                 self._ask(news)
+                self._supervisor.handle_asked(news)
+                while (order := self._supervisor.poll_transmit()) is not None:
+                    self._context.order(order, now_ns)
                 asked = self._request(news, now_ns)
                 if asked is not None:
                     stamp = CaptureStamp(now_ns, next(self._numbers), self._source)

@@ -32,6 +32,8 @@ _OFF_NOMINAL = (
     JoystickState.FATAL,
 )
 _MOST_ASKED = 16
+#: The dictionary has parameters for so many.
+MOST_JOINTS = 7
 
 
 class GatewaySource:
@@ -129,12 +131,22 @@ class RobotSource:
         known = tuple(values.values())
         if known != self._known or now_ns >= self._known_ns:
             self._known, self._known_ns = known, now_ns + SAMPLE_NS
-            self._end.handle_values("robot", values, now_ns)
+            self._end.handle_values("robot", values | _joints(status), now_ns)
         faults = (status.life, status.faults)
         if status.faults and faults != self._faults:
             self._end.handle_event("robot", "error", now_ns)
         self._faults = faults
         self._asked.handle_answer(status.commanded, status.command_refusal, now_ns)
+
+
+def _joints(status: RobotStatus) -> Values:
+    """Angle and torque of each joint; no number where the robot has or tells none."""
+    values: Values = {}
+    for number in range(1, MOST_JOINTS + 1):
+        angle_rad, torque_n_m = dict(enumerate(status.joints, 1)).get(number, (nan, nan))
+        values[f"joint_{number}_angle"] = angle_rad
+        values[f"joint_{number}_torque"] = torque_n_m
+    return values
 
 
 class JoystickSource:
@@ -177,6 +189,7 @@ class JoystickSource:
                 "y": status.y_m,
                 "test": status.test,
                 "test_part": status.test_part,
+                **self._measured(status),
             }
             self._end.handle_values("joystick", values, now_ns)
         if changed:
@@ -187,8 +200,22 @@ class JoystickSource:
             passed = status.test == Outcome.PASSED
             event = "test_passed" if passed else "test_failed"
             self._end.handle_event("joystick", event, now_ns)
+            if status.test_figures:
+                self._end.handle_event("joystick", "test_measured", now_ns)
         self._state = state
         self._asked.handle_answer(status.commanded, status.command_refusal, now_ns)
+
+    def _measured(self, status: JoystickStatus) -> Values:
+        """What the newest functional test measured; no number for what it did not."""
+        table = self._end.applications["joystick"].table
+        found = {
+            f"test_{name.replace(' ', '_')}": nan if value is None else value
+            for name, value in status.test_figures.items()
+        }
+        pressed = [value for name, value in found.items() if name.endswith("_let_go")]
+        if pressed:
+            found["test_buttons"] = sum(pressed)
+        return {name: found.get(name, nan) for name in table.structure("test_figures").parameters}
 
 
 def _application(status: JoystickStatus, state: JoystickState) -> str:

@@ -19,7 +19,8 @@ from pipelines.media.coded_topics import SentTopic
 from pipelines.media.gain import LinkedVideoSender, gain_of
 from pipelines.media.stream_figures import tell_sender, to_gateway, video_sender, voice_sender
 from pipelines.media.taking_over import Capturing
-from pipelines.mission.choosing import CameraChoice, session_dictionary
+from pipelines.mission.choosing import CameraChoice
+from pipelines.mission.session_dictionary import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.recording.recorded_session import SentPacket, SentUnit
@@ -193,7 +194,7 @@ def _listener(
     """A TM/TC end that takes packets, and sends none. choice: carries out selections."""
     end = TmtcEnd(
         segment,
-        session_dictionary(built_in_dictionary(), context.setup.cameras),
+        session_dictionary(built_in_dictionary(), context.topology),
         now_ns=context.clock.now_ns(),
         first_count=0,
         life=0,

@@ -1,10 +1,11 @@
 """Hands figures and events of a session from its launcher to those who show or keep them."""
 
 from collections.abc import Iterable, Iterator
+from typing import Literal
 
 import msgspec
 
-from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
@@ -12,9 +13,15 @@ from pipelines.report.model import SessionReport, to_json
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.report.session_report import build_report
 from pipelines.seats.figures import PageFigures
-from pipelines.session.figures import Event, MonitoredSession, SessionEvents
-from pipelines.session.launcher import Launcher, launcher_cpu_s
-from pipelines.session.topology import FOXGLOVE, METRICS, RECORDER, ROS2
+from pipelines.session.figures import (
+    Event,
+    LoopFigures,
+    MonitoredSession,
+    ProcessState,
+    SessionEvents,
+)
+from pipelines.session.launcher import Child, Launcher, launcher_cpu_s
+from pipelines.session.topology import CONSOLE, FOXGLOVE, METRICS, RECORDER, ROS2, SELECTOR
 
 #: Processes that are started again, and ends that meet again, may take so long.
 PATIENCE_NS = 10 * NS_PER_S
@@ -66,6 +73,9 @@ class SessionHealth:
 #: How often these two are sent figures; a message for pages is made twice as often.
 _RECORDED_EVERY_NS = 9 * NS_PER_S // 10
 _MONITORED_EVERY_NS = 2 * NS_PER_S
+#: A message is made at every second call.
+_SUPERVISED_EVERY_NS = 9 * NS_PER_S // 10
+_STOPPED = "stopped by a telecommand"
 
 
 def session_report(launcher: Launcher, collector: Collector) -> SessionReport:
@@ -98,6 +108,8 @@ class SeatFeed:
         self._recorded_ns = 0
         #: When a monitoring system was told last.
         self._monitored_ns = 0
+        #: When the supervisors of processes were told last.
+        self._supervised_ns = 0
         self._health = SessionHealth(collector.setup.radio_profile.start_s)
 
     def poll_messages(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
@@ -108,7 +120,7 @@ class SeatFeed:
                     name=child.row.name,
                     restarts=child.restarts,
                     running=child.pid is not None,
-                    error=child.last_error,
+                    error=child.last_error if child.policy.wanted else _STOPPED,
                 )
                 for child in launcher.children
             ],
@@ -123,7 +135,7 @@ class SeatFeed:
         }
         followers = self._followers(launcher)
         figures_due = bool(followers) and now_ns >= self._recorded_ns + _RECORDED_EVERY_NS
-        messages = self._monitored(launcher, now_ns)
+        messages = self._monitored(launcher, now_ns) | self._supervised(launcher, now_ns)
         for name, pid in followers.items() if not figures_due else ():
             if events := self._events(name, pid):
                 news = SessionEvents(at_us=now_ns // NS_PER_US, events=events)
@@ -164,6 +176,28 @@ class SeatFeed:
             problems=self._health.problems(report, down, now_ns),
         )
         return dict.fromkeys(monitors, msgspec.json.encode(told))
+
+    def _supervised(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
+        """What the supervisors of both ends get of the processes of this machine."""
+        supervisors = {child.row.name for child in launcher.children} & {SELECTOR, CONSOLE}
+        if not supervisors or now_ns < self._supervised_ns + _SUPERVISED_EVERY_NS:
+            return {}
+        self._supervised_ns = now_ns
+        told = [self._state(child, launcher, now_ns) for child in launcher.children]
+        return dict.fromkeys(supervisors, msgspec.json.encode(told))
+
+    def _state(self, child: Child, launcher: Launcher, now_ns: int) -> ProcessState:
+        figures, running = self._collector.process(child.row.name), child.pid is not None
+        idle: Literal["down", "stopped"] = "down" if child.policy.wanted else "stopped"
+        told_ns = figures.told_ns or launcher.started_ns
+        return ProcessState(
+            name=child.row.name,
+            state="running" if running else idle,
+            restarts=child.restarts,
+            cpu_s=child.cpu_s(),
+            age_ms=(now_ns - told_ns) / NS_PER_MS if running else 0.0,
+            loop=figures.total(LoopFigures),
+        )
 
     def _events(self, process: str, pid: int | None) -> list[Event]:
         life, number = self._told.get(process, (pid, 0))

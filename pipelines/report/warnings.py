@@ -12,14 +12,12 @@ from kontur_av.streams.paced_sender import SenderCounts
 from pipelines.media.figures import CaptureFigures
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
-from pipelines.session.figures import LoopFigures
+from pipelines.session.figures import LEFT_OUT_SHARE, LoopFigures
 from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import VideoStream
 from pipelines.session.topology import LOOP_PRIORITY, Segment
 from telepresence.link.peer.figures import PeerFigures
 
-#: Of a loop's cycles at most this share may be left out.
-LEFT_OUT_SHARE = 0.01
 #: A loop is late if its cycles begin later than this, at the 99th percentile.
 LATE_NS = NS_PER_MS // 2
 #: At least this share of the captured pictures must be shown.

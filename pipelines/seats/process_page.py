@@ -9,6 +9,7 @@ from aiohttp import web
 
 from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import TopicBus
+from pipelines.mission.session_dictionary import session_dictionary
 from pipelines.seats.figures import PageFigures
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import seat_plan, welcome_text
@@ -25,7 +26,6 @@ from pipelines.session.topology import PAGES, Segment
 from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
-from telepresence.tmtc.telemetry_source import with_components
 
 
 def run_page(context: Context, *, segment: Segment, tasks: Catalogue | None = None) -> None:
@@ -66,8 +66,7 @@ class PageServer:
         self._context, self._now_ns = context, context.clock.now_ns
         self._listener = context.pages[PAGES[segment]]
         self._site = WebSite(self._listener, seat=segment.value, others=_OTHERS[segment])
-        components = context.topology.options.components
-        dictionary = with_components(built_in_dictionary(), components)
+        dictionary = session_dictionary(built_in_dictionary(), context.topology)
         plan = seat_plan(context.topology, segment, context.session, dictionary, tasks=tasks)
         self._seat = Seat(plan, first_command=self._now_ns())
         self._serving = ServingLoop(context, self._handle_time)

@@ -37,6 +37,8 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.GROUND,
             stage=Stage.SINK,
             run="pipelines.seats.process_page:run_page",
+            # Its emergency stop must be there.
+            stoppable=False,
             arguments={"segment": Segment.GROUND},
             reads=(
                 *_received(session, Segment.GROUND),
@@ -59,6 +61,8 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.SPACE,
             stage=Stage.SINK,
             run="pipelines.seats.process_page:run_page",
+            # Its emergency stop must be there.
+            stoppable=False,
             arguments={"segment": Segment.SPACE},
             reads=(
                 *_received(session, Segment.SPACE),

@@ -319,13 +319,14 @@ class RadioText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag
 
 
 class ParameterText(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter, and from where on it is coloured."""
+    """A parameter, from where on it is coloured, and the texts that it may have."""
 
     name: str
     unit: str
     text: str
     low: float | None
     high: float | None
+    choices: tuple[str, ...]
 
 
 class StructureText(msgspec.Struct, frozen=True, kw_only=True):

@@ -5,6 +5,7 @@ from 0; `kontur_av.figures` says how its lives are joined.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import msgspec
 
@@ -25,6 +26,10 @@ class LoopFigures:
     slips: int = 0
     #: Cycles that were done.
     cycles: int = 0
+
+
+#: A loop that leaves out more of its cycles than this is off nominal.
+LEFT_OUT_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,3 +82,18 @@ class MonitoredSession(msgspec.Struct, frozen=True, kw_only=True):
 
     report: msgspec.Raw
     problems: list[str]
+
+
+class ProcessState(msgspec.Struct, frozen=True, kw_only=True):
+    """What the launcher tells the supervisors of an end's processes, one of each.
+
+    state: `running`, `stopped` by a telecommand, `down` until it is started again, or `absent`.
+    restarts: after ends that nobody asked for. age_ms: of its newest figures; 0 if it does not run.
+    """
+
+    name: str
+    state: Literal["absent", "running", "stopped", "down"]
+    restarts: int = 0
+    cpu_s: float = 0.0
+    age_ms: float = 0.0
+    loop: LoopFigures = LoopFigures()

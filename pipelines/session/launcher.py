@@ -34,6 +34,7 @@ from pipelines.session.session_switch import (
     PATIENCE_NS,
     Activity,
     Order,
+    ProcessOrder,
     RestartPolicy,
     SessionSwitch,
     SwitchAction,
@@ -219,6 +220,12 @@ class Launcher:
             self._follow_switch(now_ns)
             dues_ns = [show_ns, end_ns, feed_ns, self.switch.poll_timeout()]
             for child in self.children:
+                kill_ns = child.policy.poll_kill()
+                if kill_ns is not None and child.pid is not None:
+                    if kill_ns <= now_ns:
+                        os.kill(child.pid, signal.SIGKILL)
+                    else:
+                        dues_ns.append(kill_ns)
                 due_ns = child.policy.poll_timeout()
                 if due_ns is None or not self._keeps_alive(child):
                     continue
@@ -233,6 +240,17 @@ class Launcher:
     def handle_order(self, order: Order) -> None:
         """Stop all processes but those of the pages, or start them again."""
         self.switch.handle_order(order, self.clock.now_ns())
+
+    def _handle_process_order(self, order: ProcessOrder) -> None:
+        """Stop or start a process; see `ProcessOrder`."""
+        child = next((one for one in self.children if one.row.name == order.process), None)
+        if child is None or child.policy.wanted is order.run:
+            return
+        child.policy.handle_wanted(order.run, self.clock.now_ns())
+        if not order.run:
+            child.stopped = True
+            if child.pid is not None:
+                os.kill(child.pid, signal.SIGTERM)
 
     def _keeps_alive(self, child: Child) -> bool:
         return self.switch.activity is Activity.RUNNING or child.row.name in self.pages
@@ -304,8 +322,11 @@ class Launcher:
             child.told = True
             child.told_error = message.last_error or child.told_error
             self.listener.handle_message(child.row.name, message, now_ns)
-            for order in message.orders if child.row.name in self.pages else ():
-                self.switch.handle_order(order, now_ns)
+            for order in message.orders:
+                if isinstance(order, ProcessOrder):
+                    self._handle_process_order(order)
+                elif child.row.name in self.pages:
+                    self.switch.handle_order(order, now_ns)
 
     def _start(self, child: Child) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)

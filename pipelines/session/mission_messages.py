@@ -59,7 +59,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     refused, "" if it was carried out. step_hz: cycles of the controller, in the last second.
     hold: why it follows no hand, in words, "" if it does. waiting: for a new press. stopped: an
     emergency stop holds. offset_mm: the robot's place less the hand's. holds: its hand holds a
-    ball.
+    ball. joints: of each the angle in rad and the torque in N m, as far as the robot says them.
     """
 
     life: int
@@ -83,6 +83,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     stopped: bool = False
     offset_mm: tuple[float, float] = (0.0, 0.0)
     holds: bool = False
+    joints: tuple[tuple[float, float], ...] = ()
 
 
 class CameraWish(msgspec.Struct, frozen=True, array_like=True):

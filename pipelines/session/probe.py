@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar, cast
 from kontur_av.clock import NS_PER_MS
 from pipelines.session.figures import ProbeFigures
 from pipelines.session.rows import Row
-from pipelines.session.session_switch import Order
+from pipelines.session.session_switch import Order, ProcessOrder
 
 FLUSH_NS = 500 * NS_PER_MS
 _MAX_SERIES_VALUES = 20_000
@@ -73,14 +73,14 @@ class Message:
     scheduler: `fifo` with real-time priority, `other` without the permission for it; "" for a
         process that asks for none.
     last_error: why the process ends; "" while it runs.
-    orders: what ground control ordered on a page, oldest first.
+    orders: what ground control ordered on a page, and telecommands of processes, oldest first.
     """
 
     figures: dict[tuple[type, str], object] = field(default_factory=dict)
     series: list[Series[Any]] = field(default_factory=list)
     scheduler: str = ""
     last_error: str = ""
-    orders: list[Order] = field(default_factory=list)
+    orders: list[Order | ProcessOrder] = field(default_factory=list)
 
     def tell(self, record: object, stream: str = "") -> None:
         """Set a record to its present values. stream: the one that it is about, if any."""

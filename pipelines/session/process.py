@@ -22,7 +22,7 @@ from pipelines.session.datagrams import (
 )
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Probe
-from pipelines.session.session_switch import Order
+from pipelines.session.session_switch import Order, ProcessOrder
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import LOOP_PRIORITY, WATCHER_PRIORITY, ProcessRow, Topology
 
@@ -127,8 +127,8 @@ class Context:
                 told = False
         self.probe.handle_told(now_ns, told=told)
 
-    def order(self, order: Order, now_ns: int) -> None:
-        """Ask the launcher to stop or to start the session; it listens only to pages."""
+    def order(self, order: Order | ProcessOrder, now_ns: int) -> None:
+        """Ask the launcher to stop or to start the session, if this serves pages, or a process."""
         self.probe.message.orders.append(order)
         self.flush(now_ns)
 

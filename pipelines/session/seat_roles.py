@@ -51,6 +51,11 @@ _MAY: Mapping[str, tuple[Role, ...]] = MappingProxyType(
         "tasks.select": (Role.EXPERIMENTER,),
         "tasks.start": (Role.EXPERIMENTER,),
         "tasks.abort": (Role.EXPERIMENTER, Role.SUPERVISOR),
+        **{
+            f"{end}_supervisor.{name}": (Role.SUPERVISOR, Role.SYSTEMS)
+            for end in ("space", "ground")
+            for name in ("start", "stop")
+        },
         "robot.power_on": (Role.EXPERIMENTER,),
         "robot.power_off": (Role.EXPERIMENTER, Role.SUPERVISOR),
         "robot.set_mode": (Role.EXPERIMENTER,),

@@ -4,6 +4,7 @@ The launcher passes on the orders that come from a page, and does what `next_eve
 """
 
 from collections import deque
+from dataclasses import dataclass
 from enum import Enum
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -18,6 +19,14 @@ class Order(Enum):
 
     START = "start"
     STOP = "stop"
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessOrder:
+    """What a telecommand may order: that a process runs or not. It holds until the next one."""
+
+    process: str
+    run: bool
 
 
 class Activity(Enum):
@@ -139,17 +148,28 @@ class RestartPolicy:
     """The pauses between the lives of one process.
 
     Call `handle_start` for each life, and `handle_end` or `handle_stop` at its end. Start the next
-    one when `poll_timeout` says.
+    one when `poll_timeout` says. `handle_wanted` keeps it from that, and allows it again; kill a
+    life that has not ended at `poll_kill`.
+
+    wanted: whether it is to run.
     """
 
     def __init__(self, stage: Stage) -> None:
+        self.wanted = True
+        self._kill_ns: int | None = None
         self._rest_ns = SENDER_REST_NS if stage is Stage.SENDER else 0
         self._pause_ns = FIRST_PAUSE_NS
         self._started_ns: int | None = None
         self._due_ns: int | None = None
 
     def handle_start(self, now_ns: int) -> None:
-        self._started_ns, self._due_ns = now_ns, None
+        self._started_ns, self._due_ns, self._kill_ns = now_ns, None, None
+
+    def handle_wanted(self, wanted: bool, now_ns: int) -> None:
+        """From now on it is to run, or not. One that is to end has been asked to."""
+        self.wanted = wanted
+        if not wanted:
+            self._kill_ns = now_ns + PATIENCE_NS
 
     def handle_end(self, now_ns: int) -> None:
         assert self._started_ns is not None
@@ -164,5 +184,9 @@ class RestartPolicy:
         self._due_ns = now_ns + self._rest_ns
 
     def poll_timeout(self) -> int | None:
-        """Return when to start the next life; None during a life and before the first."""
-        return self._due_ns
+        """Return when to start the next life; None during a life, before the first, if unwanted."""
+        return self._due_ns if self.wanted else None
+
+    def poll_kill(self) -> int | None:
+        """Return when to kill a life that was asked to end, or None."""
+        return self._kill_ns

@@ -9,8 +9,9 @@ from pipelines.hand.haptics import JoystickEnd
 from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.link.figures import link_values
-from pipelines.mission.choosing import CameraChoice, session_dictionary
+from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.mission import MissionGround, Seen, robot_order
+from pipelines.mission.session_dictionary import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import (
     FunctionAsked,
@@ -69,7 +70,7 @@ class SimulatedTmtc:
         self.ends = {
             segment: TmtcEnd(
                 segment,
-                session_dictionary(built_in_dictionary(), setup.cameras),
+                session_dictionary(built_in_dictionary(), scene.topology),
                 now_ns=now_ns,
                 first_count=random.randrange(COUNT_MODULUS),
                 life=1 + now_ns // NS_PER_S,

@@ -6,7 +6,7 @@ coupling between the joints are compensated, so the tip is a point mass with the
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.axes import AxisFacts, AxisName, MoreAxis, SimulatedAxis, built_in_axes
@@ -34,6 +34,13 @@ class RobotModel:
     hold_n_m: float = 4000.0
     hold_n_s_m: float = 90.0
     position_m_s: float = 0.3
+
+
+class JointReading(NamedTuple):
+    """What a joint measures: its angle (rad) and its torque (N m)."""
+
+    angle_rad: float
+    torque_n_m: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -112,6 +119,7 @@ class Robot:
         self._setpoint_x, self._setpoint_y = x_m, y_m
         self._stiffness = self._damping = 0.0
         self._press = self.board.press
+        self._force_n = (0.0, 0.0)
         self._limit, self._friction = self.model.force_limit_n, self.model.friction_n_s_m
 
     def couple(self) -> None:
@@ -141,6 +149,15 @@ class Robot:
         self.mode, self.coupled = MODE_IMPEDANCE, False
         self._target_x, self._target_y = x_m, y_m
         self._stiffness, self._damping = stiffness_n_m, damping_n_s_m
+
+    @property
+    def joints(self) -> tuple[JointReading, ...]:
+        """What its joints measure; a user's robot need not say."""
+        lever_m, (x_n, y_n) = self.model.lever_m, self._force_n
+        return (
+            JointReading(self.x_m / lever_m, x_n * lever_m),
+            JointReading(self.y_m / lever_m, y_n * lever_m),
+        )
 
     def led(self) -> int | None:
         """Return the index of the LED that the tip touches, or None."""
@@ -188,6 +205,7 @@ class Robot:
         if not (-limit <= fx_n <= limit and -limit <= fy_n <= limit):
             fx_n = limit if fx_n > limit else -limit if fx_n < -limit else fx_n
             fy_n = limit if fy_n > limit else -limit if fy_n < -limit else fy_n
+        self._force_n = fx_n, fy_n
         x, y, vx, vy = self.x_m, self.y_m, self.vx_m_s, self.vy_m_s
         board = self.board
         push_x, push_y = self._press(x, y, vx, vy)

@@ -5,11 +5,12 @@ what pushes it, and takes a force or a place. Modes, passivity, limits and the
 safety envelope stay on this side.
 """
 
+from itertools import chain
 from math import hypot, isfinite
 from typing import NamedTuple, Protocol, cast
 
 from telepresence.haptics.axes import MoreAxes, MoreAxis, SimulatedAxis
-from telepresence.haptics.robot import Robot, RobotFacts
+from telepresence.haptics.robot import JointReading, Robot, RobotFacts
 from telepresence.haptics.sample import MODE_OFF
 
 #: The robot that the session simulates.
@@ -26,6 +27,7 @@ class RobotReading(NamedTuple):
     contact: it touches something.
     error: why it cannot go on, in one line; "" if it can.
     holds: its hand holds the ball of a task.
+    joints: for telemetry; the first 7 are told.
     """
 
     x_m: float
@@ -37,6 +39,7 @@ class RobotReading(NamedTuple):
     contact: bool = False
     error: str = ""
     holds: bool = False
+    joints: tuple[JointReading, ...] = ()
 
 
 class RobotDevice(Protocol):
@@ -103,6 +106,7 @@ class DrivenRobot(Robot):
     def __init__(self, device: RobotDevice) -> None:
         self.device = device
         self._active = False
+        self._joints: tuple[JointReading, ...] = ()
         device.configure()
         self.facts = facts = device.facts
         self._takes_places = facts.takes == "position"
@@ -191,6 +195,10 @@ class DrivenRobot(Robot):
         finally:
             self.device.power_off()
 
+    @property
+    def joints(self) -> tuple[JointReading, ...]:
+        return self._joints
+
     def led(self) -> int | None:
         return None
 
@@ -221,7 +229,7 @@ class DrivenRobot(Robot):
 
     def _feel(self, reading: RobotReading) -> bool:
         """Take the force of the surroundings; return whether all of the reading are numbers."""
-        if not all(map(isfinite, reading[:6])):
+        if not all(map(isfinite, (*reading[:6], *chain(*reading.joints)))):
             self.error = "a measurement is not a number"
             return False
         self.push_x_n, self.push_y_n = self._surroundings.push_n = reading[4:6]
@@ -229,4 +237,5 @@ class DrivenRobot(Robot):
         self.force_n = hypot(self.push_x_n, self.push_y_n)
         self.error = reading.error
         self.holds = reading.holds
+        self._joints = reading.joints
         return True

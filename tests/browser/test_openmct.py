@@ -52,7 +52,8 @@ def served(tmp_path):
 
 def test_open_mct_shows_the_values_of_yamcs_as_they_come(served, start_browser, tmp_path):
     packets, port, ground = free_port(), free_port(), tmp_path / "ground"
-    new_instance(ground, "--packets", f"tcp:{packets}", "--http-port", port)
+    options = ("--setup", "taskboard", "--packets", f"tcp:{packets}", "--http-port", port)
+    new_instance(ground, *options)
     session = RunningSession("taskboard", "--packets", f"tcp:{packets}", directory=tmp_path)
     with session, Yamcs(ground, port) as yamcs, start_browser(size=(1280, 800)) as browser:
         eventually(yamcs.is_linked, "YAMCS' connection")

@@ -113,7 +113,8 @@ def test_yamcs_has_what_the_recording_has_and_its_telecommands_are_verified(star
     port, http, path = free_port(), free_port(), tmp_path / "run.mcap"
     frames = f"udp:127.0.0.1:{free_pair()}"
     ground = tmp_path / "ground"
-    new_instance(ground, "--packets", f"tcp:{port}", "--http-port", http, "--frames", frames)
+    options = ("--setup", "taskboard", "--packets", f"tcp:{port}", "--http-port", http)
+    new_instance(ground, *options, "--frames", frames)
     session = start(
         "taskboard",
         *("--packets", f"tcp:{port}", "--packets-allow", "joystick", "--tasks"),

@@ -14,6 +14,8 @@ class TelecommandPanel extends HTMLElement {
   #application = make("select", { "aria-label": "Application" });
   #what = make("select", { "aria-label": "Telecommand" });
   #arguments = make("span", { class: "telecommand-arguments" });
+  /** @type {(HTMLInputElement | HTMLSelectElement)[]} */
+  #fields = [];
   #answer = make("p", { class: "small", role: "status" });
   /** @type {ApplicationText[]} */
   #applications = [];
@@ -59,16 +61,21 @@ class TelecommandPanel extends HTMLElement {
 
   #offerArguments() {
     const given = this.#choices[Number(this.#what.value)]?.arguments ?? [];
-    this.#arguments.replaceChildren(
-      ...given.map((name) => make("input", { type: "text", maxlength: "64", placeholder: nameText(name), "aria-label": nameText(name) })),
-    );
+    const application = this.#applications.find(({ name }) => name === this.#application.value);
+    this.#fields = given.map((name) => {
+      const choices = application?.parameters.find((one) => one.name === name)?.choices ?? [];
+      const label = { "aria-label": nameText(name) };
+      if (choices.length === 0) return make("input", { type: "text", maxlength: "64", placeholder: nameText(name), ...label });
+      return make("select", label, ...choices.map((value) => make("option", { value }, nameText(value))));
+    });
+    this.#arguments.replaceChildren(...this.#fields);
   }
 
   /** @param {Seat["connection"]} connection */
   async #send(connection) {
     const chosen = this.#choices[Number(this.#what.value)];
     if (chosen === undefined) return;
-    const given = [...this.#arguments.querySelectorAll("input")].map(({ value }) => argument(value));
+    const given = this.#fields.map(({ value }) => argument(value));
     const words = `${nameText(this.#application.value)} ${chosen.words}`;
     setText(this.#answer, `${words} …`);
     this.#answer.dataset.level = "none";

@@ -48,9 +48,9 @@
  */
 
 /**
- * A parameter, and from where on it is coloured.
- * @typedef {{name: string, unit: string, text: string, low: number | null, high: number | null}}
- *   ParameterText
+ * A parameter, from where on it is coloured, and the texts that it may have.
+ * @typedef {{name: string, unit: string, text: string, low: number | null, high: number | null,
+ *   choices: string[]}} ParameterText
  */
 
 /**
@@ -254,13 +254,14 @@
  * command_refusal: why that was refused, "" if it was carried out. step_hz: cycles of the
  * controller, in the last second. hold: why it follows no hand, in words, "" if it does. waiting:
  * for a new press. stopped: an emergency stop holds. offset_mm: the robot's place less the hand's.
- * holds: its hand holds a ball.
+ * holds: its hand holds a ball. joints: of each the angle in rad and the torque in N m, as far as
+ * the robot says them.
  * @typedef {{kind: "robot", life: number, powered: boolean, mode: "position" | "torque" |
  *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
  *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
  *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,
- *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number], holds:
- *   boolean}} RobotText
+ *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number], holds: boolean,
+ *   joints: [number, number][]}} RobotText
  */
 
 /**

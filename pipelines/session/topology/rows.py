@@ -65,6 +65,8 @@ class ProcessRow:
         runs when no other process wants the core.
     reads: topics that it reads if anything writes them (`Topology.reads`). writes: topics.
     ports: UDP ports on which it listens beside those of its streams and links.
+    stoppable: whether a telecommand may stop it. Not what commands, carries telecommands, or keeps
+        the arm and the handle safe: an emergency stop must find its process.
     what: its task in a few words.
     """
 
@@ -74,6 +76,7 @@ class ProcessRow:
     run: str
     what: str
     when: bool = True
+    stoppable: bool = True
     arguments: Mapping[str, object] = field(default_factory=dict)
     priority: int = 0
     reads: tuple[Topic, ...] = ()

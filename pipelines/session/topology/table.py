@@ -72,12 +72,15 @@ class Topology:
 
     processes: in the order in which they are started; without any, it is the table of the streams.
     Lookups by name raise KeyError for a name that the session does not have.
+    supervised: the processes of both ends in telemetry. They follow from setup and components
+        alone, so that the ends of two machines agree; the session need not have all of them.
     segments: those that run on this machine. All rows are there in any case.
     """
 
     setup: Setup
     options: SessionOptions = SessionOptions()
     processes: tuple[ProcessRow, ...] = ()
+    supervised: tuple[ProcessRow, ...] = ()
     segments: tuple[Segment, ...] = tuple(Segment)
 
     @cached_property

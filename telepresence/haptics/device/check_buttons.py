@@ -18,6 +18,23 @@ PATIENCE_NS = 4 * NS_PER_S
 def buttons_check(facts: JoystickFacts) -> CheckScript:
     """Return the script; its duration depends on the person, at most 8 s a button."""
     cycle: Cycle = yield IDLE
+    cycle, figures = yield from each_button(cycle, facts)
+    all_leds = (1 << facts.leds) - 1
+    seen = 0
+    # Begin with the opposite of the present state, so that both states are seen.
+    for wanted_on in (False, True) if cycle.reading.dead_man else (True, False, True):
+        words = "press the dead-man button" if wanted_on else "let go of the dead-man button"
+        output = Output(leds=all_leds if wanted_on else 0, prompt=words)
+        cycle, came = yield from _await_dead_man(cycle, output, wanted_on)
+        if not came:
+            break
+        seen |= 1 << wanted_on
+    figures.append(Figure("dead-man button let go and pressed", float(seen == 3), "", 1, 1))
+    return CheckResult(NAME, tuple(figures))
+
+
+def each_button(cycle: Cycle, facts: JoystickFacts) -> Script[tuple[Cycle, list[Figure]]]:
+    """Ask for each button but the dead-man button; return two figures of each."""
     figures: list[Figure] = []
     for index in range(facts.buttons):
         bit = 1 << index
@@ -36,18 +53,7 @@ def buttons_check(facts: JoystickFacts) -> CheckScript:
             Figure(f"button {index + 1} pressed and let go", float(pressed), "", 1, 1),
             Figure(f"other buttons with {index + 1}", float(wrong.bit_count()), "", 0, 0),
         ]
-    all_leds = (1 << facts.leds) - 1
-    seen = 0
-    # Begin with the opposite of the present state, so that both states are seen.
-    for wanted_on in (False, True) if cycle.reading.dead_man else (True, False, True):
-        words = "press the dead-man button" if wanted_on else "let go of the dead-man button"
-        output = Output(leds=all_leds if wanted_on else 0, prompt=words)
-        cycle, came = yield from _await_dead_man(cycle, output, wanted_on)
-        if not came:
-            break
-        seen |= 1 << wanted_on
-    figures.append(Figure("dead-man button let go and pressed", float(seen == 3), "", 1, 1))
-    return CheckResult(NAME, tuple(figures))
+    return cycle, figures
 
 
 def _await_buttons(

@@ -1,7 +1,8 @@
 """FunctionalTest: the joystick tests itself within a session, while it leads no robot.
 
 A person lets the dead-man button go, then holds it; all LEDs and a prompt ask for that. While it is
-held, the motors move each axis aside and back, then display a spring, as `check_spring` does. The
+held, the motors move each axis aside and back, display a spring, push to the ends of the workspace
+and move at two speeds, as the checks of those names do. Then each LED asks for its button. The
 places test the encoders, the stiffness tests the motors. A person moves a device without motors.
 The motors never push without the dead-man button, and never with more than `FORCE_N`.
 """
@@ -11,6 +12,8 @@ from typing import NamedTuple, TypeVar
 
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
+from telepresence.haptics.device.check_buttons import each_button
+from telepresence.haptics.device.check_friction import friction_check
 from telepresence.haptics.device.check_spring import stiffness_figures
 from telepresence.haptics.device.check_workspace import workspace_check
 from telepresence.haptics.device.device import JoystickFacts
@@ -46,19 +49,35 @@ class TestPart(StrEnum):
     DEAD_MAN = "dead-man button"
     PLACE = "place"
     FORCE = "force"
+    FRICTION = "friction"
+    BUTTONS = "buttons"
+
+
+#: By the unit of a figure: the part that it is of.
+_PARTS = {
+    "mm": TestPart.PLACE,
+    "N/m": TestPart.FORCE,
+    "N": TestPart.FRICTION,
+    "N s/m": TestPart.FRICTION,
+    "": TestPart.BUTTONS,
+}
 
 
 class TestReport(NamedTuple):
-    """The newest test. reason: one line, "" if it passed or runs. number: how many have begun."""
+    """The newest test. reason: one line, "" if it passed or runs. number: how many have begun.
+
+    figures: what was measured, with limits.
+    """
 
     outcome: Outcome = Outcome.NONE
     part: TestPart = TestPart.NONE
     reason: str = ""
     number: int = 0
+    figures: tuple[Figure, ...] = ()
 
 
 def functional_test(facts: JoystickFacts) -> Script[TestReport]:
-    """Return the script: about 12 s with motors, and what the person takes. `number` is 0."""
+    """Return the script: about 35 s with motors, and what the person takes. `number` is 0."""
     cycle: Cycle = yield IDLE
     leds = (1 << facts.leds) - 1
     released = Output(prompt="let go of the dead-man button")
@@ -78,15 +97,19 @@ def functional_test(facts: JoystickFacts) -> Script[TestReport]:
         return TestReport(Outcome.ABORTED, TestPart.DEAD_MAN, "the dead-man button was let go")
     cycle = yield released
     cycle, there = yield from _await_dead_man(cycle, released, wanted=False)
-    if result.trouble:
-        return TestReport(Outcome.FAILED, TestPart.PLACE, result.trouble)
-    if bad := [figure for figure in result.figures if not figure.passed]:
+    found = result.figures
+    if there and not result.trouble:
+        cycle, pressed = yield from each_button(cycle, facts)
+        found += tuple(pressed)
+    if bad := [figure for figure in found if not figure.passed]:
         figure = bad[0]
-        part = TestPart.FORCE if figure.unit == "N/m" else TestPart.PLACE
-        return TestReport(Outcome.FAILED, part, _words(figure))
+        return TestReport(Outcome.FAILED, _PARTS[figure.unit], _words(figure), figures=found)
+    if result.trouble:
+        return TestReport(Outcome.FAILED, TestPart.PLACE, result.trouble, figures=found)
     if not there:
-        return TestReport(Outcome.FAILED, TestPart.DEAD_MAN, "the dead-man button was not let go")
-    return TestReport(Outcome.PASSED)
+        reason = "the dead-man button was not let go"
+        return TestReport(Outcome.FAILED, TestPart.DEAD_MAN, reason, figures=found)
+    return TestReport(Outcome.PASSED, figures=found)
 
 
 def _with_motors(facts: JoystickFacts) -> CheckScript:
@@ -106,7 +129,11 @@ def _with_motors(facts: JoystickFacts) -> CheckScript:
             trouble = f"axis {'xy'[axis]} does not move to where it is pushed"
             return CheckResult(NAME, tuple(figures), trouble)
         figures += found
-    cycle, _ = yield from travel(cycle, 0.0, 0.0, force_n=_MOVE_N)
+    for check in (workspace_check, friction_check):
+        found_more = yield from check(facts)
+        figures += found_more.figures
+        if found_more.trouble:
+            return CheckResult(NAME, tuple(figures), found_more.trouble)
     return CheckResult(NAME, tuple(figures))
 
 
@@ -141,5 +168,7 @@ def _cut(force_n: float) -> float:
 def _words(figure: Figure) -> str:
     value = "nothing" if figure.value is None else f"{figure.value:.4g} {figure.unit}"
     least, most = figure.least, figure.most
-    due = f"at least {least:g}" if most is None else f"{least:g} to {most:g}"
+    due = f"{least:g} to {most:g}"
+    if least is None or most is None:
+        due = f"at least {least:g}" if most is None else f"at most {most:g}"
     return f"{figure.name}: {value}, {due} {figure.unit} is due"

@@ -82,7 +82,8 @@ class PageDevice(Mechanics):
     alone: a change of the state neither releases nor presses it.
     """
 
-    facts = FACTS
+    # Who steers by mouse, finger or keys has the dead-man button alone.
+    facts = replace(FACTS, buttons=0)
 
     def __init__(
         self,

@@ -12,11 +12,13 @@ from pipelines.media.following import (
     pack_confirmed,
     unpack_confirmed,
 )
-from pipelines.mission.choosing import CameraChoice, session_dictionary
+from pipelines.mission.choosing import CameraChoice
+from pipelines.mission.session_dictionary import session_dictionary
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValues
 from pipelines.session.probe import Probe
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.table import MAX_CAMERA_OCTETS
+from pipelines.session.topology import Topology
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 CAMERAS = BUILT_IN["spacejustin"].cameras
@@ -147,7 +149,8 @@ def test_the_dictionary_of_a_session_knows_its_cameras():
     dictionary = built_in_dictionary()
     (anyone,) = dictionary.application("camera").parameters
     assert anyone.size == MAX_CAMERA_OCTETS
-    (camera,) = session_dictionary(dictionary, CAMERAS).application("camera").parameters
+    topology = Topology(setup=BUILT_IN["spacejustin"])
+    (camera,) = session_dictionary(built_in_dictionary(), topology).application("camera").parameters
     assert camera.unpack(camera.pack("static")) == "static"
     with pytest.raises(ConfigError, match=r"^unknown camera roof: choose one of stereo, static"):
         camera.pack("roof")

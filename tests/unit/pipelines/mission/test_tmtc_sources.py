@@ -1,12 +1,18 @@
 """Parameters of joystick, robot and gateways, and the rules of the built-in dictionary."""
 
+import pytest
+
 from pipelines.hand.hand_topics import JoystickStatus, unpack_request
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, Reported, SendCommand
-from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
+from pipelines.mission.tmtc_sources import MOST_JOINTS, GatewaySource, JoystickSource, RobotSource
 from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
+from telepresence.haptics.hand import Hand
+from telepresence.haptics.sample import Feedback
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.world import WorldState
@@ -125,9 +131,56 @@ def test_signal_and_force_are_watched():
     assert events(space.news()) == ["force_too_high"]
 
 
+def test_what_the_functional_test_measured_is_an_event():
+    space = Space()
+    space.status(test="running", test_number=1)
+    figures = {"left end": 99.5, "stiffness x": None, "Coulomb friction y": 0.5}
+    pressed = {f"button {number} pressed and let go": float(number != 2) for number in range(1, 5)}
+    failed = {"test": "failed", "test_part": "buttons", "test_number": 1}
+    news = space.status(**failed, test_figures=figures | pressed)
+    assert events(news) == ["test_failed", "test_measured"]
+    report = next(one for one in news if getattr(one, "name", "") == "test_measured")
+    found = {name: value for name, value in report.values.items() if value == value}
+    wanted = {"test_left_end": 99.5, "test_Coulomb_friction_y": 0.5, "test_buttons": 3.0}
+    assert found == pytest.approx(wanted)
+
+
+def test_the_dictionary_has_a_parameter_of_each_measure_of_the_functional_test():
+    handle = OperatedHandle(SimulatedDevice(hand=Hand()))
+    quiet = Feedback(0.0, 0.0, 0, False)
+    for cycle in range(60_000):
+        if cycle == 4000:
+            assert handle.handle_command(JoystickEvent.STOP) == ""
+            assert handle.handle_command(JoystickEvent.TEST) == ""
+        if cycle > 4000 and not handle.operation.testing:
+            break
+        handle.handle_feedback(quiet)
+        handle.step(0.0, 0.0, S // 1000)
+    report = handle.operation.test
+    assert report.outcome == "passed"
+    names = {f"test_{one.name.replace(' ', '_')}" for one in report.figures if one.unit}
+    known = {one.name for one in built_in_dictionary().application("joystick").parameters}
+    assert names and names <= known
+
+
 def robot_status(**changes):
     known = {"powered": True, "mode": ControlMode.TELEPRESENCE, "push_n": 0.0}
     return RobotStatus(life=1, x_m=0.0, y_m=0.0, **{**known, **changes})
+
+
+def test_joints_are_housekeeping_and_those_that_are_not_there_have_no_number():
+    space = Space(Segment.GROUND)
+    robot = RobotSource(space.end, first_number=7)
+    space.end.handle_request(SendCommand("test", 1, "robot", "housekeeping_on", "joints"), 0)
+    space.news()
+    space.now_ns += 11 * S
+    robot.handle_status(robot_status(joints=((0.05, 1.5), (-0.1, -0.5))), space.now_ns)
+    (report,) = [one for one in space.news() if getattr(one, "name", "") == "joints"]
+    found = {name: value for name, value in report.values.items() if value == value}
+    wanted = {"joint_1_angle": 0.05, "joint_1_torque": 1.5}
+    wanted |= {"joint_2_angle": -0.1, "joint_2_torque": -0.5}
+    assert found == pytest.approx(wanted)
+    assert len(report.values) == 2 * MOST_JOINTS
 
 
 def test_the_dictionary_has_the_modes_of_the_robot():

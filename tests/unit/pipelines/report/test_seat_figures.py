@@ -20,8 +20,9 @@ from pipelines.report.seat_feed import SeatFeed
 from pipelines.report.seat_figures import SeatFigures, SeatMessage
 from pipelines.report.session_report import build_report
 from pipelines.seats.figures import PageFigures
+from pipelines.session.figures import LoopFigures, ProcessState
 from pipelines.session.rows import OutRow, SampleReceivedRow, SampleSentRow
-from pipelines.session.session_switch import Order, SessionSwitch
+from pipelines.session.session_switch import Order, RestartPolicy, SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesReceived, SamplesSent
@@ -188,14 +189,22 @@ def test_a_message_has_the_fields_that_pages_rely_on(collector):
 
 
 class Launcher:
-    """What the feed asks of a launcher."""
+    """What the feed asks of a launcher, without the supervisors, who are always told."""
 
-    def __init__(self):
+    def __init__(self, *, supervisors=False):
         self.switch, self.started_ns, self.pages = SessionSwitch(), 0, {"page_space": None}
         self.cpu_asked = 0
         self.children = [
-            SimpleNamespace(row=row, restarts=0, pid=number, last_error="")
+            SimpleNamespace(
+                row=row,
+                restarts=0,
+                pid=number,
+                last_error="",
+                policy=RestartPolicy(row.stage),
+                cpu_s=lambda: 0.5,
+            )
             for number, row in enumerate(TOPOLOGY.processes, 1)
+            if supervisors or row.name not in ("console", "selector")
         ]
 
     def cpu_s(self):
@@ -229,6 +238,34 @@ def test_without_a_watcher_there_is_no_message_and_no_cost(collector):
     assert launcher.cpu_asked == 0
     watched(collector, "page_space", 1)
     assert set(feed.poll_messages(launcher, 3 * NS_PER_S)) == {"page_space"}
+
+
+def test_the_supervisors_of_both_ends_are_told_of_every_process_once_a_second(collector):
+    feed, launcher = SeatFeed(collector), Launcher(supervisors=True)
+    collector.handle_message("robot", message(LoopFigures(cycles=7, slips=1)), NS_PER_S)
+    children = {child.row.name: child for child in launcher.children}
+    children["robot"].policy.handle_wanted(False, 0)
+    children["stereo"].pid = None
+    for name in ("leds", "joystick"):
+        children.pop(name, None)
+    messages = feed.poll_messages(launcher, 2 * NS_PER_S)
+    assert set(messages) == {"console", "selector"}
+    found = {
+        one.name: one for one in msgspec.json.decode(messages["console"], type=list[ProcessState])
+    }
+    assert found["robot"] == ProcessState(
+        name="robot",
+        state="running",
+        cpu_s=0.5,
+        age_ms=1000.0,
+        loop=LoopFigures(cycles=7, slips=1),
+    )
+    assert (found["stereo"].state, found["stereo"].age_ms) == ("down", 0.0)
+    children["robot"].pid = None
+    assert feed.poll_messages(launcher, 5 * NS_PER_S // 2) == {}
+    messages = feed.poll_messages(launcher, 3 * NS_PER_S)
+    states = msgspec.json.decode(messages["selector"], type=list[ProcessState])
+    assert next(one for one in states if one.name == "robot").state == "stopped"
 
 
 def test_each_life_of_a_page_process_gets_every_event_once(collector):

@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.session.session_switch import SENDER_REST_NS, RestartPolicy
+from pipelines.session.session_switch import PATIENCE_NS, SENDER_REST_NS, RestartPolicy
 from pipelines.session.topology import Stage
 
 
@@ -55,3 +55,26 @@ def test_after_a_stop_on_request_only_a_sender_rests(stage, rest_ns):
     policy.handle_start(7)
     policy.handle_stop(8)
     assert policy.poll_timeout() == 8 + rest_ns
+
+
+def test_a_stopped_process_stays_stopped_until_it_is_started():
+    policy = RestartPolicy(Stage.SENDER)
+    policy.handle_start(0)
+    policy.handle_wanted(False, 5)
+    # One that does not end by itself is killed.
+    assert (policy.poll_timeout(), policy.poll_kill()) == (None, 5 + PATIENCE_NS)
+    policy.handle_stop(8)
+    assert policy.poll_timeout() is None
+    policy.handle_wanted(True, 10)
+    # A sender rests after its end, not after the order.
+    assert policy.poll_timeout() == 8 + SENDER_REST_NS
+    policy.handle_start(8 + SENDER_REST_NS)
+    assert policy.poll_kill() is None
+
+
+def test_one_that_falls_is_not_started_again_while_it_is_stopped():
+    policy = RestartPolicy(Stage.LINK)
+    policy.handle_start(0)
+    policy.handle_end(1)
+    policy.handle_wanted(False, 2)
+    assert policy.poll_timeout() is None

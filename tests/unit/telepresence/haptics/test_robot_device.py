@@ -10,7 +10,7 @@ from kontur_av.errors import ConfigError
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.envelope import SafetyEnvelope
-from telepresence.haptics.robot import RobotFacts
+from telepresence.haptics.robot import JointReading, Robot, RobotFacts
 from telepresence.haptics.robot_device import DrivenRobot, RobotReading
 from telepresence.haptics.robot_spec import facts_of, open_robot
 from telepresence.haptics.sample import Command
@@ -79,6 +79,23 @@ def test_it_follows_the_hand_from_where_it_stands_and_within_its_force(arm):
     assert arm.most_n <= 5.0
 
 
+def test_it_says_what_its_joints_measure_or_nothing(arm):
+    robot = DrivenRobot(arm)
+    assert robot.joints == ()
+    arm.reading = arm.reading._replace(joints=(JointReading(0.5, 2.0),))
+    robot.step(0.0, 0.0, MS)
+    assert robot.joints == (JointReading(0.5, 2.0),)
+
+
+def test_the_simulated_robot_has_an_angle_and_a_torque_of_each_joint():
+    robot = Robot(x_m=0.02, y_m=-0.04)
+    robot.set_torque(1.5, -0.5)
+    robot.drive(MS)
+    first, second = robot.joints
+    assert first == pytest.approx((0.02 / robot.model.lever_m, 1.5), rel=1e-2)
+    assert second == pytest.approx((-0.04 / robot.model.lever_m, -0.5), rel=1e-2)
+
+
 def test_its_lifecycle_follows_power_and_mode(arm):
     robot = DrivenRobot(arm)
     control = RobotControl(robot, powered=False)
@@ -101,6 +118,7 @@ def test_its_lifecycle_follows_power_and_mode(arm):
         {"error": "the drive is too hot"},
         {"x_m": float("nan")},
         {"push_y_n": float("inf")},
+        {"joints": (JointReading(0.5, float("nan")),)},
     ],
 )
 def test_an_error_and_a_measurement_that_is_no_number_switch_it_off(arm, wrong):

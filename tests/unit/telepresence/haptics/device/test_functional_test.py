@@ -57,6 +57,10 @@ def test_a_healthy_joystick_passes_and_leads_no_robot_meanwhile():
     session = Session()
     report = session.test()
     assert (report.outcome, report.reason, report.number) == (Outcome.PASSED, "", 1)
+    assert {figure.name for figure in report.figures} >= {
+        *("left end", "right end", "lower end", "upper end", "stiffness x", "stiffness y"),
+        *("Coulomb friction x", "viscous friction y", "button 4 pressed and let go"),
+    }
     assert session.states == {(JoystickState.CALIBRATED, False)}
     strongest = max(max(abs(x_n), abs(y_n)) for x_n, y_n, _ in session.pushes)
     assert 4.0 < strongest <= FORCE_N
@@ -74,6 +78,21 @@ def test_motors_that_are_too_weak_fail_it():
     report = Session(FAULTS["weak"]).test()
     assert (report.outcome, report.part) == (Outcome.FAILED, TestPart.FORCE)
     assert report.reason.startswith("stiffness x: 11")
+
+
+@pytest.mark.parametrize(
+    ("fault", "part", "words"),
+    [
+        ("friction", TestPart.FRICTION, "Coulomb friction x"),
+        ("button", TestPart.BUTTONS, "button "),
+    ],
+)
+def test_each_other_part_fails_by_what_it_measures(fault, part, words):
+    report = Session(FAULTS[fault]).test()
+    assert (report.outcome, report.part) == (Outcome.FAILED, part)
+    assert report.reason.startswith(words)
+    (bad,) = [figure for figure in report.figures if not figure.passed][:1]
+    assert bad.name in report.reason
 
 
 @pytest.mark.parametrize("axis", [0, 1])

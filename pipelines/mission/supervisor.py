@@ -1,0 +1,295 @@
+"""The supervisor of an end's processes: what telemetry says of each, and their stop and start.
+
+Its application, `space_supervisor` or `ground_supervisor`, has parameters, events and limits for
+each process of its end. `supervised` adds them to the dictionary's table. The launcher tells the
+figures, and carries the orders out: a stopped process stays stopped until it is started.
+"""
+
+import re
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, RaiseEvent, SetValues
+from pipelines.mission.tmtc_messages import Values as TmtcValues
+from pipelines.session.figures import LEFT_OUT_SHARE, LoopFigures, ProcessState
+from pipelines.session.session_switch import ProcessOrder
+from pipelines.session.topology import LOOP_PRIORITY, ProcessRow, Segment, Topology
+from telepresence.tmtc.pus.dictionary import (
+    Application,
+    Dictionary,
+    EventDefinition,
+    Monitor,
+    Structure,
+)
+from telepresence.tmtc.pus.packets import MAX_REPORT_OCTETS
+from telepresence.tmtc.pus.values import Parameter
+from telepresence.tmtc.telemetry_source import FRESH_S
+
+START, STOP, PROCESS = "start", "stop", "process"
+_INTERVAL_S = 10.0
+#: Processes report twice a second. Chosen.
+_SILENT_S = 3.0
+#: Of one core. A process has one thread that works. Chosen.
+_BUSY_PERCENT = 95.0
+#: Limits are for what lasts: so many looks in a row, one a second.
+_REPEAT = 3
+
+
+_SUPERSEDED = "a later request came"
+
+
+def supervisor_name(segment: Segment) -> str:
+    """The application that supervises the processes of an end."""
+    return f"{segment.value}_supervisor"
+
+
+@dataclass(frozen=True, slots=True)
+class _Gauge:
+    """A parameter that each process has. loop: only a loop of 1 kHz."""
+
+    name: str
+    type: str
+    unit: str = ""
+    scale: float = 1.0
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+    loop: bool = False
+    text: str = ""
+
+
+_GAUGES = (
+    _Gauge("state", "choice", choices=("absent", "running", "stopped", "down")),
+    _Gauge("restarts", "u16"),
+    _Gauge("cpu", "u16", "%", 0.1, _BUSY_PERCENT, text="of one core, in the last second"),
+    _Gauge("age", "u16", "s", 0.1, _SILENT_S, text="of its newest figures, while it runs"),
+    *(_Gauge(one.name, "u32", loop=True) for one in fields(LoopFigures)),
+    _Gauge(
+        "left_out", "u16", "%", 0.1, 100 * LEFT_OUT_SHARE, loop=True, text="cycles, of the last"
+    ),
+)
+
+
+def supervised(dictionary: Dictionary, topology: Topology) -> Dictionary:
+    """Return `dictionary` with the processes of `topology` in the tables of both supervisors.
+
+    ConfigError for more than a table can have.
+    """
+    tables = {
+        supervisor_name(segment): [row for row in topology.supervised if row.segment is segment]
+        for segment in Segment
+    }
+    return Dictionary(
+        applications=tuple(
+            _supervising(one, tables[one.name]) if tables.get(one.name) else one
+            for one in dictionary.applications
+        )
+    )
+
+
+def _supervising(table: Application, rows: Sequence[ProcessRow]) -> Application:
+    names = _parameter_names(rows)
+    (process,) = table.parameters
+    parameters = [replace(process, choices=tuple(row.name for row in rows if row.stoppable))]
+    events: list[EventDefinition] = []
+    monitors: list[Monitor] = []
+    for row in rows:
+        gauges = _gauges(row)
+        parameters += [
+            Parameter(
+                name=f"{names[row.name]}_{one.name}",
+                number=number,
+                type=one.type,
+                unit=one.unit,
+                scale=one.scale,
+                high=one.high,
+                choices=one.choices,
+                text=one.text,
+            )
+            for number, one in enumerate(gauges, len(parameters) + 1)
+        ]
+        ill = _event(row.name, "off_nominal", names)
+        limited = [f"{names[row.name]}_{one.name}" for one in gauges if one.high is not None]
+        state = f"{names[row.name]}_state"
+        events += [
+            EventDefinition(
+                name=ill,
+                number=len(events) + 1,
+                severity="medium",
+                arguments=(state, *limited),
+                text="it ended by itself, is silent, too busy or leaves cycles out",
+            ),
+            EventDefinition(
+                name=_event(row.name, "changed", names),
+                number=len(events) + 2,
+                severity="info",
+                arguments=(state,),
+            ),
+        ]
+        monitors += [
+            Monitor(name=name, number=number, parameter=name, high=high, above=ill, repeat=_REPEAT)
+            for number, (name, high) in enumerate(
+                (
+                    (f"{names[row.name]}_{one.name}", one.high)
+                    for one in gauges
+                    if one.high is not None
+                ),
+                len(monitors) + 1,
+            )
+        ]
+    return replace(
+        table,
+        fresh_s=FRESH_S,
+        parameters=tuple(parameters),
+        structures=_structures(parameters[1:]),
+        events=tuple(events),
+        monitors=tuple(monitors),
+    )
+
+
+def _structures(parameters: Sequence[Parameter]) -> tuple[Structure, ...]:
+    """As many reports as packets are needed; off at first, as links keep no room for them."""
+    reports: list[list[str]] = []
+    octets = MAX_REPORT_OCTETS
+    for one in parameters:
+        if octets + one.octets > MAX_REPORT_OCTETS:
+            reports.append([])
+            octets = 1
+        octets += one.octets
+        reports[-1].append(one.name)
+    return tuple(
+        Structure(
+            name=f"processes_{number}",
+            number=number,
+            parameters=tuple(names),
+            interval_s=_INTERVAL_S,
+            on=False,
+        )
+        for number, names in enumerate(reports, 1)
+    )
+
+
+def _gauges(row: ProcessRow) -> tuple[_Gauge, ...]:
+    loop = row.priority == LOOP_PRIORITY
+    return tuple(one for one in _GAUGES if loop or not one.loop)
+
+
+def _parameter_names(rows: Sequence[ProcessRow]) -> dict[str, str]:
+    """By process: the beginning of its parameters' names. Cameras may have any name."""
+    names: dict[str, str] = {}
+    for row in rows:
+        name = re.sub(r"\W", "_", row.name, flags=re.ASCII)
+        while name in names.values():
+            name += "_"
+        names[row.name] = name
+    return names
+
+
+def _event(process: str, event: str, names: dict[str, str]) -> str:
+    return f"{names[process]}_{event}"
+
+
+@dataclass(slots=True)
+class _Known:
+    """The newest that the launcher has told of a process."""
+
+    told: ProcessState
+    at_ns: int
+
+
+class ProcessSupervisor:
+    """Tells telemetry how the processes of an end are, and has them stopped and started. A core.
+
+    Hand it what the launcher tells, and telecommands. After each hand `next_event`'s requests to
+    the TM/TC end, and `poll_transmit`'s orders to the launcher.
+    """
+
+    def __init__(self, segment: Segment, topology: Topology) -> None:
+        rows = [row for row in topology.supervised if row.segment is segment]
+        self._name = supervisor_name(segment)
+        self._rows = {row.name: row for row in rows}
+        self._names = _parameter_names(rows)
+        self._known: dict[str, _Known] = {}
+        self._orders: deque[ProcessOrder] = deque()
+        self._open: list[FunctionAsked] = []
+        self._requests: deque[FunctionDone | RaiseEvent | SetValues] = deque()
+
+    def handle_asked(self, asked: FunctionAsked) -> bool:
+        """A telecommand has come; False if it is for another application."""
+        if asked.application != self._name:
+            return False
+        process = str(asked.arguments[0])
+        known = self._known.get(process)
+        refusal = ""
+        if process not in self._rows or not self._rows[process].stoppable:
+            refusal = f"{process} is no process that may be stopped"
+        elif known is None or known.told.state == "absent":
+            refusal = f"this session has no process {process}"
+        if refusal:
+            self._requests.append(FunctionDone(self._name, asked.token, refusal))
+            return True
+        for earlier in [one for one in self._open if one.arguments == asked.arguments]:
+            self._open.remove(earlier)
+            self._requests.append(FunctionDone(self._name, earlier.token, _SUPERSEDED))
+        self._orders.append(ProcessOrder(process, run=asked.function == START))
+        self._open.append(asked)
+        return True
+
+    def handle_told(self, told: Sequence[ProcessState], now_ns: int) -> None:
+        """What the launcher says of the processes of this machine."""
+        here = {one.name: one for one in told}
+        values: TmtcValues = {}
+        events: list[str] = []
+        for row in self._rows.values():
+            one = here.get(row.name, ProcessState(name=row.name, state="absent"))
+            before = self._known.get(row.name)
+            values |= self._values(row, one, before, now_ns)
+            if before is not None and before.told.state != one.state:
+                events.append(_event(row.name, "changed", self._names))
+            if before is not None and one.restarts > before.told.restarts:
+                events.append(_event(row.name, "off_nominal", self._names))
+            self._known[row.name] = _Known(one, now_ns)
+        self._requests.append(SetValues(self._name, values))
+        self._requests.extend(RaiseEvent(self._name, event) for event in events)
+        self._complete()
+
+    def poll_transmit(self) -> ProcessOrder | None:
+        """Return the next order for the launcher, or None."""
+        return self._orders.popleft() if self._orders else None
+
+    def next_event(self) -> FunctionDone | RaiseEvent | SetValues | None:
+        """Return the next request for the TM/TC end, or None."""
+        return self._requests.popleft() if self._requests else None
+
+    def _complete(self) -> None:
+        """Those are done whose process is in the state that they asked for."""
+        still: list[FunctionAsked] = []
+        for asked in self._open:
+            wanted = "running" if asked.function == START else "stopped"
+            if self._known[str(asked.arguments[0])].told.state == wanted:
+                self._requests.append(FunctionDone(self._name, asked.token))
+            else:
+                still.append(asked)
+        self._open = still
+
+    def _values(
+        self, row: ProcessRow, one: ProcessState, before: _Known | None, now_ns: int
+    ) -> TmtcValues:
+        name = self._names[row.name]
+        cpu = left_out = 0.0
+        if before is not None:
+            took_ns = max(1, now_ns - before.at_ns)
+            cpu = 100 * (one.cpu_s - before.told.cpu_s) * NS_PER_S / took_ns
+            slips = one.loop.slips - before.told.loop.slips
+            cycles = one.loop.cycles - before.told.loop.cycles
+            left_out = 100 * slips / max(1, slips + cycles)
+        found: TmtcValues = {
+            "state": one.state,
+            "restarts": one.restarts,
+            "cpu": cpu,
+            "age": one.age_ms * NS_PER_MS / NS_PER_S,
+            **asdict(one.loop),
+            "left_out": left_out,
+        }
+        return {f"{name}_{each.name}": found[each.name] for each in _gauges(row)}

@@ -1,0 +1,195 @@
+"""Telecommands stop and start processes, and telemetry tells how they are."""
+
+from dataclasses import replace
+
+import pytest
+
+from pipelines.mission.session_dictionary import session_dictionary
+from pipelines.mission.supervisor import ProcessSupervisor
+from pipelines.mission.tmtc import TmtcEnd
+from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, Reported, SendCommand
+from pipelines.session.figures import LoopFigures, ProcessState
+from pipelines.session.session_switch import ProcessOrder
+from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology import SessionOptions
+from pipelines.table import topology_of
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.xtce import dictionary_xtce
+
+S = 1_000_000_000
+TOPOLOGY = topology_of(BUILT_IN["spacejustin"])
+#: What commands, carries telecommands, or keeps arm, handle and people safe.
+KEPT = {"robot", "joystick", "ground_gateway", "space_gateway", "selector", "console"}
+KEPT |= {"page_ground", "page_space"}
+
+
+class Ground:
+    """The end of the ground, with a launcher that a test plays."""
+
+    def __init__(self):
+        dictionary = session_dictionary(built_in_dictionary(), TOPOLOGY)
+        self.end = TmtcEnd(Segment.GROUND, dictionary, now_ns=0, first_count=1, life=1)
+        self.supervisor = ProcessSupervisor(Segment.GROUND, TOPOLOGY)
+        self.now_ns = self.number = 0
+        self.states = {
+            row.name: ProcessState(name=row.name, state="running") for row in TOPOLOGY.processes
+        }
+        self.orders = []
+
+    def look(self, seconds=1, **changes):
+        """The launcher tells all states once a second, with changes of some."""
+        news = []
+        for name, change in changes.items():
+            self.states[name] = ProcessState(name=name, **({"state": "running"} | change))
+        for _ in range(seconds):
+            self.now_ns += S
+            self.supervisor.handle_told(list(self.states.values()), self.now_ns)
+            news += self.work()
+        return news
+
+    def work(self):
+        news = []
+        while (done := self.supervisor.next_event()) is not None:
+            self.end.handle_request(done, self.now_ns)
+        while self.end.poll_transmit(self.now_ns) is not None:
+            pass
+        for one in iter(self.end.next_event, None):
+            news.append(one)
+            if isinstance(one, FunctionAsked):
+                assert self.supervisor.handle_asked(one)
+                news += self.work()
+        self.orders += iter(self.supervisor.poll_transmit, None)
+        return news
+
+    def command(self, function, process):
+        self.number += 1
+        request = SendCommand(
+            "test", self.number, "ground_supervisor", "call", function, (process,)
+        )
+        self.end.handle_request(request, self.now_ns)
+        return self.work()
+
+
+def events(news):
+    return [one.name for one in news if isinstance(one, Reported) and one.kind == "event"]
+
+
+def ends(news):
+    return [(one.id, one.ok) for one in news if isinstance(one, CommandUpdate) and one.done]
+
+
+def test_a_stop_is_completed_once_the_process_has_stopped_and_a_start_once_it_runs():
+    ground = Ground()
+    ground.look()
+    assert ends(ground.command("stop", "camera_head")) == []
+    assert ground.orders == [ProcessOrder("camera_head", run=False)]
+    assert ends(ground.look()) == []
+    news = ground.look(camera_head={"state": "stopped"})
+    assert (events(news), ends(news)) == (["camera_head_changed"], [(1, True)])
+    assert ends(ground.command("start", "camera_head")) == []
+    assert ground.orders[1:] == [ProcessOrder("camera_head", run=True)]
+    assert ends(ground.look(camera_head={})) == [(2, True)]
+
+
+def test_a_later_order_for_a_process_ends_the_earlier_one():
+    ground = Ground()
+    ground.look()
+    ground.command("stop", "camera_head")
+    assert ends(ground.command("start", "camera_head")) == [(1, False)]
+
+
+@pytest.mark.parametrize("process", ["robot", "selector", "ground_gateway", "page_ground", "x"])
+def test_what_the_safety_rules_need_cannot_be_stopped(process):
+    ground = Ground()
+    ground.look()
+    assert ends(ground.command("stop", process)) == [(1, False)]
+    assert ground.orders == []
+
+
+def test_what_this_session_does_not_have_is_neither_stopped_nor_started():
+    ground = Ground()
+    ground.look()
+    assert ends(ground.command("stop", "leds")) == [(1, False)]
+    assert ground.orders == []
+
+
+def test_every_other_process_of_an_end_may_be_stopped():
+    kept = {row.name for row in TOPOLOGY.supervised if not row.stoppable}
+    assert kept == KEPT
+    shared = topology_of(replace(BUILT_IN["spacejustin"], partner_arm="shared"))
+    more = {row.name for row in shared.supervised if not row.stoppable}
+    assert more == KEPT | {"owner_desk"}
+
+
+def test_an_end_that_nobody_asked_for_is_off_nominal():
+    ground = Ground()
+    ground.look()
+    news = ground.look(leds={"state": "running", "restarts": 1}, stereo={"restarts": 1})
+    assert events(news) == ["leds_changed", "leds_off_nominal", "stereo_off_nominal"]
+
+
+@pytest.mark.parametrize(
+    "ill", [{"age_ms": 3_100.0}, {"loop": LoopFigures(cycles=900, slips=100)}, {"cpu_s": 9.0}]
+)
+def test_a_silent_a_slipping_and_a_busy_process_are_off_nominal_once_it_lasts(ill):
+    ground = Ground()
+    ground.look(5)
+    found = []
+    for second in range(1, 6):
+        state = dict(ill)
+        if "loop" in ill:
+            state["loop"] = LoopFigures(cycles=900 * second, slips=100 * second)
+        if "cpu_s" in ill:
+            state["cpu_s"] = 0.97 * second
+        found += events(ground.look(robot=state))
+    assert found == ["robot_off_nominal"]
+
+
+def test_housekeeping_has_the_figures_of_every_process_of_the_end():
+    ground = Ground()
+    loop = LoopFigures(cycles=9_990, slips=10)
+    for number in (1, 2):
+        request = SendCommand(
+            "test", number, "ground_supervisor", "housekeeping_on", f"processes_{number}"
+        )
+        ground.end.handle_request(request, ground.now_ns)
+    ground.work()
+    news = ground.look(11, robot={"restarts": 2, "cpu_s": 1.5, "age_ms": 400.0, "loop": loop})
+    values = {}
+    for one in news:
+        if isinstance(one, Reported) and one.kind == "housekeeping":
+            values |= one.values
+    rows = [row for row in TOPOLOGY.supervised if row.segment is Segment.GROUND]
+    assert {f"{row.name}_state" for row in rows} <= set(values)
+    robot = {name: value for name, value in values.items() if name.startswith("robot_")}
+    assert robot == {
+        "robot_state": "running",
+        "robot_restarts": 2,
+        "robot_cpu": 0.0,
+        "robot_age": 0.4,
+        "robot_slips": 10,
+        "robot_cycles": 9_990,
+        "robot_left_out": 0.0,
+    }
+    assert (values["camera_head_state"], values["leds_state"]) == ("running", "absent")
+
+
+def test_both_machines_of_a_session_have_the_same_tables():
+    plain = session_dictionary(built_in_dictionary(), TOPOLOGY)
+    options = {"pages": True, "tasks": True, "packets": True, "recorder": True, "trainer": True}
+    full = topology_of(BUILT_IN["spacejustin"], **options)
+    assert session_dictionary(built_in_dictionary(), full) == plain
+    assert SessionOptions(**options) != TOPOLOGY.options
+    assert "ground_supervisor_robot_slips" in dictionary_xtce(plain)
+
+
+def test_cameras_of_any_name_have_parameters_of_their_own():
+    setup = BUILT_IN["taskboard"]
+    setup = replace(
+        setup, cameras=("a b", "a-b"), sources={"a b": "scene:static", "a-b": "scene:static"}
+    )
+    dictionary = session_dictionary(built_in_dictionary(), topology_of(setup))
+    table = dictionary.application("ground_supervisor")
+    assert table.parameter("camera_a_b_state") != table.parameter("camera_a_b__state")
+    assert {"camera_a b", "camera_a-b"} <= set(table.parameter("process").choices)
