@@ -39,8 +39,10 @@ def main() -> None:
         left, right = load(sys.argv[2]), load(sys.argv[3])
     else:
         left, right = look("left"), look("right")
-    merged = np.empty_like(left)
-    merge(left, right, into=merged, seam=SeamFinder().handle_pictures(left, right))
+    merged, finder = np.empty_like(left), SeamFinder()
+    # It goes to its place in steps, as for a film.
+    for _ in range(20):
+        merge(left, right, into=merged, seam=finder.handle_pictures(left, right))
     for name, picture in (("left", left), ("right", right), ("merged", merged)):
         path = folder / f"{name}.png"
         cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_YUV2BGR_I420))

@@ -16,21 +16,25 @@ _ABOVE_LEVELS = 20
 _GUARD, _ROOM = 1, 3
 #: Another side of what stands above the plane must be nearer to the middle by this share.
 _STEADY = 0.1
-#: A seam off the middle tries to return after this many pictures.
-_RETURN = 15
+#: A seam off the middle tries to return after this many pictures: to the middle, or to a place that
+#: is nearer by this share of the width. Each change of the seam costs bits.
+_RETURN, _NEARER = 15, 0.15
+#: It moves by so many blocks a picture: a jump would change so much at once that pictures are late.
+_STEP = 2
 
 
 class SeamFinder:
     """Finds where the parts of a merged picture meet: where nothing above the plane is cut. A core.
 
     Of what stands above the plane, the merged picture then has all from one camera and nothing
-    from the other. The seam is the nearest one to the middle; 0.0 and 1.0 cut nothing. It stays in
-    the middle while a camera has no picture, and where most of the two pictures differs: such
-    cameras do not see one plane at the same pixels.
+    from the other. The seam goes to the nearest such place to the middle, in steps, so it crosses
+    what moves across it within some pictures; 0.0 and 1.0 cut nothing. It is in the middle while a
+    camera has no picture, and where most of the two pictures differs: such cameras do not see one
+    plane at the same pixels.
     """
 
     def __init__(self) -> None:
-        self._seam = 0.5
+        self._seam = self._goal = 0.5
         self._brighter = 0.0
         self._rest = 0
 
@@ -40,24 +44,35 @@ class SeamFinder:
         None: a camera without a picture, or with an old one.
         """
         if left is None or right is None or left.shape != right.shape:
-            self._seam = 0.5
+            self._seam = self._goal = 0.5
             return self._seam
         height, width = left.shape[0] * 2 // 3, left.shape[1]
         rows, columns = height // _BLOCK, width // _BLOCK
         if rows == 0 or columns == 0:
             return self._seam
-        at = round(self._seam * columns)
+        at = round(self._goal * columns)
         self._rest -= 1
-        if self._seam == 0.5 or self._rest > 0:
-            near = slice(max(at - _GUARD, 0), min(at + _GUARD, columns))
-            if at in (0, columns):
-                return self._seam
-            less = _less(left, right, rows, near)
-            if np.abs(less - self._brighter).max() <= _ABOVE_LEVELS:
-                return self._seam
-        self._rest = _RETURN
-        self._seam = self._search(left, right, rows, columns, at)
+        shows_plane = self._shows_plane(left, right, rows, columns, at)
+        if not shows_plane or (self._goal != 0.5 and self._rest <= 0):
+            self._rest = _RETURN
+            found = self._search(left, right, rows, columns, at)
+            if (
+                not shows_plane
+                or abs(self._goal - 0.5) - abs(found - 0.5) > _NEARER
+                or found == 0.5
+            ):
+                self._goal = found
+        step = _STEP / columns
+        self._seam += min(step, max(-step, self._goal - self._seam))
         return self._seam
+
+    def _shows_plane(self, left: I420, right: I420, rows: int, columns: int, at: int) -> bool:
+        """Whether a seam there cuts nothing that stands above the plane."""
+        if at in (0, columns):
+            return True
+        near = slice(max(at - _GUARD, 0), min(at + _GUARD, columns))
+        less = _less(left, right, rows, near)
+        return bool(np.abs(less - self._brighter).max() <= _ABOVE_LEVELS)
 
     def _search(self, left: I420, right: I420, rows: int, columns: int, at: int) -> float:
         less = _less(left, right, rows, slice(0, columns))
