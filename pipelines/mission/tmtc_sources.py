@@ -142,8 +142,8 @@ class RobotSource:
 def _joints(status: RobotStatus) -> Values:
     """Angle and torque of each joint; no number where the robot has or tells none."""
     values: Values = {}
-    for number in range(1, MOST_JOINTS + 1):
-        angle_rad, torque_n_m = dict(enumerate(status.joints, 1)).get(number, (nan, nan))
+    unknown = ((nan, nan),) * MOST_JOINTS
+    for number, (angle_rad, torque_n_m) in enumerate((*status.joints, *unknown)[:MOST_JOINTS], 1):
         values[f"joint_{number}_angle"] = angle_rad
         values[f"joint_{number}_torque"] = torque_n_m
     return values
