@@ -3,6 +3,7 @@
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.healing import Healing
 from kontur_av.figures import Flat, Newest
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality
@@ -15,6 +16,9 @@ from kontur_av.streams.reporting_receiver import ReportingReceiver
 
 #: The most damaged units that are remembered while they are decoded.
 _REMEMBERED = 256
+#: After a pause as long as a loss of signal a key picture is on its way, since a new contact begins
+#: with one. Damaged pictures before it are not shown, for a time.
+_PAUSE_NS, _AWAITED_NS = 250 * NS_PER_MS, 200 * NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,6 +32,8 @@ class VideoReceiverCounts:
     frames_received: int = 0
     #: Access units with gaps.
     frames_damaged: int = 0
+    #: Damaged pictures after a pause, which waited for a whole one and were not shown.
+    frames_withheld: int = 0
     #: Pictures before a sender report gave their capture time.
     frames_undated: int = 0
     #: Pictures larger than wanted.
@@ -93,13 +99,16 @@ class VideoReceiver(ReportingReceiver):
         self._most_pixels = None if largest is None else largest[0] * largest[1]
         self._depacketizer = H264Depacketizer(parameter_sets, marked=marked)
         self._healing = Healing()
-        #: Timestamps of units in the decoder that will show damage.
-        self._hurt: OrderedDict[int, None] = OrderedDict()
+        #: Timestamps of units in the decoder that will show damage, and whether to withhold them.
+        self._hurt: OrderedDict[int, bool] = OrderedDict()
+        #: When the newest unit came; until when a whole picture is awaited after a pause.
+        self._came_ns: int | None = None
+        self._awaited_ns: int | None = None
         self._losses = PictureLossReporter(ssrc=ssrc)
         self._reduced_size = reduced_size
         #: Whether the decoder has a picture at which to start.
         self._begun = False
-        self._shown = self._undated = self._oversized = 0
+        self._shown = self._undated = self._oversized = self._withheld = 0
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
@@ -135,8 +144,15 @@ class VideoReceiver(ReportingReceiver):
                 media_ssrc=self._receiver.ssrc or 0,
                 now_ns=unit.received_ns,
             )
+            now_ns = unit.received_ns
+            before_ns, self._came_ns = self._came_ns, now_ns
+            if not hurt:
+                self._awaited_ns = None
+            elif self._awaited_ns is None and now_ns - (before_ns or now_ns) > _PAUSE_NS:
+                # Once for each damage, so that slow cameras show theirs.
+                self._awaited_ns = now_ns + _AWAITED_NS
             if hurt:
-                self._hurt[unit.timestamp] = None
+                self._hurt[unit.timestamp] = now_ns < (self._awaited_ns or 0)
                 if len(self._hurt) > _REMEMBERED:
                     self._hurt.popitem(last=False)
         return unit
@@ -167,16 +183,20 @@ class VideoReceiver(ReportingReceiver):
         capture_ns: the result of `capture_ns` for this timestamp.
         corrupt: the decoder found damage in it.
 
-        None if the picture is too large, or if `capture_ns` is None.
+        None if the picture is too large or withheld, or if `capture_ns` is None.
         """
         self._begun = True
-        hurt = self._hurt.pop(timestamp, self) is None or corrupt
-        if corrupt:
-            # So the next unit asks for a key picture.
+        withheld = self._hurt.pop(timestamp, None)
+        hurt = withheld is not None or corrupt
+        if corrupt and withheld is None:
+            # So the next unit asks for a key picture. Known damage may have healed since.
             self._healing.handle_damage()
         if self._most_pixels is not None and width * height > self._most_pixels:
             # A stranger's picture must not make shared memory grow.
             self._oversized += 1
+            return None
+        if withheld:
+            self._withheld += 1
             return None
         if capture_ns is None:
             self._undated += 1
@@ -193,6 +213,7 @@ class VideoReceiver(ReportingReceiver):
             jitter_ns=self._receiver.jitter_ns,
             frames_received=self._depacketizer.units,
             frames_damaged=self._depacketizer.units_damaged,
+            frames_withheld=self._withheld,
             frames_undated=self._undated,
             frames_oversized=self._oversized,
             pictures_asked_for=self._losses.sent,

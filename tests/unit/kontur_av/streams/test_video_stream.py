@@ -29,12 +29,13 @@ class Stream:
     """Encodes in no time.
 
     lost: numbers of pictures that do not arrive. corrupt: those in which the decoder finds damage.
+    late: those that are still in the decoder.
     """
 
-    def __init__(self, lost=(), way_back=True, sender=None, receiver=None, corrupt=()):
+    def __init__(self, lost=(), way_back=True, sender=None, receiver=None, corrupt=(), late=()):
         self.sender = sender or make_sender()
         self.receiver = receiver or make_receiver()
-        self.lost, self.way_back, self.corrupt = lost, way_back, corrupt
+        self.lost, self.way_back, self.corrupt, self.late = lost, way_back, corrupt, late
         self.codings, self.stamps, self.units = [], [], []
 
     def step(self, number, octets=300):
@@ -57,6 +58,8 @@ class Stream:
         receiver.handle_timeout(there_ns + 20 * NS_PER_MS)
         while (unit := receiver.next_event()) is not None:
             self.units.append(unit)
+            if number in self.late:
+                continue
             dated_ns = receiver.capture_ns(unit.timestamp)
             corrupt = number in self.corrupt
             stamp_of = receiver.handle_picture
@@ -92,6 +95,37 @@ def test_a_loss_is_reported_and_healed_by_a_key_picture():
     assert [coding.keyframe for coding in stream.codings] == [n == 6 for n in range(12)]
     assert stream.receiver.counts.pictures_asked_for == 1
     assert stream.sender.feedback.feedback_received == 1
+
+
+def test_after_a_pause_a_whole_picture_is_awaited():
+    stream = Stream(lost=range(4, 15))
+    for number in range(20):
+        stream.step(number)
+    assert [coding.keyframe for coding in stream.codings] == [n == 16 for n in range(20)]
+    # The one before the key picture refers to pictures that were lost.
+    damaged = [stamp and stamp.quality is Quality.DAMAGED for stamp in stream.stamps]
+    assert damaged == [False] * 4 + [None] + [False] * 4
+    assert stream.receiver.counts.frames_withheld == 1
+
+
+def test_without_a_key_picture_damage_is_shown_200_ms_after_a_pause():
+    stream = Stream(lost=range(4, 15), way_back=False)
+    for number in range(24):
+        stream.step(number)
+    damaged = [stamp and stamp.quality is Quality.DAMAGED for stamp in stream.stamps]
+    assert damaged == [False] * 4 + [None] * 7 + [True] * 2
+
+
+def test_damage_that_was_known_and_healed_hurts_no_later_picture():
+    stream = Stream(lost={4}, late={5})
+    for number in range(8):
+        stream.step(number)
+    known = stream.units[4]
+    assert known.lost_before
+    stamp = stream.receiver.handle_picture(known.timestamp, 64, 48, 0, corrupt=True)
+    assert stamp.quality is Quality.DAMAGED
+    stream.step(8)
+    assert stream.stamps[-1].quality is Quality.FRESH
 
 
 def test_damage_that_only_the_decoder_finds_is_healed_by_a_key_picture():
