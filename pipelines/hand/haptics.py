@@ -82,7 +82,7 @@ class RobotEnd(_End[RobotSide]):
 
     `next_event` returns a state every 10 cycles, and at once when a contact begins or ends. Each
     beginning is a `ContactRow`. With `mediated`, send as telemetry what `poll_wall` returns in a
-    cycle.
+    cycle. `residual`: see `RobotSide`.
 
     life: 1 to 2^24-1; no earlier life of this end had it.
     envelope: whether the robot may follow the hand; one with the default limits, if None.
@@ -98,6 +98,7 @@ class RobotEnd(_End[RobotSide]):
         life: int,
         deadband: bool = False,
         mediated: bool = False,
+        residual: bool = False,
         ownership: HapticOwnership | None = None,
         envelope: SafetyEnvelope | None = None,
         robot: Robot | None = None,
@@ -117,6 +118,7 @@ class RobotEnd(_End[RobotSide]):
             link=link,
             model=model,
             mediated=mediated,
+            residual=residual,
             ownership=ownership,
             envelope=envelope,
             robot=robot,
@@ -204,7 +206,7 @@ class JoystickEnd(_End[JoystickSide]):
     handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
         is reported, too.
     life: as in `RobotEnd`.
-    mediated: the hand feels the wall that `handle_wall` takes.
+    mediated, residual: the hand feels the wall that `handle_wall` takes (see `JoystickSide`).
     """
 
     def __init__(
@@ -214,11 +216,13 @@ class JoystickEnd(_End[JoystickSide]):
         life: int,
         deadband: bool = False,
         mediated: bool = False,
+        residual: bool = False,
         handle: Handle | OperatedHandle | None = None,
     ) -> None:
         more = 0 if handle is None else len(handle.more)
         link = joystick_link(life=life, deadband=deadband, more=more)
-        super().__init__(JoystickSide(link=link, handle=handle, mediated=mediated), probe)
+        side = JoystickSide(link=link, handle=handle, mediated=mediated, residual=residual)
+        super().__init__(side, probe)
         self.handle_wall = self.side.handle_wall
         held = self.side.handle
         self._operated = held if isinstance(held, OperatedHandle) else None

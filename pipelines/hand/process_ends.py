@@ -80,7 +80,7 @@ def run_robot(context: Context) -> None:
 
         setup, topology = context.setup, context.topology
         tasks = topology.options.tasks
-        mediated = setup.hand == "mediated"
+        mediated = setup.hand != "direct"
         # Nobody drives until the desk has told who is to.
         ownership = HapticOwnership(None) if setup.partner_arm == "shared" else None
         life = new_life()
@@ -90,6 +90,7 @@ def run_robot(context: Context) -> None:
             life=life,
             deadband=setup.deadband != "off",
             mediated=mediated,
+            residual=setup.hand == "auto",
             ownership=ownership,
             envelope=SafetyEnvelope(within(setup.safety, robot.facts), stopped=kept.stopped),
             robot=robot,
@@ -155,7 +156,8 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
             context.probe,
             life=new_life(),
             deadband=setup.deadband != "off",
-            mediated=setup.hand == "mediated",
+            mediated=setup.hand != "direct",
+            residual=setup.hand == "auto",
             handle=handle,
         )
         with context.open_bus() as bus:

@@ -88,8 +88,9 @@ def add_hand_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--hand",
         choices=HAND_MODES,
-        help="what the hand feels: the robot's delayed force (direct, the default), or a wall "
-        "rendered at the joystick as the robot's side has estimated it (mediated)",
+        help="what the hand feels: the robot's delayed force (direct, the default), a wall "
+        "rendered at the joystick as the robot's side has estimated it (mediated), or that wall and "
+        "directly what it does not explain (auto)",
     )
 
 

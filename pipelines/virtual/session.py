@@ -115,7 +115,7 @@ class Simulation:
         if plan is not None:
             seed_of_hand = self._random("cosmonaut").getrandbits(32)
             self._cosmonaut = Cosmonaut(Skill(level=plan[0].skill), seed=seed_of_hand)
-        self._device, self._mediated = joystick, setup.hand == "mediated"
+        self._device, self._mediated = joystick, setup.hand != "direct"
         self._given_robot = robot
         self._costs = costs or CodingCosts()
         self._agenda = agenda = Agenda()
@@ -288,6 +288,7 @@ class Simulation:
     def _make_ends(self) -> tuple[HapticEnd, HapticEnd]:
         up = self.topology.haptic("up")
         deadband, mediated = self.setup.deadband != "off", self._mediated
+        residual = self.setup.hand == "auto"
         #: The joystick in a hand; None for the one that taps targets.
         handle: Handle | None = None
         if self._device is not None:
@@ -305,12 +306,18 @@ class Simulation:
             life=life,
             deadband=deadband,
             mediated=mediated,
+            residual=residual,
             envelope=SafetyEnvelope(limits),
             robot=given or Robot(axes=self.setup.more_axes),
         )
         probe, life = self._probe(up.receiver), self._life(up.receiver)
         joystick = JoystickEnd(
-            probe, life=life, deadband=deadband, mediated=mediated, handle=handle
+            probe,
+            life=life,
+            deadband=deadband,
+            mediated=mediated,
+            residual=residual,
+            handle=handle,
         )
         return robot, joystick
 

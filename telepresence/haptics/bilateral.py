@@ -21,6 +21,7 @@ from telepresence.haptics.joystick_controller import JoystickController, Joystic
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.mediated.estimator import WallEstimator
+from telepresence.haptics.mediated.residual import Residual
 from telepresence.haptics.ownership import HapticOwnership
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
@@ -121,6 +122,7 @@ class JoystickSide(_Side):
     handle: used instead of the simulated joystick in that hand.
     model: parameters of the controller.
     mediated: the force is that of the newest wall of `handle_wall`, not the robot's delayed one.
+    residual: with `mediated`, also what that wall does not explain of the robot's.
 
     force_x_n, force_y_n: the force displayed now (N). For `handle`, see `Handle` and `Joystick`.
     """
@@ -135,10 +137,14 @@ class JoystickSide(_Side):
         model: JoystickControllerModel | None = None,
         link: HapticLink[Command, Feedback] | None = None,
         mediated: bool = False,
+        residual: bool = False,
     ) -> None:
         self.handle: Handle = handle or HeldJoystick(hand=Hand(hand, script=script))
-        make = MediatedController if mediated else JoystickController
-        self.controller: JoystickController = make(model, passive=passive)
+        self.controller: JoystickController = (
+            MediatedController(model, passive=passive, residual=residual)
+            if mediated
+            else JoystickController(model, passive=passive)
+        )
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
         self._last_ns = NS_PER_MS
         self.axes = JoystickAxes(self.handle.more, model) if self.handle.more else None
@@ -191,6 +197,7 @@ class RobotSide(_Side):
     robot: used instead of the default robot.
     model: parameters of the controller.
     mediated: the wall is estimated; send what `poll_wall` returns as telemetry.
+    residual: with `mediated`, feedback has only the force that the told wall does not explain.
     ownership: who may drive, where a partner can; the caller asks it for each datagram.
     envelope: whether the robot may follow the hand; None: whenever a fresh command has the dead-man
     button pressed.
@@ -208,6 +215,7 @@ class RobotSide(_Side):
         model: RobotControllerModel | None = None,
         link: HapticLink[Feedback, Command] | None = None,
         mediated: bool = False,
+        residual: bool = False,
         ownership: HapticOwnership | None = None,
         envelope: SafetyEnvelope | None = None,
     ) -> None:
@@ -217,6 +225,7 @@ class RobotSide(_Side):
         self._restarts = 0
         self._now_ns = 0
         self.estimator = WallEstimator() if mediated else None
+        self._residual = Residual() if mediated and residual else None
         self.controller: RobotController = RobotController(
             model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
         )
@@ -246,12 +255,17 @@ class RobotSide(_Side):
                 controller.port.discard_credit(max(0.0, controller.port.credit_j))
                 if envelope is not None:
                     envelope.require_press(Hold.OWNER)
-        if self.estimator is not None:
-            self.estimator.handle_sample(now_ns, x_m, y_m, robot.push_x_n, robot.push_y_n, contact)
+        push_x, push_y = robot.push_x_n, robot.push_y_n
+        estimator = self.estimator
+        if estimator is not None:
+            estimator.handle_sample(now_ns, x_m, y_m, push_x, push_y, contact)
+            if self._residual is not None:
+                rest_n = self._residual.rest_n
+                push_x, push_y = rest_n(estimator.told, x_m, y_m, push_x, push_y, now_ns)
         self.lit = lit = robot.led()
         feedback = (
-            robot.push_x_n,
-            robot.push_y_n,
+            push_x,
+            push_y,
             controller.port.granted_uj,
             contact,
             robot.mode,

@@ -23,7 +23,7 @@ bounded, a hand that leaves a wall would lose its damping to pay for the force t
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.passivity import Port, PortController
@@ -85,9 +85,12 @@ class JoystickController(PortController):
     acted: number of cycles in which the credit bounded the force.
     damping_n_s_m: the present damping.
     spared_j: kept for the damping, whose force turns later than the hand, when the robot lacks all.
+    most_j: the robot's force may give out no more than this, whatever the credit; set it before a
+    step.
     """
 
     spared_j = 0.0
+    most_j = inf
 
     def __init__(
         self, model: JoystickControllerModel | None = None, *, passive: bool = True
@@ -165,7 +168,7 @@ class JoystickController(PortController):
         if self.passive:
             self._follow_credit(feedback, dt_s)
             outward = max(0.0, (gx * vx + gy * vy) / now) if now > 0.0 else 0.0
-            most = self._payable_n(port.credit_j + _ROUNDING_J, outward)
+            most = self._payable_n(min(port.credit_j, self.most_j) + _ROUNDING_J, outward)
             if most < goal:
                 share, goal = most / goal, most
                 goal_x *= share
@@ -204,6 +207,7 @@ class JoystickController(PortController):
                     share = left_j / need_j if left_j > 0.0 else 0.0
                     bx, by, need_j = bx * share, by * share, need_j * share
                 left_j -= need_j
+            left_j = min(left_j, self.most_j)
             need_j = gx * dx + gy * dy + sqrt(gx * gx + gy * gy) * margin
             if need_j > left_j:
                 share = left_j / need_j if left_j > 0.0 else 0.0

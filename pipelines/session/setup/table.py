@@ -141,8 +141,9 @@ Deadband = Literal["off", "picture", "latency"]
 DEADBANDS: tuple[Deadband, ...] = get_args(Deadband)
 
 #: What the operator's hand feels. `direct`: the robot's delayed force. `mediated`: a wall that the
-#: robot's side estimates and the joystick's side renders.
-HandMode = Literal["direct", "mediated"]
+#: robot's side estimates and the joystick's side renders. `auto`: that wall, and directly what it
+#: does not explain.
+HandMode = Literal["direct", "mediated", "auto"]
 HAND_MODES: tuple[HandMode, ...] = get_args(HandMode)
 
 #: What a partner's joystick may drive. `none`: nothing. `shared`: the robot, in the place of the
@@ -329,7 +330,7 @@ class Setup:
             raise ConfigError(
                 'partner_arm shared: tasks are the cosmonaut\'s, so take partner_arm = "none"'
             )
-        if self.partner_arm == "shared" and self.hand == "mediated":
+        if self.partner_arm == "shared" and self.hand != "direct":
             raise ConfigError(
                 "partner_arm shared: only the joystick in space renders walls, so take "
                 'hand = "direct", or partner_arm = "second"'

@@ -1,6 +1,7 @@
 """The joystick's controller for model-mediated haptics: damping as before, force from the model.
 
-The robot's delayed force is not displayed. Two energies are bounded, each alone: the motors never
+The robot's delayed force is not displayed, or only what the model does not explain of it
+(`residual`). Two energies are bounded, each alone: the motors never
 give the hand more than they took from it (`WallRenderer`), and the robot never gets more than the
 hand put in. What the hand puts into the rendered spring is granted to the robot, too, or it could
 not press. The spring still gives it back to the hand. So the robot's own power stands for the
@@ -14,11 +15,14 @@ from telepresence.haptics.mediated.wall import parse_wall
 from telepresence.haptics.sample import Feedback
 
 _tuple = tuple.__new__
+#: Less damping than `direct`: the wall's force takes its energy from the tank, not from the robot.
+_MODEL = JoystickControllerModel(most_damping_n_s_m=8.0)
 
 
 class MediatedController(JoystickController):
     """A `JoystickController` whose force is that of the newest wall. Call `handle_wall` for each.
 
+    residual: the feedback is what the wall does not explain, and is displayed, too.
     renderer: what it renders with. garbage: messages that were not a wall.
     """
 
@@ -29,9 +33,11 @@ class MediatedController(JoystickController):
         model: JoystickControllerModel | None = None,
         *,
         passive: bool = True,
+        residual: bool = False,
         rendering: RendererModel | None = None,
     ) -> None:
-        super().__init__(model, passive=passive)
+        super().__init__(model or _MODEL, passive=passive)
+        self.residual = residual
         self.renderer = WallRenderer(rendering)
         self.garbage = 0
         self._damping_n = (0.0, 0.0)
@@ -39,8 +45,9 @@ class MediatedController(JoystickController):
 
     @property
     def robot_force_n(self) -> tuple[float, float]:
-        """The part of the present force (N, N) that is the wall's; the rest is damping."""
-        return self.renderer.force_n
+        """The part of the present force (N, N) that is the robot's; the rest is damping."""
+        wall_x, wall_y = self.renderer.force_n
+        return wall_x + self._gx, wall_y + self._gy
 
     def handle_wall(self, datagram: bytes) -> None:
         """A message of the robot's side arrived. Garbage is counted; this never raises."""
@@ -54,7 +61,7 @@ class MediatedController(JoystickController):
     def step(
         self, feedback: Feedback | None, x_m: float, y_m: float, dt_ns: int
     ) -> tuple[float, float]:
-        """As in `JoystickController`; of `feedback` all but the force counts."""
+        """As in `JoystickController`; the force of `feedback` counts with `residual` only."""
         renderer, limit_n = self.renderer, self.limit_n
         before, self._before = self._before, (x_m, y_m)
         if before is not None:
@@ -63,10 +70,11 @@ class MediatedController(JoystickController):
         renderer.limit_n = limit_n
         felt = feedback is None or not feedback[7]
         wall_x, wall_y = renderer.step(x_m, y_m, dt_ns, felt=felt)
-        if feedback is not None:
+        if feedback is not None and not self.residual:
             feedback = _tuple(Feedback, (0.0, 0.0, *feedback[2:]))
         # The wall has one axis, so its force is the larger of the two numbers.
         self.limit_n = limit_n - abs(wall_x) - abs(wall_y)
+        self.most_j = renderer.spare_j
         self._damping_n = bx, by = super().step(feedback, x_m, y_m, dt_ns)
         self.limit_n = limit_n
         return wall_x + bx, wall_y + by

@@ -57,14 +57,14 @@ class EstimatorModel:
 class WallEstimator:
     """Call `handle_sample` once a cycle, and send what `poll_transmit` returns.
 
-    wall: the present estimate, or None. sent: messages so far.
+    wall: the present estimate, or None. told: the one of the newest message. sent: messages so far.
     """
 
     def __init__(self, model: EstimatorModel | None = None) -> None:
         self.model = model or EstimatorModel()
         self.wall: Wall | None = None
         self.sent = 0
-        self._told: Wall | None = None
+        self.told: Wall | None = None
         self._changed = False
         #: The next message is due, and the earliest instant of one after a change.
         self._due_ns: int | None = None
@@ -91,7 +91,7 @@ class WallEstimator:
             self._free, self._entered = True, None
             wall = self.wall
             if wall is not None and wall.depth_m(x_m, y_m) > self.model.behind_m:
-                self.wall, self._changed = None, self._told is not None
+                self.wall, self._changed = None, self.told is not None
             return
         if last is None or now_ns <= last[0]:
             return
@@ -125,7 +125,7 @@ class WallEstimator:
             return None
         data = pack_wall(WallMessage(now_ns // NS_PER_MS, self.wall), self.sent)
         self.sent += 1
-        self._told, self._changed = self.wall, False
+        self.told, self._changed = self.wall, False
         self._earliest_ns = now_ns + self.model.apart_ns
         self._due_ns = now_ns + self.model.repeat_ns
         return data
@@ -143,7 +143,7 @@ class WallEstimator:
         if not LEAST_STIFFNESS_N_M <= stiffness <= MOST_STIFFNESS_N_M:
             return
         self.wall = wall = Wall(self._axis, self._inward, self._inward * surface_m, stiffness)
-        told = self._told
+        told = self.told
         self._changed = (
             told is None
             or (told.axis, told.inward) != (wall.axis, wall.inward)

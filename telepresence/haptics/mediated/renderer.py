@@ -78,6 +78,12 @@ class WallRenderer:
         push = -self._inward * self._force_n
         return (0.0, push) if self._axis else (push, 0.0)
 
+    @property
+    def spare_j(self) -> float:
+        """What the tank holds beyond the need of the wall's present force."""
+        force, stiffness = self._force_n, self._stiffness
+        return max(0.0, self.tank_j - force * force / (2.0 * stiffness)) if force else self.tank_j
+
     def handle_wall(self, message: WallMessage) -> None:
         """Take a message. One that is not newer than the last counts as stale and changes nothing.
 

@@ -57,6 +57,11 @@ class Wall:
         """How deep the point (x_m, y_m) is in the wall; negative before it."""
         return self.inward * ((y_m if self.axis else x_m) - self.surface_m)
 
+    def force_n(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """Its force (N, N) on a resting tip at (x_m, y_m)."""
+        push = -self.inward * self.stiffness_n_m * max(0.0, self.depth_m(x_m, y_m))
+        return (0.0, push) if self.axis else (push, 0.0)
+
 
 @dataclass(frozen=True, slots=True)
 class WallMessage:
