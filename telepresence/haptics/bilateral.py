@@ -223,6 +223,8 @@ class RobotSide(_Side):
         self.ownership = ownership
         self.envelope = envelope
         self._restarts = 0
+        #: The robot's place less the hand's, as the estimator knows it.
+        self._offset_m = (0.0, 0.0)
         self._now_ns = 0
         self.estimator = WallEstimator() if mediated else None
         self._residual = Residual() if mediated and residual else None
@@ -240,10 +242,13 @@ class RobotSide(_Side):
         # The force that a step measures belongs to the position before it.
         x_m, y_m = robot.x_m, robot.y_m
         self._now_ns = now_ns
-        envelope = self.envelope
-        if envelope is not None and self.link.session.restarts != self._restarts:
+        envelope, estimator = self.envelope, self.estimator
+        if self.link.session.restarts != self._restarts:
             self._restarts = self.link.session.restarts
-            envelope.require_press(Hold.JOYSTICK_STARTED)
+            if envelope is not None:
+                envelope.require_press(Hold.JOYSTICK_STARTED)
+            if estimator is not None:
+                estimator.tell_again()
         acted = self._advance(now_ns, advance_ns)
         contact = robot.contact or (
             self.axes is not None and any(axis.contact for axis in robot.more)
@@ -256,8 +261,14 @@ class RobotSide(_Side):
                 if envelope is not None:
                     envelope.require_press(Hold.OWNER)
         push_x, push_y = robot.push_x_n, robot.push_y_n
-        estimator = self.estimator
         if estimator is not None:
+            if envelope is not None:
+                # The joystick renders the wall at the hand.
+                if envelope.offset_m != self._offset_m:
+                    old_x, old_y = self._offset_m
+                    self._offset_m = off_x, off_y = envelope.offset_m
+                    estimator.handle_shift(old_x - off_x, old_y - off_y)
+                x_m, y_m = x_m - self._offset_m[0], y_m - self._offset_m[1]
             estimator.handle_sample(now_ns, x_m, y_m, push_x, push_y, contact)
             if self._residual is not None:
                 rest_n = self._residual.rest_n

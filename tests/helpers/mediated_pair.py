@@ -6,13 +6,17 @@ import numpy as np
 
 from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
+from telepresence.haptics.loop import joystick_link
 
 MS = 1_000_000
 
 
 class MediatedPair:
     """round_trip_ms: half of it each way. garble: changes a wall's datagram on its way.
+    residual: the hand also feels what the wall does not explain (`hand = "auto"`).
+    board, envelope: of the robot.
 
     `rows`, one a millisecond: the handle's x (m), the motors' force along x (N), work of the motors
     at the handle (J).
@@ -24,15 +28,18 @@ class MediatedPair:
         grip: HandModel,
         *,
         mediated: bool = True,
+        residual: bool = False,
         stiffness_n_m: float = 1500.0,
         script: tuple[Waypoint, ...] = TAP_TARGETS,
         garble=lambda datagram: (datagram,),
+        board: Board | None = None,
+        envelope: SafetyEnvelope | None = None,
     ) -> None:
         self.handle = HeldJoystick(hand=Hand(grip, script=script))
-        self.space = JoystickSide(handle=self.handle, mediated=mediated)
-        self.ground = RobotSide(
-            board=Board(WallModel(stiffness_n_m=stiffness_n_m)), mediated=mediated
-        )
+        self._feel = {"mediated": mediated, "residual": residual}
+        self.space = JoystickSide(handle=self.handle, **self._feel)
+        board = board or Board(WallModel(stiffness_n_m=stiffness_n_m))
+        self.ground = RobotSide(board=board, envelope=envelope, **self._feel)
         self.half_ns = round_trip_ms * MS // 2
         self.now_ns = 0
         self._down, self._up, self._walls = deque(), deque(), deque()
@@ -42,6 +49,11 @@ class MediatedPair:
     @property
     def rows(self) -> np.ndarray:
         return np.array(self._rows)
+
+    def restart_joystick(self) -> None:
+        """Begin a new life of the joystick's side, with the handle where it is."""
+        link = joystick_link(life=2)
+        self.space = JoystickSide(handle=self.handle, link=link, **self._feel)
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds * 1000)):

@@ -6,7 +6,8 @@ from mediated_pair import MediatedPair
 
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.simulate import simulate
-from telepresence.haptics.board import WALL_X_M, WallModel
+from telepresence.haptics.board import WALL_X_M, Board, WallModel
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, HandModel, Waypoint
 from telepresence.haptics.mediated.renderer import RendererModel
 
@@ -59,7 +60,7 @@ def test_the_robot_is_granted_what_the_hand_put_in_and_not_what_the_wall_gave_ba
     grip, stiffness_n_m
 ):
     far = MediatedPair(150, grip, stiffness_n_m=stiffness_n_m, script=PRESS)
-    far.run(12)
+    far.run(16)
     gave_j = -np.diff(far.rows[:, 2])
     assert 0.2 < far.space.controller.port.in_j <= gave_j[gave_j > 0.0].sum() + 1e-9
 
@@ -77,6 +78,74 @@ def test_a_wall_that_moves_or_vanishes_makes_no_jump_and_no_energy(wall):
     pen_m = far.handle.x_m - wall.x_m
     expected_n = 600.0 * pen_m if pen_m > 0.0 else 0.0
     assert -rows[-1, 1] == pytest.approx(expected_n, rel=0.05, abs=0.1)
+
+
+PUSH_6_N = HandModel(stiffness_n_m=1000.0, damping_n_s_m=20.0, mass_kg=0.4, push_n=6.0)
+
+
+@pytest.mark.parametrize("round_trip_ms", [0, 60, 150, 400, 800])
+@pytest.mark.parametrize("grip", [SOFT_GRIP, FIRM_GRIP, PUSH_6_N], ids=["soft", "firm", "push"])
+@pytest.mark.parametrize("stiffness_n_m", [200.0, 1900.0])
+def test_the_first_press_feels_the_wall_at_any_delay_without_drag(
+    grip, round_trip_ms, stiffness_n_m
+):
+    far = MediatedPair(
+        round_trip_ms, grip, residual=True, stiffness_n_m=stiffness_n_m, script=PRESS
+    )
+    far.run(4)
+    rows = far.rows
+    felt = felt_n_m(rows)[0] / (1000.0 * stiffness_n_m / (1000.0 + stiffness_n_m))
+    assert felt > (0.8 if round_trip_ms < 400 else 0.5)
+    assert np.abs(np.diff(rows[:, 1])).max() < 1.1
+    assert rows[:, 2].max() <= RendererModel().start_j
+    assert far.ground.controller.port.least_j > -1e-9
+    speeds = np.diff(rows[:, 0]) * 1000.0
+    free = (rows[1:, 0] < WALL_X_M) & (speeds > 0.03)
+    work_w = -rows[1:, 1][free] * speeds[free]
+    assert work_w.sum() / (speeds[free] ** 2).sum() < 8.5
+
+
+class PushedBoard(Board):
+    """A board where somebody pushes the tip, too."""
+
+    def press(self, x_m, y_m, vx_m_s, vy_m_s):
+        fx, fy = super().press(x_m, y_m, vx_m_s, vy_m_s)
+        return fx, fy + 2.0
+
+
+def test_what_the_wall_does_not_explain_is_felt_directly():
+    pair = MediatedPair(60, SOFT_GRIP, residual=True, script=PRESS, board=PushedBoard())
+    pair.run(8)
+    assert pair.handle.motor_y_n == pytest.approx(2.0, abs=0.1)
+    assert felt_n_m(pair.rows)[-1] == pytest.approx(600.0, rel=0.05)
+
+
+def test_a_joystick_that_restarts_in_contact_feels_the_wall_again():
+    pair = MediatedPair(60, SOFT_GRIP, residual=True, script=PRESS)
+    pair.run(3)
+    pair.restart_joystick()
+    pair.run(1)
+    # The 50 mJ of its start push the hand back as far as that.
+    assert felt_n_m(pair.rows)[-1] > 0.6 * 600.0
+
+
+def test_the_wall_is_where_the_robot_meets_it_whatever_the_hand_pressed_at():
+    script = (
+        Waypoint(0.02, 0.0, 500 * MS, 1500 * MS),
+        Waypoint(0.105, 0.0, 500 * MS, 2000 * MS),
+        Waypoint(0.01, 0.0, 500 * MS, 1500 * MS),
+        Waypoint(0.035, 0.0, 500 * MS, 3000 * MS),
+    )
+    envelope = SafetyEnvelope()
+    pair = MediatedPair(60, SOFT_GRIP, residual=True, script=script, envelope=envelope)
+    for seconds, pressed_now in ((1.0, False), (3.5, True), (1.5, False), (4.0, True)):
+        pair.handle.dead_man = pressed_now
+        pair.run(seconds)
+        if pressed_now:
+            offset_m = envelope.offset_m[0]
+            felt = -pair.handle.motor_x_n / (pair.handle.x_m + offset_m - WALL_X_M)
+            assert abs(offset_m) > 0.01
+            assert felt == pytest.approx(600.0, rel=0.05)
 
 
 def test_garbage_changes_nothing():

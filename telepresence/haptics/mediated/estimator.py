@@ -118,8 +118,24 @@ class WallEstimator:
         self._sums.add(at_m, (at_m - before_m) * NS_PER_S / (now_ns - last[0]), push_n)
         self._estimate()
 
+    def handle_shift(self, x_m: float, y_m: float) -> None:
+        """All coordinates grow by (x_m, y_m), so the wall does; a contact begins anew."""
+        self._axis = self._inward = 0
+        self._free, self._entered, self._last = False, None, None
+        if self.wall is not None:
+            self.wall, self._changed = self.wall.moved(x_m, y_m), True
+
+    def tell_again(self) -> None:
+        """The joystick has started: it knows no wall."""
+        self._due_ns, self._earliest_ns = None, 0
+
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """Return the message to send now, or None. Without a change it is repeated, rarely."""
+        """Return the message to send now, or None. Without a change it is repeated, rarely.
+
+        Nothing is sent before a contact: a robot that has just started denies no wall.
+        """
+        if self.wall is None and self.told is None and not self._changed:
+            return None
         due_ns = self._due_ns
         if due_ns is not None and now_ns < (self._earliest_ns if self._changed else due_ns):
             return None

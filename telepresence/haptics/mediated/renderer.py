@@ -30,7 +30,8 @@ class RendererModel:
     robot_n_m: stiffness between the robot's reference and its tip (`RobotControllerModel`).
     start_j, limit_j: what the tank holds at first and at most. Without a limit, an hour of free
     motion would pay for a minute of instability.
-    rate_n_s: fastest rise and fall of the force where the wall changes.
+    rise_n_s, fall_n_s: fastest rise and fall of the force where the wall changes. A hand that is
+    pushed back fast wastes the tank's energy in its muscles, so the rise is slow.
     most_rate_n_s: fastest rise and fall of the force for any reason.
     soften_s: the stiffness under load follows a new one with this time constant.
     acceleration_m_s2: greatest acceleration of the handle; it bounds the next cycle's distance.
@@ -40,7 +41,8 @@ class RendererModel:
     robot_n_m: float = 1000.0
     start_j: float = 0.05
     limit_j: float = 0.3
-    rate_n_s: float = 100.0
+    rise_n_s: float = 25.0
+    fall_n_s: float = 100.0
     most_rate_n_s: float = 1000.0
     soften_s: float = 0.1
     acceleration_m_s2: float = 150.0
@@ -133,8 +135,8 @@ class WallRenderer:
             if force:
                 self._soften(self._series(goal), force, dt_s)
             wanted = max(0.0, self._stiffness * goal.depth_m(x_m, y_m))
-        most = self.model.rate_n_s * dt_s
-        force = min(force + most, wanted) if wanted > force else max(force - most, wanted)
+        rise, fall = self.model.rise_n_s * dt_s, self.model.fall_n_s * dt_s
+        force = min(force + rise, wanted) if wanted > force else max(force - fall, wanted)
         self._force_n = force = self._bounded(force, held_n, moved_m / dt_s, dt_s)
         if force:
             self._from_m = at_m - force / self._stiffness

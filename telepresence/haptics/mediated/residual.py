@@ -9,7 +9,7 @@ from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.mediated.wall import Wall
 
 #: A wall takes over within this time, about as fast as the renderer lets its force grow.
-_TAKES_OVER_NS = 150 * NS_PER_MS
+_TAKES_OVER_NS = 300 * NS_PER_MS
 
 
 class Residual:

@@ -16,7 +16,7 @@ The layout is this project's own. A surface out of range is cut to the range, an
 """
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kontur_av.errors import ProtocolError
 
@@ -56,6 +56,10 @@ class Wall:
     def depth_m(self, x_m: float, y_m: float) -> float:
         """How deep the point (x_m, y_m) is in the wall; negative before it."""
         return self.inward * ((y_m if self.axis else x_m) - self.surface_m)
+
+    def moved(self, x_m: float, y_m: float) -> "Wall":
+        """Return the same wall, moved by (x_m, y_m)."""
+        return replace(self, surface_m=self.surface_m + (y_m if self.axis else x_m))
 
     def force_n(self, x_m: float, y_m: float) -> tuple[float, float]:
         """Its force (N, N) on a resting tip at (x_m, y_m)."""
