@@ -140,9 +140,13 @@ def test_the_wall_is_where_the_robot_meets_it_whatever_the_hand_pressed_at():
     pair = MediatedPair(60, SOFT_GRIP, residual=True, script=script, envelope=envelope)
     for seconds, pressed_now in ((1.0, False), (3.5, True), (1.5, False), (4.0, True)):
         pair.handle.dead_man = pressed_now
-        pair.run(seconds)
+        pair.run(0.2)
+        offset_m = envelope.offset_m[0]
+        if (wall := pair.ground.estimator.wall) is not None:
+            # It is known before the next contact.
+            assert wall.depth_m(WALL_X_M - offset_m, 0.0) == pytest.approx(0.0, abs=1e-3)
+        pair.run(seconds - 0.2)
         if pressed_now:
-            offset_m = envelope.offset_m[0]
             felt = -pair.handle.motor_x_n / (pair.handle.x_m + offset_m - WALL_X_M)
             assert abs(offset_m) > 0.01
             assert felt == pytest.approx(600.0, rel=0.05)
