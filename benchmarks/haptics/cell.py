@@ -1,8 +1,9 @@
 """One cell of the grid of `python -m benchmarks haptics`: a channel, a wall and a hand."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, fields
 from itertools import product
+from typing import Any, ClassVar
 
 from benchmarks.haptics.hands import DEFAULT_HAND, HANDS
 from kontur_av.errors import ConfigError
@@ -15,6 +16,9 @@ _LIMITS = {
     "burst": (1.0, 1000.0, "samples"),
     "blackout": (0.0, 5.0, "s"),
     "wall": (1.0, 5000.0, "N/m"),
+    "angle": (-180.0, 180.0, "degrees"),
+    "place": (15.0, 65.0, "mm"),
+    "free": (0.0, 60.0, "s"),
 }
 
 
@@ -37,13 +41,21 @@ class Cell:
     wall: float = 5000.0
     hand: str = DEFAULT_HAND
 
+    #: The words that each text may be.
+    words: ClassVar[Mapping[str, Collection[str]]] = {"hand": HANDS}
+
     def __post_init__(self) -> None:
-        for name, (least, most, unit) in _LIMITS.items():
-            value = getattr(self, name)
+        for field in fields(self):
+            name, value = field.name, getattr(self, field.name)
+            if name in self.words:
+                if value not in self.words[name]:
+                    raise ConfigError(
+                        f"cell: {name}={value} is none of {', '.join(self.words[name])}"
+                    )
+                continue
+            least, most, unit = _LIMITS[name]
             if not least <= value <= most:
                 raise ConfigError(f"cell: {name}={value:g} is out of {least:g} to {most:g} {unit}")
-        if self.hand not in HANDS:
-            raise ConfigError(f"cell: hand={self.hand} is none of {', '.join(HANDS)}")
 
     @property
     def channel(self) -> str:
@@ -63,26 +75,22 @@ class Cell:
         return f"{self.delay:g} ms, wall {self.wall / 1000:g} kN/m, {self.channel}{hand}"
 
 
-def read_cell(text: str) -> Cell:
-    """The cell of a text like `delay=100,wall=5000`; other values are the defaults of `Cell`.
+def read_cell(text: str, kind: type[Cell] = Cell) -> Cell:
+    """The cell of a text like `delay=100,wall=5000`; other values are the defaults of `kind`.
 
     ConfigError for an unknown name, no number, or a value out of range.
     """
-    known = [field.name for field in fields(Cell)]
-    values: dict[str, float] = {}
-    hand = DEFAULT_HAND
+    known = [field.name for field in fields(kind)]
+    values: dict[str, Any] = {}
     for part in text.split(","):
-        name, equals, number = part.strip().partition("=")
+        name, equals, value = part.strip().partition("=")
         if not equals or name not in known:
-            raise ConfigError(f"--cell {text}: give NAME=VALUE of {', '.join(known)}")
-        if name == "hand":
-            hand = number
-            continue
+            raise ConfigError(f"cell {text}: give NAME=VALUE of {', '.join(known)}")
         try:
-            values[name] = float(number)
+            values[name] = value if name in kind.words else float(value)
         except ValueError:
-            raise ConfigError(f"--cell {text}: {name} wants a number") from None
-    return Cell(hand=hand, **values)
+            raise ConfigError(f"cell {text}: {name} wants a number") from None
+    return kind(**values)
 
 
 #: Loss (%) and burst of the full grid: none, independent, and in bursts.

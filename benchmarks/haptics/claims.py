@@ -1,12 +1,15 @@
-"""The claims about the bilateral controller, checked against figures. A core."""
+"""The claims about the hand's controllers, checked against figures. A core."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from benchmarks.haptics.figures import STEP_N, SWING_N, CellFigures
+from benchmarks.haptics.trial_figures import TrialFigures
 
 #: Energy totals are sent in whole µJ, rounded down.
 ROUNDING_UJ = 1.0
+#: What the motors may give the hand for nothing, at each start of the joystick (mJ).
+START_MJ = 50.0
 #: Largest change of the received force at the joystick side, and of its damping.
 RISE_N_MS = STEP_N
 
@@ -78,3 +81,43 @@ def needed(without: Sequence[CellFigures]) -> Claim:
 
 def _least_uj(figures: CellFigures) -> float:
     return min(figures.least_joystick_uj, figures.least_robot_uj)
+
+
+_Bound = tuple[str, str, Callable[[TrialFigures], float], float]
+
+_EVERY_MODE: tuple[_Bound, ...] = (
+    (
+        f"on a still hand no force swings on by more than {SWING_N:g} N",
+        "N",
+        lambda f: f.swing_n or 0.0,
+        SWING_N,
+    ),
+    (f"the force changes by at most {STEP_N:g} N in 1 ms", "N", lambda f: f.step_n_ms, STEP_N),
+)
+_DELAYED_FORCE: tuple[_Bound, ...] = (
+    ("the network never makes energy", "µJ", lambda f: f.network_uj, ROUNDING_UJ),
+)
+#: A rendered wall gives back what the hand put into it, while the robot presses with as much.
+_RENDERED_WALL: tuple[_Bound, ...] = (
+    ("the robot never gets more than the hand put in", "µJ", lambda f: f.robot_uj, ROUNDING_UJ),
+    (
+        f"the motors give at most {START_MJ:g} mJ more than they took, a start",
+        "mJ",
+        lambda f: f.motors_mj / f.trial.joystick_lives,
+        START_MJ,
+    ),
+)
+
+
+def trial_claims(found: Sequence[TrialFigures]) -> list[Claim]:
+    """The claims about each mode in trials, each checked on the worst of them."""
+    made = []
+    for mode in dict.fromkeys(figures.trial.mode for figures in found):
+        rows = [figures for figures in found if figures.trial.mode == mode]
+        of_mode = _DELAYED_FORCE if mode in ("direct", "deadband") else _RENDERED_WALL
+        for text, unit, value, most in (*_EVERY_MODE, *of_mode):
+            worst = max(rows, key=value)
+            broken = sum(value(figures) > most for figures in rows)
+            found_text = f"{broken} of {len(rows)} break it; most {value(worst):.2f} {unit}"
+            made.append(Claim(f"{mode}: {text}", f"{found_text}: {worst.trial.name}", not broken))
+    return made

@@ -8,6 +8,7 @@ from statistics import median
 
 from rich.table import Table
 
+from benchmarks.haptics import trial_command
 from benchmarks.haptics.cell import Cell, full_grid, read_cell, small_grid
 from benchmarks.haptics.charts import chart
 from benchmarks.haptics.claims import Claim, claims, needed
@@ -17,6 +18,7 @@ from benchmarks.haptics.hands import HANDS
 from benchmarks.haptics.map import StabilityMap
 from benchmarks.haptics.plan import plan
 from benchmarks.haptics.run import run_cell
+from benchmarks.haptics.trial_command import claim_table, claims_headline
 from kontur_av.errors import ConfigError
 from pipelines.report.charts import check_plot, save
 from pipelines.report.report_file import check_writable, open_console, write_result
@@ -84,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "loss (%%), burst (samples), blackout (s), wall (N/m), "
         f"hand ({', '.join(HANDS)})",
     )
+    trial_command.add_arguments(parser)
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of losses and jitter")
     add_place_arguments(parser)
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
@@ -92,6 +95,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure; 1 when a claim of correctness does not hold."""
+    if args.random is not None or args.trial is not None:
+        return trial_command.run(args)
     if not 4 <= args.seconds <= 600:
         raise ConfigError(f"--seconds {args.seconds:g}: give 4 to 600")
     jobs = jobs_of(args)
@@ -119,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
     found = claims(with_)
     if not chosen:
         found.append(needed(without))
-    console.print(_claim_table(found))
+    console.print(claim_table(found))
     result = HapticsResult(
         seconds=args.seconds,
         seed=args.seed,
@@ -156,17 +161,7 @@ def _headlines(
         ):
             who, value = f"{delay:g} ms", median(values)
             headlines.append(Headline(group=group, what=what, who=who, unit=unit, value=value))
-    headlines.append(
-        Headline(
-            group="claims",
-            what="claims that hold",
-            unit="",
-            value=sum(claim.holds for claim in found),
-            target=f"all {len(found)}",
-            met=all(claim.holds for claim in found),
-        )
-    )
-    return headlines
+    return [*headlines, claims_headline(found)]
 
 
 def _clean(with_: Sequence[CellFigures]) -> dict[float, list[CellFigures]]:
@@ -307,13 +302,4 @@ def _figure_table(title: str, first: str) -> Table:
     table.add_column(first)
     for heading in _HEADINGS:
         table.add_column(heading, justify="right")
-    return table
-
-
-def _claim_table(found: Sequence[Claim]) -> Table:
-    table = Table(title="claims", title_justify="left")
-    for heading in ("claim", "found", "holds"):
-        table.add_column(heading)
-    for claim in found:
-        table.add_row(claim.text, claim.found, "yes" if claim.holds else "NO")
     return table
