@@ -95,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure; 1 when a claim of correctness does not hold."""
-    if args.random is not None or args.trial is not None:
+    if not (args.random is None and args.trial is None and args.traces is None):
         return trial_command.run(args)
     if not 4 <= args.seconds <= 600:
         raise ConfigError(f"--seconds {args.seconds:g}: give 4 to 600")

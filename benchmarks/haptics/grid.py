@@ -4,11 +4,13 @@ import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from pathlib import Path
 from typing import TypeVar
 
 from benchmarks.haptics.cell import Cell
 from benchmarks.haptics.figures import CellFigures
 from benchmarks.haptics.run import run_cell
+from benchmarks.haptics.traces import write_trace
 from benchmarks.haptics.trial import Trial
 from benchmarks.haptics.trial_figures import TrialFigures, trial_figures
 from benchmarks.haptics.trial_run import run_trial
@@ -34,9 +36,14 @@ def run_trials(
     controllers: tuple[str, str],
     jobs: int,
     cluster: Cluster | None = None,
+    traces: Path | None = None,
 ) -> Iterator[TrialFigures]:
-    """Figures of each of `trials`, as of `run_each`. controllers: see `run_trial`."""
-    yield from run_each(partial(_tried, seed=seed, controllers=controllers), trials, jobs, cluster)
+    """Figures of each of `trials`, as of `run_each`.
+
+    controllers: see `run_trial`. traces: the directory for a trace of each.
+    """
+    run = partial(_tried, seed=seed, controllers=controllers, traces=traces)
+    yield from run_each(run, trials, jobs, cluster)
 
 
 def run_each(
@@ -77,6 +84,11 @@ def _both(cell: Cell, *, seconds: float, seed: int) -> tuple[CellFigures, CellFi
     return without, with_
 
 
-def _tried(trial: Trial, *, seed: int, controllers: tuple[str, str]) -> TrialFigures:
+def _tried(
+    trial: Trial, *, seed: int, controllers: tuple[str, str], traces: Path | None
+) -> TrialFigures:
     planned, course = run_trial(trial, seed=seed, controllers=controllers)
-    return trial_figures(trial, planned, course)
+    found = trial_figures(trial, planned, course)
+    if traces is not None:
+        write_trace(traces, planned, course, found, seed=seed, controllers=controllers)
+    return found

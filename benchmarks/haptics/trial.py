@@ -60,7 +60,8 @@ class Trial(Cell):
         """The text that `--trial` takes: what differs from the defaults."""
         values = ((field, getattr(self, field.name)) for field in fields(self))
         given = [(field.name, value) for field, value in values if value != field.default]
-        return ",".join(f"{n}={v if isinstance(v, str) else f'{v:g}'}" for n, v in given)
+        texts = (f"{name}={v if isinstance(v, str) else f'{v:g}'}" for name, v in given)
+        return ",".join(texts) or "delay=0"
 
     @property
     def setting(self) -> str:

@@ -1,14 +1,17 @@
 """`python -m benchmarks haptics --random N`: trials with any wall, hand, restart and controller."""
 
 import argparse
+import os
 from collections.abc import Mapping, Sequence
 from math import isnan
+from pathlib import Path
 
 from rich.table import Table
 
 from benchmarks.haptics import grid
 from benchmarks.haptics.cell import read_cell
 from benchmarks.haptics.claims import Claim, trial_claims
+from benchmarks.haptics.traces import TRACES
 from benchmarks.haptics.trial import MODES, Trial, random_trials
 from benchmarks.haptics.trial_figures import (
     FIGURES,
@@ -43,6 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--envelope", action="store_true", help="--random with the safety envelope in the loop"
     )
+    parser.add_argument(
+        "--traces",
+        type=Path,
+        metavar="DIR",
+        help="write each trial as an MCAP file; without --trial and --random: the public set",
+    )
     for end, default in (("", "joystick"), ("robot-", "robot")):
         parser.add_argument(
             f"--{end}controller",
@@ -56,12 +65,18 @@ def run(args: argparse.Namespace) -> int:
     """Run the trials; 1 when a claim does not hold."""
     if args.random is not None and not 1 <= args.random <= 100_000:
         raise ConfigError(f"--random {args.random}: give 1 to 100000")
+    if args.traces is not None:
+        if args.cluster is not None:
+            raise ConfigError("--traces: a cluster's files stay there; leave --cluster out")
+        if not (args.traces.is_dir() and os.access(args.traces, os.W_OK)):
+            raise ConfigError(f"--traces {args.traces}: name a directory that can be written")
     jobs = jobs_of(args)
     check_writable(args.report)
     controllers = args.controller, args.robot_controller
     for name in filter(None, controllers):
         find_part(name, CONTROLLER)
-    trials = [read_trial(text) for text in args.trial or ()]
+    public = TRACES if args.traces is not None and args.random is None else ()
+    trials = [read_trial(text) for text in args.trial or public]
     trials += random_trials(
         args.random or 0,
         seed=args.seed,
@@ -73,7 +88,12 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress(len(trials), "trials")
     with cluster_of(args) as cluster:
         for figures in grid.run_trials(
-            trials, seed=args.seed, controllers=controllers, jobs=jobs, cluster=cluster
+            trials,
+            seed=args.seed,
+            controllers=controllers,
+            jobs=jobs,
+            cluster=cluster,
+            traces=args.traces,
         ):
             found.append(figures)
             progress.told(len(found))
