@@ -5,55 +5,33 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 from benchmarks.haptics.cell import Cell
-from benchmarks.haptics.figures import CellFigures
+from benchmarks.haptics.figures import CellFigures, figures
 from benchmarks.haptics.run import run_cell
 from benchmarks.haptics.traces import write_trace
-from benchmarks.haptics.trial import Trial
-from benchmarks.haptics.trial_figures import TrialFigures, trial_figures
-from benchmarks.haptics.trial_run import run_trial
 from kontur_av.errors import ConfigError
 from pipelines.virtual.campaign.figures import Crash
 from pipelines.virtual.campaign.places import Cluster
 
-_Task = TypeVar("_Task", bound=Cell)
-_Found = TypeVar("_Found")
-
 
 def run_grid(
-    cells: Sequence[Cell], *, seconds: float, seed: int, jobs: int, cluster: Cluster | None = None
-) -> Iterator[tuple[CellFigures, CellFigures]]:
-    """Figures (without, with) the controllers for each of `cells`, as of `run_each`."""
-    yield from run_each(partial(_both, seconds=seconds, seed=seed), cells, jobs, cluster)
-
-
-def run_trials(
-    trials: Sequence[Trial],
+    cells: Sequence[Cell],
     *,
     seed: int,
-    controllers: tuple[str, str],
     jobs: int,
     cluster: Cluster | None = None,
+    controllers: tuple[str, str] = ("", ""),
     traces: Path | None = None,
-) -> Iterator[TrialFigures]:
-    """Figures of each of `trials`, as of `run_each`.
+) -> Iterator[CellFigures]:
+    """Figures of each of `cells`, in order, as they are known.
 
-    controllers: see `run_trial`. traces: the directory for a trace of each.
+    controllers: see `run_cell`. traces: the directory for a trace of each.
+
+    Figures are the same for every number of `jobs` and on a cluster: the randomness of a cell
+    depends on `seed` and the cell only.
     """
-    run = partial(_tried, seed=seed, controllers=controllers, traces=traces)
-    yield from run_each(run, trials, jobs, cluster)
-
-
-def run_each(
-    run: Callable[[_Task], _Found], cells: Sequence[_Task], jobs: int, cluster: Cluster | None
-) -> Iterator[_Found]:
-    """What `run` finds in each of `cells`, in order, as it is known.
-
-    It is the same for every number of `jobs` and on a cluster: the randomness of a cell depends on
-    the seed and the cell only.
-    """
+    run = partial(_run, seed=seed, controllers=controllers, traces=traces)
     if cluster is not None:
         yield from _in_order(cluster, run, cells)
         return
@@ -65,9 +43,9 @@ def run_each(
 
 
 def _in_order(
-    cluster: Cluster, run: Callable[[_Task], _Found], cells: Sequence[_Task]
-) -> Iterator[_Found]:
-    found: dict[int, _Found] = {}
+    cluster: Cluster, run: Callable[[Cell], CellFigures], cells: Sequence[Cell]
+) -> Iterator[CellFigures]:
+    found: dict[int, CellFigures] = {}
     following = 0
     for number, result in cluster.results(run, cells):
         if isinstance(result, Crash):
@@ -78,17 +56,11 @@ def _in_order(
             following += 1
 
 
-def _both(cell: Cell, *, seconds: float, seed: int) -> tuple[CellFigures, CellFigures]:
-    without, _ = run_cell(cell, seconds=seconds, seed=seed, passive=False)
-    with_, _ = run_cell(cell, seconds=seconds, seed=seed, passive=True)
-    return without, with_
-
-
-def _tried(
-    trial: Trial, *, seed: int, controllers: tuple[str, str], traces: Path | None
-) -> TrialFigures:
-    planned, course = run_trial(trial, seed=seed, controllers=controllers)
-    found = trial_figures(trial, planned, course)
+def _run(
+    cell: Cell, *, seed: int, controllers: tuple[str, str], traces: Path | None
+) -> CellFigures:
+    planned, course = run_cell(cell, seed=seed, controllers=controllers)
+    found = figures(cell, planned, course)
     if traces is not None:
         write_trace(traces, planned, course, found, seed=seed, controllers=controllers)
     return found

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, sin, tau
 from random import Random
 
@@ -22,11 +22,11 @@ from telepresence.haptics.hand import (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BenchHand:
-    """model: muscles and mass. taps: it taps at 4 Hz instead of touching slowly.
+    """model: muscles and mass. taps: it taps at 4 Hz instead of moving freely.
 
-    The others are of trials only. depth_m: intended, behind the wall. back_s: in which it retreats.
-    tremor_n: amplitude of a tremor of 8 to 12 Hz. reflex_n_m: of a stretch reflex after 40 ms.
-    leaves: during a press its muscles go limp, or it lets go of handle and dead-man button.
+    depth_m: that it intends behind the wall. back_s: in which it retreats. tremor_n: amplitude of a
+    tremor of 8 to 12 Hz. reflex_n_m: of a stretch reflex after 40 ms. leaves: "limp", it lets its
+    muscles go while it presses; "lets go", of the handle and of the dead-man button, too.
     """
 
     model: HandModel
@@ -38,7 +38,6 @@ class BenchHand:
     leaves: str = ""
 
 
-DEFAULT_HAND = "soft"
 #: By the name in a cell's text.
 HANDS: Mapping[str, BenchHand] = {
     "loose": BenchHand(model=LOOSE_GRIP),
@@ -46,20 +45,13 @@ HANDS: Mapping[str, BenchHand] = {
     "firm": BenchHand(model=FIRM_GRIP),
     "arm-1kg": BenchHand(model=LIGHT_ARM),
     "arm-2kg": BenchHand(model=HEAVY_ARM),
-    "push": BenchHand(model=PUSH),
+    "push": BenchHand(model=replace(PUSH, push_n=6.0), depth_m=0.035),
     "taps": BenchHand(model=SOFT_GRIP, taps=True),
 }
 
-#: The hands of trials, by the name in a trial's text.
-TRIAL_HANDS: Mapping[str, BenchHand] = {
-    "loose": HANDS["loose"],
-    "soft": HANDS["soft"],
-    "firm": HANDS["firm"],
-    "heavy": HANDS["arm-2kg"],
-    "push": BenchHand(
-        model=HandModel(stiffness_n_m=1000.0, damping_n_s_m=20.0, mass_kg=0.4, push_n=6.0),
-        depth_m=0.035,
-    ),
+#: All hands: also those that no passive hand is.
+ALL_HANDS: Mapping[str, BenchHand] = {
+    **HANDS,
     "tremor": BenchHand(model=FIRM_GRIP, tremor_n=3.0),
     "lets-go": BenchHand(model=SOFT_GRIP, leaves="lets go"),
     "pulls-back": BenchHand(model=FIRM_GRIP, back_s=0.12),
@@ -71,7 +63,7 @@ _REFLEX_MS = 40
 _LIMP_N_S_M = 2.0
 
 
-class TrialHand(Hand):
+class HeldHand(Hand):
     """A hand that also does what no passive hand does.
 
     leaves: number of the waypoint, and the time into it, from which on it is limp or has let go.
