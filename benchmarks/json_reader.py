@@ -2,8 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from pipelines.report.result import Json, as_json
-
 
 class JsonReader:
     """A JSON value whose parts are read by their keys, with the type checked.
@@ -14,10 +12,6 @@ class JsonReader:
     def __init__(self, value: object, where: str = "report") -> None:
         self.value = value
         self._where = where
-
-    @property
-    def json(self) -> Json:
-        return as_json(self.value)
 
     def at(self, *keys: str) -> "JsonReader":
         """The part under `keys`, one after the other."""
@@ -44,16 +38,6 @@ class JsonReader:
     def count(self, *keys: str) -> int:
         """The whole number under `keys`."""
         return round(self.number(*keys))
-
-    def number_or_none(self, *keys: str) -> float | None:
-        """The number under `keys`; None where there is none."""
-        return self.number(*keys) if self.has(*keys) else None
-
-    def text(self, *keys: str) -> str:
-        value = self.at(*keys).value
-        if not isinstance(value, str):
-            raise ValueError(f"{self._where}.{'.'.join(keys)}: {value!r} is no text")
-        return value
 
     def items(self, *keys: str) -> Iterator[tuple[str, "JsonReader"]]:
         """Names and parts of the object under `keys`."""

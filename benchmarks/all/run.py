@@ -1,15 +1,15 @@
 """One run of `benchmarks all`: a bench in a process of its own, and what is kept of it."""
 
-import json
 import subprocess
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import msgspec
+
 from benchmarks.all.plan import Measurement
-from benchmarks.all.records import Record, read_headlines
-from benchmarks.json_reader import JsonReader
+from benchmarks.all.records import Record, Report
 from benchmarks.machine import this_machine
 from pipelines.session.children import end_all, ended_alike
 
@@ -42,9 +42,8 @@ def measure(measurement: Measurement, number: int, code: str) -> Record:
         words = output.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         last = words[-1].strip() if words else f"ended with {exit_code}"
         try:
-            report = JsonReader(json.loads(report_file.read_text(encoding="utf-8")))
-            headlines = tuple(read_headlines(report))
-        except (OSError, ValueError):
+            headlines = msgspec.json.decode(report_file.read_bytes(), type=Report).headlines
+        except (OSError, msgspec.MsgspecError):
             headlines, exit_code = (), exit_code or 1
     return Record(
         name=measurement.name,

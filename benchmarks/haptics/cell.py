@@ -1,11 +1,21 @@
-"""One cell of the grid of `python -m benchmarks haptics`: a channel, a wall and a hand."""
+"""One cell of the grids of `python -m benchmarks haptics`: channel, wall, hand and events."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from itertools import product
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from math import cos, radians, sin
+from pathlib import Path
+from random import Random
+from typing import Any, ClassVar
 
-from benchmarks.haptics.hands import DEFAULT_HAND, HANDS
+from benchmarks.haptics.hands import ALL_HANDS, BenchHand
 from kontur_av.errors import ConfigError
+
+#: A mode is a keyword of both sides, besides `direct` and `deadband`.
+MODES = ("direct", "deadband", "mediated")
+#: Round trips (ms) by which random cells are drawn, and cells are grouped.
+BANDS = ((0, 60), (60, 150), (150, 300), (300, 500), (500, 800))
+BAND_NAMES = (*(f"{low}-{high} ms" for low, high in BANDS), "over 800 ms")
+_ENDS = ("none", "joystick", "robot", "both")
 
 #: The names in a cell's text, with least and largest value and the unit.
 _LIMITS = {
@@ -15,18 +25,26 @@ _LIMITS = {
     "burst": (1.0, 1000.0, "samples"),
     "blackout": (0.0, 5.0, "s"),
     "wall": (1.0, 5000.0, "N/m"),
+    "angle": (-180.0, 180.0, "degrees"),
+    "place": (15.0, 65.0, "mm"),
+    "free": (0.0, 60.0, "s"),
 }
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cell:
-    """The channel between hand and wall, the wall, and the hand.
+    """The channel between hand and wall, the wall, the hand, and what happens.
 
     delay: of the round trip (ms), half of it each way. jitter: largest random addition to the delay
     of a sample (ms, uniform), so samples overtake each other. loss: of samples each way (%), in
     bursts of `burst` samples on average (1: independent). blackout: length (s) of each of three
-    outages, of both ways, of the commands alone and of the feedback alone; 0: none. wall: its
-    stiffness (N/m). hand: one of `HANDS`.
+    outages, of both ways, of the commands alone and of the feedback alone; 0: none.
+
+    wall: its stiffness (N/m). angle: of the direction in which the tip meets it (degrees; 0: along
+    x). place: its distance from the middle (mm). hand: one of `ALL_HANDS`. free: free motion before
+    the first press (s). restart: the end that begins a new life, at `contact`, in the second press,
+    or `free`, before it. mode: of the hand. envelope: the safety envelope is in the loop and asks
+    for presses. passive: `off` leaves the passivity controllers out.
     """
 
     delay: float = 0.0
@@ -35,32 +53,66 @@ class Cell:
     burst: float = 1.0
     blackout: float = 0.0
     wall: float = 5000.0
-    hand: str = DEFAULT_HAND
+    angle: float = 0.0
+    place: float = 60.0
+    hand: str = "soft"
+    free: float = 0.0
+    restart: str = "none"
+    at: str = "contact"
+    mode: str = "direct"
+    envelope: str = "off"
+    passive: str = "on"
+
+    #: The words that each text may be.
+    words: ClassVar[Mapping[str, Collection[str]]] = {
+        "hand": ALL_HANDS,
+        "restart": _ENDS,
+        "at": ("contact", "free"),
+        "mode": MODES,
+        "envelope": ("off", "on"),
+        "passive": ("on", "off"),
+    }
 
     def __post_init__(self) -> None:
-        for name, (least, most, unit) in _LIMITS.items():
-            value = getattr(self, name)
-            if not least <= value <= most:
+        for field in fields(self):
+            name, value = field.name, getattr(self, field.name)
+            least, most, unit = _LIMITS.get(name, (0.0, 0.0, ""))
+            if name in self.words:
+                if value not in (words := self.words[name]):
+                    raise ConfigError(f"cell: {name}={value} is none of {', '.join(words)}")
+            elif not least <= value <= most:
                 raise ConfigError(f"cell: {name}={value:g} is out of {least:g} to {most:g} {unit}")
-        if self.hand not in HANDS:
-            raise ConfigError(f"cell: hand={self.hand} is none of {', '.join(HANDS)}")
-
-    @property
-    def channel(self) -> str:
-        """The cell without its delay, its wall and its hand, for tables."""
-        parts = [f"jitter {self.jitter:g} ms"] if self.jitter else []
-        if self.loss:
-            bursts = f" in bursts of {self.burst:g}" if self.burst > 1 else ""
-            parts.append(f"loss {self.loss:g} %{bursts}")
-        if self.blackout:
-            parts.append(f"blackouts {self.blackout:g} s")
-        return ", ".join(parts) or "clean"
 
     @property
     def name(self) -> str:
-        """The cell, for tables and charts."""
-        hand = "" if self.hand == DEFAULT_HAND else f", {self.hand}"
-        return f"{self.delay:g} ms, wall {self.wall / 1000:g} kN/m, {self.channel}{hand}"
+        """The text that `--cell` takes: delay, wall and what differs from the defaults."""
+        told = [(field.name, getattr(self, field.name), field.default) for field in fields(self)]
+        told = [each for each in told if each[1] != each[2] or each[0] in ("delay", "wall")]
+        return ",".join(f"{n}={v if isinstance(v, str) else f'{v:g}'}" for n, v, _ in told)
+
+    @property
+    def setting(self) -> str:
+        """The name without mode and controllers: their channels and hands are alike."""
+        return replace(self, mode="direct", passive="on").name
+
+    @property
+    def who(self) -> str:
+        """Its controllers, for tables."""
+        return self.mode if self.passive == "on" else f"{self.mode}, without controllers"
+
+    @property
+    def band(self) -> str:
+        """The band of its round trip, for tables."""
+        return BAND_NAMES[sum(self.delay > high for _, high in BANDS)]
+
+    @property
+    def normal(self) -> tuple[float, float]:
+        """The direction in which the tip meets the wall."""
+        return cos(radians(self.angle)), sin(radians(self.angle))
+
+    @property
+    def bench_hand(self) -> BenchHand:
+        return ALL_HANDS[self.hand]
 
 
 def read_cell(text: str) -> Cell:
@@ -69,70 +121,42 @@ def read_cell(text: str) -> Cell:
     ConfigError for an unknown name, no number, or a value out of range.
     """
     known = [field.name for field in fields(Cell)]
-    values: dict[str, float] = {}
-    hand = DEFAULT_HAND
+    values: dict[str, Any] = {}
     for part in text.split(","):
-        name, equals, number = part.strip().partition("=")
+        name, equals, value = part.strip().partition("=")
         if not equals or name not in known:
             raise ConfigError(f"--cell {text}: give NAME=VALUE of {', '.join(known)}")
-        if name == "hand":
-            hand = number
-            continue
         try:
-            values[name] = float(number)
+            values[name] = value if name in Cell.words else float(value)
         except ValueError:
             raise ConfigError(f"--cell {text}: {name} wants a number") from None
-    return Cell(hand=hand, **values)
+    return Cell(**values)
 
 
-#: Loss (%) and burst of the full grid: none, independent, and in bursts.
-_LOSSES = ((0.0, 1.0), (10.0, 1.0), (30.0, 1.0), (30.0, 10.0))
-_JITTERS = (0.0, 10.0, 50.0)
-_BLACKOUTS = (0.0, 0.5, 5.0)
+def kept_cells(name: str) -> list[Cell]:
+    """The cells of a file of texts in this folder."""
+    texts = (Path(__file__).parent / name).read_text(encoding="utf-8").split()
+    return [read_cell(text) for text in texts]
 
 
-def small_grid() -> Iterator[Cell]:
-    """The corners and a middle with the default hand, and three channels with each other: 54."""
-    for delay, wall in product((0.0, 50.0, 250.0, 1000.0), (500.0, 1500.0, 5000.0)):
-        yield Cell(delay=delay, wall=wall)
-        yield Cell(delay=delay, wall=wall, jitter=50.0, loss=30.0)
-        yield Cell(delay=delay, wall=wall, jitter=50.0, loss=30.0, burst=10.0, blackout=5.0)
-    for hand in HANDS:
-        if hand != DEFAULT_HAND:
-            yield Cell(delay=50.0, wall=5000.0, hand=hand)
-            yield Cell(delay=250.0, wall=1500.0, hand=hand)
-            yield Cell(delay=50.0, wall=5000.0, loss=30.0, burst=10.0, hand=hand)
-
-
-_DELAYS = (0.0, 20.0, 50.0, 100.0, 300.0, 1000.0)
-_WALLS = (500.0, 1500.0, 5000.0)
-
-
-def full_grid() -> Iterator[Cell]:
-    """Every hand on a clean channel, then every other channel with the hands in turn: 756 cells.
-
-    The hands turn so that each meets each value of each axis about equally often. With every hand
-    in every cell it would be 4536.
-    """
-    for delay, wall, hand in product(_DELAYS, _WALLS, HANDS):
-        yield Cell(delay=delay, wall=wall, hand=hand)
-    hands = tuple(HANDS)
-    for (a, delay), (b, wall), (c, jitter), (d, (loss, burst)), (e, blackout) in product(
-        enumerate(_DELAYS),
-        enumerate(_WALLS),
-        enumerate(_JITTERS),
-        enumerate(_LOSSES),
-        enumerate(_BLACKOUTS),
-    ):
-        if not (jitter or loss or blackout):
-            continue
+def random_cells(number: int, *, seed: int) -> Iterator[Cell]:
+    """`number` cells in direct mode, drawn from `seed` alone."""
+    for each in range(number):
+        random = Random(f"{seed} {each}")
+        low, high = BANDS[each % len(BANDS)]
+        loss = round(random.choice((0.0, random.uniform(0.0, 20.0))))
+        burst = random.choice((1, 1, random.randint(2, 20)))
         yield Cell(
-            delay=delay,
-            wall=wall,
-            jitter=jitter,
+            delay=round(random.uniform(low, high)),
+            jitter=round(random.choice((0.0, random.uniform(0.0, 50.0)))),
             loss=loss,
-            burst=burst,
-            blackout=blackout,
-            # Another factor for each axis, so that no axis decides the hand.
-            hand=hands[(a + 2 * b + 3 * c + 4 * d + 5 * e) % len(hands)],
+            burst=burst if loss else 1,
+            blackout=random.choice((0.0, 0.0, 0.0, round(random.uniform(0.2, 3.0), 1))),
+            wall=float(f"{50.0 * 40.0 ** random.random():.2g}"),
+            angle=random.choice((-90, 0, 90, 180, *(random.randint(-179, 180) for _ in range(8)))),
+            place=random.randint(15, 65),
+            hand=random.choice(tuple(ALL_HANDS)),
+            free=random.choice((0.0, 3.0)),
+            restart=random.choice(("none", *_ENDS)),
+            at=random.choice(("contact", "free")),
         )

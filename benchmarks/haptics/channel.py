@@ -12,6 +12,8 @@ class SampleChannel:
     of lost datagrams, 0 to below 1, in bursts of `burst` on average (Gilbert's model of two states,
     E. N. Gilbert, Bell Syst. Tech. J. 39, 1960); 1: independent. dark: (begin, end) in ns of
     outages, which lose every datagram.
+
+    handed_over, lost: datagrams so far. delay_now_ns: of the newest that arrived.
     """
 
     def __init__(
@@ -25,7 +27,7 @@ class SampleChannel:
         dark: Sequence[tuple[int, int]] = (),
     ) -> None:
         self.handed_over = 0
-        self.lost = 0
+        self.lost = self.delay_now_ns = 0
         self._random = Random(seed)
         self._delay_ns, self._jitter_ns = delay_ns, jitter_ns
         # Probabilities to stay in a burst and to enter one, from loss and length of a burst.
@@ -33,7 +35,7 @@ class SampleChannel:
         self._enter = (1.0 - self._stay) * loss / (1.0 - loss)
         self._bad = False
         self._dark = tuple(dark)
-        self._under_way: list[tuple[int, int, bytes]] = []
+        self._under_way: list[tuple[int, int, int, bytes]] = []
 
     def handle_datagram(self, data: bytes, now_ns: int) -> None:
         """`data` is sent now."""
@@ -44,7 +46,8 @@ class SampleChannel:
             self.lost += 1
             return
         late_ns = round(self._random.random() * self._jitter_ns) if self._jitter_ns else 0
-        heappush(self._under_way, (now_ns + self._delay_ns + late_ns, self.handed_over, data))
+        arrives_ns = now_ns + self._delay_ns + late_ns
+        heappush(self._under_way, (arrives_ns, self.handed_over, now_ns, data))
 
     def poll_timeout(self) -> int | None:
         """When the next datagram arrives (ns), or None."""
@@ -53,5 +56,7 @@ class SampleChannel:
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """The next datagram that has arrived by now, or None."""
         if self._under_way and self._under_way[0][0] <= now_ns:
-            return heappop(self._under_way)[2]
+            _, _, sent_ns, data = heappop(self._under_way)
+            self.delay_now_ns = now_ns - sent_ns
+            return data
         return None

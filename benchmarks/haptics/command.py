@@ -1,319 +1,196 @@
-"""`python -m benchmarks haptics`: stability and passivity of the hand over a grid of radios."""
+"""`python -m benchmarks haptics`: stability, passivity and feel of the hand over grids of cells."""
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import isnan
 from pathlib import Path
 from statistics import median
 
 from rich.table import Table
 
-from benchmarks.haptics.cell import Cell, full_grid, read_cell, small_grid
-from benchmarks.haptics.charts import chart
+from benchmarks.haptics.cell import MODES, Cell, kept_cells, random_cells, read_cell
 from benchmarks.haptics.claims import Claim, claims, needed
-from benchmarks.haptics.figures import CellFigures
+from benchmarks.haptics.figures import SUMMED, CellFigures
 from benchmarks.haptics.grid import run_grid
-from benchmarks.haptics.hands import HANDS
-from benchmarks.haptics.map import StabilityMap
-from benchmarks.haptics.plan import plan
-from benchmarks.haptics.run import run_cell
+from benchmarks.haptics.run import CONTROLLER
+from benchmarks.haptics.summary import Summary, summaries
 from kontur_av.errors import ConfigError
-from pipelines.report.charts import check_plot, save
+from kontur_av.parts import find_part
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json
 from pipelines.virtual.campaign.places import add_place_arguments, cluster_of, jobs_of
 from pipelines.virtual.campaign.sessions import Progress
 
-_GRIDS = {"small": small_grid, "full": full_grid}
-#: The courses that are drawn for a grid: a contact that the delay alone makes unstable, and the
-#: worst radio of the grid.
-_DRAWN = (
-    Cell(delay=100.0, wall=5000.0),
-    Cell(delay=250.0, jitter=50.0, loss=30.0, burst=10.0, blackout=5.0, wall=5000.0),
-)
-_WITHOUT, _WITH = "without the passivity controllers", "with the passivity controllers"
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `python -m benchmarks haptics`."""
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--grid", choices=["small"], help="of 54 cells (default)")
+    which.add_argument("--random", type=int, metavar="N", help="N cells drawn from --seed")
+    which.add_argument(
+        "--cell",
+        action="append",
+        metavar="NAME=VALUE,...",
+        help="this cell, and again; the tables name cells so, and `Cell` in benchmarks/haptics "
+        "explains the names",
+    )
+    parser.add_argument(
+        "--mode",
+        action="append",
+        choices=MODES,
+        help="of the hand, and again; not with --cell (default: direct)",
+    )
+    parser.add_argument("--envelope", action="store_true", help="safety envelope; not with --cell")
+    for option, end in (("controller", "joystick"), ("robot-controller", "robot")):
+        parser.add_argument(
+            f"--{option}",
+            default="",
+            metavar="module:Class",
+            help=f"the controller at the {end} in place of the mode's",
+        )
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of all that is random")
+    parser.add_argument(
+        "--traces",
+        type=Path,
+        metavar="DIR",
+        help="write each run as an MCAP file; without a grid and cells: the public set",
+    )
+    add_place_arguments(parser)
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HapticsResult:
-    """without, with_: figures of the cells without and with the controllers, in one order."""
+def run(args: argparse.Namespace) -> int:
+    """Measure; 1 when a claim of correctness does not hold."""
+    if args.random is not None and not 1 <= args.random <= 100_000:
+        raise ConfigError(f"--random {args.random}: give 1 to 100000")
+    if args.traces is not None and args.cluster is not None:
+        raise ConfigError("--traces: the files of a cluster stay there; leave --cluster out")
+    if args.traces is not None and not os.access(args.traces, os.W_OK | os.X_OK):
+        raise ConfigError(f"--traces {args.traces}: name a directory that can be written")
+    jobs = jobs_of(args)
+    check_writable(args.report)
+    controllers = args.controller, args.robot_controller
+    for name in filter(None, controllers):
+        find_part(name, CONTROLLER)
+    cells = _cells(args)
+    console = open_console(args)
+    found: list[CellFigures] = []
+    progress = Progress(len(cells), "cells")
+    with cluster_of(args) as cluster:
+        for figures in run_grid(
+            cells,
+            seed=args.seed,
+            jobs=jobs,
+            cluster=cluster,
+            controllers=controllers,
+            traces=args.traces,
+        ):
+            found.append(figures)
+            progress.told(len(found))
+    over = list(summaries(found))
+    for who in dict.fromkeys(cell.who for cell in cells):
+        rows = [each for each in over if each.who == who]
+        for grouping in ("band", "hand"):
+            console.print(_group_table([e for e in rows if e.grouping in ("all", grouping)]))
+        console.print(_worst_table([each for each in rows if each.grouping == "all"]))
+    checked = claims(found)
+    without = [figures for figures in found if figures.cell.passive == "off"]
+    if without:
+        checked.append(needed(without))
+    console.print(_claim_table(checked))
+    result: Mapping[str, Json] = {
+        "seed": args.seed,
+        "controllers": list(controllers),
+        "claims": as_json(checked),
+        "summaries": as_json(over),
+        "cells": [_row(figures) for figures in found],
+    }
+    write_result(args.report, result, _headlines(found, checked))
+    return 0 if all(claim.holds for claim in checked) else 1
 
-    seconds: float
-    seed: int
-    cells: int
-    claims: Sequence[Claim]
-    without: Sequence[CellFigures]
-    with_: Sequence[CellFigures]
 
-    @property
-    def json(self) -> dict[str, Json]:
-        """Each row says also whether its cell is unstable."""
-        return {
-            "seconds": self.seconds,
-            "seed": self.seed,
-            "cells": self.cells,
-            "claims": as_json(self.claims),
-            "without": [_row(figures) for figures in self.without],
-            "with": [_row(figures) for figures in self.with_],
-        }
+def _cells(args: argparse.Namespace) -> list[Cell]:
+    """The cells that the options choose; those of a grid also without the controllers."""
+    if args.cell is not None:
+        return [read_cell(text) for text in args.cell]
+    if args.random is not None:
+        base = list(random_cells(args.random, seed=args.seed))
+    elif args.traces is not None and args.grid is None:
+        return kept_cells("traces.txt")
+    else:
+        small = kept_cells("small.txt")
+        base = [replace(cell, passive=passive) for passive in ("off", "on") for cell in small]
+    envelope, modes = "on" if args.envelope else "off", args.mode or ["direct"]
+    return [replace(cell, mode=mode, envelope=envelope) for mode in modes for cell in base]
 
 
 def _row(figures: CellFigures) -> Json:
     row = as_json(figures)
     assert isinstance(row, dict)
-    return row | {"unstable": figures.unstable}
+    return {"name": figures.cell.name, **row, "unstable": figures.unstable}
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options of `python -m benchmarks haptics`."""
-    parser.add_argument(
-        "--seconds",
-        type=float,
-        default=10.0,
-        metavar="S",
-        help="of each run, more where delay and blackouts need it (default 10)",
-    )
-    parser.add_argument(
-        "--grid", choices=sorted(_GRIDS), default="small", help="of 54 or 756 cells"
-    )
-    parser.add_argument(
-        "--cell",
-        action="append",
-        metavar="NAME=VALUE,...",
-        help="this cell instead of a grid, and again: of delay (ms, round trip), jitter (ms), "
-        "loss (%%), burst (samples), blackout (s), wall (N/m), "
-        f"hand ({', '.join(HANDS)})",
-    )
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of losses and jitter")
-    add_place_arguments(parser)
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw courses and the map as PNG")
-
-
-def run(args: argparse.Namespace) -> int:
-    """Measure; 1 when a claim of correctness does not hold."""
-    if not 4 <= args.seconds <= 600:
-        raise ConfigError(f"--seconds {args.seconds:g}: give 4 to 600")
-    jobs = jobs_of(args)
-    check_writable(args.report)
-    check_plot(args.plot)
-    chosen = [read_cell(text) for text in args.cell or ()]
-    cells = chosen or list(_GRIDS[args.grid]())
-    console = open_console(args)
-    without, with_ = [], []
-    progress = Progress(len(cells), "cells")
-    with cluster_of(args) as cluster:
-        pairs = run_grid(cells, seconds=args.seconds, seed=args.seed, jobs=jobs, cluster=cluster)
-        for pair in pairs:
-            without.append(pair[0])
-            with_.append(pair[1])
-            progress.told(len(without))
-    if chosen:
-        console.print(_cell_table(without, with_))
-    else:
-        console.print(_map_table(_WITHOUT, StabilityMap(without)))
-        console.print(_map_table(_WITH, StabilityMap(with_)))
-        console.print(_channel_table(with_))
-        console.print(_hand_table(without, with_))
-        console.print(_felt_table(with_))
-    found = claims(with_)
-    if not chosen:
-        found.append(needed(without))
-    console.print(_claim_table(found))
-    result = HapticsResult(
-        seconds=args.seconds,
-        seed=args.seed,
-        cells=len(without),
-        claims=found,
-        without=without,
-        with_=with_,
-    )
-    write_result(args.report, result.json, _headlines(without, with_, found))
-    if args.plot is not None:
-        _plot(args, chosen, without, with_)
-    return 0 if all(claim.holds for claim in found) else 1
-
-
-def _headlines(
-    without: Sequence[CellFigures], with_: Sequence[CellFigures], found: Sequence[Claim]
-) -> list[Headline]:
-    both = (("without controllers", without), ("with controllers", with_))
-    headlines = [Headline(what="cells", who=who, unit="", value=len(of)) for who, of in both]
-    for who, of in both:
+def _headlines(found: Sequence[CellFigures], checked: Sequence[Claim]) -> list[Headline]:
+    headlines = []
+    for who in dict.fromkeys(figures.cell.who for figures in found):
+        of = [figures for figures in found if figures.cell.who == who]
         for what, unit, value in (
+            ("cells", "", len(of)),
             ("unstable cells", "", sum(f.unstable for f in of)),
-            ("energy made, largest", "µJ", max(f.given_uj for f in of)),
+            ("energy made, largest", "µJ", max(f.network_uj for f in of)),
             ("contact force, largest", "N", max(f.contact_peak_n for f in of)),
-            ("growth of the force on the hand, largest", "N/ms", max(f.rise_n_ms for f in of)),
-            ("fall of the force on the hand, largest", "N/ms", max(f.drop_n_ms for f in of)),
+            ("change of the force on the hand, largest", "N/ms", max(f.step_n_ms for f in of)),
+            ("felt stiffness over the ideal, first press", "%", median(f.felt_first for f in of)),
+            ("felt stiffness over the ideal, last press", "%", median(f.felt_last for f in of)),
         ):
             headlines.append(Headline(what=what, who=who, unit=unit, value=value))
-    group = "clean channel: median of walls and hands"
-    for delay, rows in _clean(with_).items():
-        for what, unit, values in (
-            ("felt stiffness over the ideal", "%", [100.0 * f.felt for f in rows]),
-            ("drag of a free hand", "N s/m", [f.drag_n_s_m for f in rows]),
-        ):
-            who, value = f"{delay:g} ms", median(values)
-            headlines.append(Headline(group=group, what=what, who=who, unit=unit, value=value))
+    holding = sum(claim.holds for claim in checked)
     headlines.append(
         Headline(
             group="claims",
             what="claims that hold",
             unit="",
-            value=sum(claim.holds for claim in found),
-            target=f"all {len(found)}",
-            met=all(claim.holds for claim in found),
+            value=holding,
+            target=f"all {len(checked)}",
+            met=holding == len(checked),
         )
     )
     return headlines
 
 
-def _clean(with_: Sequence[CellFigures]) -> dict[float, list[CellFigures]]:
-    """The rows of a clean channel by delay."""
-    rows = [f for f in with_ if f.cell.channel == "clean"]
-    return {
-        delay: [f for f in rows if f.cell.delay == delay]
-        for delay in sorted({f.cell.delay for f in rows})
-    }
+def _number(value: float) -> str:
+    return "–" if isnan(value) else f"{value:.0f}" if abs(value) >= 10 else f"{round(value, 2):g}"
 
 
-def _plot(
-    args: argparse.Namespace,
-    chosen: Sequence[Cell],
-    without: Sequence[CellFigures],
-    with_: Sequence[CellFigures],
-) -> None:
-    courses = []
-    for cell in chosen or _DRAWN:
-        traces = [
-            run_cell(cell, seconds=args.seconds, seed=args.seed, passive=passive)[1]
-            for passive in (False, True)
-        ]
-        courses.append((cell, plan(cell, args.seconds), traces[0], traces[1]))
-    maps = [] if chosen else [(_WITHOUT, StabilityMap(without)), (_WITH, StabilityMap(with_))]
-    save(chart(courses, maps), args.plot)
-
-
-def _map_table(title: str, found: StabilityMap) -> Table:
-    table = Table(
-        title=f"{title}: unstable cells, of all; largest contact force (N)",
-        title_justify="left",
-    )
-    table.add_column("wall")
-    for delay in found.delays:
-        table.add_column(f"{delay:g} ms", justify="right")
-    for wall in found.walls:
-        texts = []
-        for delay in found.delays:
-            unstable, cells = found.unstable(wall, delay)
-            texts.append(f"{unstable} of {cells}; {found.peak_n(wall, delay):.1f}")
-        table.add_row(f"{wall / 1000:g} kN/m", *texts)
+def _group_table(over: Sequence[Summary]) -> Table:
+    """The groups of one grouping side by side."""
+    table = Table(title=f"{over[0].who}: median; worst", title_justify="left")
+    table.add_column("")
+    for group, cells in dict.fromkeys((each.group, each.cells) for each in over):
+        table.add_column(f"{group} ({cells})", justify="right")
+    for figure, (name, unit, _) in SUMMED.items():
+        of = [each for each in over if each.figure == figure]
+        texts = (f"{_number(each.median)}; {_number(each.worst)}" for each in of)
+        table.add_row(f"{name}, {unit}".strip(", "), *texts)
     return table
 
 
-_HEADINGS = (
-    *("least energy µJ", "given µJ", "contact N", "handle N"),
-    *("swing N", "felt %", "step N/ms", "drift mm", "touches"),
-)
-
-
-def _channel_table(with_: Sequence[CellFigures]) -> Table:
-    """The worst figure of each channel, over all delays and walls."""
-    table = _figure_table(f"{_WITH}, by channel: the worst of all delays and walls", "channel")
-    for channel in dict.fromkeys(figures.cell.channel for figures in with_):
-        rows = [figures for figures in with_ if figures.cell.channel == channel]
-        table.add_row(
-            channel,
-            f"{min(min(f.least_joystick_uj, f.least_robot_uj) for f in rows):.1f}",
-            f"{max(f.given_uj for f in rows):.1f}",
-            f"{max(f.contact_peak_n for f in rows):.1f}",
-            f"{max(f.displayed_peak_n for f in rows):.1f}",
-            f"{max(f.swing_n for f in rows):.2f}",
-            f"{100 * min(f.felt for f in rows):.0f}",
-            f"{max(max(f.rise_n_ms, f.drop_n_ms) for f in rows):.2f}",
-            f"{max(f.drift_mm for f in rows):.1f}",
-            str(min(f.touches for f in rows)),
-        )
-    return table
-
-
-def _hand_table(without: Sequence[CellFigures], with_: Sequence[CellFigures]) -> Table:
-    """What each hand does, over all its cells."""
-    table = Table(title=f"by hand, {_WITH}", title_justify="left")
-    headings = ("swing on", "without", "swing N", "cells with drops", "drop N/ms", "rise N/ms")
-    for heading in ("hand", *headings):
-        table.add_column(heading, justify="left" if heading == "hand" else "right")
-    for hand in HANDS:
-        rows = [f for f in with_ if f.cell.hand == hand]
-        if rows:
-            table.add_row(
-                hand,
-                f"{sum(f.unstable for f in rows)} of {len(rows)}",
-                str(sum(f.unstable for f in without if f.cell.hand == hand)),
-                f"{max(f.swing_n for f in rows):.2f}",
-                str(sum(f.drops > 0 for f in rows)),
-                f"{max(f.drop_n_ms for f in rows):.2f}",
-                f"{max(f.rise_n_ms for f in rows):.2f}",
-            )
-    return table
-
-
-def _felt_table(with_: Sequence[CellFigures]) -> Table:
-    """The stiffness that each hand feels on a clean channel, by delay: median of the walls."""
-    by_delay = _clean(with_)
-    table = Table(
-        title="clean channel: felt stiffness over the ideal (%), drag (N s/m); median of the walls",
-        title_justify="left",
-    )
-    table.add_column("hand")
-    for delay in by_delay:
-        table.add_column(f"{delay:g} ms", justify="right")
-    for hand in HANDS:
-        texts = []
-        for rows in by_delay.values():
-            found = [f for f in rows if f.cell.hand == hand]
-            if found:
-                felt, drag = median(f.felt for f in found), median(f.drag_n_s_m for f in found)
-                texts.append(f"{100 * felt:.0f}; {drag:.1f}")
-            else:
-                texts.append("")
-        table.add_row(hand, *texts)
-    return table
-
-
-def _cell_table(without: Sequence[CellFigures], with_: Sequence[CellFigures]) -> Table:
-    table = _figure_table("each cell without and with the passivity controllers", "cell")
-    for pair in zip(without, with_, strict=True):
-        for figures in pair:
-            name = f"{figures.cell.name}, {'with' if figures.passive else 'without'}"
-            table.add_row(
-                f"{name}{': UNSTABLE' if figures.unstable else ''}",
-                f"{min(figures.least_joystick_uj, figures.least_robot_uj):.1f}",
-                f"{figures.given_uj:.1f}",
-                f"{figures.contact_peak_n:.1f}",
-                f"{figures.displayed_peak_n:.1f}",
-                f"{figures.swing_n:.2f}",
-                f"{100 * figures.felt:.0f}",
-                f"{max(figures.rise_n_ms, figures.drop_n_ms):.2f}",
-                f"{figures.drift_mm:.1f}",
-                str(figures.touches),
-            )
-    return table
-
-
-def _figure_table(title: str, first: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column(first)
-    for heading in _HEADINGS:
-        table.add_column(heading, justify="right")
+def _worst_table(over: Sequence[Summary]) -> Table:
+    table = Table(title=f"{over[0].who}: the worst of all", title_justify="left")
+    for heading in ("figure", "worst", "--cell"):
+        table.add_column(heading, overflow="fold")
+    for each in over:
+        name, unit, _ = SUMMED[each.figure]
+        table.add_row(name, f"{_number(each.worst)} {unit}", each.worst_cell)
     return table
 
 
 def _claim_table(found: Sequence[Claim]) -> Table:
     table = Table(title="claims", title_justify="left")
     for heading in ("claim", "found", "holds"):
-        table.add_column(heading)
+        table.add_column(heading, overflow="fold")
     for claim in found:
         table.add_row(claim.text, claim.found, "yes" if claim.holds else "NO")
     return table

@@ -1,5 +1,9 @@
-"""The figures of one run of a cell, from the motion and forces of its plants. A core."""
+"""The figures of one run of a cell, all from motions and forces outside the controllers. A core.
 
+Only the least observed energy is the controllers' own.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import sqrt
 
@@ -7,158 +11,198 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.haptics.cell import Cell
-from benchmarks.haptics.plan import DEPTH_M, CellPlan
-from telepresence.haptics.board import WALL_X_M
+from benchmarks.haptics.plan import FELT_AFTER_S, FIRST, LAST, REST, START, CellPlan
+from benchmarks.haptics.run import Course
 from telepresence.haptics.robot import RobotModel
 from telepresence.haptics.robot_controller import RobotControllerModel
 
 #: A hand that keeps still on a wall feels a constant force. A swing above this (N, peak to peak)
-#: that does not fade is an oscillation. It is a quarter of the force on the softest wall of the
-#: grids; an unstable loop swings by all of that force.
+#: that does not fade is an oscillation; an unstable loop swings by all of the force.
 SWING_N = 2.0
-#: A swing fades if it is less than this share of the middle third in the last third of the hold.
+#: A swing fades if it is less than this share of the middle third in the last third of a hold.
 FADES = 0.7
-
+#: The largest change of the force on the hand in 1 ms that counts as smooth (N).
+STEP_N = 1.1
+#: Felt stiffness is a mean over so long (ms).
+_MEAN_MS = 250
+_FELT_MS = round(1000 * FELT_AFTER_S) + _MEAN_MS // 2
 #: A smaller penetration (m) counts as this one, so that no stiffness is infinite.
 _LEAST_M = 1e-4
 #: Slower than this (m/s) a hand feels no drag.
 _MOVES_M_S = 0.05
-#: The largest change of the force on the hand in 1 ms that counts as smooth (N).
-STEP_N = 1.1
 
 Values = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Trace:
-    """A run, one value a millisecond. Positions in m, forces in N, energies in J.
-
-    handle, tip: (n, 2), positions of the joystick's handle and of the robot's tip. displayed,
-    drive: (n, 2), the forces of the network on the handle and on the tip. contact_n: force of the
-    wall. joystick_observed_j, robot_observed_j: energy by the passivity observers.
-    joystick_given_j, robot_given_j: net energy that the network has given out at its ends, from
-    force and displacement of handle and tip, without the observers. damping_n_s_m: of the
-    controller at the joystick.
-    """
-
-    handle: Values
-    tip: Values
-    displayed: Values
-    drive: Values
-    contact_n: Values
-    joystick_observed_j: Values
-    robot_observed_j: Values
-    joystick_given_j: Values
-    robot_given_j: Values
-    damping_n_s_m: Values
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CellFigures:
-    """Energies in µJ, forces in N, force changes in N/ms, positions in mm.
+    """None: not in this cell.
 
-    least_joystick_uj, least_robot_uj: least energy by the observers; below 0, the port gave out
-    more than the other port had taken in. given_uj: the most net energy that the network had given
-    out at any instant; above 0, it made energy. contact_peak_n, displayed_peak_n: the largest
-    forces of the wall and on the handle; contact_bound_n: see the function of that name. swing_n,
-    middle_swing_n: peak to peak of both forces in the last and in the middle third of the hold.
-    felt_n_m: mean force on the handle over the handle's penetration of the wall, in the last third.
-    ideal_n_m: the same for a coupling without delay, its spring and the wall in series. drag_n_s_m:
-    mean damping while the hand moves and the tip is free. rise_n_ms, drop_n_ms: the largest growth
-    and fall of the force on the handle from one cycle to the next. drops: falls by more than
-    `STEP_N`. drift_mm: distance of handle and tip at the end, at rest and free. touches: number of
-    contacts.
-    acted_joystick, acted_robot: cycles in which a passivity controller dissipated energy.
+    least_uj: least energy by the observers; below 0, a port gave out more than was granted.
+    network_uj: the most that both ends together had given out; above 0, the network made energy.
+    robot_uj: the most that the robot had got beyond what the motors had taken from the hand.
+    motors_mj: the most that the motors had given the hand beyond what they had taken.
+
+    contact_peak_n, displayed_peak_n: the largest forces of the wall and on the handle;
+    contact_bound_n: see the function of that name. step_n_ms: largest change of the force on the
+    handle in 1 ms, without those of a joystick that starts. swing_n: peak to peak of both forces in
+    the last third of the last press and of the rest, middle_n in the middle third; not of a hand
+    with a tremor.
+
+    felt_first, felt_last, felt_restart: stiffness along the wall's normal over that of a coupling
+    without delay (%), at the end of the first press of 1.5 s and three round trips, of the last
+    one, and 1 s after a restart in contact. drag_early, drag_late: force against free motion over
+    its speed (N s/m), in the first 3 s of motion and after 6 s. drift_mm: distance of handle and
+    tip after 3 s of rest. touches: number of contacts; three are planned, and those of taps.
     """
 
     cell: Cell
-    passive: bool
-    least_joystick_uj: float
-    least_robot_uj: float
-    given_uj: float
+    least_uj: float
+    network_uj: float
+    robot_uj: float
+    motors_mj: float
     contact_peak_n: float
     contact_bound_n: float
     displayed_peak_n: float
-    swing_n: float
-    middle_swing_n: float
-    felt_n_m: float
-    ideal_n_m: float
-    drag_n_s_m: float
-    rise_n_ms: float
-    drop_n_ms: float
-    drops: int
+    step_n_ms: float
+    swing_n: float | None
+    middle_n: float | None
+    felt_first: float
+    felt_last: float
+    felt_restart: float | None
+    drag_early: float | None
+    drag_late: float | None
     drift_mm: float
     touches: int
-    acted_joystick: int
-    acted_robot: int
+    joystick_lives: int
 
     @property
     def unstable(self) -> bool:
         """Whether a force keeps oscillating although the hand keeps still."""
-        return self.swing_n > SWING_N and self.swing_n > FADES * self.middle_swing_n
-
-    @property
-    def felt(self) -> float:
-        """The felt stiffness over the ideal one."""
-        return self.felt_n_m / self.ideal_n_m
+        swing_n, middle_n = self.swing_n or 0.0, self.middle_n or 0.0
+        return swing_n > SWING_N and swing_n > FADES * middle_n
 
 
-def figures(
-    cell: Cell, plan: CellPlan, trace: Trace, *, passive: bool, acted: tuple[int, int]
-) -> CellFigures:
+#: The figures of summaries: name, unit, and whether the smallest is the worst.
+SUMMED: Mapping[str, tuple[str, str, bool]] = {
+    "felt_first": ("felt, first press", "%", True),
+    "felt_last": ("felt, last press", "%", True),
+    "felt_restart": ("felt 1 s after restart", "%", True),
+    "drag_early": ("drag, early", "N s/m", False),
+    "drag_late": ("drag, late", "N s/m", False),
+    "drift_mm": ("drift", "mm", False),
+    "swing_n": ("swing", "N", False),
+    "step_n_ms": ("step", "N/ms", False),
+    "network_uj": ("network gave", "µJ", False),
+    "robot_uj": ("robot beyond hand", "µJ", False),
+    "motors_mj": ("motors gave", "mJ", False),
+    "contact_peak_n": ("contact", "N", False),
+    "touches": ("touches", "", False),
+}
+
+
+def figures(cell: Cell, planned: CellPlan, course: Course) -> CellFigures:
     """The figures of one run."""
-    begin, end = (instant // 1_000_000 for instant in plan.hold_ns)
-    third = (end - begin) // 3
-    contact = trace.contact_n > 0.0
-    # In the last tenth of a second hand and tip have been at rest for long.
-    apart = trace.handle[-100:] - trace.tip[-100:]
-    sizes = np.hypot(*trace.displayed.T)
-    changes = np.diff(sizes)
-    last = slice(end - third, end)
-    penetration_m = float(trace.handle[last, 0].mean()) - WALL_X_M
-    pressed_n = -float(trace.displayed[last, 0].mean())
-    speeds = np.hypot(*np.diff(trace.handle, axis=0).T) * 1000.0
-    free = (speeds > _MOVES_M_S) & ~contact[1:]
+    phases = np.array(planned.phases)[course["waypoint"].astype(int)]
+    handle, motor, wall = (vectors(course, name) for name in ("handle", "motor", "wall"))
+    contact = np.hypot(*wall.T)
+    lives = np.diff(course["joystick_lives"], prepend=1.0) > 0.0
+    starts = np.flatnonzero(lives | (np.diff(course["robot_lives"], prepend=1.0) > 0.0))
+    felt_again = len(starts) > 0 and cell.at == "contact"
+    shares = _felt(cell, course, handle, motor)
+
+    def felt_until(end: int) -> float:
+        return float(np.mean(shares[max(0, end - _MEAN_MS) : end]))
+
+    first, last, rest = (_span(phases, phase) for phase in (FIRST, LAST, REST))
+    taken_j = np.cumsum(np.maximum(-np.diff(course["motor_work"], prepend=0.0), 0.0))
+    steps = np.hypot(*np.diff(motor, axis=0).T)
+    steps[lives[1:]] = 0.0
+    swing_n, middle_n = max(_swing(motor, wall, span) for span in (last, rest))
+    calm = not cell.bench_hand.tremor_n
+    apart = handle + vectors(course, "offset") - vectors(course, "tip")
+    settled = rest[0] + round(1000 * cell.bench_hand.back_s) + 3000
+    early, late = _drags(cell, handle, motor, contact, _span(phases, START)[1])
+    credits = min(course[f"{end}_credit"].min() for end in ("joystick", "robot"))
     return CellFigures(
         cell=cell,
-        passive=passive,
-        least_joystick_uj=1e6 * float(trace.joystick_observed_j.min()),
-        least_robot_uj=1e6 * float(trace.robot_observed_j.min()),
-        given_uj=1e6 * float((trace.joystick_given_j + trace.robot_given_j).max()),
-        contact_peak_n=float(trace.contact_n.max()),
-        contact_bound_n=contact_bound_n(cell.wall),
-        displayed_peak_n=float(sizes.max()),
-        swing_n=_swing(trace, end - third, end),
-        middle_swing_n=_swing(trace, end - 2 * third, end - third),
-        felt_n_m=pressed_n / max(penetration_m, _LEAST_M),
-        ideal_n_m=series_n_m(cell.wall),
-        drag_n_s_m=float(trace.damping_n_s_m[1:][free].mean()),
-        rise_n_ms=float(changes.max()),
-        drop_n_ms=float(-changes.min()),
-        drops=int(np.count_nonzero(changes < -STEP_N)),
-        drift_mm=1e3 * float(np.hypot(*apart.T).max()),
-        touches=int(np.count_nonzero(contact[1:] & ~contact[:-1])),
-        acted_joystick=acted[0],
-        acted_robot=acted[1],
+        least_uj=1e6 * float(credits),
+        network_uj=1e6 * float((course["motor_work"] + course["drive_work"]).max()),
+        robot_uj=1e6 * float((course["drive_work"] - taken_j).max()),
+        motors_mj=1e3 * float(course["motor_work"].max()),
+        contact_peak_n=float(-(wall @ np.array(cell.normal)).min()),
+        contact_bound_n=contact_bound_n(cell),
+        displayed_peak_n=float(np.hypot(*motor.T).max()),
+        step_n_ms=float(steps.max()),
+        swing_n=swing_n if calm else None,
+        middle_n=middle_n if calm else None,
+        felt_first=felt_until(first[1]),
+        felt_last=felt_until(last[1]),
+        felt_restart=felt_until(int(starts[0]) + _FELT_MS) if felt_again else None,
+        drag_early=early,
+        drag_late=late,
+        drift_mm=1e3 * float(np.hypot(*apart[settled - 100 : settled].T).max()),
+        joystick_lives=int(course["joystick_lives"][-1]),
+        touches=int(np.count_nonzero((contact[1:] > 0.0) & (contact[:-1] == 0.0))),
     )
 
 
-def _swing(trace: Trace, begin: int, end: int) -> float:
-    """Peak to peak (N) of the wall's force and of both axes of the displayed force."""
-    swings = [np.ptp(trace.contact_n[begin:end]), *np.ptp(trace.displayed[begin:end], axis=0)]
-    return float(max(swings))
+def vectors(course: Course, name: str) -> Values:
+    """The two columns of a position or a force, (n, 2)."""
+    return np.stack((course[f"{name}_x"], course[f"{name}_y"]), axis=1)
 
 
-def contact_bound_n(wall_n_m: float) -> float:
+def _span(phases: Values, phase: str) -> tuple[int, int]:
+    """First row of the phase, and the one after its last."""
+    rows = np.flatnonzero(phases == phase)
+    return int(rows[0]), int(rows[-1]) + 1
+
+
+def _felt(cell: Cell, course: Course, handle: Values, motor: Values) -> Values:
+    """Felt stiffness over the ideal (%) in each millisecond."""
+    normal = np.array(cell.normal)
+    depth_m = (handle + vectors(course, "offset")) @ normal - cell.place / 1000.0
+    felt: Values = -(motor @ normal) / np.maximum(depth_m, _LEAST_M) / series_n_m(cell.wall)
+    return 100.0 * felt
+
+
+def _swing(motor: Values, wall: Values, span: tuple[int, int]) -> tuple[float, float]:
+    """Peak to peak (N) in the last and in the middle third of `span`."""
+    begin, end = span
+    third = (end - begin) // 3
+    forces = np.hstack((motor, wall))
+    parts = slice(end - third, end), slice(end - 2 * third, end - third)
+    last, middle = (float(np.ptp(forces[part], axis=0).max()) for part in parts)
+    return last, middle
+
+
+def _drags(
+    cell: Cell, handle: Values, motor: Values, contact: Values, begin: int
+) -> tuple[float | None, float | None]:
+    """Drag in the first 3 s from `begin` on, and after 6 s, far from any contact."""
+    velocity = np.diff(handle, axis=0) * 1000.0
+    after = round(cell.delay + cell.jitter) + 300
+    touched = np.convolve(contact > 0.0, np.ones(after))[: len(contact)] > 0.0
+    free = ~touched[1:] & (np.hypot(*velocity.T) > _MOVES_M_S)
+    at = np.arange(len(velocity)) - begin
+    # The force of a row moved the handle to its place in that row.
+    power, speed = (motor[1:] * velocity).sum(axis=1), (velocity**2).sum(axis=1)
+    early, late = (
+        float(-power[part].sum() / speed[part].sum()) if part.any() else None
+        for part in (free & (at >= 0) & (at < 3000), free & (at > 6000))
+    )
+    return early, late
+
+
+def contact_bound_n(cell: Cell) -> float:
     """The largest force (N) of this wall on a tip that only follows the hand.
 
     It is the sum of two forces. The static one is that of the controller's spring and the wall in
     series, with the hand at its intended depth behind the wall. The impact is that of the
     tip's mass at the largest speed of the reference: v * sqrt(k * m) of an undamped wall.
     """
-    robot_side, robot = RobotControllerModel(), RobotModel()
-    impact_n = robot_side.speed_m_s * sqrt(wall_n_m * robot.mass_kg)
-    return DEPTH_M * series_n_m(wall_n_m) + impact_n
+    impact_n = RobotControllerModel().speed_m_s * sqrt(cell.wall * RobotModel().mass_kg)
+    return cell.bench_hand.depth_m * series_n_m(cell.wall) + impact_n
 
 
 def series_n_m(wall_n_m: float) -> float:

@@ -4,42 +4,50 @@ import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from pathlib import Path
 
 from benchmarks.haptics.cell import Cell
-from benchmarks.haptics.figures import CellFigures
+from benchmarks.haptics.figures import CellFigures, figures
 from benchmarks.haptics.run import run_cell
+from benchmarks.haptics.traces import write_trace
 from kontur_av.errors import ConfigError
 from pipelines.virtual.campaign.figures import Crash
 from pipelines.virtual.campaign.places import Cluster
 
-_Pair = tuple[CellFigures, CellFigures]
-
 
 def run_grid(
-    cells: Sequence[Cell], *, seconds: float, seed: int, jobs: int, cluster: Cluster | None = None
-) -> Iterator[tuple[CellFigures, CellFigures]]:
-    """Figures (without, with) the controllers for each of `cells`, in order, as they are known.
+    cells: Sequence[Cell],
+    *,
+    seed: int,
+    jobs: int,
+    cluster: Cluster | None = None,
+    controllers: tuple[str, str] = ("", ""),
+    traces: Path | None = None,
+) -> Iterator[CellFigures]:
+    """Figures of each of `cells`, in order, as they are known.
 
-    They are the same for every number of `jobs` and on a cluster: the randomness of a cell depends
-    on `seed` and the cell only.
+    controllers: see `run_cell`. traces: the directory for a trace of each.
+
+    Figures are the same for every number of `jobs` and on a cluster: the randomness of a cell
+    depends on `seed` and the cell only.
     """
-    both = partial(_both, seconds=seconds, seed=seed)
+    run = partial(_run, seed=seed, controllers=controllers, traces=traces)
     if cluster is not None:
-        yield from _in_order(cluster, both, cells)
+        yield from _in_order(cluster, run, cells)
         return
     if jobs == 1:
-        yield from map(both, cells)
+        yield from map(run, cells)
         return
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("fork")) as pool:
-        yield from pool.map(both, cells)
+        yield from pool.map(run, cells)
 
 
 def _in_order(
-    cluster: Cluster, both: Callable[[Cell], _Pair], cells: Sequence[Cell]
-) -> Iterator[_Pair]:
-    found: dict[int, _Pair] = {}
+    cluster: Cluster, run: Callable[[Cell], CellFigures], cells: Sequence[Cell]
+) -> Iterator[CellFigures]:
+    found: dict[int, CellFigures] = {}
     following = 0
-    for number, result in cluster.results(both, cells):
+    for number, result in cluster.results(run, cells):
         if isinstance(result, Crash):
             raise ConfigError(f"cell {cells[number].name}: {result.error}")
         found[number] = result
@@ -48,7 +56,11 @@ def _in_order(
             following += 1
 
 
-def _both(cell: Cell, *, seconds: float, seed: int) -> tuple[CellFigures, CellFigures]:
-    without, _ = run_cell(cell, seconds=seconds, seed=seed, passive=False)
-    with_, _ = run_cell(cell, seconds=seconds, seed=seed, passive=True)
-    return without, with_
+def _run(
+    cell: Cell, *, seed: int, controllers: tuple[str, str], traces: Path | None
+) -> CellFigures:
+    planned, course = run_cell(cell, seed=seed, controllers=controllers)
+    found = figures(cell, planned, course)
+    if traces is not None:
+        write_trace(traces, planned, course, found, seed=seed, controllers=controllers)
+    return found

@@ -1,101 +1,99 @@
-"""The schedule of a run of a cell: the motion of the hand, and the blackouts. A core.
+"""The schedule of a run of a cell: the motion of the hand, blackouts and a restart. A core.
 
-First the hand touches the three targets in turn, or taps the first one at 4 Hz. Then it presses the
-first one and holds it, then it goes back to the middle. One blackout of both ways falls into the
-touches. While the hand presses, one blackout of the commands and one of the feedback follow. The
-hold begins after the last one, with time to recover.
+The hand presses the wall for the first time, goes back and moves freely. In a second press it waits
+for three blackouts in turn, a restart, and what the hand itself may do. Then it moves freely and
+presses for the last time, for long, until a stable loop has come to rest. It rests in the middle.
 """
 
 from dataclasses import dataclass
 
 from benchmarks.haptics.cell import Cell
-from benchmarks.haptics.hands import HANDS
-from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.board import WALL_X_M
+from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.hand import Waypoint
 
-_TARGETS_Y_M = (-0.05, 0.0, 0.05)
-#: The intended depth of the hand behind the wall, as when pressing a button.
-DEPTH_M = 0.025
-_AWAY_M = 0.04
+#: The phases of a run.
+START, FIRST, FREE, SECOND, LAST, REST = "start", "first", "free", "second", "last", "rest"
+#: After a restart in contact, the felt stiffness is taken so much later (s).
+FELT_AFTER_S = 1.0
+_PRESS_S = 0.7
 #: An oscillation of the delayed loop has a period of 2 to 4 round trips; the hold has three thirds.
-_HOLD_ROUND_TRIPS = 12.0
+_HOLD_S, _HOLD_ROUND_TRIPS = 3.0, 12.0
 _RECOVERY_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class CellPlan:
-    """script: waypoints of the hand. down_dark, up_dark: blackouts of commands and of feedback.
+    """script: waypoints of the hand. phases: the name of each.
 
-    All spans are (begin, end) in ns. hold_ns: in which a stable loop comes to rest. end_ns: of the
-    run.
+    down_dark, up_dark: blackouts of commands and of feedback, (begin, end) in ns. restart, leaves:
+    number of a waypoint, and time into it (ns). end_ns: of the script, if the hand never waits.
     """
 
     script: tuple[Waypoint, ...]
+    phases: tuple[str, ...]
     down_dark: tuple[tuple[int, int], ...]
     up_dark: tuple[tuple[int, int], ...]
-    hold_ns: tuple[int, int]
+    restart: tuple[int, int]
+    leaves: tuple[int, int]
     end_ns: int
 
 
-def plan(cell: Cell, seconds: float) -> CellPlan:
-    """Half of `seconds` for touches and half for the hold; more for delay and blackouts."""
+def plan(cell: Cell) -> CellPlan:
+    """The schedule of `cell`; it takes longer with delay and blackouts."""
+    hand, (nx, ny) = cell.bench_hand, cell.normal
     round_trip_s = (cell.delay + cell.jitter) / 1000.0
-    recovery_s = _RECOVERY_S + 2.0 * round_trip_s
-    touch_s = seconds / 2.0
-    if cell.blackout:
-        touch_s += cell.blackout + recovery_s
+    wall_m = cell.place / 1000.0
     script: list[Waypoint] = []
-    while _duration_s(script) < touch_s:
-        if HANDS[cell.hand].taps:
-            script += _tap(_TARGETS_Y_M[0])
-        else:
-            script += _touch(_TARGETS_Y_M[len(script) // 2 % 3])
-    touched_s = _duration_s(script)
+    phases: list[str] = []
 
-    press_s = touched_s + 1.0 + recovery_s
-    dark: list[tuple[float, float]] = []
-    if cell.blackout:
-        # In the middle of a press of the second target.
-        dark.append((2.7, 2.7 + cell.blackout))
-        dark.append((press_s, press_s + cell.blackout))
-        press_s += cell.blackout + recovery_s
-        dark.append((press_s, press_s + cell.blackout))
-        press_s += cell.blackout + recovery_s
-    hold_end_s = press_s + max(seconds / 2.0, _HOLD_ROUND_TRIPS * round_trip_s)
-    script.append(_waypoint(WALL_X_M + DEPTH_M, _TARGETS_Y_M[0], 1.0, hold_end_s - touched_s - 1))
-    script.append(_waypoint(0.0, 0.0, 1.0, 10.0 + recovery_s))
-    end_s = hold_end_s + 1.0 + recovery_s
-    spans = [(_ns(begin), _ns(end)) for begin, end in dark]
+    def go(phase: str, ahead_m: float, across_m: float, move_s: float, stay_s: float = 0.0) -> None:
+        x, y = ahead_m * nx - across_m * ny, ahead_m * ny + across_m * nx
+        script.append(Waypoint(x, y, _ns(move_s), _ns(stay_s)))
+        phases.append(phase)
+
+    def press(phase: str, stay_s: float) -> None:
+        go(phase, wall_m + hand.depth_m, 0.0, _PRESS_S, stay_s)
+        go(REST if phase == LAST else FREE, 0.0, 0.0, hand.back_s)
+
+    def move(seconds: int) -> None:
+        for number in range(4 * seconds if hand.taps else seconds):
+            if hand.taps:
+                for ahead_m in (wall_m + hand.depth_m, wall_m - hand.depth_m):
+                    go(FREE, ahead_m, -0.05, 0.125)
+            else:
+                go(FREE, -0.03, 0.04 if number % 2 else -0.04, 1.0)
+
+    # The session begins after one and a half round trips, unless samples are lost.
+    go(START, 0.0, 0.0, 0.0, 0.5 + 3.0 * round_trip_s)
+    move(round(cell.free))
+    press(FIRST, 1.5 + 3.0 * round_trip_s)
+    move(1)
+    free = len(script)
+    move(1)
+    second, began_s = len(script), _seconds(script)
+    into_s = _PRESS_S + 1.0
+    dark: list[tuple[int, int]] = []
+    for _ in range(3 if cell.blackout else 0):
+        dark.append((_ns(began_s + into_s), _ns(began_s + into_s + cell.blackout)))
+        into_s += cell.blackout + _RECOVERY_S + 2.0 * round_trip_s
+    stay_s = into_s - _PRESS_S + FELT_AFTER_S + 1.5 + 2.0 * round_trip_s
+    press(SECOND, stay_s)
+    move(3)
+    press(LAST, max(_HOLD_S, _HOLD_ROUND_TRIPS * round_trip_s))
+    go(REST, 0.0, 0.0, 0.0, 3.0 + 2.0 * round_trip_s)
     return CellPlan(
         script=tuple(script),
-        down_dark=tuple(spans[:2]),
-        up_dark=tuple(spans[::2]),
-        hold_ns=(_ns(press_s), _ns(hold_end_s)),
-        end_ns=_ns(end_s),
+        phases=tuple(phases),
+        down_dark=tuple(dark[:2]),
+        up_dark=tuple(dark[::2]),
+        restart=(second, _ns(into_s)) if cell.at == "contact" else (free, _ns(0.1)),
+        leaves=(second, _ns(into_s + FELT_AFTER_S + 0.3)),
+        end_ns=_ns(_seconds(script)),
     )
 
 
-def _touch(y_m: float) -> list[Waypoint]:
-    return [
-        _waypoint(WALL_X_M + DEPTH_M, y_m, 0.6, 0.5),
-        _waypoint(WALL_X_M - _AWAY_M, y_m, 0.5, 0.2),
-    ]
-
-
-def _tap(y_m: float) -> list[Waypoint]:
-    return [
-        _waypoint(WALL_X_M + DEPTH_M, y_m, 0.125, 0.0),
-        _waypoint(WALL_X_M - DEPTH_M, y_m, 0.125, 0.0),
-    ]
-
-
-def _waypoint(x_m: float, y_m: float, move_s: float, stay_s: float) -> Waypoint:
-    return Waypoint(x_m, y_m, _ns(move_s), _ns(stay_s))
-
-
-def _duration_s(script: list[Waypoint]) -> float:
-    return sum(point.move_ns + point.stay_ns for point in script) / NS_PER_S
+def _seconds(script: list[Waypoint]) -> float:
+    return sum(point.move_ns + point.stay_ns for point in script) / 1e9
 
 
 def _ns(seconds: float) -> int:

@@ -118,7 +118,7 @@ def test_a_sweep_is_the_same_octet_by_octet_though_a_worker_is_killed(processes,
 
 def test_cells_of_the_hand_are_the_same_octet_by_octet(processes, tmp_path, capfd):
     alone, there = tmp_path / "here.json", tmp_path / "there.json"
-    command = ["haptics", "--seconds", "4", "--cell", "delay=20", "--cell", "loss=30,burst=10"]
+    command = ["haptics", "--cell", "delay=20", "--cell", "loss=30,burst=10"]
     assert benchmark([*command, "--report", str(alone)]) == 0
     assert benchmark([*command, "--report", str(there), "--cluster", processes.address]) == 0
     assert there.read_bytes() == alone.read_bytes()

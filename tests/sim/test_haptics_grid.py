@@ -1,12 +1,13 @@
 """The corner cells of the grid of `benchmarks haptics`: passive, calm and bounded, or not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from benchmarks.haptics.cell import Cell
+from benchmarks.haptics.cell import MODES, Cell
 from benchmarks.haptics.claims import claims, needed
-from benchmarks.haptics.figures import CellFigures
-from benchmarks.haptics.plan import plan
+from benchmarks.haptics.figures import CellFigures, figures, vectors
 from benchmarks.haptics.run import run_cell
 from telepresence.haptics.joystick_controller import JoystickController
 from telepresence.haptics.passivity import Port
@@ -14,7 +15,6 @@ from telepresence.haptics.sample import Feedback
 
 MS = 1_000_000
 
-SECONDS = 4.0
 #: A hard wall under the worst conditions of the radio.
 CELLS = (
     Cell(),
@@ -28,9 +28,13 @@ CELLS = (
 )
 
 
+def ran(cell: Cell, seed: int = 1) -> CellFigures:
+    return figures(cell, *run_cell(cell, seed=seed))
+
+
 @pytest.fixture(scope="module", params=CELLS, ids=lambda cell: cell.name)
 def with_controllers(request) -> CellFigures:
-    return run_cell(request.param, seconds=SECONDS, seed=1, passive=True)[0]
+    return ran(request.param)
 
 
 def test_every_claim_holds(with_controllers) -> None:
@@ -46,37 +50,37 @@ def test_the_wall_is_met_and_felt(with_controllers) -> None:
 
 @pytest.mark.parametrize("cell", [CELLS[2], CELLS[5]], ids=lambda cell: cell.name)
 def test_without_the_controllers_the_same_cell_makes_energy_and_swings(cell) -> None:
-    found, _ = run_cell(cell, seconds=SECONDS, seed=1, passive=False)
+    found = ran(replace(cell, passive="off"))
     assert found.unstable
     assert needed([found]).holds
-    assert min(found.least_joystick_uj, found.least_robot_uj) < -100_000
+    assert found.least_uj < -100_000
 
 
 def test_a_run_repeats() -> None:
     cell = Cell(delay=50.0, jitter=20.0, loss=10.0)
-    first, again = (run_cell(cell, seconds=SECONDS, seed=3, passive=True)[0] for _ in range(2))
+    first, again = ran(cell, seed=3), ran(cell, seed=3)
     assert first == again
-    assert run_cell(cell, seconds=SECONDS, seed=4, passive=True)[0] != first
+    assert ran(cell, seed=4) != first
 
 
 @pytest.mark.parametrize("wall", [1500.0, 5000.0])
 def test_a_blackout_brings_both_ends_to_rest_and_resumption_no_jump(wall) -> None:
     cell = Cell(delay=20.0, blackout=5.0, wall=wall)
-    planned = plan(cell, SECONDS)
-    _, trace = run_cell(cell, seconds=SECONDS, seed=1, passive=True)
+    planned, course = run_cell(cell, seed=1)
+    tip, displayed, wall_n = vectors(course, "tip"), vectors(course, "motor"), -course["wall_x"]
     for begin, end in ((b // 1_000_000, e // 1_000_000) for b, e in planned.down_dark):
         # The robot receives nothing, so it stops pressing and stands still.
-        assert trace.contact_n[end - 100 : end].max() < 0.1
-        assert np.ptp(trace.tip[end - 100 : end], axis=0).max() < 1e-4
-        assert trace.contact_n[begin] > 1.0
+        assert wall_n[end - 100 : end].max() < 0.1
+        assert np.ptp(tip[end - 100 : end], axis=0).max() < 1e-4
+        assert wall_n[begin] > 1.0
     for _, end in ((b // 1_000_000, e // 1_000_000) for b, e in planned.up_dark):
         # The joystick receives nothing, so it displays only its own damping.
-        assert np.abs(trace.displayed[end - 100 : end]).max() < 1.0
+        assert np.abs(displayed[end - 100 : end]).max() < 1.0
     for _, end in {*planned.down_dark, *planned.up_dark}:
         back = slice(end // 1_000_000 - 1, end // 1_000_000 + 500)
-        shown = np.hypot(*trace.displayed[back].T)
+        shown = np.hypot(*displayed[back].T)
         assert np.diff(shown).max() < 1.1
-        assert np.abs(np.diff(trace.tip[back], axis=0)).max() < 0.6e-3
+        assert np.abs(np.diff(tip[back], axis=0)).max() < 0.6e-3
 
 
 def test_returned_credit_is_gone() -> None:
@@ -108,3 +112,29 @@ def test_a_cut_force_returns_slowly() -> None:
     assert joystick_side.acted > 50
     assert min(np.diff(forces[101:])) > -0.2
     assert forces[-1] < forces[150] - 2.0
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("restart", ["joystick", "robot", "both"])
+def test_a_restart_in_contact_keeps_the_plants_and_the_claims(mode, restart) -> None:
+    cell = Cell(
+        delay=40.0, wall=1500.0, angle=-120.0, place=40.0, hand="firm", restart=restart, mode=mode
+    )
+    planned, course = run_cell(cell, seed=1)
+    lives = course["joystick_lives"].max(), course["robot_lives"].max()
+    assert lives == (1 + (restart != "robot"), 1 + (restart != "joystick"))
+    for name in ("handle_x", "handle_y", "tip_x", "tip_y"):
+        assert np.abs(np.diff(course[name])).max() < 1e-3
+    found = figures(cell, planned, course)
+    assert 50.0 < found.felt_first < 110.0
+    assert 50.0 < found.felt_last < 110.0
+    assert found.felt_restart is not None
+    for claim in claims([found]):
+        assert claim.holds, f"{claim.text}: {claim.found}"
+
+
+def test_an_envelope_asks_for_a_press_after_a_restart() -> None:
+    cell = Cell(delay=40.0, wall=1500.0, restart="robot", envelope="on")
+    planned, course = run_cell(cell, seed=1)
+    assert len(course) * MS > planned.end_ns + 500 * MS
+    assert figures(cell, planned, course).felt_last > 90.0

@@ -1,16 +1,18 @@
 """`python -m benchmarks haptics`: cells, channel, schedule and the command."""
 
-from collections import Counter
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import pytest
+from places import ROOT
 
 from benchmarks.__main__ import main
-from benchmarks.haptics.cell import Cell, full_grid, read_cell, small_grid
+from benchmarks.haptics.cell import BAND_NAMES, Cell, kept_cells, random_cells, read_cell
 from benchmarks.haptics.channel import SampleChannel
-from benchmarks.haptics.hands import HANDS
-from benchmarks.haptics.plan import plan
+from benchmarks.haptics.hands import ALL_HANDS, HANDS, HeldHand
+from benchmarks.haptics.plan import FREE, LAST, plan
+from benchmarks.haptics.run import TurnedBoard
 from kontur_av.errors import ConfigError
+from telepresence.haptics.board import Board, WallModel
 
 MS = 1_000_000
 
@@ -69,50 +71,105 @@ def test_a_cell_is_read_and_a_wrong_one_is_refused():
             read_cell(text)
 
 
-def test_the_grids_reach_the_limits_of_the_claims():
-    for grid in (list(small_grid()), list(full_grid())):
-        assert len(set(grid)) == len(grid)
-        for name, least, most in (
-            ("delay", 0, 1000),
-            ("jitter", 0, 50),
-            ("loss", 0, 30),
-            ("blackout", 0, 5),
-        ):
-            values = {getattr(cell, name) for cell in grid}
-            assert (min(values), max(values)) == (least, most)
-        assert max(cell.wall for cell in grid) == 5000
-        assert {cell.hand for cell in grid} == set(HANDS)
+def test_the_small_grid_reaches_the_limits_of_the_claims():
+    grid = kept_cells("small.txt")
+    assert len(set(grid)) == len(grid) == 54
+    for name, least, most in (
+        ("delay", 0, 1000),
+        ("jitter", 0, 50),
+        ("loss", 0, 30),
+        ("blackout", 0, 5),
+    ):
+        values = {getattr(cell, name) for cell in grid}
+        assert (min(values), max(values)) == (least, most)
+    assert max(cell.wall for cell in grid) == 5000
+    assert {cell.hand for cell in grid} == set(HANDS)
 
 
-def test_every_hand_meets_every_value_of_the_full_grid_about_equally_often():
-    """Every hand in every cell would take hours."""
-    cells = [cell for cell in full_grid() if cell.channel != "clean"]
-    axes = (("delay", 6), ("wall", 3), ("jitter", 3), ("blackout", 3))
-    for name, values in axes:
-        counts = Counter((cell.hand, getattr(cell, name)) for cell in cells)
-        even = len(cells) / len(HANDS) / values
-        assert len(counts) == len(HANDS) * values
-        assert all(0.7 * even < count < 1.3 * even for count in counts.values())
+def test_random_cells_follow_from_the_seed_and_meet_every_value():
+    cells = list(random_cells(300, seed=3))
+    assert cells == list(random_cells(300, seed=3))
+    assert cells != list(random_cells(300, seed=4))
+    assert len({cell.setting for cell in cells}) == 300
+    assert all(read_cell(cell.name) == cell for cell in cells)
+    for name, values in (
+        ("hand", set(ALL_HANDS)),
+        ("restart", {"none", "joystick", "robot", "both"}),
+        ("at", {"contact", "free"}),
+        ("band", set(BAND_NAMES[:-1])),
+    ):
+        assert {getattr(cell, name) for cell in cells} == values
+    angles = [cell.angle for cell in cells]
+    assert min(angles) < -150 < 150 < max(angles)
 
 
-def test_taps_touch_four_times_a_second_before_the_hold():
-    planned = plan(Cell(hand="taps"), 10.0)
-    moves = [point.move_ns for point in planned.script[:-2]]
-    assert set(moves) == {125 * MS}
-    assert len(moves) == 2 * 4 * 5
+def test_the_public_traces_are_twenty_with_every_hand():
+    cells = kept_cells("traces.txt")
+    assert len({cell.name for cell in cells}) == 20
+    assert {cell.hand for cell in cells} == set(ALL_HANDS)
+    page = (ROOT / "docs" / "haptic-traces.md").read_text(encoding="utf-8")
+    assert all(f"`{cell.name}`" in page for cell in cells)
 
 
-def test_the_hold_comes_after_all_blackouts_and_is_long_enough_for_an_oscillation():
-    for cell in full_grid():
-        found = plan(cell, 10.0)
-        begin, end = found.hold_ns
-        assert end - begin >= 12 * cell.delay * MS
+def test_taps_touch_four_times_a_second_where_other_hands_move_freely():
+    planned = plan(Cell(hand="taps"))
+    moves = [point.move_ns for point in planned.script]
+    assert moves.count(125 * MS) == 2 * 4 * 5
+    assert planned.phases.count(FREE) == 2 * 4 * 5 + 2
+
+
+def test_the_last_press_comes_after_all_blackouts_and_is_long_enough_for_an_oscillation():
+    for cell in kept_cells("small.txt"):
+        found = plan(cell)
+        ends = accumulate(point.move_ns + point.stay_ns for point in found.script)
+        spans = dict(zip(found.phases, zip(ends, found.script, strict=True), strict=True))
+        end, point = spans[LAST]
+        assert point.stay_ns >= 12 * cell.delay * MS
+        begin = end - point.stay_ns
         assert all(until + cell.delay * MS < begin for _, until in found.down_dark + found.up_dark)
-        script_ns = sum(point.move_ns + point.stay_ns for point in found.script)
-        assert end < found.end_ns < script_ns
+        assert end < found.end_ns
+
+
+@pytest.mark.parametrize("angle", [0.0, 30.0, -90.0, 180.0])
+def test_a_turned_wall_pushes_as_a_straight_one_does(angle):
+    board, straight = TurnedBoard(WallModel(), angle), Board(spring=None, contour=None)
+    nx, ny = Cell(angle=angle).normal
+
+    def turned(ahead, across):
+        return ahead * nx - across * ny, ahead * ny + across * nx
+
+    expected = turned(*straight.press(0.07, 0.02, 0.1, -0.05))
+    found = board.press(*turned(0.07, 0.02), *turned(0.1, -0.05))
+    assert found == pytest.approx(expected)
+    assert board.touching
+    assert board.press(*turned(0.05, 0.02), 0.0, 0.0) == (0.0, 0.0)
+
+
+def test_a_hand_that_lets_go_leaves_the_handle_and_takes_it_where_it_is():
+    planned = plan(Cell(hand="lets-go"))
+    leaves = planned.leaves
+    hand = HeldHand(ALL_HANDS["lets-go"], planned.script, leaves=leaves, seed="1")
+    while hand.place < leaves:
+        hand.force(0.08, 0.0, 0.0, 0.0, MS)
+    assert hand.force(0.02, 0.01, 0.0, 0.0, MS) == (0.0, 0.0)
+    assert hand.mass_kg == 0.0
+    assert not hand.dead_man
+    while hand.place[0] == leaves[0]:
+        hand.force(0.02, 0.01, 0.0, 0.0, MS)
+    for _ in range(5):
+        fx, fy = hand.force(0.02, 0.01, 0.0, 0.0, MS)
+    assert hand.dead_man
+    assert abs(fx) < 1.0
+    assert abs(fy) < 1.0
 
 
 def test_a_wrong_option_is_refused_in_one_line(capsys):
-    for options in (["--cell", "delay=5000"], ["--seconds", "1"], ["--jobs", "0"]):
+    for options in (
+        ["--cell", "delay=5000"],
+        ["--random", "0"],
+        ["--jobs", "0"],
+        ["--traces", "/no/such/place"],
+        ["--controller", "no.such:Controller"],
+    ):
         assert main(["haptics", *options]) == 2
         assert capsys.readouterr().err.count("\n") == 1

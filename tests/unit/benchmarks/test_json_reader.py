@@ -8,8 +8,6 @@ from benchmarks.json_reader import JsonReader
 def test_a_report_is_read_by_its_keys_and_missing_ones_are_named():
     report = JsonReader({"a": {"b": 1.5, "c": None, "d": "text", "e": [1, 2]}})
     assert report.number("a", "b") == 1.5
-    assert report.number_or_none("a", "c") is None
-    assert report.text("a", "d") == "text"
     assert [one.number() for one in report.elements("a", "e")] == [1, 2]
     assert [name for name, _ in report.items("a")] == ["b", "c", "d", "e"]
     assert report.has("a", "b")
@@ -18,7 +16,6 @@ def test_a_report_is_read_by_its_keys_and_missing_ones_are_named():
     for read in (
         lambda: report.number("a", "z"),
         lambda: report.number("a", "d"),
-        lambda: report.text("a", "b"),
         lambda: list(report.items("a", "b")),
         lambda: list(report.elements("a", "d")),
     ):
