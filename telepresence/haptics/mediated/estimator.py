@@ -40,8 +40,9 @@ from telepresence.haptics.mediated.wall import (
 _UNIFORM = 12.0**-0.5
 #: Deviation of the force (N) about the model before there are residuals.
 _FIRST_N = 0.05
-#: The assumed plane is turned until the tilt is below this (rad), so many times at most.
-_TURNED_RAD, _TURNS = 0.01, 4
+#: A solution is improved until the assumed plane turned by less than this (rad), and the variance
+#: grew by a smaller factor, so many times at most.
+_TURNED_RAD, _TRUSTED, _TURNS = 0.01, 2.0, 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,7 +56,10 @@ class EstimatorModel:
     noise_n: standard deviation of the measured force, at least.
     friction, friction_spread, curvature_spread, damping_spread: what walls are like: mean and
     standard deviation of the friction, deviations of curvature (1/m) and damping (N s/m) from 0.
+    learned, stiffness_spread: a stiffness that the samples tell with a relative deviation below
+    `learned` is expected in the rest of the contact, too, with the other one.
     slide_m_s: friction is half of its whole at this speed along the wall.
+    misfit_n: samples that differ more from every plane are forgotten.
     uncertain, uncertain_rad: an estimate with a larger standard deviation of the stiffness,
     relative, or of the angle is not told.
     estimate_ns: the least time between two estimates.
@@ -78,7 +82,8 @@ class EstimatorModel:
     stiffness_spread: float = 0.05
     learned: float = 0.03
     slide_m_s: float = 0.005
-    uncertain: float = 0.1
+    misfit_n: float = 0.5
+    uncertain: float = 0.15
     uncertain_rad: float = 0.1
     estimate_ns: int = 10 * NS_PER_MS
     behind_m: float = 0.002
@@ -105,20 +110,24 @@ class WallEstimator:
         self._due_ns: int | None = None
         self._earliest_ns = 0
         self._last: tuple[int, float, float] | None = None
-        #: Where this contact began, if the tip was free before, and the deviation of that place.
-        self._entered: tuple[float, float, float] | None = None
         self._free = False
         #: Position, velocity and force of the samples of this contact, the newest last.
         self._samples: deque[tuple[float, ...]] = deque(maxlen=self.model.most_samples)
-        self._used = 0
         self._estimate_ns = 0
-        #: The assumed plane's angle in this contact, and stiffness.
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget the samples of a contact."""
+        self._samples.clear()
+        self._used = 0
+        #: Where it began, if the tip was free before, and the deviation of that place.
+        self._entered: tuple[float, float, float] | None = None
+        #: The assumed plane's angle and stiffness; the variance of the force about the model.
         self._angle_rad: float | None = None
-        #: The stiffness of the last estimate of this contact.
-        self._known_n_m: float | None = None
         self._stiffness = 1000.0
-        #: Of the measured force about the model.
         self._variance = _FIRST_N**2
+        #: The stiffness, once the samples of this contact have told it well.
+        self._known_n_m: float | None = None
 
     def handle_sample(
         self, now_ns: int, x_m: float, y_m: float, fx_n: float, fy_n: float, contact: bool
@@ -130,10 +139,8 @@ class WallEstimator:
         last, self._last = self._last, (now_ns, x_m, y_m)
         model, samples = self.model, self._samples
         if not contact:
-            samples.clear()
-            self._free, self._entered, self._used = True, None, 0
-            self._angle_rad = self._known_n_m = None
-            self._variance = _FIRST_N**2
+            self._free = True
+            self._begin()
             wall = self.wall
             if wall is not None and wall.depth_m(x_m, y_m) > model.behind_m:
                 self.wall, self._changed = None, self._told is not None
@@ -238,9 +245,13 @@ class WallEstimator:
             self._stiffness, angle = stiffness, angle + atan(tilt)
             missing = (solution @ across - push) ** 2 + (solution @ beside - side) ** 2
             variance = float(weights @ missing) / (2.0 * float(weights.sum()))
-            self._variance = max(model.noise_n**2, variance)
-            if abs(tilt) < _TURNED_RAD:
+            trusted, self._variance = self._variance, max(model.noise_n**2, variance)
+            if abs(tilt) < _TURNED_RAD and self._variance < _TRUSTED * trusted:
                 break
+        if self._variance > model.misfit_n**2:
+            # The wall moved, or another one was met: what was before tells nothing of it.
+            self._begin()
+            return None
         self._angle_rad = angle
         if covariance[0, 0] > (model.uncertain * stiffness) ** 2:
             return None

@@ -41,8 +41,10 @@ def turned_rad(wall, other):
 
 
 @pytest.mark.parametrize("degrees", [0, 33, 90, 180, 211, 359])
-@pytest.mark.parametrize("slide_m_s", [0.0, 0.05, -0.2])
-@pytest.mark.parametrize("stiffness", [100.0, 1500.0, 5000.0])
+@pytest.mark.parametrize(
+    ("slide_m_s", "stiffness"),
+    [(0.0, 100.0), (0.0, 1500.0), (0.0, 5000.0), (0.05, 1500.0), (-0.2, 1500.0), (-0.2, 5000.0)],
+)
 def test_a_wall_is_found_whatever_its_direction_damping_and_friction(degrees, slide_m_s, stiffness):
     estimator = WallEstimator()
     wall = Wall(radians(degrees), 0.04, stiffness)
