@@ -7,7 +7,7 @@ the name of the schema's field; `wall_ns` is the schema's `timestamp`. Haptic sa
 
 from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
-from math import nan
+from math import degrees, nan
 from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 import numpy as np
@@ -556,5 +556,5 @@ def packet_words(data: bytes) -> str:
         return "unknown"
     if wall is None:
         return "no wall"
-    axis = "xy"[wall.axis]
-    return f"wall at {axis} = {wall.surface_m:.4f} m, {wall.stiffness_n_m:.0f} N/m"
+    way = f"{degrees(wall.angle_rad):.1f}°"
+    return f"wall at {wall.distance_m:.4f} m towards {way}, {wall.stiffness_n_m:.0f} N/m"

@@ -7,7 +7,7 @@ from kontur_av.errors import ProtocolError
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.mediated.wall import Wall, WallMessage, pack_wall, parse_wall
 
-WALL = pack_wall(WallMessage(7, Wall(0, 1, 0.06, 1500.0)), 3)
+WALL = pack_wall(WallMessage(7, Wall(0.5, 0.06, 1500.0)), 3)
 near = st.builds(
     lambda at, octet: WALL[:at] + bytes([octet]) + WALL[at + 1 :],
     st.integers(0, len(WALL) - 1),

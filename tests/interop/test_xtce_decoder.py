@@ -1,5 +1,6 @@
 """space_packet_parser of LASP reads our telemetry by our XTCE, and knows nothing else of us."""
 
+from math import tau
 from pathlib import Path
 
 import pytest
@@ -123,13 +124,14 @@ def test_it_knows_every_packet_of_a_session_with_two_switches_of_the_camera(tmp_
 
 
 def test_it_knows_the_packets_with_walls(tmp_path: Path) -> None:
-    message = WallMessage(3035, Wall(0, 1, 0.06, 1500.0))
+    message = WallMessage(3035, Wall(tau / 8, 0.06, 1500.0))
     (wall,) = decoded(built_in_dictionary(), pack_wall(message, 7), tmp_path)
-    assert (wall["WALL_STAMP_MS"], wall["WALL_SURFACE"], wall["WALL_STIFFNESS"]) == (
+    assert [wall[f"WALL_{name}"] for name in ("ANGLE", "STAMP_MS", "DISTANCE", "STIFFNESS")] == [
+        8192,
         3035,
         3000,
         1500,
-    )
+    ]
 
 
 def test_it_reads_the_reports_and_calls_of_a_users_component(tmp_path: Path) -> None:

@@ -158,7 +158,7 @@ def test_garbage_changes_nothing():
         300,
         SOFT_GRIP,
         script=PRESS,
-        garble=lambda wall: (wall, b"", wall[:-1], wall[:6] + b"\x02" + wall[7:], bytes(16), wall),
+        garble=lambda wall: (wall, b"", wall[:-1], wall[:6] + b"\x01" + wall[7:], bytes(16), wall),
     )
     clean.run(6)
     spoilt.run(6)

@@ -8,6 +8,8 @@ not press. The spring still gives it back to the hand. So the robot's own power 
 energy of its contact, and the network as a whole is not passive. No delayed force is in the loop.
 """
 
+from math import hypot
+
 from kontur_av.errors import ProtocolError
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.mediated.renderer import RendererModel, WallRenderer
@@ -72,8 +74,7 @@ class MediatedController(JoystickController):
         wall_x, wall_y = renderer.step(x_m, y_m, dt_ns, felt=felt)
         if feedback is not None and not self.residual:
             feedback = _tuple(Feedback, (0.0, 0.0, *feedback[2:]))
-        # The wall has one axis, so its force is the larger of the two numbers.
-        self.limit_n = limit_n - abs(wall_x) - abs(wall_y)
+        self.limit_n = limit_n - hypot(wall_x, wall_y)
         self.most_j = renderer.spare_j
         self._damping_n = bx, by = super().step(feedback, x_m, y_m, dt_ns)
         self.limit_n = limit_n

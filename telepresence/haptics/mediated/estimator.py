@@ -1,16 +1,31 @@
 """Estimates the wall that the robot's tip touches, from positions and measured forces.
 
-In contact, force = stiffness * (position - surface) + damping * velocity. The three unknowns are
-found by least squares over the samples of a contact in which the tip moved; older ones count less
-and less. A tip that only slows down does not tell them; then the place where the contact began is
-taken for the surface. The free tip contradicts a wall when it stands behind its surface.
+The wall is taken for a plane, slightly curved, where the tip is. Along the plane's normal,
+
+    force = stiffness * depth + damping * velocity,
+    depth = u - surface + tilt * w - curvature * w^2 / 2.
+
+u and w are the position across and along the assumed plane, from the newest place of the tip. The
+force along the plane says the same tilt, and friction, which turns with the sliding direction:
+
+    force along = force * (tilt - curvature * w + friction * sliding).
+
+The six unknowns are found together by least squares over the samples of a contact in which the tip
+moved; older ones count less and less. The assumed plane is then turned by the tilt. What the
+samples do not tell comes from weak priors, and from the place where the contact began. So a tip
+that slides one way only does not have its friction taken for a slant. An estimate that is too
+uncertain is not told. The free tip contradicts a wall when it stands behind its surface.
 
 Model-mediated teleoperation: P. Mitra, G. Niemeyer, "Model-mediated telemanipulation", Int. J.
 Robotics Research 27, 2008; C. Passenberg, A. Peer, M. Buss, "A survey of environment-, operator-,
 and task-adapted controllers for teleoperation systems", Mechatronics 20, 2010.
 """
 
+from collections import deque
 from dataclasses import dataclass
+from math import atan, atan2, cos, hypot, sin, tau
+
+import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.mediated.wall import (
@@ -21,12 +36,13 @@ from telepresence.haptics.mediated.wall import (
     pack_wall,
 )
 
-#: A standard deviation of velocity below which damping does not matter.
-_SLOW_M_S = 0.0005
-#: Position and velocity are told apart if their correlation, squared, is below 1 less this.
-_APART = 0.05
-#: The place where a contact began is coarse: the mean depth must be so many times the least spread.
-_DEEP = 5.0
+#: A place that nobody measured lies somewhere in its interval: its standard deviation by length.
+_UNIFORM = 12.0**-0.5
+#: Deviation of the force (N) about the model before there are residuals.
+_FIRST_N = 0.05
+#: A solution is improved until the assumed plane turned by less than this (rad), and the variance
+#: grew by a smaller factor, so many times at most.
+_TURNED_RAD, _TRUSTED, _TURNS = 0.01, 2.0, 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,21 +51,45 @@ class EstimatorModel:
 
     least_n: a smaller force is not looked at.
     step_m: the tip must move by this for its next sample.
-    samples, spread_m: an estimate needs so many samples, with this standard deviation of position.
+    samples: an estimate needs so many, and looks at `most_samples`.
     keep: weight of a sample after the next one.
+    noise_n: standard deviation of the measured force, at least.
+    friction, friction_spread, curvature_spread, damping_spread: what walls are like: mean and
+    standard deviation of the friction, deviations of curvature (1/m) and damping (N s/m) from 0.
+    learned, stiffness_spread: a stiffness that the samples tell with a relative deviation below
+    `learned` is expected in the rest of the contact, too, with the other one.
+    slide_m_s: friction is half of its whole at this speed along the wall.
+    misfit_n: samples that differ more from every plane are forgotten.
+    uncertain, uncertain_rad: an estimate with a larger standard deviation of the stiffness,
+    relative, or of the angle is not told.
+    estimate_ns: the least time between two estimates.
     behind_m: a free tip so far behind the surface says that there is no wall.
-    moved_m, changed: a change of the surface, and a relative one of the stiffness, that is told.
+    moved_m, changed, turned_rad: a change of the surface at the tip, a relative one of the
+    stiffness, and one of the angle, that is told.
     apart_ns: the least time between two messages. repeat_ns: the time to the next without a change.
     """
 
     least_n: float = 0.05
     step_m: float = 20e-6
     samples: int = 6
-    spread_m: float = 0.1e-3
+    most_samples: int = 96
     keep: float = 0.97
+    noise_n: float = 0.02
+    friction: float = 0.1
+    friction_spread: float = 0.1
+    curvature_spread: float = 25.0
+    damping_spread: float = 50.0
+    stiffness_spread: float = 0.05
+    learned: float = 0.03
+    slide_m_s: float = 0.005
+    misfit_n: float = 0.5
+    uncertain: float = 0.15
+    uncertain_rad: float = 0.1
+    estimate_ns: int = 10 * NS_PER_MS
     behind_m: float = 0.002
     moved_m: float = 0.0002
     changed: float = 0.1
+    turned_rad: float = 0.03
     apart_ns: int = 100 * NS_PER_MS
     repeat_ns: int = NS_PER_S
 
@@ -70,13 +110,24 @@ class WallEstimator:
         self._due_ns: int | None = None
         self._earliest_ns = 0
         self._last: tuple[int, float, float] | None = None
-        #: Axis and inward sign of the present contact.
-        self._axis = self._inward = 0
-        #: Where this contact began, if the tip was free before.
-        self._entered: tuple[float, float] | None = None
         self._free = False
-        self._used_m: float | None = None
-        self._sums = _Sums(self.model.keep)
+        #: Position, velocity and force of the samples of this contact, the newest last.
+        self._samples: deque[tuple[float, ...]] = deque(maxlen=self.model.most_samples)
+        self._estimate_ns = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget the samples of a contact."""
+        self._samples.clear()
+        self._used = 0
+        #: Where it began, if the tip was free before, and the deviation of that place.
+        self._entered: tuple[float, float, float] | None = None
+        #: The assumed plane's angle and stiffness; the variance of the force about the model.
+        self._angle_rad: float | None = None
+        self._stiffness = 1000.0
+        self._variance = _FIRST_N**2
+        #: The stiffness, once the samples of this contact have told it well.
+        self._known_n_m: float | None = None
 
     def handle_sample(
         self, now_ns: int, x_m: float, y_m: float, fx_n: float, fy_n: float, contact: bool
@@ -86,42 +137,36 @@ class WallEstimator:
         contact: the tip touches something.
         """
         last, self._last = self._last, (now_ns, x_m, y_m)
+        model, samples = self.model, self._samples
         if not contact:
-            self._axis = self._inward = 0
-            self._free, self._entered = True, None
+            self._free = True
+            self._begin()
             wall = self.wall
-            if wall is not None and wall.depth_m(x_m, y_m) > self.model.behind_m:
+            if wall is not None and wall.depth_m(x_m, y_m) > model.behind_m:
                 self.wall, self._changed = None, self.told is not None
             return
         if last is None or now_ns <= last[0]:
             return
+        dx, dy = x_m - last[1], y_m - last[2]
         if self._free:
             # The surface lies between the last free place and the first one in contact.
-            self._free, self._entered = False, ((last[1] + x_m) / 2.0, (last[2] + y_m) / 2.0)
-        force = max(abs(fx_n), abs(fy_n))
-        if force < self.model.least_n:
+            place = x_m - dx / 2.0, y_m - dy / 2.0
+            self._free, self._entered = False, (*place, hypot(dx, dy) * _UNIFORM)
+        if abs(fx_n) + abs(fy_n) < model.least_n:
             return
-        if not self._inward:
-            self._axis = 0 if abs(fx_n) >= abs(fy_n) else 1
-            self._inward = -1 if (fy_n if self._axis else fx_n) > 0.0 else 1
-            self._sums, self._used_m = _Sums(self.model.keep), None
-        # Along the motion that meets the wall, so that depth and force are positive.
-        at_m, before_m, push_n = (y_m, last[2], fy_n) if self._axis else (x_m, last[1], fx_n)
-        at_m, before_m, push_n = (
-            at_m * self._inward,
-            before_m * self._inward,
-            -push_n * self._inward,
-        )
-        if self._used_m is not None and abs(at_m - self._used_m) < self.model.step_m:
+        if samples and hypot(x_m - samples[-1][0], y_m - samples[-1][1]) < model.step_m:
             return
-        self._used_m = at_m
-        self._sums.add(at_m, (at_m - before_m) * NS_PER_S / (now_ns - last[0]), push_n)
-        self._estimate()
+        per_s = NS_PER_S / (now_ns - last[0])
+        samples.append((x_m, y_m, dx * per_s, dy * per_s, fx_n, fy_n))
+        self._used += 1
+        if len(samples) >= model.samples and now_ns >= self._estimate_ns:
+            self._estimate_ns = now_ns + model.estimate_ns
+            self._estimate()
 
     def handle_shift(self, x_m: float, y_m: float) -> None:
         """All coordinates grow by (x_m, y_m), so the wall does; a contact begins anew."""
-        self._axis = self._inward = 0
-        self._free, self._entered, self._last = False, None, None
+        self._free, self._last = False, None
+        self._begin()
         if self.wall is not None:
             self.wall, self._changed = self.wall.moved(x_m, y_m), True
 
@@ -147,97 +192,90 @@ class WallEstimator:
         return data
 
     def _estimate(self) -> None:
-        model = self.model
-        if self._sums.number < model.samples:
-            return
-        entered = self._entered
-        entered_m = None if entered is None else self._inward * entered[self._axis]
-        found = self._sums.solve(model.spread_m, entered_m)
+        model, found = self.model, self._solve()
         if found is None:
             return
-        stiffness, surface_m = found
-        if not LEAST_STIFFNESS_N_M <= stiffness <= MOST_STIFFNESS_N_M:
-            return
-        self.wall = wall = Wall(self._axis, self._inward, self._inward * surface_m, stiffness)
+        self.wall = wall = found
         told = self.told
+        x_m, y_m = self._samples[-1][:2]
+        stiffness = wall.stiffness_n_m
         self._changed = (
             told is None
-            or (told.axis, told.inward) != (wall.axis, wall.inward)
-            or abs(told.surface_m - wall.surface_m) > model.moved_m
+            or abs((wall.angle_rad - told.angle_rad + tau / 2) % tau - tau / 2) > model.turned_rad
+            or abs(told.depth_m(x_m, y_m) - wall.depth_m(x_m, y_m)) > model.moved_m
             or abs(told.stiffness_n_m - stiffness) > model.changed * told.stiffness_n_m
         )
 
-
-class _Sums:
-    """Least squares of force = stiffness * (position - surface) + damping * velocity."""
-
-    def __init__(self, keep: float) -> None:
-        self.number = 0
-        self._keep = keep
-        self._weight = 0.0
-        self._mean = [0.0, 0.0, 0.0]
-        #: Sums of products of deviations: xx, xv, vv, xf, vf.
-        self._products = [0.0] * 5
-
-    def add(self, x: float, v: float, f: float) -> None:
-        """Count a sample: position (m), velocity (m/s), force (N)."""
-        self.number += 1
-        keep = self._keep
-        before = self._weight * keep
-        self._weight = before + 1.0
-        mean = self._mean
-        dx, dv, df = x - mean[0], v - mean[1], f - mean[2]
-        share = 1.0 / self._weight
-        mean[0] += dx * share
-        mean[1] += dv * share
-        mean[2] += df * share
-        # Deviations from the old means, so the products stay exact (West 1979).
-        gain = before * share
-        xx, xv, vv, xf, vf = self._products
-        self._products = [
-            keep * xx + gain * dx * dx,
-            keep * xv + gain * dx * dv,
-            keep * vv + gain * dv * dv,
-            keep * xf + gain * dx * df,
-            keep * vf + gain * dv * df,
-        ]
-
-    def solve(self, spread_m: float, entered_m: float | None) -> tuple[float, float] | None:
-        """Return stiffness (N/m) and surface (m), or None if the samples do not tell them.
-
-        entered_m: where the contact began; it is taken for the surface if the samples alone do not
-        tell the shares of stiffness and damping, as while a tip only slows down.
-        """
-        xx, xv, vv, xf, vf = self._products
-        if xx < self._weight * spread_m * spread_m:
+    def _solve(self) -> Wall | None:
+        """Return the wall that explains the samples, or None if they do not tell it well."""
+        model = self.model
+        x, y, vx, vy, fx, fy = np.array(self._samples).T
+        tip_x, tip_y = self._samples[-1][:2]
+        x, y = x - tip_x, y - tip_y
+        weights = model.keep ** np.arange(len(x) - 1, -1, -1.0)
+        angle = self._angle_rad
+        if angle is None:
+            angle = atan2(-float(weights @ fy), -float(weights @ fx))
+        for _ in range(_TURNS):
+            nx, ny = cos(angle), sin(angle)
+            u, w, into, along = nx * x + ny * y, nx * y - ny * x, nx * vx + ny * vy, nx * vy - ny * vx
+            push, side = -nx * fx - ny * fy, ny * fx - nx * fy
+            slide = along / (np.abs(along) + model.slide_m_s)
+            k = self._stiffness
+            none = np.zeros_like(u)
+            across = np.array([u, none - 1.0, into, k * w, none, -0.5 * k * w * w])
+            beside = np.array([none, none, none, push, push * slide, -push * w])
+            per_variance = 1.0 / self._variance
+            normal = ((across * weights) @ across.T + (beside * weights) @ beside.T) * per_variance
+            right = (across @ (weights * push) + beside @ (weights * side)) * per_variance
+            if self._entered is not None:
+                at_x, at_y, deviation = self._entered
+                at_u = nx * (at_x - tip_x) + ny * (at_y - tip_y)
+                at_w = nx * (at_y - tip_y) - ny * (at_x - tip_x)
+                row = np.array([at_u, -1.0, 0.0, k * at_w, 0.0, -0.5 * k * at_w * at_w])
+                weight = model.keep**self._used / ((k * deviation) ** 2 + self._variance)
+                normal += weight * np.outer(row, row)
+            priors = [
+                (2, 0.0, model.damping_spread),
+                (4, model.friction, model.friction_spread),
+                (5, 0.0, model.curvature_spread),
+            ]
+            prior = 0.0
+            if self._known_n_m is not None:
+                spread = model.stiffness_spread * self._known_n_m
+                priors.append((0, self._known_n_m, spread))
+                prior = spread**-2
+            for index, mean, spread in priors:
+                normal[index, index] += spread**-2
+                right[index] += mean * spread**-2
+            try:
+                covariance = np.linalg.inv(normal)
+            except np.linalg.LinAlgError:
+                return None
+            solution = covariance @ right
+            stiffness, tilt = float(solution[0]), float(solution[3])
+            if not LEAST_STIFFNESS_N_M <= stiffness <= MOST_STIFFNESS_N_M or abs(tilt) > 1.0:
+                return None
+            depth = float(solution[1]) / stiffness
+            at_x, at_y = tip_x + depth * nx, tip_y + depth * ny
+            self._stiffness, angle = stiffness, angle + atan(tilt)
+            missing = (solution @ across - push) ** 2 + (solution @ beside - side) ** 2
+            variance = float(weights @ missing) / (2.0 * float(weights.sum()))
+            trusted, self._variance = self._variance, max(model.noise_n**2, variance)
+            if abs(tilt) < _TURNED_RAD and self._variance < _TRUSTED * trusted:
+                break
+        if self._variance > model.misfit_n**2:
+            # The wall moved, or another one was met: what was before tells nothing of it.
+            self._begin()
             return None
-        x, v, f = self._mean
-        if vv < self._weight * _SLOW_M_S * _SLOW_M_S:
-            stiffness, damping = xf / xx, 0.0
-        else:
-            whole = xx * vv - xv * xv
-            if whole < _APART * xx * vv:
-                return None if entered_m is None else self._solve_from(spread_m, entered_m)
-            stiffness = (xf * vv - vf * xv) / whole
-            damping = (vf * xx - xf * xv) / whole
-        if stiffness <= 0.0:
+        self._angle_rad = angle
+        if covariance[0, 0] > (model.uncertain * stiffness) ** 2:
             return None
-        return stiffness, x - (f - damping * v) / stiffness
-
-    def _solve_from(self, spread_m: float, entered_m: float) -> tuple[float, float] | None:
-        """Like `solve`, with the surface where the contact began."""
-        weight, (x, v, f) = self._weight, self._mean
-        depth = x - entered_m
-        if depth < _DEEP * spread_m:
+        if covariance[3, 3] > model.uncertain_rad**2:
             return None
-        xx, xv, vv, xf, vf = self._products
-        xx += weight * depth * depth
-        xv += weight * depth * v
-        vv += weight * v * v
-        xf += weight * depth * f
-        vf += weight * v * f
-        whole = xx * vv - xv * xv
-        if whole < _APART * xx * vv:
-            return None
-        stiffness = (xf * vv - vf * xv) / whole
-        return (stiffness, entered_m) if stiffness > 0.0 else None
+        # What the samples alone tell of the stiffness.
+        known = 1.0 / float(covariance[0, 0]) - prior
+        if known * (model.learned * stiffness) ** 2 > 1.0:
+            self._known_n_m = stiffness
+        distance = cos(angle) * at_x + sin(angle) * at_y
+        return Wall(angle % tau, distance, stiffness)

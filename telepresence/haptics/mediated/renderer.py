@@ -1,7 +1,11 @@
 """Renders the newest wall at the operator's handle, at 1 kHz and passively.
 
 The wall is a spring in series with the robot's own, so that the hand feels what the robot presses
-with. The force of a cycle is held while the handle moves by `d`, so exactly `f d` has flowed out.
+with. It acts across the plane only. The force of a cycle is held while the handle moves by `d`, so
+exactly `f·d` has flowed out.
+
+Where the wall changes, the force goes straight to that of the new one, as a vector. A force that
+turns does no work: the spring turns with it and holds as much energy as before.
 
 An energy tank bounds what a change of the wall may add. It holds what the motors took from the hand
 (damping and spring) less what they gave. A part of it is the spring's own energy f^2 / 2k. That
@@ -15,7 +19,7 @@ passivity and transparency", IEEE Trans. Robotics 27, 2011, has such tanks. P. M
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import hypot, sqrt
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.mediated.wall import STAMP_MODULUS_MS, Wall, WallMessage
@@ -30,9 +34,9 @@ class RendererModel:
     robot_n_m: stiffness between the robot's reference and its tip (`RobotControllerModel`).
     start_j, limit_j: what the tank holds at first and at most. Without a limit, an hour of free
     motion would pay for a minute of instability.
-    rise_n_s, fall_n_s: fastest rise and fall of the force where the wall changes. A hand that is
-    pushed back fast wastes the tank's energy in its muscles, so the rise is slow.
-    most_rate_n_s: fastest rise and fall of the force for any reason.
+    rise_n_s, fall_n_s: fastest change of the force where the wall changes, to more and to less. A
+    hand that is pushed back fast wastes the tank's energy in its muscles, so the rise is slow.
+    most_rate_n_s: fastest change of the force for any reason.
     soften_s: the stiffness under load follows a new one with this time constant.
     acceleration_m_s2: greatest acceleration of the handle; it bounds the next cycle's distance.
     old_ns: a wall that nobody has repeated for so long fades out.
@@ -53,6 +57,7 @@ class WallRenderer:
     """Call `handle_wall` for each message, and `step` once a millisecond for the force.
 
     limit_n: the greatest force (N) now; set it before a step.
+    force_n: the present force on the handle (N, N).
     tank_j: energy taken from the hand less energy given to it, bounded by `limit_j`.
     least_j: the lowest value of `tank_j` so far.
     given_j: energy that the spring gave to the hand in the last step, or took if negative.
@@ -68,23 +73,20 @@ class WallRenderer:
         self._goal: Wall | None = None
         self._stamp_ms: int | None = None
         self._age_ns = 0
-        #: The plane that is rendered, its stiffness, and the coordinate where its force begins.
-        self._axis, self._inward, self._stiffness, self._from_m = 0, 1, 0.0, 0.0
-        #: The present force against the motion into the wall, at least 0.
-        self._force_n = 0.0
+        #: The plane that is rendered: its inward normal, stiffness, and where along the normal its
+        #: force begins.
+        self._inward, self._stiffness, self._from_m = (1.0, 0.0), 0.0, 0.0
+        #: The present force on the handle (N, N).
+        self.force_n = (0.0, 0.0)
         self._last: tuple[float, float] | None = None
-
-    @property
-    def force_n(self) -> tuple[float, float]:
-        """The present force on the handle (N, N)."""
-        push = -self._inward * self._force_n
-        return (0.0, push) if self._axis else (push, 0.0)
 
     @property
     def spare_j(self) -> float:
         """What the tank holds beyond the need of the wall's present force."""
-        force, stiffness = self._force_n, self._stiffness
-        return max(0.0, self.tank_j - force * force / (2.0 * stiffness)) if force else self.tank_j
+        fx, fy = self.force_n
+        if fx == fy == 0.0:
+            return self.tank_j
+        return max(0.0, self.tank_j - (fx * fx + fy * fy) / (2.0 * self._stiffness))
 
     def handle_wall(self, message: WallMessage) -> None:
         """Take a message. One that is not newer than the last counts as stale and changes nothing.
@@ -118,28 +120,39 @@ class WallRenderer:
         self.given_j = 0.0
         if last is None:
             return 0.0, 0.0
-        held_n, stiffness = self._force_n, self._stiffness
-        at_m = self._inward * (y_m if self._axis else x_m)
-        moved_m = at_m - self._inward * (last[1] if self._axis else last[0])
-        self.given_j = -held_n * moved_m
+        held_x, held_y = self.force_n
+        dx, dy = x_m - last[0], y_m - last[1]
+        self.given_j = held_x * dx + held_y * dy
         self.handle_flow(self.given_j)
         # What the spring does by itself.
-        force = stiffness * (at_m - self._from_m) if stiffness else 0.0
+        nx, ny = self._inward
+        force = self._stiffness * (nx * x_m + ny * y_m - self._from_m)
         goal = self._goal if felt and self._age_ns <= self.model.old_ns else None
         if force <= 0.0:
             force = 0.0
             self._place(goal, x_m, y_m)
-            at_m = self._inward * (y_m if self._axis else x_m)
-        wanted = 0.0
-        if goal is not None and (goal.axis, goal.inward) == (self._axis, self._inward):
+            nx, ny = self._inward
+        fx, fy = -force * nx, -force * ny
+        wanted_x = wanted_y = 0.0
+        if goal is not None:
             if force:
                 self._soften(self._series(goal), force, dt_s)
-            wanted = max(0.0, self._stiffness * goal.depth_m(x_m, y_m))
-        rise, fall = self.model.rise_n_s * dt_s, self.model.fall_n_s * dt_s
-        force = min(force + rise, wanted) if wanted > force else max(force - fall, wanted)
-        self._force_n = force = self._bounded(force, held_n, moved_m / dt_s, dt_s)
-        if force:
-            self._from_m = at_m - force / self._stiffness
+            wanted = self._stiffness * max(0.0, goal.depth_m(x_m, y_m))
+            nx, ny = goal.inward
+            wanted_x, wanted_y = -wanted * nx, -wanted * ny
+        more = wanted_x * wanted_x + wanted_y * wanted_y > force * force
+        rate = self.model.rise_n_s if more else self.model.fall_n_s
+        fx, fy = _towards(fx, fy, wanted_x, wanted_y, rate * dt_s)
+        fx, fy = _towards(held_x, held_y, fx, fy, self.model.most_rate_n_s * dt_s)
+        force = hypot(fx, fy)
+        if force > 0.0:
+            self._inward = nx, ny = -fx / force, -fy / force
+            force = self._bounded(force, (nx * dx + ny * dy) / dt_s)
+        if force > 0.0:
+            self.force_n = -force * nx, -force * ny
+            self._from_m = nx * x_m + ny * y_m - force / self._stiffness
+        else:
+            self.force_n = 0.0, 0.0
         return self.force_n
 
     def _series(self, wall: Wall) -> float:
@@ -151,10 +164,9 @@ class WallRenderer:
         if goal is None:
             self._stiffness = 0.0
             return
-        self._axis, self._inward = goal.axis, goal.inward
+        self._inward = nx, ny = goal.inward
         self._stiffness = self._series(goal)
-        at_m = goal.inward * (y_m if goal.axis else x_m)
-        self._from_m = max(at_m, goal.inward * goal.surface_m)
+        self._from_m = max(nx * x_m + ny * y_m, goal.distance_m)
 
     def _soften(self, stiffness: float, force: float, dt_s: float) -> None:
         """Let the stiffness follow at the same force; a softer spring stores more energy."""
@@ -163,12 +175,8 @@ class WallRenderer:
         if force * force <= 2.0 * after * self.tank_j:
             self._stiffness = after
 
-    def _bounded(self, force: float, held_n: float, in_m_s: float, dt_s: float) -> float:
-        """Return the force within the bounds of its rate, the tank and the motors."""
-        most = self.model.most_rate_n_s * dt_s
-        force = max(held_n - most, min(held_n + most, force))
-        if force <= 0.0:
-            return 0.0
+    def _bounded(self, force: float, in_m_s: float) -> float:
+        """Return the force within the bounds of the tank and the motors."""
         tank_j = max(0.0, self.tank_j)
         force = min(force, self.limit_n, sqrt(2.0 * self._stiffness * tank_j))
         # The next cycle is held, and the handle may accelerate.
@@ -176,3 +184,14 @@ class WallRenderer:
         if force * out_m > tank_j:
             force = tank_j / out_m
         return force
+
+
+def _towards(
+    x: float, y: float, to_x: float, to_y: float, most: float
+) -> tuple[float, float]:
+    """Return the vector (x, y), moved to (to_x, to_y) by `most` at most."""
+    dx, dy = to_x - x, to_y - y
+    size = hypot(dx, dy)
+    if size <= most:
+        return to_x, to_y
+    return x + dx * most / size, y + dy * most / size

@@ -43,15 +43,15 @@ _COMMAND = {"COMMAND_VERSION": 4, "ACKNOWLEDGE": 4, "SOURCE": 16}
 _OTHERS = {"STRUCTURE": 8, "EVENT": 8, "FUNCTION": 8, "FAILURE": 8, "CHECK": 16}
 #: Of a report of parameters: how many there are, and the number of a single one.
 _PARAMETERS = {"PARAMETERS": 8, "PARAMETER": 8}
-#: Fields of a wall. The surface is signed, in 20 µm.
+#: Fields of a wall: the angle in 1/65536 turn, the distance signed, in 20 µm.
 _WALL = {
     "WALL_VERSION": 8,
-    "WALL_DIRECTION": 8,
-    "WALL_STAMP_MS": 32,
-    "WALL_SURFACE": 16,
+    "WALL_ANGLE": 16,
+    "WALL_STAMP_MS": 24,
+    "WALL_DISTANCE": 16,
     "WALL_STIFFNESS": 16,
 }
-_SIGNED = ("WALL_SURFACE",)
+_SIGNED = ("WALL_DISTANCE",)
 #: Fields that fill the rest of the packet, with the octets around them after the primary header,
 #: and whether they are text.
 _RESTS = {

@@ -168,8 +168,8 @@ def test_facts_of_a_unit():
         ),
         (pack_wall(WallMessage(1, None), 0), "no wall"),
         (
-            pack_wall(WallMessage(1, Wall(0, 1, 0.06, 1500.0)), 0),
-            "wall at x = 0.0600 m, 1500 N/m",
+            pack_wall(WallMessage(1, Wall(0.5, 0.06, 1500.0)), 0),
+            "wall at 0.0600 m towards 28.6°, 1500 N/m",
         ),
         (b"\x08\x01", "unknown"),
     ],

@@ -2,6 +2,7 @@
 
 import random
 from itertools import pairwise
+from math import cos, pi, radians, sin, tau
 
 import pytest
 
@@ -11,45 +12,82 @@ from telepresence.haptics.mediated.wall import Wall, parse_wall
 MS = 1_000_000
 
 
-def touch(estimator, wall, *, start_ms=0, ms=400, axis=0, noise_n=0.0, seed=1):
-    """Press into `wall` with a swing that comes to rest; return the next millisecond."""
+def touch(estimator, wall, *, start_ms=0, ms=400, slide_m_s=0.0, rub=0.0, noise_n=0.0, seed=1):
+    """Press into `wall` with a swing that comes to rest; return the next millisecond.
+
+    The tip slides by `slide_m_s` at first, then slower; Coulomb friction `rub` acts against it.
+    """
     source = random.Random(seed)
-    before = None
+    nx, ny = wall.inward
+    depth_before = along = 0.0
     for k in range(ms):
         depth = 0.003 * (1.0 - 0.99**k) + 0.001 * 0.985**k * ((k // 7) % 2)
-        at = wall.surface_m + wall.inward * depth
-        speed = 0.0 if before is None else wall.inward * (at - before) * 1000.0
-        before = at
+        slide = slide_m_s * 0.995**k
+        along += slide / 1000.0
+        speed, depth_before = (depth - depth_before) * 1000.0 if k else 0.0, depth
         push = wall.stiffness_n_m * depth + 20.0 * speed + source.gauss(0.0, noise_n)
-        force = -wall.inward * max(0.0, push)
-        x, y, fx, fy = (0.0, at, 0.1 * force, force) if axis else (at, 0.0, force, 0.1 * force)
+        push = max(0.0, push)
+        side = -rub * push * slide / (abs(slide) + 0.01) + source.gauss(0.0, noise_n)
+        at = wall.distance_m + depth
+        x, y = nx * at - ny * along, ny * at + nx * along
+        fx, fy = -nx * push - ny * side, -ny * push + nx * side
         estimator.handle_sample((start_ms + k) * MS, x, y, fx, fy, True)
     return start_ms + ms
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize("inward", [1, -1])
-@pytest.mark.parametrize("stiffness", [100.0, 1500.0, 5000.0])
-def test_a_wall_is_found_whatever_its_damping(axis, inward, stiffness):
+def turned_rad(wall, other):
+    """The angle between two walls."""
+    return abs((wall.angle_rad - other.angle_rad + pi) % tau - pi)
+
+
+@pytest.mark.parametrize("degrees", [0, 33, 90, 180, 211, 359])
+@pytest.mark.parametrize(
+    ("slide_m_s", "stiffness"),
+    [(0.0, 100.0), (0.0, 1500.0), (0.0, 5000.0), (0.05, 1500.0), (-0.2, 1500.0), (-0.2, 5000.0)],
+)
+def test_a_wall_is_found_whatever_its_direction_damping_and_friction(degrees, slide_m_s, stiffness):
     estimator = WallEstimator()
-    wall = Wall(axis, inward, 0.06 * inward, stiffness)
-    touch(estimator, wall, axis=axis)
+    wall = Wall(radians(degrees), 0.04, stiffness)
+    touch(estimator, wall, slide_m_s=slide_m_s, rub=0.15)
     found = estimator.wall
-    assert (found.axis, found.inward) == (axis, inward)
-    assert found.surface_m == pytest.approx(wall.surface_m, abs=0.1e-3)
+    assert turned_rad(found, wall) < radians(1.0)
+    x_m, y_m = estimator._last[1:]
+    assert found.depth_m(x_m, y_m) == pytest.approx(wall.depth_m(x_m, y_m), abs=0.1e-3)
     assert found.stiffness_n_m == pytest.approx(stiffness, rel=0.05)
 
 
 def test_a_noisy_sensor_moves_it_little():
     estimator = WallEstimator()
-    touch(estimator, Wall(0, 1, 0.06, 1500.0), noise_n=0.05)
-    assert estimator.wall.surface_m == pytest.approx(0.06, abs=0.5e-3)
+    wall = Wall(0.0, 0.06, 1500.0)
+    touch(estimator, wall, noise_n=0.05)
+    assert turned_rad(estimator.wall, wall) < radians(2.0)
+    assert estimator.wall.distance_m == pytest.approx(0.06, abs=0.5e-3)
     assert estimator.wall.stiffness_n_m == pytest.approx(1500.0, rel=0.2)
+
+
+@pytest.mark.parametrize("radius_m", [0.02, 0.04, 0.06])
+def test_the_plane_follows_a_round_object_as_the_tip_slides(radius_m):
+    """To and fro over 60 degrees of it, with friction; the told plane is the tangent plane."""
+    estimator = WallEstimator()
+    told = None
+    for k in range(4000):
+        angle, speed = sin(k / 500), cos(k / 500) * 2.0 * (radius_m - 0.002)
+        depth = 0.002 + 0.001 * sin(k / 40)
+        push = 1500.0 * depth + 20.0 * 0.025 * cos(k / 40)
+        side = 0.15 * push * speed / (abs(speed) + 0.01)
+        nx, ny = cos(angle), sin(angle)
+        x_m, y_m = (depth - radius_m) * nx, (depth - radius_m) * ny
+        estimator.handle_sample(k * MS, x_m, y_m, -side * ny - push * nx, side * nx - push * ny, True)
+        told = (data := estimator.poll_transmit(k * MS)) and parse_wall(data).wall or told
+        if k > 500 and data is not None:
+            assert turned_rad(told, Wall(angle, 0.0, 0.0)) < radians(6.0)
+            assert told.depth_m(x_m, y_m) == pytest.approx(depth, abs=0.5e-3)
+    assert 25 <= estimator.sent <= 40
 
 
 def test_a_free_tip_behind_the_surface_takes_the_wall_back():
     estimator = WallEstimator()
-    end = touch(estimator, Wall(0, 1, 0.06, 1500.0))
+    end = touch(estimator, Wall(0.0, 0.06, 1500.0))
     estimator.poll_transmit(end * MS)
     estimator.handle_sample(end * MS, 0.0615, 0.0, 0.0, 0.0, False)
     assert estimator.wall is not None
@@ -64,11 +102,11 @@ def test_a_change_is_told_at_most_ten_times_a_second_and_no_change_once_a_second
     sent = []
     now = 0
     for number in range(40):
-        wall = Wall(0, 1, 0.06 + 0.001 * (number % 2), 1500.0)
+        wall = Wall(0.0, 0.06 + 0.001 * (number % 2), 1500.0)
         for k in range(50):
             depth = 0.002 * abs((k % 20) - 10) / 10
             force = -1500.0 * depth
-            estimator.handle_sample(now * MS, wall.surface_m + depth, 0.0, force, 0.0, True)
+            estimator.handle_sample(now * MS, wall.distance_m + depth, 0.0, force, 0.0, True)
             if estimator.poll_transmit(now * MS) is not None:
                 sent.append(now)
             now += 1
