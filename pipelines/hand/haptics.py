@@ -9,14 +9,17 @@ from pipelines.session.probe import Probe
 from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.states import Experiment
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.figures import WallFigures
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.ownership import HapticOwnership, Owner
+from telepresence.haptics.partner_board import PartnerBoard
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.haptics.sample import Feedback
+from telepresence.haptics.session import JoystickSession, RobotSession
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
 
@@ -89,6 +92,8 @@ class RobotEnd(_End[RobotSide]):
     robot: the simulated one, if None.
     ownership: where a partner may drive, too. Then `handle_datagram` is for datagrams of the
     joystick in space, and `handle_partner` for the partner's; send to the owner alone.
+    board: where the joystick in space may drive the partner's robot. Send to it what
+    `board.poll_partner` returns; `poll_transmit` returns what goes to space, of either robot.
     """
 
     def __init__(
@@ -101,7 +106,9 @@ class RobotEnd(_End[RobotSide]):
         ownership: HapticOwnership | None = None,
         envelope: SafetyEnvelope | None = None,
         robot: Robot | None = None,
+        board: PartnerBoard | None = None,
     ) -> None:
+        ownership = ownership if board is None else board.ownership
         self.envelope = envelope = envelope or SafetyEnvelope()
         limits = envelope.limits
         max_age_ns = round(limits.command_max_age_s * NS_PER_S)
@@ -123,7 +130,11 @@ class RobotEnd(_End[RobotSide]):
         )
         super().__init__(side, probe)
         self._ownership = ownership
-        if ownership is not None:
+        self.board = board
+        if board is not None:
+            self.handle_datagram = self._handle_routed
+            self.poll_transmit = self._poll_routed
+        elif ownership is not None:
             self.handle_datagram = self._handle_iss
         self.poll_wall = self.side.poll_wall
         self._latest = self.side.link.latest
@@ -142,6 +153,19 @@ class RobotEnd(_End[RobotSide]):
         """A datagram of the partner's joystick arrived."""
         if self._ownership is not None and self._ownership.takes(Owner.PARTNER):
             self.side.handle_datagram(data, now_ns)
+
+    def _handle_routed(self, data: bytes, now_ns: int) -> None:
+        assert self.board is not None
+        if self.board.handle_joystick(data, now_ns):
+            self.side.handle_datagram(data, now_ns)
+
+    def _poll_routed(self, now_ns: int) -> bytes | None:
+        board, session = self.board, self._link.session
+        assert board is not None and isinstance(session, RobotSession)
+        if board.ownership.owner is not Owner.ISS:
+            return board.poll_joystick()
+        session.partner = board.is_there(now_ns)
+        return self.side.poll_transmit(now_ns)
 
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
@@ -228,6 +252,21 @@ class JoystickEnd(_End[JoystickSide]):
         self._latest = self.side.link.latest
         self._steps = StepDetector()
         self._feel, self._felt = self._steps.handle_sample, probe.series(StepRow)
+
+    def follow_experiment(self) -> None:
+        """Where a partner has a robot: call it at the start, and after each command of a person.
+
+        Each robot has a session of its own, and no energy of one pays for a force of the other.
+        """
+        session = self._link.session
+        assert self._operated is not None and isinstance(session, JoystickSession)
+        operation = self._operated.operation
+        russian = operation.experiment is Experiment.RUSSIAN
+        if russian is not session.for_partner:
+            self._link.begin_anew(for_partner=russian)
+            port = self.side.controller.port
+            port.discard_credit(max(0.0, port.credit_j))
+        operation.partner = self._link.hearing and (russian or session.partner_there)
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """One cycle, which moves the joystick on by `advance_ns`."""
