@@ -80,6 +80,34 @@ class _End(Generic[Side]):
             pass
 
 
+def robot_side(
+    envelope: SafetyEnvelope,
+    *,
+    life: int,
+    deadband: bool = False,
+    mediated: bool = False,
+    ownership: HapticOwnership | None = None,
+    robot: Robot | None = None,
+) -> RobotSide:
+    """Return a robot's side within the limits of its envelope; parameters as in `RobotEnd`."""
+    limits = envelope.limits
+    max_age_ns = round(limits.command_max_age_s * NS_PER_S)
+    more = 0 if robot is None else len(robot.more)
+    return RobotSide(
+        link=robot_link(life=life, max_age_ns=max_age_ns, deadband=deadband, more=more),
+        model=RobotControllerModel(
+            speed_m_s=limits.speed_m_s,
+            force_limit_n=limits.force_n,
+            half_width_m=limits.half_width_m,
+            half_height_m=limits.half_height_m,
+        ),
+        mediated=mediated,
+        ownership=ownership,
+        envelope=envelope,
+        robot=robot,
+    )
+
+
 class RobotEnd(_End[RobotSide]):
     """Follows the commands, measures the force, and returns the state of the robot.
 
@@ -110,22 +138,12 @@ class RobotEnd(_End[RobotSide]):
     ) -> None:
         ownership = ownership if board is None else board.ownership
         self.envelope = envelope = envelope or SafetyEnvelope()
-        limits = envelope.limits
-        max_age_ns = round(limits.command_max_age_s * NS_PER_S)
-        more = 0 if robot is None else len(robot.more)
-        link = robot_link(life=life, max_age_ns=max_age_ns, deadband=deadband, more=more)
-        model = RobotControllerModel(
-            speed_m_s=limits.speed_m_s,
-            force_limit_n=limits.force_n,
-            half_width_m=limits.half_width_m,
-            half_height_m=limits.half_height_m,
-        )
-        side = RobotSide(
-            link=link,
-            model=model,
+        side = robot_side(
+            envelope,
+            life=life,
+            deadband=deadband,
             mediated=mediated,
             ownership=ownership,
-            envelope=envelope,
             robot=robot,
         )
         super().__init__(side, probe)

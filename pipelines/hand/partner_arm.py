@@ -57,18 +57,25 @@ def run_second_robot(context: Context) -> None:
             robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
         )
 
-        def watch(now_ns: int) -> None:
-            if envelope.stopped is not control.stopped:
-                control.handle_stop(envelope.stopped)
-            control.step(now_ns)
-
-        def recover(_now_ns: int) -> None:
-            if not control.powered and not control.stopped and not control.reset():
-                control.set_power(True)
-
+        watch, recover = keep_powered(control, envelope)
         stop = follow_stop(KeptOrders(context.session), end)
         ports = partner_ports(context.setup)
         run_loop(context, end, ports, publish, before=watch, seldom=[stop, recover])
+
+
+def keep_powered(control: RobotControl, envelope: SafetyEnvelope) -> tuple[Cycle, Cycle]:
+    """Return what watches a robot in each cycle, and what switches it on again whenever it may."""
+
+    def watch(now_ns: int) -> None:
+        if envelope.stopped is not control.stopped:
+            control.handle_stop(envelope.stopped)
+        control.step(now_ns)
+
+    def recover(_now_ns: int) -> None:
+        if not control.powered and not control.stopped and not control.reset():
+            control.set_power(True)
+
+    return watch, recover
 
 
 def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cycle:
