@@ -78,6 +78,7 @@ class RobotDesk:
         control, envelope = self.control, self._envelope
         if envelope.stopped is not control.stopped:
             control.handle_stop(envelope.stopped)
+            self._again = False
         if self._board is not None and self._board.left_out is not bool(control.left_out):
             self._leave_out(control, self._board.left_out)
         control.step(now_ns)
@@ -86,7 +87,7 @@ class RobotDesk:
         again = control.powered and not self._tasks if left_out else False
         power_on, self._again = self._again, again
         control.handle_left_out(_LEFT_OUT if left_out else "")
-        if power_on and not control.stopped and not control.fault:
+        if power_on:
             # Its reference is where it is, and motion needs a new press.
             control.set_power(True)
 
@@ -165,6 +166,7 @@ class RobotDesk:
             case "power_on":
                 return control.set_power(True)
             case "power_off":
+                self._again = False
                 return control.set_power(False)
             case "reset_error":
                 return control.reset()
