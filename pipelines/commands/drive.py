@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_way_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options that say where the session is."""
+    """The options that say where the session is, and for how long."""
     parser.add_argument(
         "--base-port",
         type=int,

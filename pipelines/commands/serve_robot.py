@@ -27,7 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default: sim)",
     )
     add_way_arguments(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
 
 
 def serve(args: argparse.Namespace) -> int:

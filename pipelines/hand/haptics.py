@@ -268,6 +268,8 @@ class JoystickEnd(_End[JoystickSide]):
             held.handle_feedback if isinstance(held, OperatedHandle | HeldJoystick) else None
         )
         self._latest = self.side.link.latest
+        #: It has left a robot, whose energy counts no more.
+        self._leaves = False
         self._steps = StepDetector()
         self._feel, self._felt = self._steps.handle_sample, probe.series(StepRow)
 
@@ -282,6 +284,10 @@ class JoystickEnd(_End[JoystickSide]):
         russian = operation.experiment is Experiment.RUSSIAN
         if russian is not session.for_partner:
             self._link.begin_anew(for_partner=russian)
+            self._leaves = True
+        if self._leaves and not self.side.force_x_n and not self.side.force_y_n:
+            # Not before: the force of the last cycle is still to be paid for.
+            self._leaves = False
             port = self.side.controller.port
             port.discard_credit(max(0.0, port.credit_j))
         operation.partner = self._link.hearing and (russian or session.partner_there)
