@@ -65,6 +65,11 @@ class _End(Generic[Side]):
         axes = self.side.axes
         return () if axes is None else axes.row()
 
+    def _of_partner(self) -> bool:
+        """Whether samples come from a partner's robot, which tells nobody when it sent them."""
+        session = self._link.session
+        return isinstance(session, JoystickSession) and session.for_partner
+
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
@@ -75,7 +80,9 @@ class _End(Generic[Side]):
             for name, port in self.side.axes.report().items():
                 self._probe.tell(port, name)
         self._sent.extend_plain(link.take_sent_stamps())
-        self._received.extend_plain(link.take_received_stamps())
+        stamps = link.take_received_stamps()
+        if not self._of_partner():
+            self._received.extend_plain(stamps)
         while link.next_event() is not None:
             pass
 
@@ -180,7 +187,9 @@ class RobotEnd(_End[RobotSide]):
     def _poll_routed(self, now_ns: int) -> bytes | None:
         board, session = self.board, self._link.session
         assert board is not None and isinstance(session, RobotSession)
-        if board.ownership.owner is not Owner.ISS:
+        if board.left_out:
+            if self._link.hearing:
+                self._link.forget_peer()
             return board.poll_joystick()
         session.partner = board.is_there(now_ns)
         return self.side.poll_transmit(now_ns)

@@ -218,10 +218,16 @@ class HapticLink(Generic[Out, In]):
         """Of a joystick: leave this robot, and ask another for a session."""
         assert isinstance(self.session, JoystickSession)
         self.session.begin_anew(for_partner=for_partner)
-        self._newest = None
-        self.hearing = self.peer_holds = False
+        self.forget_peer()
+        # Sequence numbers of one robot mean nothing to the other.
+        self._received_stamps.clear()
         # The next session may have the same number, and each joule is granted in one only.
         self._sending = 0
+
+    def forget_peer(self) -> None:
+        """The peer talks to another: its numbers begin anew when it comes back."""
+        self._newest = None
+        self.hearing = self.peer_holds = False
 
     def latest(self, now_ns: int) -> In | None:
         """The newest sample, or None if there is none or it is older than `max_age_ns`."""

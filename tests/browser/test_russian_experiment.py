@@ -49,7 +49,7 @@ def test_the_cosmonaut_drives_the_partners_robot_then_ours(start_browser, tmp_pa
     token.write_text("word-of-the-partner")
     way = ("--rtc", str(port), "--rtc-token-file", str(token))
     options = (*way, "--page", str(free_port()))
-    browser = start_browser(size=(1280, 900), scale=1)
+    browser = start_browser()
     with RunningSession(str(setup), *options, directory=tmp_path) as session:
         session.pids()
         page = browser.open(session.pages()["k2cp"])
