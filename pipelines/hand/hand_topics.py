@@ -15,7 +15,7 @@ import msgspec
 
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.page import PageInput
-from telepresence.haptics.device.states import REQUESTS, Experiment, JoystickEvent
+from telepresence.haptics.device.states import REQUESTS, ExperimentName, JoystickEvent
 
 _INPUT = struct.Struct("<?ddIIq")
 _SHARE_OCTETS = 8
@@ -77,7 +77,7 @@ class JoystickOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """What outlives the process. paused: a person halted it, and must let it go on."""
 
     paused: bool
-    experiment: Experiment = Experiment.GERMAN
+    experiment: ExperimentName = ExperimentName.GERMAN
 
 
 class AxisStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
@@ -138,7 +138,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     test_reason: str = ""
     test_number: int = 0
     test_figures: dict[str, float | None] = {}
-    experiment: Experiment = Experiment.GERMAN
+    experiment: ExperimentName = ExperimentName.GERMAN
     partner: bool | None = None
 
 

@@ -9,7 +9,7 @@ from pipelines.session.probe import Probe
 from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.states import Experiment
+from telepresence.haptics.device.states import ExperimentName
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.figures import WallFigures
 from telepresence.haptics.loop import joystick_link, robot_link
@@ -290,7 +290,7 @@ class JoystickEnd(_End[JoystickSide]):
         session = self._link.session
         assert self._operated is not None and isinstance(session, JoystickSession)
         operation = self._operated.operation
-        russian = operation.experiment is Experiment.RUSSIAN
+        russian = operation.experiment is ExperimentName.RUSSIAN
         if russian is not session.for_partner:
             self._link.begin_anew(for_partner=russian)
             self._leaves = True

@@ -15,7 +15,7 @@ from telepresence.haptics.device.script import IDLE, ScriptRun
 from telepresence.haptics.device.states import (
     REQUESTS,
     TRANSITIONS,
-    Experiment,
+    ExperimentName,
     JoystickEvent,
     JoystickState,
     StateMachine,
@@ -54,7 +54,7 @@ _BY_A_PERSON = "by a person's command"
 _NO_BOARD = 'this session has no partner\'s robot: its setup needs partner_arm = "board"'
 _NO_PARTNER = "the partner's robot is not there"
 #: Whom the joystick hears.
-_PEERS = {Experiment.GERMAN: "the robot", Experiment.RUSSIAN: "the partner's robot"}
+_PEERS = {ExperimentName.GERMAN: "the robot", ExperimentName.RUSSIAN: "the partner's robot"}
 
 _OK, _APPLICATION = Health.OK, JoystickState.APPLICATION
 
@@ -94,7 +94,7 @@ class JoystickOperation:
         self.force_limit_n = 0.0
         self.prompt = ""
         self.released = 0
-        self.experiment = Experiment.GERMAN
+        self.experiment = ExperimentName.GERMAN
         self.partner: bool | None = None
         self.test = TestReport()
         self._automatic = automatic
@@ -211,19 +211,19 @@ class JoystickOperation:
         if event is JoystickEvent.START_RUSSIAN:
             if self.partner is not True and self.state is not JoystickState.FATAL:
                 return f"{event.value}: {_NO_BOARD if self.partner is None else _NO_PARTNER}"
-            return self._start(Experiment.RUSSIAN, now_ns)
+            return self._start(ExperimentName.RUSSIAN, now_ns)
         if event is JoystickEvent.START:
-            return self._start(Experiment.GERMAN, now_ns)
+            return self._start(ExperimentName.GERMAN, now_ns)
         return self._command(event, now_ns)
 
-    def choose(self, experiment: Experiment) -> None:
+    def choose(self, experiment: ExperimentName) -> None:
         """The application, the present one or the next, is of this experiment."""
         if experiment is not self.experiment:
             self.experiment = experiment
             self.supervisor.peer = _PEERS[experiment]
             self.supervisor.handle_new_peer()
 
-    def _start(self, experiment: Experiment, now_ns: int) -> str:
+    def _start(self, experiment: ExperimentName, now_ns: int) -> str:
         before = self.experiment
         if self.state is not JoystickState.APPLICATION:
             self.choose(experiment)

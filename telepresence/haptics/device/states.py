@@ -46,7 +46,7 @@ _WORDS = {
 }
 
 
-class Experiment(StrEnum):
+class ExperimentName(StrEnum):
     """Whose robot the application drives: ours, or the partner's. Words of the telemetry."""
 
     GERMAN = "german experiment"

@@ -12,7 +12,7 @@ from pipelines.session.mission_messages import RobotCommand
 from pipelines.session.probe import Probe
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.simulated import SimulatedDevice
-from telepresence.haptics.device.states import Experiment, JoystickEvent, JoystickState
+from telepresence.haptics.device.states import ExperimentName, JoystickEvent, JoystickState
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership, Owner
@@ -171,7 +171,7 @@ def test_the_start_is_refused_without_a_partner(bench):
     assert bench.ask(RUSSIAN) == "start_russian: the partner's robot is not there"
     ours, partner, _ = bench.ways(2)
     assert ours > 0.01 and partner == 0.0
-    assert bench.handle.operation.experiment is Experiment.GERMAN
+    assert bench.handle.operation.experiment is ExperimentName.GERMAN
     alone = OperatedHandle(SimulatedDevice(hand=Hand()))
     assert "partner_arm" in alone.handle_command(RUSSIAN)
 
