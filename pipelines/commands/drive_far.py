@@ -1,6 +1,6 @@
-"""The way from a joystick to a robot across the Internet: a process of its own with the WebRTC.
+"""The way of a joystick or robot to a session across the Internet: a process with the WebRTC.
 
-The joystick's loop of 1 kHz and an event loop would wait for each other in one interpreter. Both
+Their loop of 1 kHz and an event loop would wait for each other in one interpreter. Both
 processes hand each other samples by a pair of Unix sockets, which nobody else reaches.
 """
 
@@ -26,21 +26,23 @@ _END_S = 3.0
 
 
 class Far:
-    """A robot that a partner reaches by WebRTC. A context manager.
+    """A session that a partner reaches by WebRTC. A context manager.
 
-    own: on which its samples come. to_robot: where samples for it go.
+    own: on which its samples come. to_session: where samples for it go. who: comes to it.
     url: `https://HOST:PORT`. token: of the address. servers: for the way through NAT.
     Raises ConfigError for a malformed address.
     """
 
-    def __init__(self, url: str, token: str, servers: Callable[[], IceServers]) -> None:
+    def __init__(
+        self, url: str, token: str, servers: Callable[[], IceServers], *, who: str
+    ) -> None:
         address = _endpoint(url)
         self.own, self._beyond = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.own.setblocking(False)
         self._beyond.setblocking(False)
-        self.to_robot = Outlet(self.own)
+        self.to_session = Outlet(self.own)
         self._process = multiprocessing.get_context("fork").Process(
-            target=_relay, args=(address, token, servers, self._beyond)
+            target=_relay, args=(address, token, servers, self._beyond, who)
         )
 
     def __enter__(self) -> Self:
@@ -65,36 +67,36 @@ def _endpoint(url: str) -> str:
 
 
 def _relay(
-    url: str, token: str, servers: Callable[[], IceServers], joystick: socket.socket
+    url: str, token: str, servers: Callable[[], IceServers], end: socket.socket, who: str
 ) -> None:
-    # Ctrl-C goes to both; the joystick's process ends this one.
+    # Ctrl-C goes to both; the loop's process ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with closing(joystick):
+    with closing(end):
         try:
-            asyncio.run(_keep(url, token, servers, joystick))
+            asyncio.run(_keep(url, token, servers, end, who))
         except ConfigError as error:
-            say(f"joystick: {error}")
+            say(f"{who}: {error}")
 
 
 async def _keep(
-    url: str, token: str, servers: Callable[[], IceServers], joystick: socket.socket
+    url: str, token: str, servers: Callable[[], IceServers], end: socket.socket, who: str
 ) -> None:
-    to_joystick, loop = Outlet(joystick), asyncio.get_running_loop()
+    to_end, loop = Outlet(end), asyncio.get_running_loop()
     keeper = Keeper(
         url,
         token=token,
-        make_peer=lambda found: SamplePeer(found, to_joystick.send),
+        make_peer=lambda found: SamplePeer(found, to_end.send),
         servers=servers,
         clock=MonotonicClock(),
-        told=lambda line: say(f"joystick: {line}"),
+        told=lambda line: say(f"{who}: {line}"),
     )
     loop.add_signal_handler(signal.SIGTERM, keeper.stop)
 
     def forward() -> None:
-        newest, peer = newest_sample(joystick), keeper.peer
+        newest, peer = newest_sample(end), keeper.peer
         # Not before it is said that the connection stands.
         if newest is not None and peer is not None and keeper.attempts.doing is Doing.CONNECTED:
             peer.send(newest)
 
-    loop.add_reader(joystick, forward)
+    loop.add_reader(end, forward)
     await keeper.run()

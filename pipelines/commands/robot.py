@@ -1,9 +1,10 @@
-"""`kontur-av robot`: check a user's robot."""
+"""`kontur-av robot`: check a user's robot, or let a session's joystick drive it."""
 
 import argparse
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
+from pipelines.commands import serve_robot
 from pipelines.commands.check_results import add_setup_argument, axes_of, print_results
 from pipelines.commands.common import say_unprotected
 from pipelines.hand.robot_check import RobotCheck
@@ -22,10 +23,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="udp:HOST:PORT[:KEYFILE] or module:Class, as of `stream --robot`",
     )
     add_setup_argument(check)
+    text = "let the joystick of a session drive a partner's robot: its Russian experiment"
+    serve_robot.add_arguments(actions.add_parser("serve", help=text, description=text))
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 if all is well; 1 if a check failed."""
+    """0 if all is well; 1 if a check failed, or no joystick came."""
+    if args.action == "serve":
+        return serve_robot.serve(args)
     axes = axes_of(args.setup)
     if axes is not None:
         check_robot(args.robot, axes)

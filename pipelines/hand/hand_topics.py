@@ -15,7 +15,7 @@ import msgspec
 
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.page import PageInput
-from telepresence.haptics.device.states import REQUESTS, JoystickEvent
+from telepresence.haptics.device.states import REQUESTS, ExperimentName, JoystickEvent
 
 _INPUT = struct.Struct("<?ddIIq")
 _SHARE_OCTETS = 8
@@ -64,17 +64,20 @@ def unpack_request(data: bytes) -> HandRequest | None:
 class RobotOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What outlives the controller.
 
-    powered, mode: as `telepresence.tasks.robot_control.RobotControl` has them.
+    powered, mode: as `telepresence.tasks.robot_control.RobotControl` has them. board: the joystick
+    asked for the partner's robot.
     """
 
     powered: bool
     mode: str
+    board: bool = False
 
 
 class JoystickOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What outlives the process. paused: a person halted it, and must let it go on."""
 
     paused: bool
+    experiment: ExperimentName = ExperimentName.GERMAN
 
 
 class AxisStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
@@ -108,6 +111,8 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     test, test_part, test_reason, test_number: the newest functional test, as
     `telepresence.haptics.device.functional_test.TestReport` has it. test_figures: what it measured,
     by the figures' names; None where nothing could be.
+    experiment: of the present or the next application. partner: whether a partner's robot is
+    there; None: the session has none.
     """
 
     state: int
@@ -133,6 +138,8 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     test_reason: str = ""
     test_number: int = 0
     test_figures: dict[str, float | None] = {}
+    experiment: ExperimentName = ExperimentName.GERMAN
+    partner: bool | None = None
 
 
 def pack_status(status: JoystickStatus) -> bytes:

@@ -9,14 +9,17 @@ from pipelines.session.probe import Probe
 from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.states import ExperimentName
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.figures import WallFigures
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.ownership import HapticOwnership, Owner
+from telepresence.haptics.partner_board import PartnerBoard
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.haptics.sample import Feedback
+from telepresence.haptics.session import JoystickSession, RobotSession
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
 
@@ -62,6 +65,11 @@ class _End(Generic[Side]):
         axes = self.side.axes
         return () if axes is None else axes.row()
 
+    def _of_partner(self) -> bool:
+        """Whether samples come from a partner's robot, which tells nobody when it sent them."""
+        session = self._link.session
+        return isinstance(session, JoystickSession) and session.for_partner
+
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
@@ -72,9 +80,39 @@ class _End(Generic[Side]):
             for name, port in self.side.axes.report().items():
                 self._probe.tell(port, name)
         self._sent.extend_plain(link.take_sent_stamps())
-        self._received.extend_plain(link.take_received_stamps())
+        stamps = link.take_received_stamps()
+        if not self._of_partner():
+            self._received.extend_plain(stamps)
         while link.next_event() is not None:
             pass
+
+
+def robot_side(
+    envelope: SafetyEnvelope,
+    *,
+    life: int,
+    deadband: bool = False,
+    mediated: bool = False,
+    ownership: HapticOwnership | None = None,
+    robot: Robot | None = None,
+) -> RobotSide:
+    """Return a robot's side within the limits of its envelope; parameters as in `RobotEnd`."""
+    limits = envelope.limits
+    max_age_ns = round(limits.command_max_age_s * NS_PER_S)
+    more = 0 if robot is None else len(robot.more)
+    return RobotSide(
+        link=robot_link(life=life, max_age_ns=max_age_ns, deadband=deadband, more=more),
+        model=RobotControllerModel(
+            speed_m_s=limits.speed_m_s,
+            force_limit_n=limits.force_n,
+            half_width_m=limits.half_width_m,
+            half_height_m=limits.half_height_m,
+        ),
+        mediated=mediated,
+        ownership=ownership,
+        envelope=envelope,
+        robot=robot,
+    )
 
 
 class RobotEnd(_End[RobotSide]):
@@ -89,6 +127,8 @@ class RobotEnd(_End[RobotSide]):
     robot: the simulated one, if None.
     ownership: where a partner may drive, too. Then `handle_datagram` is for datagrams of the
     joystick in space, and `handle_partner` for the partner's; send to the owner alone.
+    board: where the joystick in space may drive the partner's robot. Send to it what
+    `board.poll_partner` returns; `poll_transmit` returns what goes to space, of either robot.
     """
 
     def __init__(
@@ -102,30 +142,26 @@ class RobotEnd(_End[RobotSide]):
         ownership: HapticOwnership | None = None,
         envelope: SafetyEnvelope | None = None,
         robot: Robot | None = None,
+        board: PartnerBoard | None = None,
     ) -> None:
+        ownership = ownership if board is None else board.ownership
         self.envelope = envelope = envelope or SafetyEnvelope()
-        limits = envelope.limits
-        max_age_ns = round(limits.command_max_age_s * NS_PER_S)
-        more = 0 if robot is None else len(robot.more)
-        link = robot_link(life=life, max_age_ns=max_age_ns, deadband=deadband, more=more)
-        model = RobotControllerModel(
-            speed_m_s=limits.speed_m_s,
-            force_limit_n=limits.force_n,
-            half_width_m=limits.half_width_m,
-            half_height_m=limits.half_height_m,
-        )
-        side = RobotSide(
-            link=link,
-            model=model,
+        side = robot_side(
+            envelope,
+            life=life,
+            deadband=deadband,
             mediated=mediated,
             residual=residual,
             ownership=ownership,
-            envelope=envelope,
             robot=robot,
         )
         super().__init__(side, probe)
         self._ownership = ownership
-        if ownership is not None:
+        self.board = board
+        if board is not None:
+            self.handle_datagram = self._handle_routed
+            self.poll_transmit = self._poll_routed
+        elif ownership is not None:
             self.handle_datagram = self._handle_iss
         self.poll_wall = self.side.poll_wall
         self._latest = self.side.link.latest
@@ -144,6 +180,21 @@ class RobotEnd(_End[RobotSide]):
         """A datagram of the partner's joystick arrived."""
         if self._ownership is not None and self._ownership.takes(Owner.PARTNER):
             self.side.handle_datagram(data, now_ns)
+
+    def _handle_routed(self, data: bytes, now_ns: int) -> None:
+        assert self.board is not None
+        if self.board.handle_joystick(data, now_ns):
+            self.side.handle_datagram(data, now_ns)
+
+    def _poll_routed(self, now_ns: int) -> bytes | None:
+        board, session = self.board, self._link.session
+        assert board is not None and isinstance(session, RobotSession)
+        if board.left_out:
+            if self._link.hearing:
+                self._link.forget_peer()
+            return board.poll_joystick()
+        session.partner = board.is_there(now_ns)
+        return self.side.poll_transmit(now_ns)
 
     def tell(self) -> None:
         """Put the counters and stamps into the probe."""
@@ -230,8 +281,29 @@ class JoystickEnd(_End[JoystickSide]):
             held.handle_feedback if isinstance(held, OperatedHandle | HeldJoystick) else None
         )
         self._latest = self.side.link.latest
+        #: It has left a robot, whose energy counts no more.
+        self._leaves = False
         self._steps = StepDetector()
         self._feel, self._felt = self._steps.handle_sample, probe.series(StepRow)
+
+    def follow_experiment(self) -> None:
+        """Where a partner has a robot: call it at the start, and after each command of a person.
+
+        Each robot has a session of its own, and no energy of one pays for a force of the other.
+        """
+        session = self._link.session
+        assert self._operated is not None and isinstance(session, JoystickSession)
+        operation = self._operated.operation
+        russian = operation.experiment is ExperimentName.RUSSIAN
+        if russian is not session.for_partner:
+            self._link.begin_anew(for_partner=russian)
+            self._leaves = True
+        if self._leaves and not self.side.force_x_n and not self.side.force_y_n:
+            # Not before: the force of the last cycle is still to be paid for.
+            self._leaves = False
+            port = self.side.controller.port
+            port.discard_credit(max(0.0, port.credit_j))
+        operation.partner = self._link.hearing and (russian or session.partner_there)
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """One cycle, which moves the joystick on by `advance_ns`."""

@@ -55,7 +55,9 @@ class JoystickStatusTeller(WatchedTopic):
         test = operation.test
         numbers = (self._answered, self._commanded)
         robot = (handle.robot_waits, handle.robot_stopped)
-        present = (operation.state, handle.dead_man, handle.pressed, reason, test, *numbers, *robot)
+        experiment = (operation.experiment, operation.partner)
+        hand = (operation.state, handle.dead_man, handle.pressed, reason)
+        present = (*hand, test, *experiment, *numbers, *robot)
         if present == self._told and now_ns < self._anew_ns:
             return None
         self._told, self._anew_ns = present, now_ns + _ANEW_NS
@@ -94,5 +96,7 @@ class JoystickStatusTeller(WatchedTopic):
             test_reason=test.reason[:MOST_CHARACTERS],
             test_number=test.number,
             test_figures={figure.name: figure.value for figure in test.figures},
+            experiment=operation.experiment,
+            partner=operation.partner,
         )
         return pack_status(status)

@@ -1,4 +1,4 @@
-"""What lets a partner's joystick drive the robot, or an arm of its own."""
+"""What lets a partner's joystick drive the robot, or an arm of its own; and a partner's robot."""
 
 from collections.abc import Callable
 from contextlib import closing
@@ -25,11 +25,15 @@ from pipelines.session.topology import (
 )
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.ownership import HapticOwnership, Owner
+from telepresence.haptics.partner_board import PartnerBoard
 from telepresence.haptics.robot_spec import open_robot
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
 from telepresence.world import WorldState
+
+#: Of a partner's robot, taken in one cycle.
+_MOST_DATAGRAMS = 8
 
 
 def run_second_robot(context: Context) -> None:
@@ -53,18 +57,25 @@ def run_second_robot(context: Context) -> None:
             robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
         )
 
-        def watch(now_ns: int) -> None:
-            if envelope.stopped is not control.stopped:
-                control.handle_stop(envelope.stopped)
-            control.step(now_ns)
-
-        def recover(_now_ns: int) -> None:
-            if not control.powered and not control.stopped and not control.reset():
-                control.set_power(True)
-
+        watch, recover = keep_powered(control, envelope)
         stop = follow_stop(KeptOrders(context.session), end)
         ports = partner_ports(context.setup)
         run_loop(context, end, ports, publish, before=watch, seldom=[stop, recover])
+
+
+def keep_powered(control: RobotControl, envelope: SafetyEnvelope) -> tuple[Cycle, Cycle]:
+    """Return what watches a robot in each cycle, and what switches it on again whenever it may."""
+
+    def watch(now_ns: int) -> None:
+        if envelope.stopped is not control.stopped:
+            control.handle_stop(envelope.stopped)
+        control.step(now_ns)
+
+    def recover(_now_ns: int) -> None:
+        if not control.powered and not control.stopped and not control.reset():
+            control.set_power(True)
+
+    return watch, recover
 
 
 def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cycle:
@@ -95,6 +106,23 @@ def open_partner(context: Context, end: RobotEnd) -> tuple[Cycle, Send]:
             end.handle_partner(datagram, now_ns)
 
     return take, context.own_sender(given)
+
+
+def serve_board(context: Context, end: RobotEnd, board: PartnerBoard) -> Cycle:
+    """Return what passes samples between the joystick in space and a partner's robot."""
+    taken, given = partner_ports(context.setup)
+    udp, send = context.listen_own(taken), context.own_sender(given)
+
+    def serve(now_ns: int) -> None:
+        # A partner's flood must not hold the loop: what is more than this waits, then is dropped.
+        for _ in range(_MOST_DATAGRAMS):
+            if (datagram := receive(udp, SAMPLE_OCTETS + 1)) is None:
+                break
+            board.handle_partner(datagram, now_ns)
+        if (sample := board.poll_partner(stopped=end.envelope.stopped)) is not None:
+            send(sample)
+
+    return serve
 
 
 def route_to_owner(ownership: HapticOwnership, to_partner: Send) -> Callable[[Send], Send]:

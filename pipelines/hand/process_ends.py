@@ -12,7 +12,12 @@ from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd
 from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.mission_ends import both, follow_exercises, looking, seeing, serve_robot
-from pipelines.hand.partner_arm import follow_owner, open_partner, route_to_owner
+from pipelines.hand.partner_arm import (
+    follow_owner,
+    open_partner,
+    route_to_owner,
+    serve_board,
+)
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.hand.safety_ends import (
     UNKNOWN_JOYSTICK,
@@ -50,7 +55,8 @@ from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.device.udp_joystick import UdpJoystick
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.ownership import HapticOwnership
+from telepresence.haptics.ownership import HapticOwnership, Owner
+from telepresence.haptics.partner_board import PartnerBoard
 from telepresence.haptics.robot_device import DrivenRobot, RobotDevice
 from telepresence.haptics.robot_spec import open_robot
 from telepresence.haptics.udp_robot import UdpRobot
@@ -85,6 +91,13 @@ def run_robot(context: Context) -> None:
         ownership = HapticOwnership(None) if setup.partner_arm == "shared" else None
         life = new_life()
         kept = KeptOrders(context.session)
+        first = RobotOrders(powered=True, mode=ControlMode.TELEPRESENCE.value)
+        orders = kept.recall(ROBOT, first, UNKNOWN_ROBOT)
+        board = None
+        if setup.partner_arm == "board":
+            # Nobody drives until our robot has rested.
+            asked = Owner.PARTNER if orders.board else Owner.ISS
+            board = PartnerBoard(HapticOwnership(None, wanted=asked))
         end = RobotEnd(
             context.probe,
             life=life,
@@ -94,6 +107,7 @@ def run_robot(context: Context) -> None:
             ownership=ownership,
             envelope=SafetyEnvelope(within(setup.safety, robot.facts), stopped=kept.stopped),
             robot=robot,
+            board=board,
         )
         to_gateway = context.own_sender(topology.entry_port(TELEMETRY)) if mediated else None
 
@@ -102,10 +116,10 @@ def run_robot(context: Context) -> None:
             if wall is not None and to_gateway is not None:
                 to_gateway(wall)
 
-        first = RobotOrders(powered=True, mode=ControlMode.TELEPRESENCE.value)
-        orders = kept.recall(ROBOT, first, UNKNOWN_ROBOT)
         now_ns = context.clock.now_ns()
-        desk = RobotDesk(end.side, life=life, tasks=tasks, now_ns=now_ns, orders=orders)
+        desk = RobotDesk(
+            end.side, life=life, tasks=tasks, now_ns=now_ns, orders=orders, board=board
+        )
         seldom = [
             follow_stop(kept, end),
             _trace(bus, ROBOT_TRACE_TOPIC, end.trace),
@@ -125,6 +139,8 @@ def run_robot(context: Context) -> None:
             take_partner, to_partner = open_partner(context, end)
             before = both(take_partner, desk.step)
             route = route_to_owner(ownership, to_partner)
+        elif board is not None:
+            before = both(serve_board(context, end, board), desk.step)
         run_loop(
             context,
             end,
@@ -152,6 +168,7 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
         orders = kept.recall(JOYSTICK, JoystickOrders(paused=False), UNKNOWN_JOYSTICK)
         handle = OperatedHandle(device, paused=orders.paused)
         setup = context.setup
+        board = setup.partner_arm == "board"
         end = JoystickEnd(
             context.probe,
             life=new_life(),
@@ -160,11 +177,15 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
             residual=setup.hand == "auto",
             handle=handle,
         )
+        if board:
+            handle.operation.choose(orders.experiment)
+            end.follow_experiment()
         with context.open_bus() as bus:
             reads = context.topology.reads(JOYSTICK)
             seldom = [
                 _trace(bus, JOYSTICK_TRACE_TOPIC, end.trace),
                 _status(bus, handle, reads),
+                *([lambda _: end.follow_experiment()] if board else []),
                 keep_joystick(kept, handle),
                 look_at_picture(bus, context.topology, handle),
             ]

@@ -7,6 +7,8 @@ from pipelines.hand.hand_topics import RobotOrders
 from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
+from telepresence.haptics.ownership import Owner
+from telepresence.haptics.partner_board import PartnerBoard
 from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.sample import STATE_HALTED
 from telepresence.tasks.definitions import ControlMode
@@ -15,6 +17,7 @@ from telepresence.tasks.robot_control import RobotControl, RobotLimits
 #: An unchanged status is told at this interval.
 STATUS_NS = 50 * NS_PER_MS
 _RATE_NS = NS_PER_S
+_LEFT_OUT = "the joystick drives the partner's robot: start the German experiment first"
 
 
 class RobotDesk:
@@ -25,6 +28,8 @@ class RobotDesk:
     earlier life.
 
     orders: of an earlier life; None for none. In a session with tasks the kernel orders anew.
+    board: where a partner's robot may have the joystick. The robot is off meanwhile, and then on
+    again if it was; with tasks the kernel orders that.
     """
 
     def __init__(
@@ -35,6 +40,7 @@ class RobotDesk:
         tasks: bool,
         now_ns: int,
         orders: RobotOrders | None = None,
+        board: PartnerBoard | None = None,
     ) -> None:
         powered = not tasks
         mode = ControlMode.POSITION if tasks else ControlMode.TELEPRESENCE
@@ -45,6 +51,9 @@ class RobotDesk:
         )
         self._envelope = side.envelope or SafetyEnvelope()
         self._link = side.link
+        self._board, self._tasks = board, tasks
+        #: It is on again once it is no longer left out.
+        self._again = False
         self._life = life
         self._began_ns = now_ns
         self._handled = 0
@@ -57,14 +66,30 @@ class RobotDesk:
     @property
     def orders(self) -> RobotOrders:
         """What a restarted controller goes on with."""
-        return RobotOrders(powered=self.control.powered, mode=self.control.mode.value)
+        control, board = self.control, self._board
+        return RobotOrders(
+            powered=control.powered or self._again,
+            mode=control.mode.value,
+            board=board is not None and board.ownership.wanted is Owner.PARTNER,
+        )
 
     def step(self, now_ns: int) -> None:
         """Once in each cycle, before the robot moves."""
         control, envelope = self.control, self._envelope
         if envelope.stopped is not control.stopped:
             control.handle_stop(envelope.stopped)
+            self._again = False
+        if self._board is not None and self._board.left_out is not bool(control.left_out):
+            self._leave_out(control, self._board.left_out)
         control.step(now_ns)
+
+    def _leave_out(self, control: RobotControl, left_out: bool) -> None:
+        again = control.powered and not self._tasks if left_out else False
+        power_on, self._again = self._again, again
+        control.handle_left_out(_LEFT_OUT if left_out else "")
+        if power_on:
+            # Its reference is where it is, and motion needs a new press.
+            control.set_power(True)
 
     def handle_order(self, order: RobotOrder, sent_ns: int, now_ns: int) -> None:
         """An order of the kernel. The controller counts those that it refuses."""
@@ -132,6 +157,7 @@ class RobotDesk:
             offset_mm=safety.offset_mm,
             holds=robot.holds,
             joints=robot.joints,
+            partner="none" if self._board is None else self._board.state(now_ns),
         )
 
     def _carry_out(self, command: RobotCommand, now_ns: int) -> str:
@@ -140,6 +166,7 @@ class RobotDesk:
             case "power_on":
                 return control.set_power(True)
             case "power_off":
+                self._again = False
                 return control.set_power(False)
             case "reset_error":
                 return control.reset()

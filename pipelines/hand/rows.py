@@ -40,6 +40,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
     """Robot, joystick, and what a partner's arm needs."""
     setup, options = session.setup, session.options
     shared, second = setup.partner_arm == "shared", setup.partner_arm == "second"
+    board = setup.partner_arm == "board"
     taken, _ = partner_ports(setup)
     return (
         ProcessRow(
@@ -64,7 +65,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 ROBOT_TRACE_TOPIC,
                 *given(shared, ARM_STATE_TOPIC),
             ),
-            ports=(taken,) if shared else (),
+            ports=(taken,) if shared or board else (),
             what="1 kHz loop of the robot and its task board",
         ),
         ProcessRow(

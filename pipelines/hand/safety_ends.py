@@ -79,13 +79,14 @@ def keep_robot(kept: KeptOrders, desk: RobotDesk) -> Cycle:
 
 
 def keep_joystick(kept: KeptOrders, handle: OperatedHandle) -> Cycle:
-    """Return what keeps a person's halt, and puts the emergency stop into every sample."""
-    last = JoystickOrders(paused=handle.operation.paused)
+    """Return what keeps a person's orders, and puts the emergency stop into every sample."""
+    operation = handle.operation
+    last = JoystickOrders(paused=operation.paused, experiment=operation.experiment)
 
     def keep(_now_ns: int) -> None:
         nonlocal last
         handle.stop = kept.stopped
-        orders = JoystickOrders(paused=handle.operation.paused)
+        orders = JoystickOrders(paused=operation.paused, experiment=operation.experiment)
         if orders != last:
             last = orders
             kept.keep(JOYSTICK, orders)

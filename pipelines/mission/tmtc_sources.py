@@ -125,6 +125,7 @@ class RobotSource:
             "mode": status.mode,
             "error": status.error,
             "hold": status.hold or "none",
+            "partner": status.partner,
             "offset_x": status.offset_mm[0],
             "offset_y": status.offset_mm[1],
         }
@@ -222,4 +223,4 @@ def _application(status: JoystickStatus, state: JoystickState) -> str:
     """Which application has the handle."""
     if status.test == Outcome.RUNNING:
         return "joystick test"
-    return "german experiment" if state is JoystickState.APPLICATION else "none"
+    return status.experiment if state is JoystickState.APPLICATION else "none"

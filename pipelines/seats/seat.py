@@ -106,6 +106,18 @@ _RULES: Mapping[type[SeatRequest], _Rule] = MappingProxyType(
 )
 
 
+def _allowed(status: JoystickStatus, state: JoystickState) -> tuple[str, ...]:
+    """The requests that the joystick would take now."""
+    allowed = {one.value for one in REQUESTS if (state, one) in TRANSITIONS}
+    start = JoystickEvent.START.value
+    if status.partner is not None and state is JoystickState.HALTED:
+        # Nobody could leave a partner's robot that is silent otherwise.
+        allowed.add(start)
+    if status.partner and start in allowed:
+        allowed.add(JoystickEvent.START_RUSSIAN.value)
+    return tuple(sorted(allowed))
+
+
 class Seat:
     """One seat and its pages. A core.
 
@@ -311,7 +323,7 @@ class Seat:
         state = JoystickState(status.state)
         told = texts.JoystickText(
             state=state.words,
-            allowed=tuple(sorted(one.value for one in REQUESTS if (state, one) in TRANSITIONS)),
+            allowed=_allowed(status, state),
             reason=status.reason,
             dead_man=status.dead_man,
             force_limit_n=status.force_limit_n,
@@ -328,6 +340,8 @@ class Seat:
             ),
             test=status.test,
             test_reason=status.test_reason,
+            experiment=status.experiment,
+            partner=status.partner,
         )
         self._hear_robot(status.robot_stopped, status.robot_waits, "")
         self._desk.handle_status(status)

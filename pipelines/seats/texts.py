@@ -161,7 +161,9 @@ class AxisText(msgspec.Struct, frozen=True, kw_only=True):
 
 class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     """The joystick's state in words. allowed: requests that it would take now. axes: those behind
-    x and y. test, test_reason: what became of the newest functional test.
+    x and y. test, test_reason: what became of the newest functional test. experiment: of the
+    present or the next application. partner: whether a partner's robot is there; null: there can be
+    none.
     """
 
     state: str
@@ -173,6 +175,8 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     axes: tuple[AxisText, ...] = ()
     test: str = "none"
     test_reason: str = ""
+    experiment: str = "german experiment"
+    partner: bool | None = None
 
 
 class SafetyText(msgspec.Struct, frozen=True, kw_only=True):

@@ -60,6 +60,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     hold: why it follows no hand, in words, "" if it does. waiting: for a new press. stopped: an
     emergency stop holds. offset_mm: the robot's place less the hand's. holds: its hand holds a
     ball. joints: of each the angle in rad and the torque in N m, as far as the robot says them.
+    partner: of the partner's robot, "none", "absent", "ready" or "driven".
     """
 
     life: int
@@ -84,6 +85,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     offset_mm: tuple[float, float] = (0.0, 0.0)
     holds: bool = False
     joints: tuple[tuple[float, float], ...] = ()
+    partner: str = "none"
 
 
 class CameraWish(msgspec.Struct, frozen=True, array_like=True):

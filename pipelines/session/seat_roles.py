@@ -35,7 +35,9 @@ PEOPLE: Mapping[Segment, tuple[Role, ...]] = MappingProxyType(
 
 VIEWER_WORDS = "a viewer may watch only"
 
-_JOYSTICK = ("calibrate", "start", "stop", "halt", "resume", "acknowledge", "test")
+_JOYSTICK = (
+    *("calibrate", "start", "start_russian", "stop", "halt", "resume", "acknowledge", "test"),
+)
 #: Who may do what. Telecommands are named APPLICATION.FUNCTION, those of reports `housekeeping`.
 _MAY: Mapping[str, tuple[Role, ...]] = MappingProxyType(
     {

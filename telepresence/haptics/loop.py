@@ -214,6 +214,21 @@ class HapticLink(Generic[Out, In]):
                 self.hearing = True
                 self._events.append(PeerFound(now_ns))
 
+    def begin_anew(self, *, for_partner: bool) -> None:
+        """Of a joystick: leave this robot, and ask another for a session."""
+        assert isinstance(self.session, JoystickSession)
+        self.session.begin_anew(for_partner=for_partner)
+        self.forget_peer()
+        # Sequence numbers of one robot mean nothing to the other.
+        self._received_stamps.clear()
+        # The next session may have the same number, and each joule is granted in one only.
+        self._sending = 0
+
+    def forget_peer(self) -> None:
+        """The peer talks to another: its numbers begin anew when it comes back."""
+        self._newest = None
+        self.hearing = self.peer_holds = False
+
     def latest(self, now_ns: int) -> In | None:
         """The newest sample, or None if there is none or it is older than `max_age_ns`."""
         if self._newest is None or now_ns - self._newest_ns > self.max_age_ns:

@@ -56,6 +56,8 @@ class OwnershipFigures:
     refused: Mapping[str, int]
     #: The newest 200.
     events: tuple[OwnerEvent, ...]
+    #: Datagrams in the place of a partner's robot that are none of a robot.
+    garbage: int = 0
 
 
 class HapticOwnership:
@@ -67,7 +69,7 @@ class HapticOwnership:
     it had.
     """
 
-    __slots__ = ("_events", "_refused", "_rest_ns", "_turns", "owner", "wanted")
+    __slots__ = ("_events", "_refused", "_rest_ns", "_turns", "garbage", "owner", "wanted")
 
     def __init__(self, owner: Owner | None = Owner.ISS, *, wanted: Owner = Owner.ISS) -> None:
         self.owner = owner
@@ -75,6 +77,7 @@ class HapticOwnership:
         self._rest_ns: int | None = None
         self._turns = 0
         self._refused = dict.fromkeys(Owner, 0)
+        self.garbage = 0
         self._events: deque[OwnerEvent] = deque(maxlen=_DEPTH)
 
     def handle_order(self, wanted: Owner, now_ns: int) -> None:
@@ -115,6 +118,7 @@ class HapticOwnership:
             turns=self._turns,
             refused={owner.value: count for owner, count in self._refused.items()},
             events=tuple(self._events),
+            garbage=self.garbage,
         )
 
     def _note(self, what: str, now_ns: int) -> None:

@@ -37,10 +37,12 @@ A greeting has 12 octets, too, and goes in the place of a sample. `session.py` s
 |---|---|---|
 | 0 | 0 | 0 |
 | 1 | the session number that it sends with, 0 for none | the number that it offers, 0 for none |
-| 2 | flags: 0x40, 0x04 | flags: 0x80, 0x40, 0x04 |
+| 2 | flags: 0x40, 0x20, 0x04 | flags: 0x80, 0x40, 0x20, 0x04 |
 | 3 | 0 | 0 |
 | 4..7 | number of this request, unsigned, not 0 | number of the robot's life, unsigned, not 0 |
 | 8..11 | the robot's number as heard last, 0 for none | the request's number, 0 for none |
+
+Flag 0x20 of a request: it is for a partner's robot; of the robot's: a partner's robot is there.
 
 The layout is this project's own: the Kontur-2 papers give the size of a sample, not its fields.
 """
@@ -70,6 +72,8 @@ FLAG_SATURATED = 0x02
 FLAG_CONTACT = 0x01
 #: The same bits in the other direction.
 FLAG_WAITING = FLAG_DEAD_MAN
+#: Of greetings, in both directions.
+FLAG_PARTNER = FLAG_HALTED
 FLAG_STOP = FLAG_CONTACT
 
 #: Bit 3 of octet 3.
@@ -166,11 +170,13 @@ class Greeting(NamedTuple):
     offers; 0 for none.
     number: of the joystick's request, or of the robot's life; 1 to 2^32-1.
     answers: the peer's `number` that it answers, 0 for none.
+    partner: from the joystick, it asks a partner's robot; from the robot, such a one is there.
     """
 
     session: int
     number: int
     answers: int = 0
+    partner: bool = False
 
 
 def pack_command(
@@ -251,7 +257,9 @@ def pack_feedback(
 def pack_greeting(greeting: Greeting, *, feedback: bool, holding: bool) -> bytes:
     """Return the 12 octets of `greeting`; feedback: it is the robot's."""
     flags = FLAG_GREETING | (FLAG_FEEDBACK if feedback else 0) | (FLAG_HOLDING if holding else 0)
-    session, number, answers = greeting
+    session, number, answers, partner = greeting
+    if partner:
+        flags |= FLAG_PARTNER
     return _GREETING.pack(0, session, flags, 0, number, answers)
 
 
@@ -332,7 +340,7 @@ def read_greeting(data: bytes, *, feedback: bool) -> Greeting:
         raise ProtocolError("haptic greeting: of the other direction")
     if zero or none or not number:
         raise ProtocolError("haptic greeting: octets 0 and 3 are 0, and its number is not")
-    return Greeting(session, number, answers)
+    return Greeting(session, number, answers, flags & FLAG_PARTNER != 0)
 
 
 def _saturated(counts: float) -> float:

@@ -35,6 +35,8 @@ _ANSWER_EVERY = 8
 #: After this many samples of another session and none of its own, the joystick asks anew, because
 #: reordered offers can leave the ends in different sessions.
 _STRAYS = 20
+#: A robot tells so often, in samples, whether a partner's robot is there.
+_TELL_EVERY = 100
 #: Offers that the robot remembers. More only come about by requests from more than one life.
 _OFFERS = 8
 #: Numbers of lives are below this.
@@ -60,6 +62,8 @@ class JoystickSession:
     sending, receiving: session numbers of the samples that it sends and uses, 0 for none.
     restarts: how often the robot's life changed.
     strays: samples of other sessions since the last one of its own, for the caller to reset.
+    for_partner: it asks a partner's robot. partner_there: the robot's newest greeting says that
+    there is one.
     """
 
     def __init__(self, life: int) -> None:
@@ -72,10 +76,20 @@ class JoystickSession:
         self._renew_at_ns: int | None = None
         #: Numbers of the robot's life: in this session, in the offer, in the newest greeting.
         self._peer = self._offering = self._greeted = 0
+        self.for_partner = self.partner_there = False
+
+    def begin_anew(self, *, for_partner: bool) -> None:
+        """Leave the session, and ask another robot for one."""
+        self.sending = self.receiving = 0
+        self._peer = self._offering = self._greeted = 0
+        self._asking = False
+        self._ask()
+        self.for_partner, self.partner_there = for_partner, False
 
     def handle_greeting(self, greeting: Greeting) -> None:
-        """The robot has no session, or makes an offer."""
+        """The robot has no session, makes an offer, or tells of a partner's robot."""
         self._greeted = greeting.number
+        self.partner_there = greeting.partner
         if not greeting.session:
             self._ask()
         elif self._asking and greeting.answers == self._number:
@@ -112,7 +126,7 @@ class JoystickSession:
             self._wait -= 1
             return None
         self._wait = _REQUEST_EVERY - 1
-        return Greeting(self.sending, self._number, self._greeted)
+        return Greeting(self.sending, self._number, self._greeted, self.for_partner)
 
     @property
     def _number(self) -> int:
@@ -126,7 +140,10 @@ class JoystickSession:
 
 
 class RobotSession:
-    """The robot's end; it answers. Parameters and attributes as in `JoystickSession`."""
+    """The robot's end; it answers. Parameters and attributes as in `JoystickSession`.
+
+    partner: whether a partner's robot is there, which the caller sets; None: there can be none.
+    """
 
     def __init__(self, life: int) -> None:
         self.sending = self.receiving = 0
@@ -138,6 +155,8 @@ class RobotSession:
         self._answer: Greeting | None = None
         self._wait = 0
         self._peer = 0
+        self.partner: bool | None = None
+        self._untold = 0
 
     def handle_greeting(self, greeting: Greeting) -> None:
         """The joystick asks for a session."""
@@ -180,10 +199,17 @@ class RobotSession:
                 self._wait -= 1
                 return None
             if answer is None:
-                return None
+                return self._tell_partner()
             self._wait = _ANSWER_EVERY - 1
         self._answer = None
-        return answer or Greeting(0, self._life)
+        return (answer or Greeting(0, self._life))._replace(partner=self.partner is True)
+
+    def _tell_partner(self) -> Greeting | None:
+        self._untold += 1
+        if self.partner is None or self._untold < _TELL_EVERY:
+            return None
+        self._untold = 0
+        return Greeting(self.sending, self._life, partner=self.partner)
 
     def _new_session(self, greeting: Greeting) -> int:
         """Return a session number that no sample under way should have."""

@@ -121,6 +121,8 @@ class RobotControl:
         self.steps = 0
         #: An emergency stop holds the robot.
         self.stopped = False
+        #: Another robot has the joystick: why nothing switches this one on; "" if that is not so.
+        self.left_out = ""
         self.stiffness_n_m = 400.0
         self.damping_n_s_m = 28.0
         self.robot = robot
@@ -145,6 +147,8 @@ class RobotControl:
         """Switch on, in the chosen mode, or off."""
         if on and self.stopped:
             return self._refuse("an emergency stop holds the robot: `kontur-av stop --release`")
+        if on and self.left_out:
+            return self._refuse(self.left_out)
         if on and self.fault:
             return self._refuse(f"the robot has a fault, reset it first: {self.fault}")
         if on and self._outside and self.mode is not ControlMode.POSITION:
@@ -159,6 +163,12 @@ class RobotControl:
         """An emergency stop switches off; while it holds, nothing switches on."""
         self.stopped = stopped
         if stopped:
+            self.set_power(False)
+
+    def handle_left_out(self, reason: str) -> None:
+        """Another robot has the joystick, and this one is off; "": it may be switched on again."""
+        self.left_out = reason
+        if reason:
             self.set_power(False)
 
     def set_mode(self, mode: ControlMode) -> str:

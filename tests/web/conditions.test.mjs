@@ -52,6 +52,7 @@ class World {
   fault = "";
   waiting = true;
   joystick = "application";
+  experiment = "german experiment";
   test = "none";
   holder = null;
   dead_man = false;
@@ -74,6 +75,7 @@ class World {
     if (what === "fault") this.fault = "force above 28 N";
     if (what === "reset") this.fault = "";
     if (what === "joystick") this.joystick = pick("application", "application", "halted", "calibrated", "recoverable error");
+    if (what === "joystick") this.experiment = pick("german experiment", "russian experiment");
     if (what === "hold") this.holder = pick(null, 1, 2);
     if (what === "press") this.dead_man = this.holder !== null;
     if (what === "let go") this.dead_man = false;
@@ -89,7 +91,7 @@ class World {
   values(end) {
     const lost = this.link && this.running ? "connected" : "lost";
     const error = this.fault === "" ? "none" : "force";
-    const busy = this.joystick === "application" ? "german experiment" : "none";
+    const busy = this.joystick === "application" ? this.experiment : "none";
     const of = {
       space: { "joystick.state": this.joystick, "joystick.application": this.test === "running" ? "joystick test" : busy, "space_gateway.state": lost, "panel.mode": this.panel },
       ground: { "ground_gateway.state": lost, "robot.powered": this.powered, "robot.mode": this.mode, "robot.error": error, "tasks.phase": this.phase },
@@ -138,7 +140,7 @@ class Page {
     this.stopped = !world.running;
     // The processes of a session that was stopped leave what they said last.
     const told = world.running;
-    const joystick = { state: world.joystick, test: world.test, test_reason: "", reason: "", dead_man: world.dead_man };
+    const joystick = { state: world.joystick, experiment: world.experiment, test: world.test, test_reason: "", reason: "", dead_man: world.dead_man };
     const own = { stopped: world.stopped, by: "", waiting: world.waiting, hold: world.waiting ? "the dead-man button is released" : "" };
     const before = this.state?.safety ?? { stopped: false, by: "", waiting: true, hold: "" };
     this.state = {

@@ -92,12 +92,14 @@ export function robotWords(known) {
   const hindrance = hindranceOf(known);
   if (hindrance !== "") return { words: `○ The robot gets no commands: ${hindrance}.`, level: "warn" };
   const still = whyStill(known);
+  const partners = known.hello?.seat === "space" && known.state?.joystick?.experiment === "russian experiment";
+  const robot = partners ? "The partner's robot" : "The robot";
   if (waiting && (known.robot?.powered ?? true) && !known.robot?.fault) {
     const cause = hold === "" ? "" : ` Cause: ${hold}.`;
-    return { words: `◐ The robot waits: ${PRESS_ANEW}.${cause}`, level: "warn" };
+    return { words: `◐ ${robot} waits: ${PRESS_ANEW}.${cause}`, level: "warn" };
   }
-  if (still === "") return { words: "● The robot may follow the hand.", level: "good" };
-  return { words: `○ The robot holds still: ${still}.`, level: "none" };
+  if (still === "") return { words: `● ${robot} may follow the hand.`, level: "good" };
+  return { words: `○ ${robot} holds still: ${still}.`, level: "none" };
 }
 
 /**
@@ -146,8 +148,8 @@ export function ownValues({ hello, state, robot, experiment, panel }) {
   /** @type {Record<string, Figure>} */
   const own = { [`${hello.seat}_gateway.state`]: state.link, [`${hello.seat}_gateway.signal`]: state.signal };
   if (state.joystick !== null) {
-    const { state: words, test, dead_man } = state.joystick;
-    const application = words === "application" ? "german experiment" : "none";
+    const { state: words, test, dead_man, experiment } = state.joystick;
+    const application = words === "application" ? experiment : "none";
     own["joystick.state"] = words;
     own["joystick.dead_man"] = dead_man;
     own["joystick.application"] = test === "running" ? "joystick test" : application;
@@ -157,6 +159,7 @@ export function ownValues({ hello, state, robot, experiment, panel }) {
     own["robot.powered"] = robot.powered;
     own["robot.mode"] = robot.mode;
     own["robot.error"] = robot.error;
+    own["robot.partner"] = robot.partner;
   }
   if (experiment !== null) own["tasks.phase"] = experiment.phase;
   if (panel !== null) own["panel.mode"] = panel.mode;

@@ -10,7 +10,7 @@ import { joystickWords } from "./conditions.js";
 import { make, setText } from "./dom.js";
 
 /** @typedef {"calibrate" | "start" | "stop" | "halt" | "resume" | "acknowledge"} OwnRequest */
-/** @typedef {OwnRequest | "test"} JoystickRequest */
+/** @typedef {OwnRequest | "test" | "start_russian"} JoystickRequest */
 
 /** @type {[JoystickRequest, string][]} */
 const REQUESTS = [
@@ -25,6 +25,7 @@ const REQUESTS = [
 /** What the joystick is used for, in the place of start and stop. @type {[JoystickRequest, string][]} */
 const APPLICATIONS = [
   ["start", "German experiment"],
+  ["start_russian", "Russian experiment"],
   ["test", "Joystick test"],
   ["stop", "Stop experiment"],
 ];
@@ -100,7 +101,7 @@ class JoystickPanel extends HTMLElement {
     if (connection === undefined) return;
     setText(this.#answer, `${event} …`);
     this.#answer.dataset.level = "none";
-    const { ok, error, round_trip_ms: ms } = await (event === "test" || this.hasAttribute("telecommands")
+    const { ok, error, round_trip_ms: ms } = await (event === "test" || event === "start_russian" || this.hasAttribute("telecommands")
       ? connection.request({ do: "command", application: "joystick", name: event })
       : connection.request({ do: "joystick", event }));
     const verified = ms === undefined ? "" : ` after ${ms.toFixed(0)} ms`;
@@ -126,6 +127,8 @@ class JoystickPanel extends HTMLElement {
     this.#reason.dataset.level = joystick === null ? "none" : (TESTED[joystick.test] ?? "none");
     for (const [event, button] of this.#buttons) {
       button.disabled = !connection.mayAct || joystick?.allowed.includes(event) !== true;
+      // Most sessions have no partner's robot.
+      button.hidden = event === "start_russian" && typeof joystick?.partner !== "boolean";
       button.classList.toggle("main", NEXT[state] === event);
     }
   }

@@ -16,6 +16,7 @@ const SYSTEMS = [
   ["Gateway on the ground (OGC)", "ground_gateway", "state"],
   ["Robot", "robot", "mode"],
   ["Robot's error", "robot", "error"],
+  ["Partner's robot", "robot", "partner"],
   ["Panel", "panel", "mode"],
   ["Tasks", "tasks", "phase"],
 ];
@@ -36,7 +37,8 @@ class SystemsPanel extends HTMLElement {
     const show = () => {
       for (const { row, value, age, application, parameter } of rows) {
         const said = systemSays(telemetry, application, parameter, connection.nowUs());
-        row.hidden = said === null;
+        // Most sessions have no partner's robot.
+        row.hidden = said === null || (parameter === "partner" && said.text === "none");
         if (said === null) continue;
         setText(value, nameText(said.text));
         setAttribute(value, "data-level", said.level);

@@ -100,6 +100,8 @@ const LEVELS = {
   application: "good",
   telepresence: "good",
   "german experiment": "good",
+  "russian experiment": "good",
+  driven: "good",
   halted: "warn",
   off: "warn",
   lost: "bad",

@@ -104,9 +104,11 @@
 
 /**
  * The joystick's state in words. allowed: requests that it would take now. axes: those behind x
- * and y. test, test_reason: what became of the newest functional test.
+ * and y. test, test_reason: what became of the newest functional test. experiment: of the present
+ * or the next application. partner: whether a partner's robot is there; null: there can be none.
  * @typedef {{state: string, allowed: string[], reason: string, dead_man: boolean, force_limit_n:
- *   number, device: string, axes: AxisText[], test: string, test_reason: string}} JoystickText
+ *   number, device: string, axes: AxisText[], test: string, test_reason: string, experiment:
+ *   string, partner: boolean | null}} JoystickText
  */
 
 /**
@@ -255,13 +257,13 @@
  * controller, in the last second. hold: why it follows no hand, in words, "" if it does. waiting:
  * for a new press. stopped: an emergency stop holds. offset_mm: the robot's place less the hand's.
  * holds: its hand holds a ball. joints: of each the angle in rad and the torque in N m, as far as
- * the robot says them.
+ * the robot says them. partner: of the partner's robot, "none", "absent", "ready" or "driven".
  * @typedef {{kind: "robot", life: number, powered: boolean, mode: "position" | "torque" |
  *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
  *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
  *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,
  *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number], holds: boolean,
- *   joints: [number, number][]}} RobotText
+ *   joints: [number, number][], partner: string}} RobotText
  */
 
 /**

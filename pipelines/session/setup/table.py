@@ -147,8 +147,9 @@ HandMode = Literal["direct", "mediated", "auto"]
 HAND_MODES: tuple[HandMode, ...] = get_args(HandMode)
 
 #: What a partner's joystick may drive. `none`: nothing. `shared`: the robot, in the place of the
-#: joystick in space, once an operator has handed it over. `second`: an arm of its own.
-PartnerArm = Literal["none", "shared", "second"]
+#: joystick in space, once an operator has handed it over. `second`: an arm of its own. `board`:
+#: nothing; the joystick in space drives the partner's robot in the Russian experiment.
+PartnerArm = Literal["none", "shared", "second", "board"]
 
 #: What of the uplink video is coded finer. `off`: nothing. `stylus`: what is around its tip.
 RegionChoice = Literal["off", "stylus"]
@@ -307,9 +308,9 @@ class Setup:
             return
         if self.deadband != "off":
             raise ConfigError('deadband: it judges x and y only, so take "off" with more axes')
-        if self.partner_arm == "shared":
+        if self.partner_arm in ("shared", "board"):
             raise ConfigError(
-                "partner_arm shared: a partner's joystick has x and y only, so take "
+                f"partner_arm {self.partner_arm}: a partner has x and y only, so take "
                 'partner_arm = "none" or "second" with more axes'
             )
         octets = sample_octets(len(self.more_axes))
@@ -334,6 +335,11 @@ class Setup:
             raise ConfigError(
                 "partner_arm shared: only the joystick in space renders walls, so take "
                 'hand = "direct", or partner_arm = "second"'
+            )
+        if self.partner_arm == "board" and (self.hand, self.deadband) != ("direct", "off"):
+            raise ConfigError(
+                "partner_arm board: a partner's robot tells no walls and leaves out no samples, "
+                'so take hand = "direct" and deadband = "off"'
             )
 
     def _check_region(self) -> None:

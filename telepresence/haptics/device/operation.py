@@ -15,6 +15,7 @@ from telepresence.haptics.device.script import IDLE, ScriptRun
 from telepresence.haptics.device.states import (
     REQUESTS,
     TRANSITIONS,
+    ExperimentName,
     JoystickEvent,
     JoystickState,
     StateMachine,
@@ -50,6 +51,11 @@ _NEED_HEALTH = (
 _FROM_HALTED = (JoystickEvent.CALIBRATE, JoystickEvent.START)
 _BY_A_PERSON = "by a person's command"
 
+_NO_BOARD = 'this session has no partner\'s robot: its setup needs partner_arm = "board"'
+_NO_PARTNER = "the partner's robot is not there"
+#: Whom the joystick hears.
+_PEERS = {ExperimentName.GERMAN: "the robot", ExperimentName.RUSSIAN: "the partner's robot"}
+
 _OK, _APPLICATION = Health.OK, JoystickState.APPLICATION
 
 
@@ -65,6 +71,8 @@ class JoystickOperation:
     force_limit_n: the force (N) that the controller may use until the next reading, per axis; 0
     outside the application.
     test: the newest functional test.
+    experiment: of the present or the next application. partner: whether a partner's robot is there,
+    which the caller sets; None: there can be none.
     """
 
     def __init__(
@@ -86,6 +94,8 @@ class JoystickOperation:
         self.force_limit_n = 0.0
         self.prompt = ""
         self.released = 0
+        self.experiment = ExperimentName.GERMAN
+        self.partner: bool | None = None
         self.test = TestReport()
         self._automatic = automatic
         self._hands_off = hands_off
@@ -193,10 +203,36 @@ class JoystickOperation:
         halt, stop: nothing happens by itself until a person lets it go on. They also end a
         calibration, and are refused only after a fatal error.
         start: it goes on by itself from self-test, standby and calibration; from halted, it resumes
-        and starts. resume: it goes on by itself.
+        and starts. start_russian: the same with the partner's robot; start: with ours.
+        resume: it goes on by itself.
         calibrate: from halted, it resumes first. A pause stays.
         test: where it is calibrated, so that a person stops it first. A pause stays.
         """
+        if event is JoystickEvent.START_RUSSIAN:
+            if self.partner is not True and self.state is not JoystickState.FATAL:
+                return f"{event.value}: {_NO_BOARD if self.partner is None else _NO_PARTNER}"
+            return self._start(ExperimentName.RUSSIAN, now_ns)
+        if event is JoystickEvent.START:
+            return self._start(ExperimentName.GERMAN, now_ns)
+        return self._command(event, now_ns)
+
+    def choose(self, experiment: ExperimentName) -> None:
+        """The application, the present one or the next, is of this experiment."""
+        if experiment is not self.experiment:
+            self.experiment = experiment
+            self.supervisor.peer = _PEERS[experiment]
+            self.supervisor.handle_new_peer()
+
+    def _start(self, experiment: ExperimentName, now_ns: int) -> str:
+        before = self.experiment
+        if self.state is not JoystickState.APPLICATION:
+            self.choose(experiment)
+        refusal = self._command(JoystickEvent.START, now_ns)
+        if refusal:
+            self.choose(before)
+        return refusal
+
+    def _command(self, event: JoystickEvent, now_ns: int) -> str:
         state = self.machine.state
         if event in (JoystickEvent.HALT, JoystickEvent.STOP):
             return self._pause(event, now_ns)

@@ -11,7 +11,7 @@ with the self-test.
 
 from collections import deque
 from collections.abc import Mapping
-from enum import Enum, IntEnum
+from enum import Enum, IntEnum, StrEnum
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -46,6 +46,13 @@ _WORDS = {
 }
 
 
+class ExperimentName(StrEnum):
+    """Whose robot the application drives: ours, or the partner's. Words of the telemetry."""
+
+    GERMAN = "german experiment"
+    RUSSIAN = "russian experiment"
+
+
 class JoystickEvent(Enum):
     """What can happen: requests of a person first, then what the joystick itself detects."""
 
@@ -56,6 +63,8 @@ class JoystickEvent(Enum):
     RESUME = "resume"
     ACKNOWLEDGE = "acknowledge"
     TEST = "test"
+    #: Chooses the experiment, then is a `START`: no transition of its own.
+    START_RUSSIAN = "start_russian"
 
     SELF_TEST_PASSED = "self-test passed"
     CALIBRATION_PASSED = "calibration passed"
@@ -76,6 +85,7 @@ REQUESTS = frozenset(
         JoystickEvent.RESUME,
         JoystickEvent.ACKNOWLEDGE,
         JoystickEvent.TEST,
+        JoystickEvent.START_RUSSIAN,
     }
 )
 

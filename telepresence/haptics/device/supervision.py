@@ -64,7 +64,7 @@ class Health(Enum):
 class JoystickSupervisor:
     """Judges each reading. `health` and `reason` (one line) describe the newest one.
 
-    expects_peer: whether silence of the peer counts; set by the caller.
+    expects_peer: whether silence of the peer counts; peer: who it is. Set by the caller.
     share: share of the force limit that the temperature leaves.
     warnings: how often `warn_c` was passed.
     hottest_c: highest temperature so far; None without a sensor.
@@ -76,6 +76,7 @@ class JoystickSupervisor:
         self.reason = ""
         self.share = 1.0
         self.expects_peer = False
+        self.peer = "the robot"
         self.warnings = 0
         self.hottest_c: float | None = None
         self._temperature_c: float | None = None
@@ -101,6 +102,14 @@ class JoystickSupervisor:
     def forget_silence(self) -> None:
         """Restart the silence timer at the next reading."""
         self._heard_ns = None
+
+    def handle_new_peer(self) -> None:
+        """Another peer is asked: the silence of the one before counts no more."""
+        self._heard_ns = None
+        if self._silent:
+            self._silent = False
+            if self.health is Health.HALT and not self._hot:
+                self._set_health(Health.OK, "")
 
     def set_workspace(self, half_width_m: float, half_height_m: float) -> None:
         """Judge positions from now on: the handle is calibrated to these half widths."""
@@ -180,7 +189,7 @@ class JoystickSupervisor:
                 f"the motors were at {self._temperature_c:.0f} °C: they may go on below "
                 f"{self.limits.cool_c:.0f} °C"
             )
-        return f"no sample from the robot for {self.limits.silence_ns / NS_PER_S:g} s"
+        return f"no sample from {self.peer} for {self.limits.silence_ns / NS_PER_S:g} s"
 
     def _judge_sensors(self, reading: JoystickReading) -> Health:
         if not reading.present:

@@ -1,0 +1,58 @@
+"""`kontur-av robot serve`: a partner's robot, which the joystick in space drives."""
+
+import argparse
+from contextlib import closing
+from math import hypot
+
+from pipelines.commands.common import say_unprotected
+from pipelines.commands.drive import add_way_arguments, reached, run_side, told
+from pipelines.hand.haptic_loop import new_life
+from pipelines.hand.haptics import robot_side
+from pipelines.hand.partner_arm import keep_powered
+from pipelines.hand.robot_desk import limits_of
+from pipelines.hand.safety_ends import within
+from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits
+from telepresence.haptics.robot_device import SIMULATED_ROBOT
+from telepresence.haptics.robot_spec import open_robot
+from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.robot_control import RobotControl
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--robot",
+        default=SIMULATED_ROBOT,
+        metavar="SPEC",
+        help="sim, with its task board, udp:HOST:PORT[:KEYFILE] or your own: module:Class "
+        "(default: sim)",
+    )
+    add_way_arguments(parser)
+
+
+def serve(args: argparse.Namespace) -> int:
+    """Serve the robot until it is stopped; 0 if the joystick has driven it, else 1."""
+    say_unprotected(args.robot)
+    with closing(open_robot(args.robot)) as robot:
+        envelope = SafetyEnvelope(within(SafetyLimits(), robot.facts))
+        side = robot_side(envelope, life=new_life(), robot=robot)
+        control = RobotControl(
+            robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
+        )
+        watch, recover = keep_powered(control, envelope)
+        began_m, most_m, most_n = (robot.x_m, robot.y_m), 0.0, 0.0
+
+        def work(now_ns: int) -> None:
+            nonlocal most_m, most_n
+            command = side.link.latest(now_ns)
+            if envelope.stopped and command is not None and not command.stop:
+                # The session in space keeps its stop, and its samples no longer tell of one.
+                envelope.handle_stop_released(now_ns)
+            watch(now_ns)
+            recover(now_ns)
+            most_m = max(most_m, hypot(robot.x_m - began_m[0], robot.y_m - began_m[1]))
+            most_n = max(most_n, hypot(robot.push_x_n, robot.push_y_n))
+
+        with reached(args, "robot") as way:
+            run_side(side, work, way, args.seconds)
+    print(f"the tip went {most_m * 1e3:.0f} mm far, and felt up to {most_n:.1f} N")
+    return told(side, "joystick")

@@ -1,0 +1,102 @@
+"""The Russian experiment at the page K2CP: the partner's robot across the Internet, then ours."""
+
+import re
+import signal
+import subprocess
+
+import numpy as np
+from browser import eventually
+from janus_room import free_port
+from robot_tip import STILL_M, Tip
+from running_session import COMMAND, RunningSession
+
+from pipelines.hand.haptic_trace import CONTACT, rows_of
+from pipelines.session.topology import JOYSTICK_TRACE_TOPIC
+
+LAB = 'cameras = ["head"]\npartner_arm = "board"\n[uplink_video]\ncap_kbps = 85\n'
+
+
+def button(name):
+    return f"(document.querySelector('[data-joystick={name}]') ?? {{disabled: null}})"
+
+
+def told(name):
+    return f"document.querySelector('[data-system=\"{name}\"] dd')?.textContent.toLowerCase()"
+
+
+def press(page, name):
+    page.wait(f"{button(name)}.disabled === false")
+    page.find(f"[data-joystick={name}]").click()
+
+
+def felt_contact(bus):
+    """Wait until the hand feels a contact of the robot that answers the joystick."""
+    reader = bus.reader(JOYSTICK_TRACE_TOPIC)
+
+    def felt():
+        if (block := reader.latest_octets()) is None:
+            return False
+        rows = rows_of(block)
+        touching = rows[rows["flags"] & CONTACT != 0]
+        return len(touching) > 0 and np.hypot(touching["fx_n"], touching["fy_n"]).max() > 0.3
+
+    eventually(felt, "a contact's force at the hand")
+
+
+def test_the_cosmonaut_drives_the_partners_robot_then_ours(start_browser, tmp_path, monkeypatch):
+    setup, token, port = tmp_path / "lab.toml", tmp_path / "token", free_port()
+    setup.write_text(LAB)
+    token.write_text("word-of-the-partner")
+    way = ("--rtc", str(port), "--rtc-token-file", str(token))
+    options = (*way, "--page", str(free_port()))
+    browser = start_browser()
+    with RunningSession(str(setup), *options, directory=tmp_path) as session:
+        session.pids()
+        page = browser.open(session.pages()["k2cp"])
+        supervisor = browser.open(session.pages()["k2sv"])
+        with session.bus(monkeypatch) as bus:
+            tip = Tip(bus)
+            tip.wait_until_it_moves()
+            page.wait(f"{told('joystick.application')} === 'german experiment'")
+            press(page, "stop")
+            page.wait(f"{button('start')}.disabled === false")
+            assert page.run(f"return {button('start_russian')}.disabled")
+            refused = session.ask("tc", "joystick", "start_russian")
+            assert refused.returncode == 1
+            assert "the partner's robot is not there" in refused.stderr
+
+            words = ("--rtc", f"http://127.0.0.1:{port}", "--token-file", str(token))
+            out = (tmp_path / "partner.txt").open("w+")
+            partner = subprocess.Popen(
+                [*COMMAND, "robot", "serve", *words],
+                stdout=out,
+                stderr=out,
+                env=session.environment,
+            )
+            try:
+                press(page, "start_russian")
+                supervisor.wait(f"{told('joystick.application')} === 'russian experiment'")
+                supervisor.wait(f"{told('robot.partner')} === 'driven'")
+                supervisor.wait(f"{told('robot.mode')} === 'off'")
+                assert tip.way(3) < STILL_M
+                felt_contact(bus)
+                assert tip.way(2) < STILL_M
+                press(page, "stop")
+                press(page, "start")
+                page.wait(f"{told('joystick.application')} === 'german experiment'")
+                supervisor.wait(f"{told('robot.partner')} === 'ready'")
+                tip.wait_until_it_moves()
+                felt_contact(bus)
+            finally:
+                partner.send_signal(signal.SIGINT)
+                code = partner.wait(60)
+        text = (tmp_path / "partner.txt").read_text()
+        out.close()
+        assert code == 0, text
+        far_mm, most_n = re.search(r"went (\d+) mm far, and felt up to ([\d.]+) N", text).groups()
+        assert int(far_mm) > 10 and float(most_n) > 0.5
+        browser.assert_no_errors()
+        code, report = session.interrupt()
+    assert code == 0, session.errors()
+    assert report["failures"] == []
+    assert report["arm"]["owner"] == "iss" and report["arm"]["turns"] == 3
