@@ -263,6 +263,18 @@ def test_a_task_that_cannot_be_done_here_says_so_and_cannot_be_selected(browser,
     page.close()
 
 
+def test_a_parameter_that_only_functions_are_given_has_no_row(browser, address):
+    page = browser.open(f"{address}k2sv")
+    page.reload(WORKER)
+    page.run(TELL, [json.dumps(text) for text in texts_of(Segment.GROUND, connected=True)])
+    rows = page.driver().find_elements("css selector", "tr[data-parameter]")
+    # Those of other tabs are not displayed either.
+    shown = {one.get_attribute("data-parameter") for one in rows if not one.get_property("hidden")}
+    assert "joystick.state" in shown
+    assert not {"ground_supervisor.process", "space_supervisor.process", "tasks.task"} & shown
+    page.close()
+
+
 def test_no_page_says_that_a_server_is_silent_which_is_heard_again(browser, address):
     page = browser.open(f"{address}top")
     page.reload(WORKER)
