@@ -12,6 +12,7 @@ to do. Look at each picture before you keep it.
 import io
 import sys
 import tempfile
+from base64 import b64decode
 from pathlib import Path
 
 from PIL import Image
@@ -60,6 +61,7 @@ _SAY = """
 """
 #: Pixels of the map: from the middle to the wall, and into it.
 ACROSS, INTO = 75, 20
+TRIES = 20
 
 
 def main() -> None:
@@ -157,7 +159,7 @@ def _press(page: Page, pixels: int) -> None:
 
 def _feel(page: Page) -> None:
     """Press against the wall; a page that stalls for 100 ms lets the handle go."""
-    for _ in range(10):
+    for _ in range(TRIES):
         _press(page, INTO)
         page.run("return new Promise((done) => setTimeout(done, 300))")
         if page.run(f"return {_FELT}"):
@@ -169,10 +171,18 @@ def _take(page: Page, name: str, theme: str, *, feel: bool = True) -> None:
     scheme = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", scheme)
     page.run("return new Promise((done) => setTimeout(done, 800))")
-    if feel and page.run("return document.querySelector('hand-panel') !== null"):
-        _feel(page)
-    page.wait(_LIVE)
-    picture = Image.open(io.BytesIO(driver.get_screenshot_as_png())).convert("RGB")
+    feel = feel and page.run("return document.querySelector('hand-panel') !== null")
+    for _ in range(TRIES):
+        if feel:
+            _feel(page)
+        page.wait(_LIVE)
+        told = driver.execute_cdp_cmd("Page.captureScreenshot", {"optimizeForSpeed": True})
+        # Taking it stalls the page, too.
+        if not feel or page.run(f"return {_FELT}"):
+            break
+    else:
+        sys.exit(f"{name}: the page lets go of the handle each time: the machine is too busy")
+    picture = Image.open(io.BytesIO(b64decode(told["data"]))).convert("RGB")
     path = ROOT / "docs" / "images" / f"{name}.png"
     picture.quantize(COLOURS, kmeans=1).save(path, optimize=True)
     print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")

@@ -92,9 +92,12 @@ class MatroskaWriter:
                 self._remuxer.add_opus(payload, ticks, samples)
 
     def close(self) -> None:
-        """Finish the file. May be called twice."""
+        """Finish the file; without a stream there is none. May be called twice."""
         with self._faults():
             self._remuxer.close()
+            path = Path(self._path)
+            if not self._remuxer.begun and path.is_file() and not path.stat().st_size:
+                path.unlink()
 
     @contextmanager
     def _faults(self) -> Iterator[None]:

@@ -182,7 +182,7 @@ class _SendShell:
         counts, released = sender.counts, sender.released
         largest_bps = released.max_bps(NS_PER_S)
         failed = []
-        if not counts.frames_sent:
+        if not counts.frames_sent and not reader_gone():
             failed.append(f"nothing was captured: {feed.source.last_fault or 'the source is mute'}")
         if largest_bps > sender.cap_bps:
             failed.append("the cap was broken")

@@ -75,7 +75,8 @@ def _shown(bus: TopicBus, session: str) -> ExperimentShown:
 
 def _print(shown: ExperimentShown) -> None:
     for one in shown.tasks:
-        print(f"{one.name:<10} {one.text}")
+        lacks = f" Not available: it {one.lacks}." if one.lacks else ""
+        print(f"{one.name:<10} {one.text}{lacks}")
     present = f"{shown.task}, run {shown.run}: {shown.phase}" if shown.task else shown.phase
     elemop = f", {shown.elemop}" if shown.elemop else ""
     print(f"now: {present}{elemop}")

@@ -1,11 +1,10 @@
 """The process that merges the pictures of the robot's two cameras into one."""
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.sources.seam import SeamFinder
-from kontur_av.sources.stereo import HALF, StereoPairer, merge
+from kontur_av.sources.stereo import HALF, StereoPairer
 from kontur_av.topics.bus import Lease
 from pipelines.media.figures import StereoFigures
-from pipelines.media.marking import mark_halves
+from pipelines.media.merging import StereoMerger
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
 from pipelines.session.topology import HALVES_TOPIC
@@ -18,7 +17,7 @@ def run_stereo(context: Context) -> None:
     """
     clock, video, topology = context.clock, context.setup.uplink_video, context.topology
     pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
-    finder = SeamFinder()
+    merger = StereoMerger()
 
     def fill() -> None:
         context.probe.tell(StereoFigures(paired=pairer.paired, single=pairer.single))
@@ -39,13 +38,7 @@ def run_stereo(context: Context) -> None:
                 if not writer.has_readers():
                     continue
                 loan = writer.loan_picture(video.width, video.height)
-                left = None if pair.left is None else pair.left.data
-                right = None if pair.right is None else pair.right.data
-                # Of a stale camera its whole half stays in the picture, and is marked there.
-                stale = pair.left_stale or pair.right_stale
-                seam = finder.handle_pictures(left, None if stale else right)
-                merge(left, right, loan.picture, seam)
-                mark_halves(loan.picture, pair, clock.now_ns())
+                merger.handle_pair(pair, loan.picture, clock.now_ns())
                 loan.publish(pair.stamp)
 
         waiter = bus.waiter(readers)

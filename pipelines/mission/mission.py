@@ -90,14 +90,18 @@ class MissionGround:
         first_number: int = 0,
         two_hands: bool = False,
     ) -> None:
-        self._two_hands = two_hands
         self._catalogue = catalogue
         memory = memory or MissionMemory()
         self.experiment = Experiment(catalogue, first_run=memory.next_run)
         self.leds = PanelSender(first_number=first_number)
         self.journal = TaskJournal(memory.rows)
         self._names = tuple(catalogue.tasks)
-        self._listed = tuple(TaskListed(one.name, one.text) for one in catalogue.tasks.values())
+        self._listed = tuple(
+            TaskListed(
+                one.name, one.text, NEEDS_TWO_HANDS if one.two_handed and not two_hands else ""
+            )
+            for one in catalogue.tasks.values()
+        )
         self._follower = None if plan is None else PlanFollower(plan, finished=memory.planned)
         self._next_run = memory.next_run
         #: Somebody on the ground has ended the present run, so that the plan goes on.
@@ -217,8 +221,8 @@ class MissionGround:
         return self._messages.popleft() if self._messages else None
 
     def _select(self, name: str, now_ns: int) -> str:
-        if self._catalogue.task(name).two_handed and not self._two_hands:
-            return f"task {name} {NEEDS_TWO_HANDS}"
+        if lacks := self._listed[self._names.index(name)].lacks:
+            return f"task {name} {lacks}"
         refusal = self.experiment.select(name, now_ns)
         if not refusal:
             self.journal.handle_begin(self._link)

@@ -181,6 +181,8 @@ class TmtcEnd:
     def handle_signal(self, signal: bool, now_ns: int) -> None:
         """Whether good frames arrive. When they begin to, what is open is repeated at once."""
         before, self._signal = self._signal, signal
+        for application in self.applications.values():
+            application.handle_signal(signal, now_ns)
         if signal and not before:
             self._node.handle_contact(now_ns)
 

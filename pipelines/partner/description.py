@@ -382,7 +382,10 @@ def _read_section(
     if codec is None or codec.payloadType is None or not (sends or receives):
         return None
     given = codec.parameters.items()
-    fmtp = ";".join(name if value is None else f"{name}={value}" for name, value in given)
+    # An answer repeats this, and a parameter without its value is none.
+    fmtp = ";".join(
+        name if value is None else f"{name}={value}" for name, value in given if value != ""
+    )
     # A port of 0 rejects a section, unless it is bundled with one that has a port.
     return MediaLine(
         mid=media.rtp.muxId,

@@ -118,10 +118,11 @@ class PanelShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
 
 class TaskListed(msgspec.Struct, frozen=True, array_like=True):
-    """A task that can be selected."""
+    """A task. lacks: why it cannot be selected here; "" if it can."""
 
     name: str
     text: str
+    lacks: str = ""
 
 
 class StepShown(msgspec.Struct, frozen=True, array_like=True):

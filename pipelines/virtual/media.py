@@ -40,7 +40,7 @@ from pipelines.virtual.streams import (
     VoiceReceiveProcess,
     VoiceSendProcess,
 )
-from pipelines.virtual.studio import Picture, Shot, VideoDecoding, VideoStudio, VoiceStudio
+from pipelines.virtual.studio import Paired, Picture, Shot, VideoDecoding, VideoStudio, VoiceStudio
 from pipelines.virtual.workers import Coder, Job, Scene, Worker
 from telepresence.link.backlog import Backlog
 from telepresence.world import WorldState
@@ -136,8 +136,8 @@ class Camera(_Input):
         super().__init__(scene, name, film, Pace(fps, scene.start_ns), self._shoot, job=name)
 
     def _shoot(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
-        shots = (Shot(self._name, stamp.sequence, state),)
-        self._agenda.at(now_ns + self._cost_ns, partial(self._show, shots, stamp))
+        shot = Shot(self._name, stamp.sequence, state)
+        self._agenda.at(now_ns + self._cost_ns, partial(self._show, shot, stamp))
 
 
 class Microphone(_Input):
@@ -163,7 +163,7 @@ class Stereo:
     ) -> None:
         handle = self._pairer.handle_right if right else self._pairer.handle_left
         # The pairer reads stamps only, so a Shot can stand in for a picture.
-        handle(VideoFrame(cast(I420, picture[0]), stamp), now_ns)
+        handle(VideoFrame(cast(I420, picture), stamp), now_ns)
         self._give(now_ns)
         due_ns = self._pairer.poll_timeout()
         if due_ns is not None:
@@ -175,11 +175,7 @@ class Stereo:
 
     def _give(self, now_ns: int) -> None:
         while (pair := self._pairer.next_event()) is not None:
-            left, right = (
-                None if frame is None else cast(Shot, frame.data)
-                for frame in (pair.left, pair.right)
-            )
-            self._show((left, right), pair.stamp, now_ns)
+            self._show(Paired(pair, now_ns), pair.stamp, now_ns)
 
     def tell(self) -> None:
         pairer = self._pairer

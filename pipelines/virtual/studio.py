@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from math import log10
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 
@@ -20,9 +20,9 @@ from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
-from kontur_av.sources.seam import SeamFinder
-from kontur_av.sources.stereo import merge
+from kontur_av.sources.stereo import StereoPair
 from kontur_av.streams.voice_player import VoicePlayer
+from pipelines.media.merging import StereoMerger
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from telepresence.world import WorldState, audio_scenes, render
 
@@ -44,8 +44,18 @@ class Shot(NamedTuple):
     state: WorldState | None
 
 
-#: A picture to encode: one shot, or the two of the stereo pair.
-Picture = tuple[Shot] | tuple[Shot | None, Shot | None]
+class Paired(NamedTuple):
+    """A stereo pair that is merged only when it is encoded.
+
+    pair: the `data` of its pictures are `Shot`s. now_ns: when it was paired.
+    """
+
+    pair: StereoPair
+    now_ns: int
+
+
+#: A picture to encode.
+Picture = Shot | Paired
 
 #: The result for one access unit: see `VideoDecoding`.
 Decoded = tuple[list[tuple[int, int, int, bool]], DecoderCounts, list[Light], list[float]]
@@ -78,7 +88,7 @@ class VideoStudio:
             coded_size=stream.coded,
             regions=regions,
         )
-        self._finder = SeamFinder()
+        self._merger = StereoMerger()
         self._views: dict[str, str] = {}
         self._films: dict[str, _Film] = {}
         for name, spec in cameras.items():
@@ -95,21 +105,26 @@ class VideoStudio:
         return self._films[job].next() if isinstance(job, str) else self._encode(*job)
 
     def _encode(
-        self, shots: Sequence[Shot | None], coding: Coding, region: Region | None
+        self, picture: Picture, coding: Coding, region: Region | None
     ) -> tuple[bytes, bool]:
-        parts = [
-            None if shot is None else self._picture(shot, room)
-            for shot, room in zip(shots, self._rooms, strict=False)
-        ]
-        picture = parts[0]
-        if len(parts) == 2:
-            picture = self._rooms[2]
-            seam = self._finder.handle_pictures(parts[0], parts[1])
-            merge(parts[0], parts[1], picture, seam)
-        assert picture is not None
+        left, right, merged = self._rooms
+        if isinstance(picture, Paired):
+            pair = replace(
+                picture.pair,
+                left=self._drawn(picture.pair.left, left),
+                right=self._drawn(picture.pair.right, right),
+            )
+            self._merger.handle_pair(pair, merged, picture.now_ns)
+        else:
+            merged = self._picture(picture, left)
         stamp = CaptureStamp(0, self._encoder.encoded, self._stream.name)
-        unit = self._encoder.encode(VideoFrame(picture, stamp), coding, region=region)
+        unit = self._encoder.encode(VideoFrame(merged, stamp), coding, region=region)
         return unit.data, unit.keyframe
+
+    def _drawn(self, frame: VideoFrame | None, room: I420) -> VideoFrame | None:
+        if frame is None:
+            return None
+        return VideoFrame(self._picture(cast(Shot, frame.data), room), frame.stamp)
 
     def _picture(self, shot: Shot, room: I420) -> I420:
         if shot.state is None:

@@ -249,7 +249,8 @@ class TopKernel:
         elif now_ns - self._began_ns >= round(check.elemop.timeout_s * NS_PER_S):
             name = check.elemop.name
             if self._ending is None:
-                self._end(TaskResult.TIMED_OUT, f"{name} took too long", now_ns)
+                reason = f"{name} was not done in {check.elemop.timeout_s:g} s"
+                self._end(TaskResult.TIMED_OUT, reason, now_ns)
             else:
                 self._finish(done=False, now_ns=now_ns)
                 self._begin_next(now_ns)

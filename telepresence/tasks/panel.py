@@ -172,8 +172,7 @@ class MissionPanel:
                 self._words = f"Finished in {message.duration_ms / 1e3:.1f} s{score}."
                 self._go(PanelMode.FINISHED)
             else:
-                because = f" Reason: {message.reason}." if message.reason else ""
-                self._fail(_RESULT_WORDS[message.result] + because, message.reason)
+                self._fail(_RESULT_WORDS[message.result] + self._why(message), message.reason)
 
     def handle_button(self, now_ns: int) -> None:
         """The button of the joystick, or the key, that moves the panel on was pressed."""
@@ -223,8 +222,14 @@ class MissionPanel:
         return hypot(x_m - start_x_m, y_m - start_y_m)
 
     def _concerns(self, message: TaskFinished) -> bool:
-        present = self._known and (message.task, message.run) == (self._task.task, self._task.run)
-        return present and self.mode is not PanelMode.NO_CONTACT
+        return self._known and (message.task, message.run) == (self._task.task, self._task.run)
+
+    def _why(self, message: TaskFinished) -> str:
+        """Why it did not finish; of a step that took too long, its number and not its name."""
+        told = self._progress
+        if message.result is TaskResult.TIMED_OUT and told and told.goal is not TaskGoal.START:
+            return f" Step {told.step} of {told.steps} was not done in time." * (told.steps > 1)
+        return f" Reason: {message.reason}." if message.reason else ""
 
     def _fail(self, words: str, reason: str) -> None:
         self._words, self._reason = words, fitted_line(reason)

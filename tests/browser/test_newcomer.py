@@ -23,6 +23,15 @@ BOX = """
     return found?.checkVisibility() ? found.closest(".panel") : null;
 """
 WAY = re.compile(r"(\d+) mm (left|right|up|down)")
+#: What leads a newcomer through a task, in its order.
+LEADS = (
+    "Then press the button",
+    "Go ",
+    "let go of the mouse button",
+    "Press it now",
+    "Do the task",
+    "Next task",
+)
 #: A hand guesses how far it must go for "a little".
 LITTLE_MM = 3
 SIGNS = {"left": (-1, 0), "right": (1, 0), "up": (0, -1), "down": (0, 1)}
@@ -49,6 +58,8 @@ class Newcomer:
     def __init__(self, browser, address):
         self.page, self.driver = browser.open(address), browser.driver
         self.per_mm, self.at, self.holds = 1.0, (0, 0), False
+        #: What led it so far. A page that was busy lets go by itself, also without the words.
+        self.led = set()
 
     def sit_down(self, words):
         """Take the seat that is for what one wants to do."""
@@ -116,6 +127,7 @@ class Newcomer:
     def act(self):
         """Do what the page says now; return what it says."""
         says = self.read("what to do")
+        self.led |= {words for words in LEADS if words in says}
         if "press the button" in says or "Next task" in says:
             self.click("what to do", "")
         elif "let go of the mouse button" in says:
@@ -175,4 +187,5 @@ def test_a_newcomer_finishes_every_task_by_what_the_pages_say(session, start_bro
         assert runs.count("finished") == number + 1
         steps = top.read("steps")
         assert (steps.count("●"), steps.count("○")) == (12, 0)
+    assert panel.led == {*LEADS}
     browser.assert_no_errors()

@@ -36,6 +36,7 @@ from pipelines.study.plan import Aiming, HandleLevels, StudyPlan
 from pipelines.table import topology_of
 from telepresence.haptics.device.page import PageDevice
 from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.plan import NEEDS_TWO_HANDS
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
@@ -137,7 +138,10 @@ def texts_of(segment, *, connected):
     plan = seat_plan(topology, segment, "x", built_in_dictionary(), tasks=catalogue)
     seat = Seat(plan, first_command=1)
     if segment is Segment.GROUND:
-        listed = tuple(TaskListed(one.name, one.text) for one in catalogue.tasks.values())
+        listed = tuple(
+            TaskListed(one.name, one.text, NEEDS_TWO_HANDS if one.two_handed else "")
+            for one in catalogue.tasks.values()
+        )
         runs = (RunShown("handshake", 12, "aborted", REASON, 12.5),)
         task = {"phase": "running", "task": "handshake", "run": 13, "elemop": "followContour"}
         experiment = ExperimentShown(**task, panel="press_deadman", tasks=listed, runs=runs)
@@ -234,6 +238,41 @@ def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name,
             found["axe", theme] = page.run(SERIOUS)
     page.close()
     assert {what: wrong for what, wrong in found.items() if wrong} == {}
+
+
+def test_a_task_that_cannot_be_done_here_says_so_and_cannot_be_selected(browser, address):
+    page = browser.open(f"{address}top")
+    page.reload(WORKER)
+    idle = {"phase": "idle", "task": ""}
+    told = [
+        text | idle if text["kind"] == "experiment" else text
+        for text in texts_of(Segment.GROUND, connected=True)
+    ]
+    page.run(TELL, [json.dumps(text) for text in told])
+    buttons = {
+        one.get_attribute("data-task"): one
+        for one in page.driver().find_elements("css selector", "[data-task]")
+    }
+    assert {name for name, one in buttons.items() if not one.is_enabled()} == {"handshake", "ball"}
+    items = page.run(
+        "return [...document.querySelectorAll('.tasks li')].map((one) => one.innerText)"
+    )
+    assert [("needs two hands" in one) for one in items] == [
+        name in ("handshake", "ball") for name in buttons
+    ]
+    page.close()
+
+
+def test_a_parameter_that_only_functions_are_given_has_no_row(browser, address):
+    page = browser.open(f"{address}k2sv")
+    page.reload(WORKER)
+    page.run(TELL, [json.dumps(text) for text in texts_of(Segment.GROUND, connected=True)])
+    rows = page.driver().find_elements("css selector", "tr[data-parameter]")
+    # Those of other tabs are not displayed either.
+    shown = {one.get_attribute("data-parameter") for one in rows if not one.get_property("hidden")}
+    assert "joystick.state" in shown
+    assert not {"ground_supervisor.process", "space_supervisor.process", "tasks.task"} & shown
+    page.close()
 
 
 def test_no_page_says_that_a_server_is_silent_which_is_heard_again(browser, address):

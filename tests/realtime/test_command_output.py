@@ -36,6 +36,15 @@ def test_a_closed_output_or_a_reader_that_ends_is_no_failure(words):
     assert ended(gone) == (0, "")
 
 
+def test_a_sender_whose_reader_has_gone_ends_quietly():
+    ours, theirs = os.pipe()
+    words = ("--video", "scene:static", "--to", "127.0.0.1:9", "--cap-kbps", "100")
+    process = start("send", *words, stdout=theirs)
+    os.close(theirs)
+    os.close(ours)
+    assert ended(process) == (0, "")
+
+
 @pytest.mark.parametrize("words", COMMANDS[:3], ids=lambda words: words[0])
 def test_a_full_output_is_a_failure_with_one_line(words):
     with Path("/dev/full").open("wb") as full:

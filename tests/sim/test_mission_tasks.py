@@ -1,5 +1,7 @@
 """Fig. 14 from selection to end: every task of the catalogue, and what ends one early."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -149,8 +151,10 @@ def test_a_task_that_takes_too_long_times_out():
     assert mission.run(80, until=lambda: mission.runs)
     assert (mission.runs[0].result, mission.runs[0].reason) == (
         TaskResult.TIMED_OUT,
-        "checkPos7 took too long",
+        "checkPos7 was not done in 60 s",
     )
+    mission.run(1)
+    assert mission.panel.view.words == ("The task took too long. Step 1 of 4 was not done in time.")
     assert_at_rest(mission)
 
 
@@ -160,6 +164,8 @@ def test_a_cosmonaut_who_never_starts_is_not_waited_for_for_ever():
     assert mission.experiment.select("line", 0) == ""
     assert mission.run(30, until=lambda: mission.runs)
     assert mission.runs[0].result is TaskResult.TIMED_OUT and mission.runs[0].started_ns is None
+    mission.run(1)
+    assert "Reason: the cosmonaut did not start." in mission.panel.view.words
     assert_at_rest(mission)
 
 
@@ -177,6 +183,23 @@ def test_who_keeps_the_dead_man_button_pressed_at_the_start_is_told_to_let_go():
     assert panel.mode is PanelMode.PRESS_DEADMAN and "Space" in panel.view.words
     panel.handle_handle(0.0, 0.0, dead_man=True, halted="", now_ns=7 * 10**9)
     assert panel.mode is PanelMode.RUNNING
+
+
+def test_a_panel_shows_the_end_only_of_the_run_that_it_has():
+    panel = MissionPanel()
+    panel.handle_contact(True, 0)
+    panel.handle_message(TaskSelected(task="line", run=2), 0)
+    end = TaskFinished(task="line", run=2, result=TaskResult.FINISHED)
+    panel.handle_message(replace(end, run=1), 1)
+    assert panel.mode is PanelMode.TASK_INFO
+    # What was told without contact is over.
+    for contact, mode in ((False, PanelMode.NO_CONTACT), (True, PanelMode.WAIT_TASK)):
+        panel.handle_contact(contact, 2)
+        panel.handle_message(end, 3)
+        assert panel.mode is mode
+    panel.handle_message(TaskSelected(task="line", run=2), 4)
+    panel.handle_message(end, 5)
+    assert panel.mode is PanelMode.FINISHED
 
 
 @pytest.mark.parametrize("reason", ["", "x" * 500, "two\nlines", "ü" * 100])

@@ -2,7 +2,7 @@
 
 import json
 
-from tmtc_session import Session
+from tmtc_session import S, Session
 
 from pipelines.mission.tmtc import PUS_RATE_BPS
 from pipelines.mission.tmtc_messages import CommandUpdate, K2aciArrived, K2aciUpdate, Reported
@@ -14,11 +14,10 @@ from telepresence.link.radio import Blackout, RadioProfile
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 
-def dead(direction, seconds=60.0):
-    """A radio that loses everything in one direction from second 2 on."""
-    return RadioProfile(
-        name="half", blackouts=(Blackout(start_s=2.0, seconds=seconds, direction=direction),)
-    )
+def dead(direction, seconds=60.0, start_s=2.0):
+    """A radio that loses everything in one direction, or in both, from second 2 on."""
+    blackout = Blackout(start_s=start_s, seconds=seconds, direction=direction)
+    return RadioProfile(name="half", blackouts=(blackout,))
 
 
 def test_telecommands_and_chat_go_both_ways_and_are_verified():
@@ -62,15 +61,32 @@ def test_a_request_that_is_repeated_is_carried_out_once():
 
 def test_housekeeping_of_all_applications_reaches_the_other_end():
     session = Session()
-    session.run(11)
+    session.run(2)
+    # Those that went out before there was a signal come again at once.
+    assert ("robot", "state") in {
+        (one.application, one.name) for one in session.of(Segment.SPACE, Reported)
+    }
+    session.run(9)
     heard = {(one.application, one.name) for one in session.of(Segment.GROUND, Reported)}
     assert heard >= {("joystick", "state"), ("space_gateway", "link"), ("robot", "state")}
     heard = {(one.application, one.name) for one in session.of(Segment.SPACE, Reported)}
     assert heard >= {("ground_gateway", "link"), ("robot", "state")}
-    (link,) = [
+    (*_, link) = [
         one for one in session.of(Segment.SPACE, Reported) if one.application == "ground_gateway"
     ]
     assert (link.values["state"], link.values["signal"]) == ("connected", True)
+
+
+def test_reports_of_a_blackout_come_when_the_signal_is_back():
+    session = Session(radio=dead("both", start_s=8.0, seconds=6.0))
+    session.run(16)
+    came_s = [
+        at_ns / S
+        for at_ns, one in session.news[Segment.SPACE]
+        if isinstance(one, Reported) and (one.application, one.name) == ("robot", "state")
+    ]
+    # The second one was due at 10 s.
+    assert len(came_s) == 2 and came_s[0] < 2.0 and came_s[1] > 14.0, came_s
 
 
 def test_with_one_direction_dead_telecommands_go_through_without_verification():

@@ -12,9 +12,9 @@ from virtual_scene import bare_scene
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.h264 import H264Decoder
-from kontur_av.media import CaptureStamp, empty_picture, planes
+from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.rtp.sender import RtpIdentity
-from kontur_av.sources.stereo import merge
+from kontur_av.sources.stereo import StereoPair, merge
 from pipelines.media.following import CameraFollower, Choice
 from pipelines.media.stream_figures import video_sender
 from pipelines.media.tip_region import tip_region
@@ -22,7 +22,7 @@ from pipelines.report.model import CodingCosts
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.virtual.agenda import Agenda
 from pipelines.virtual.streams import VideoSendProcess
-from pipelines.virtual.studio import Shot, VideoStudio
+from pipelines.virtual.studio import Paired, Shot, VideoStudio
 from pipelines.virtual.workers import Job
 from telepresence.world import render, scripted_state
 from telepresence.world.ground_views import camera_of
@@ -33,6 +33,20 @@ STREAM = SETUP.uplink_video
 CHANNEL_BPS, SHOWING_NS = 88_000, 3 * NS_PER_MS
 SECONDS, SETTLED_S = 12, 1
 HALF_PX = 48
+
+
+def picture_of(shots, stamp):
+    """A picture for the coder: of one camera, or of both."""
+    if len(shots) == 1:
+        return shots[0]
+    left, right = (VideoFrame(shot, stamp) for shot in shots)
+    return Paired(StereoPair(left, right, stamp, left_stale=False, right_stale=False), 0)
+
+
+def shots_of(picture):
+    if isinstance(picture, Shot):
+        return (picture,)
+    return picture.pair.left.data, picture.pair.right.data
 
 
 class Studio:
@@ -50,9 +64,10 @@ class Studio:
     def submit(self, job):
         picture, _, _ = job
         data, keyframe = self.studio(job)
-        self.states.append(picture[0].state)
+        shots = shots_of(picture)
+        self.states.append(shots[0].state)
         self.octets.append(len(data))
-        self.compare(picture, data)
+        self.compare(shots, data)
         done = Job(None)
         done.set((data, keyframe))
         return done
@@ -110,8 +125,8 @@ def run(camera, region):
 
     def come(number, instant_ns):
         state = scripted_state(instant_ns)
-        picture = tuple(Shot(name, number, state) for name in names)
         stamp = CaptureStamp(instant_ns, number, "test")
+        picture = picture_of([Shot(name, number, state) for name in names], stamp)
         return lambda now_ns: sender.handle_picture(picture, stamp, now_ns)
 
     for number in range(SECONDS * STREAM.fps):

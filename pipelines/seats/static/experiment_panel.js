@@ -19,7 +19,7 @@ class ExperimentPanel extends HTMLElement {
   #abort = make("button", { type: "button", class: "danger", id: "task-abort" }, "Abort");
   #answer = make("p", { class: "small", role: "status" });
   #list = make("ol", { class: "tasks" });
-  /** By name. @type {Map<string, {item: HTMLElement, button: HTMLButtonElement}>} */
+  /** By name. @type {Map<string, {item: HTMLElement, button: HTMLButtonElement, lacks: string}>} */
   #tasks = new Map();
   #listed = "";
   /** @type {Seat | null} */
@@ -69,20 +69,22 @@ class ExperimentPanel extends HTMLElement {
     const mayAct = acts && connection.mayAct;
     this.#start.disabled = !mayAct || phase !== "offered";
     this.#abort.disabled = !mayAct || phase === "idle" || phase === "ending";
-    for (const [name, { item, button }] of this.#tasks) {
+    for (const [name, { item, button, lacks }] of this.#tasks) {
       setAttribute(item, "aria-current", phase !== "idle" && name === task ? "true" : null);
-      button.disabled = !mayAct || phase !== "idle";
+      button.disabled = !mayAct || phase !== "idle" || lacks !== "";
     }
   }
 
-  /** @param {readonly {name: string, text: string}[]} tasks */
+  /** @param {ExperimentText["tasks"]} tasks */
   #build(tasks) {
     this.#tasks.clear();
-    const items = tasks.map(({ name, text }, index) => {
+    const items = tasks.map(({ name, text, lacks }, index) => {
       const button = make("button", { type: "button", "data-task": name }, "Select");
       button.addEventListener("click", () => void this.#ask("select", [index]));
-      const item = make("li", {}, make("span", {}, make("strong", {}, nameText(name)), make("span", { class: "small quiet" }, text)), button);
-      this.#tasks.set(name, { item, button });
+      const words = make("span", {}, make("strong", {}, nameText(name)), make("span", { class: "small quiet" }, text));
+      if (lacks !== "") words.append(make("span", { class: "small" }, `Not available: it ${lacks}.`));
+      const item = make("li", {}, words, button);
+      this.#tasks.set(name, { item, button, lacks });
       return item;
     });
     this.#list.replaceChildren(...items);

@@ -79,6 +79,9 @@ class ParameterTable extends HTMLElement {
       const row = this.#rows.get(`${application.name}.${parameter.name}`);
       if (row === undefined) continue;
       const age = ageS(value, nowUs);
+      // What only functions are given has no value.
+      const given = structure === null && application.functions.some((one) => one.arguments.includes(parameter.name));
+      row.row.hidden = given && value === null;
       const past = this.#telemetry?.isPast(application, structure, age) ?? true;
       const level = past ? "none" : (value?.level ?? "none");
       setText(row.value, valueText(value?.value));

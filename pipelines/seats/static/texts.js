@@ -224,8 +224,8 @@
  */
 
 /**
- * A task that can be selected.
- * @typedef {{name: string, text: string}} TaskListed
+ * A task. lacks: why it cannot be selected here; "" if it can.
+ * @typedef {{name: string, text: string, lacks: string}} TaskListed
  */
 
 /**

@@ -45,6 +45,9 @@ class Outcome(StrEnum):
 class TestPart(StrEnum):
     """The part that a failed or aborted test was about."""
 
+    #: pytest takes a class of such a name for tests.
+    __test__ = False
+
     NONE = "none"
     DEAD_MAN = "dead-man button"
     PLACE = "place"

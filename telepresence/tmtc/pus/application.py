@@ -178,8 +178,13 @@ class PusApplication:
             self.table.parameter(name).pack(value)
         self.values.update(values)
         self._told_ns = now_ns
+        self._housekeeping.handle_values(self.values, now_ns)
         for event in self._monitors.handle_values(values):
             self.handle_event(event, now_ns)
+
+    def handle_signal(self, signal: bool, now_ns: int) -> None:
+        """Whether there is a signal: what was reported without one is reported again."""
+        self._housekeeping.handle_signal(signal, now_ns)
 
     def handle_event(self, name: str, now_ns: int) -> None:
         """Report the event `name` of the dictionary with its arguments, and start its actions."""
@@ -200,6 +205,7 @@ class PusApplication:
         """Return the next packet of telemetry, housekeeping last, or None."""
         if self.table.fresh_s and now_ns - self._told_ns > self.table.fresh_s * NS_PER_S:
             self.values.clear()
+            self._housekeeping.handle_values(self.values, now_ns)
         for structure in self._housekeeping.poll_due(now_ns):
             data = self._housekeeping.pack(structure, self.values)
             if data is not None:

@@ -89,8 +89,11 @@ def test_receive_says_what_failed_when_nothing_comes(tmp_path, capsys):
         port = probe.getsockname()[1]
     sdp = tmp_path / "x.sdp"
     sdp.write_text(SDP.format(port=port))
-    assert run(receive, "--sdp", sdp, "--seconds", 0.2) == 1
+    saved = tmp_path / "none.mkv"
+    assert run(receive, "--sdp", sdp, "--seconds", 0.2, "--save", saved) == 1
     assert "no packet came" in capsys.readouterr().err
+    # An empty file would be no film.
+    assert not saved.exists()
 
 
 @pytest.mark.parametrize(

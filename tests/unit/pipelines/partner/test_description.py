@@ -128,6 +128,14 @@ def test_a_browsers_offer_is_answered_with_what_both_can():
     assert theirs.feedback == {"nack"}
 
 
+def test_an_answer_does_not_repeat_a_parameter_without_its_value():
+    text = re.sub("profile-level-id=[0-9a-f]+", "profile-level-id=", BROWSER)
+    offer = read_description(text, answers=False, ssrcs=SSRCS)
+    line = common_line(offer.lines[1], sends=True, receives=True)
+    answer = write_description([line], LOCAL, session=1, cname="c", stream="s", answers=offer)
+    assert "packetization-mode=1" in answer and "profile-level-id" not in answer
+
+
 def test_our_offer_comes_back_as_it_was():
     lines = [
         wanted_line("audio", mid="0", ssrc=1, sends=True),

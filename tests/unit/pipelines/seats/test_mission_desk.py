@@ -220,6 +220,6 @@ def test_what_the_mission_shows_comes_by_name_and_only_when_it_changes(desk):
     desk.handle_shown("experiment", shown)
     told = json.loads(desk.poll_texts()["experiment"])
     assert (told["kind"], told["phase"]) == ("experiment", "idle")
-    assert told["tasks"] == [{"name": "aiming", "text": "Aim."}]
+    assert told["tasks"] == [{"name": "aiming", "text": "Aim.", "lacks": ""}]
     desk.handle_shown("experiment", ExperimentShown(**asdict(shown)))
     assert desk.poll_texts() == {}

@@ -118,6 +118,8 @@ def test_functions_are_refused_in_words_where_they_cannot_be_done():
     assert "no task 99" in ground.ask("select", 99)
     handshake = list(built_in_tasks().tasks).index("handshake")
     assert "needs two hands" in ground.ask("select", handshake)
+    lacks = {one.name: one.lacks for one in ground.core.shown.tasks}
+    assert "needs two hands" in lacks["handshake"] and lacks["line"] == ""
     assert ground.ask("select", 0) == ""
     assert "abort it first" in ground.ask("select", 1)
     ground.go(2)

@@ -124,17 +124,28 @@ def test_what_cannot_be_done_is_answered_by_a_reason(
     assert ends.oven.failed == 1
 
 
-def test_housekeeping_comes_at_its_interval_and_only_with_values() -> None:
+def test_housekeeping_comes_when_it_has_values_and_then_at_its_interval() -> None:
     ends = Ends()
     ends.run(2500 * MS)
     assert ends.events() == []
     ends.oven.handle_values({"temperature": 20.0, "door": "open"}, ends.now_ns)
-    ends.run(5500 * MS)
+    ends.run(5400 * MS)
     reports = ends.events()
-    assert [report.unix_ns for report in reports] == [3 * S, 4 * S, 5 * S]
+    assert [report.unix_ns for report in reports] == [2500 * MS, 3500 * MS, 4500 * MS]
     assert reports[0] == HousekeepingReport(
-        "oven", "state", {"temperature": 20.0, "door": "open"}, 3 * S
+        "oven", "state", {"temperature": 20.0, "door": "open"}, 2500 * MS
     )
+
+
+def test_housekeeping_that_went_out_without_a_signal_comes_again_with_one() -> None:
+    ends = Ends()
+    ends.oven.handle_values({"temperature": 20.0, "door": "open"}, 0)
+    # A signal that comes and goes between two reports adds none.
+    for at_ms, signal in ((300, True), (400, False), (500, True), (1200, False), (1700, True)):
+        ends.run(at_ms * MS)
+        ends.oven.handle_signal(signal, ends.now_ns)
+    ends.run(2000 * MS)
+    assert [round(report.unix_ns / MS) for report in ends.events()] == [0, 300, 1300, 1700]
 
 
 def test_housekeeping_is_switched_and_asked_for_once() -> None:
