@@ -77,8 +77,10 @@ def test_the_plane_follows_a_round_object_as_the_tip_slides(radius_m):
         side = 0.15 * push * speed / (abs(speed) + 0.01)
         nx, ny = cos(angle), sin(angle)
         x_m, y_m = (depth - radius_m) * nx, (depth - radius_m) * ny
-        estimator.handle_sample(k * MS, x_m, y_m, -side * ny - push * nx, side * nx - push * ny, True)
-        told = (data := estimator.poll_transmit(k * MS)) and parse_wall(data).wall or told
+        estimator.handle_sample(
+            k * MS, x_m, y_m, -side * ny - push * nx, side * nx - push * ny, True
+        )
+        told = ((data := estimator.poll_transmit(k * MS)) and parse_wall(data).wall) or told
         if k > 500 and data is not None:
             assert turned_rad(told, Wall(angle, 0.0, 0.0)) < radians(6.0)
             assert told.depth_m(x_m, y_m) == pytest.approx(depth, abs=0.5e-3)
