@@ -21,10 +21,9 @@ Robotics Research 27, 2008; C. Passenberg, A. Peer, M. Buss, "A survey of enviro
 and task-adapted controllers for teleoperation systems", Mechatronics 20, 2010.
 """
 
-from cmath import phase, rect
 from collections import deque
 from dataclasses import dataclass
-from math import atan, hypot, inf, tau
+from math import atan, atan2, cos, hypot, inf, sin, tau
 
 import numpy as np
 
@@ -206,9 +205,10 @@ class WallEstimator:
         ages[0] = model.keep**self._used
         angle = self._angle_rad
         if angle is None:
-            angle = phase(-(ages @ force))
+            mean = -(ages @ force)
+            angle = atan2(mean.imag, mean.real)
         for _ in range(_TURNS):
-            inward, k, variance = rect(1.0, angle), self._stiffness, self._variance
+            inward, k, variance = _unit(angle), self._stiffness, self._variance
             back = inward.conjugate()
             at, speed, load = back * (place - tip), back * velocity, -back * force
             w, push = at.imag, load.real
@@ -259,5 +259,10 @@ class WallEstimator:
         if told_2 * model.learned**2 > 1.0:
             self._known_n_m = stiffness
         at_surface = tip + surface / stiffness * inward
-        distance_m = (rect(1.0, -angle) * at_surface).real
+        distance_m = (_unit(-angle) * at_surface).real
         return Wall(angle % tau, float(distance_m), stiffness)
+
+
+def _unit(angle_rad: float) -> complex:
+    """Return the unit vector in a direction, as a complex number."""
+    return complex(cos(angle_rad), sin(angle_rad))
