@@ -101,7 +101,7 @@ def test_a_wall_that_only_turns_is_told():
     end = touch(estimator, Wall(0.0, 0.06, 1500.0))
     assert estimator.poll_transmit(end * MS) is not None
     # The same depth at the tip, and the same stiffness.
-    end = touch(estimator, Wall(0.1, 0.06, 1500.0), start_ms=end + 1)
+    end = touch(estimator, Wall(0.05, 0.06, 1500.0), start_ms=end + 1)
     assert parse_wall(estimator.poll_transmit(end * MS)).wall.angle_rad == pytest.approx(
         0.1, abs=0.02
     )
