@@ -3,6 +3,7 @@
 from collections import deque
 
 import numpy as np
+from shaped_boards import SlantedBoard
 
 from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
@@ -19,7 +20,7 @@ class MediatedPair:
     board, envelope: of the robot.
 
     `rows`, one a millisecond: the handle's x (m), the motors' force along x (N), work of the motors
-    at the handle (J).
+    at the handle (J), the handle's y, the force along y, and the wall's part of the force (N, N).
     """
 
     def __init__(
@@ -31,8 +32,8 @@ class MediatedPair:
         residual: bool = False,
         stiffness_n_m: float = 1500.0,
         script: tuple[Waypoint, ...] = TAP_TARGETS,
+        board: Board | SlantedBoard | None = None,
         garble=lambda datagram: (datagram,),
-        board: Board | None = None,
         envelope: SafetyEnvelope | None = None,
     ) -> None:
         self.handle = HeldJoystick(hand=Hand(grip, script=script))
@@ -78,5 +79,7 @@ class MediatedPair:
         if (wall := ground.poll_wall(now_ns)) is not None:
             self._walls += [(due_ns, each) for each in self._garble(wall)]
         handle = self.handle
-        self._rows.append((handle.x_m, handle.motor_x_n, handle.work_j))
+        x_n, y_n = handle.motor_x_n, handle.motor_y_n
+        walls = self.space.controller.robot_force_n
+        self._rows.append((handle.x_m, x_n, handle.work_j, handle.y_m, y_n, *walls))
         self.now_ns += MS

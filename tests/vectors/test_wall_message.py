@@ -8,7 +8,7 @@ from kontur_av.errors import ProtocolError
 from telepresence.haptics.mediated.wall import Wall, WallMessage, is_wall, pack_wall, parse_wall
 from telepresence.tmtc.pus.head import is_packet
 
-# 000 0 0 00100000011 | 11 00000000000101 | length 10 - 1 = 9 | version 2, 45 deg = 1/8 turn = 0x2000,
+# 000 0 0 00100000011 | 11 00000000000101 | length 10 - 1 = 9 | version 2, 1/8 turn = 0x2000,
 # 3035 ms = 0xbdb, 60 mm = 3000 counts = 0xbb8, 1500 N/m = 0x5dc
 WALL = bytes.fromhex("0103 c005 0009 02 2000 000bdb 0bb8 05dc")
 # To -y, 3/4 turn = 0xc000, at -115 mm = -5750 counts = 0xe98a, 200 N/m = 0xc8

@@ -23,7 +23,7 @@ and task-adapted controllers for teleoperation systems", Mechatronics 20, 2010.
 
 from collections import deque
 from dataclasses import dataclass
-from math import atan, atan2, cos, hypot, sin, tau
+from math import atan, atan2, cos, hypot, inf, sin, tau
 
 import numpy as np
 
@@ -112,7 +112,9 @@ class WallEstimator:
         self._last: tuple[int, float, float] | None = None
         self._free = False
         #: Position, velocity and force of the samples of this contact, the newest last.
-        self._samples: deque[tuple[float, ...]] = deque(maxlen=self.model.most_samples)
+        self._samples: deque[tuple[complex, complex, complex]] = deque(
+            maxlen=self.model.most_samples
+        )
         self._estimate_ns = 0
         self._begin()
 
@@ -120,8 +122,8 @@ class WallEstimator:
         """Forget the samples of a contact."""
         self._samples.clear()
         self._used = 0
-        #: Where it began, if the tip was free before, and the deviation of that place.
-        self._entered: tuple[float, float, float] | None = None
+        #: Deviation of the place where it began; that place, velocity and force there.
+        self._entered: tuple[float, complex, complex, complex] = (inf, 0j, 0j, 0j)
         #: The assumed plane's angle and stiffness; the variance of the force about the model.
         self._angle_rad: float | None = None
         self._stiffness = 1000.0
@@ -150,14 +152,15 @@ class WallEstimator:
         dx, dy = x_m - last[1], y_m - last[2]
         if self._free:
             # The surface lies between the last free place and the first one in contact.
-            place = x_m - dx / 2.0, y_m - dy / 2.0
-            self._free, self._entered = False, (*place, hypot(dx, dy) * _UNIFORM)
+            place = complex(x_m - dx / 2.0, y_m - dy / 2.0)
+            self._free, self._entered = False, (hypot(dx, dy) * _UNIFORM, place, 0j, 0j)
         if abs(fx_n) + abs(fy_n) < model.least_n:
             return
-        if samples and hypot(x_m - samples[-1][0], y_m - samples[-1][1]) < model.step_m:
+        place = complex(x_m, y_m)
+        if samples and abs(place - samples[-1][0]) < model.step_m:
             return
-        per_s = NS_PER_S / (now_ns - last[0])
-        samples.append((x_m, y_m, dx * per_s, dy * per_s, fx_n, fy_n))
+        velocity = complex(dx, dy) * NS_PER_S / (now_ns - last[0])
+        samples.append((place, velocity, complex(fx_n, fy_n)))
         self._used += 1
         if len(samples) >= model.samples and now_ns >= self._estimate_ns:
             self._estimate_ns = now_ns + model.estimate_ns
@@ -197,7 +200,8 @@ class WallEstimator:
             return
         self.wall = wall = found
         told = self.told
-        x_m, y_m = self._samples[-1][:2]
+        tip = self._samples[-1][0]
+        x_m, y_m = tip.real, tip.imag
         stiffness = wall.stiffness_n_m
         self._changed = (
             told is None
@@ -208,74 +212,73 @@ class WallEstimator:
 
     def _solve(self) -> Wall | None:
         """Return the wall that explains the samples, or None if they do not tell it well."""
-        model = self.model
-        x, y, vx, vy, fx, fy = np.array(self._samples).T
-        tip_x, tip_y = self._samples[-1][:2]
-        x, y = x - tip_x, y - tip_y
-        weights = model.keep ** np.arange(len(x) - 1, -1, -1.0)
+        model, known = self.model, self._known_n_m
+        deviation_m, *entered = self._entered
+        # Complex numbers, so that one product turns them into the assumed plane's frame.
+        place, velocity, force = np.array([entered, *self._samples]).T
+        tip = place[-1]
+        ages = model.keep ** np.arange(len(place) - 1, -1, -1.0)
+        ages[0] = model.keep**self._used
         angle = self._angle_rad
         if angle is None:
-            angle = atan2(-float(weights @ fy), -float(weights @ fx))
+            mean = -(ages @ force)
+            angle = atan2(mean.imag, mean.real)
         for _ in range(_TURNS):
-            nx, ny = cos(angle), sin(angle)
-            u, w, into, along = nx * x + ny * y, nx * y - ny * x, nx * vx + ny * vy, nx * vy - ny * vx
-            push, side = -nx * fx - ny * fy, ny * fx - nx * fy
-            slide = along / (np.abs(along) + model.slide_m_s)
-            k = self._stiffness
-            none = np.zeros_like(u)
-            across = np.array([u, none - 1.0, into, k * w, none, -0.5 * k * w * w])
+            inward, k, variance = _unit(angle), self._stiffness, self._variance
+            back = inward.conjugate()
+            at, speed, load = back * (place - tip), back * velocity, -back * force
+            w, push = at.imag, load.real
+            slide = speed.imag / (np.abs(speed.imag) + model.slide_m_s)
+            none = np.zeros_like(w)
+            across = np.array([at.real, none - 1.0, speed.real, k * w, none, -0.5 * k * w * w])
             beside = np.array([none, none, none, push, push * slide, -push * w])
-            per_variance = 1.0 / self._variance
-            normal = ((across * weights) @ across.T + (beside * weights) @ beside.T) * per_variance
-            right = (across @ (weights * push) + beside @ (weights * side)) * per_variance
-            if self._entered is not None:
-                at_x, at_y, deviation = self._entered
-                at_u = nx * (at_x - tip_x) + ny * (at_y - tip_y)
-                at_w = nx * (at_y - tip_y) - ny * (at_x - tip_x)
-                row = np.array([at_u, -1.0, 0.0, k * at_w, 0.0, -0.5 * k * at_w * at_w])
-                weight = model.keep**self._used / ((k * deviation) ** 2 + self._variance)
-                normal += weight * np.outer(row, row)
+            weights = ages.copy()
+            # Where the contact began there is no force, but that place is coarse.
+            weights[0] *= variance / (variance + (k * deviation_m) ** 2)
+            normal = (across * weights) @ across.T + (beside * weights) @ beside.T
+            right = across @ (weights * push) + beside @ (weights * load.imag)
             priors = [
                 (2, 0.0, model.damping_spread),
                 (4, model.friction, model.friction_spread),
                 (5, 0.0, model.curvature_spread),
             ]
-            prior = 0.0
-            if self._known_n_m is not None:
-                spread = model.stiffness_spread * self._known_n_m
-                priors.append((0, self._known_n_m, spread))
-                prior = spread**-2
+            if known is not None:
+                priors.append((0, known, model.stiffness_spread * known))
             for index, mean, spread in priors:
-                normal[index, index] += spread**-2
-                right[index] += mean * spread**-2
+                normal[index, index] += variance / spread**2
+                right[index] += mean * variance / spread**2
             try:
-                covariance = np.linalg.inv(normal)
+                covariance = variance * np.linalg.inv(normal)
             except np.linalg.LinAlgError:
                 return None
-            solution = covariance @ right
-            stiffness, tilt = float(solution[0]), float(solution[3])
+            solution = covariance @ right / variance
+            stiffness, surface, _, tilt, *_ = map(float, solution)
             if not LEAST_STIFFNESS_N_M <= stiffness <= MOST_STIFFNESS_N_M or abs(tilt) > 1.0:
                 return None
-            depth = float(solution[1]) / stiffness
-            at_x, at_y = tip_x + depth * nx, tip_y + depth * ny
+            missing = (solution @ across - push) ** 2 + (solution @ beside - load.imag) ** 2
+            self._variance = max(model.noise_n**2, float(weights @ missing / weights.sum()) / 2.0)
             self._stiffness, angle = stiffness, angle + atan(tilt)
-            missing = (solution @ across - push) ** 2 + (solution @ beside - side) ** 2
-            variance = float(weights @ missing) / (2.0 * float(weights.sum()))
-            trusted, self._variance = self._variance, max(model.noise_n**2, variance)
-            if abs(tilt) < _TURNED_RAD and self._variance < _TRUSTED * trusted:
+            if abs(tilt) < _TURNED_RAD and self._variance < _TRUSTED * variance:
                 break
         if self._variance > model.misfit_n**2:
             # The wall moved, or another one was met: what was before tells nothing of it.
             self._begin()
             return None
         self._angle_rad = angle
-        if covariance[0, 0] > (model.uncertain * stiffness) ** 2:
-            return None
-        if covariance[3, 3] > model.uncertain_rad**2:
+        uncertain_2 = float(covariance[0, 0]) / stiffness**2
+        if not 0.0 < uncertain_2 <= model.uncertain**2 or covariance[3, 3] > model.uncertain_rad**2:
             return None
         # What the samples alone tell of the stiffness.
-        known = 1.0 / float(covariance[0, 0]) - prior
-        if known * (model.learned * stiffness) ** 2 > 1.0:
+        told_2 = 1.0 / uncertain_2
+        if known is not None:
+            told_2 -= (stiffness / (model.stiffness_spread * known)) ** 2
+        if told_2 * model.learned**2 > 1.0:
             self._known_n_m = stiffness
-        distance = cos(angle) * at_x + sin(angle) * at_y
-        return Wall(angle % tau, distance, stiffness)
+        at_surface = tip + surface / stiffness * inward
+        distance_m = (_unit(-angle) * at_surface).real
+        return Wall(angle % tau, float(distance_m), stiffness)
+
+
+def _unit(angle_rad: float) -> complex:
+    """Return the unit vector in a direction, as a complex number."""
+    return complex(cos(angle_rad), sin(angle_rad))

@@ -186,9 +186,7 @@ class WallRenderer:
         return force
 
 
-def _towards(
-    x: float, y: float, to_x: float, to_y: float, most: float
-) -> tuple[float, float]:
+def _towards(x: float, y: float, to_x: float, to_y: float, most: float) -> tuple[float, float]:
     """Return the vector (x, y), moved to (to_x, to_y) by `most` at most."""
     dx, dy = to_x - x, to_y - y
     size = hypot(dx, dy)

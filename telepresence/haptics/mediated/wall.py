@@ -7,13 +7,16 @@ and is unsegmented; its count is that of this APID.
 |---|---|---|---|
 | 0..5 | primary header | | |
 | 6 | version | | 2 |
-| 7..8 | direction of the motion that meets the wall head-on, from +x to +y | 1/65536 turn | 0..65535 |
+| 7..8 | direction that meets the wall head-on, from +x to +y | 1/65536 turn | 0..65535 |
 | 9..11 | instant of the estimate on the robot's clock, unsigned, wraps | 1 ms | |
-| 12..13 | distance of the surface from the origin along that direction, signed | 20 µm | ±0.65534 m |
-| 14..15 | stiffness, unsigned; 0: no wall, and then octets 7, 8, 12 and 13 are 0 | 1 N/m | 10..20000 N/m |
+| 12..13 | the surface's distance from the origin that way, signed | 20 µm | ±0.65534 m |
+| 14..15 | stiffness, unsigned; 0: no wall | 1 N/m | 10..20000 N/m |
+
+Without a wall, octets 7, 8 and 12 to 15 are 0. A surface that is not plane is told as its tangent
+plane where the tip is.
 
 The layout is this project's own. A distance out of range is cut to the range, and so is a
-stiffness. A surface that is not plane is told as its tangent plane where the tip is.
+stiffness.
 """
 
 import struct

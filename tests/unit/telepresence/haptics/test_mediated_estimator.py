@@ -77,12 +77,34 @@ def test_the_plane_follows_a_round_object_as_the_tip_slides(radius_m):
         side = 0.15 * push * speed / (abs(speed) + 0.01)
         nx, ny = cos(angle), sin(angle)
         x_m, y_m = (depth - radius_m) * nx, (depth - radius_m) * ny
-        estimator.handle_sample(k * MS, x_m, y_m, -side * ny - push * nx, side * nx - push * ny, True)
-        told = (data := estimator.poll_transmit(k * MS)) and parse_wall(data).wall or told
+        estimator.handle_sample(
+            k * MS, x_m, y_m, -side * ny - push * nx, side * nx - push * ny, True
+        )
+        told = ((data := estimator.poll_transmit(k * MS)) and parse_wall(data).wall) or told
         if k > 500 and data is not None:
             assert turned_rad(told, Wall(angle, 0.0, 0.0)) < radians(6.0)
             assert told.depth_m(x_m, y_m) == pytest.approx(depth, abs=0.5e-3)
     assert 25 <= estimator.sent <= 40
+
+
+def test_another_wall_in_the_same_contact_is_found_at_once():
+    estimator = WallEstimator()
+    end = touch(estimator, Wall(0.0, 0.06, 1500.0))
+    wall = Wall(0.5, 0.055, 3000.0)
+    touch(estimator, wall, start_ms=end, ms=60)
+    assert turned_rad(estimator.wall, wall) < radians(1.0)
+    assert estimator.wall.distance_m == pytest.approx(wall.distance_m, abs=0.2e-3)
+
+
+def test_a_wall_that_only_turns_is_told():
+    estimator = WallEstimator()
+    end = touch(estimator, Wall(0.0, 0.06, 1500.0))
+    assert estimator.poll_transmit(end * MS) is not None
+    # The same depth at the tip, and the same stiffness.
+    end = touch(estimator, Wall(0.05, 0.06, 1500.0), start_ms=end + 1)
+    assert parse_wall(estimator.poll_transmit(end * MS)).wall.angle_rad == pytest.approx(
+        0.1, abs=0.02
+    )
 
 
 def test_a_free_tip_behind_the_surface_takes_the_wall_back():

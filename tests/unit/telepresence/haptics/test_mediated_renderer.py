@@ -1,7 +1,8 @@
 """What the handle feels of a wall that comes, moves, goes or grows old: bounded and passive."""
 
+import random
 from itertools import pairwise
-from math import tau
+from math import cos, hypot, radians, sin, tau
 
 import pytest
 
@@ -74,6 +75,10 @@ def test_a_change_takes_time_and_gives_no_energy(after):
     assert 0.5 * forces[-1] ** 2 / series_n_m <= tank_j + 1e-9
 
 
+def test_a_handle_that_is_torn_out_feels_the_force_fall_within_its_rate():
+    assert steps(in_contact(), [0.066] * 3) == pytest.approx([5.0, 4.9, 4.8])
+
+
 def test_an_old_wall_fades_out_and_its_repetition_brings_it_back():
     renderer = in_contact()
     renderer.handle_wall(WallMessage(2, WALL))
@@ -121,3 +126,64 @@ def test_a_wall_that_softens_under_load_waits_for_energy_instead_of_dropping():
     assert min(forces) >= forces[0] - 0.2
     renderer.handle_flow(-0.5)
     assert steps(renderer, [0.07] * 500)[-1] == pytest.approx(0.04 * 1000.0 / 6.0, rel=0.03)
+
+
+@pytest.mark.parametrize("degrees", [30, 137, 270])
+def test_a_slanted_wall_pushes_along_its_normal_only(degrees):
+    angle = radians(degrees)
+    nx, ny = cos(angle), sin(angle)
+    renderer = WallRenderer()
+    renderer.handle_wall(WallMessage(1, Wall(angle, 0.02, 1500.0)))
+    for k in range(200):
+        renderer.step(nx * 1.5e-4 * k, ny * 1.5e-4 * k, MS)
+    tank_j = renderer.tank_j
+    for k in range(200):
+        x_m, y_m = nx * 0.03 - ny * 1e-4 * k, ny * 0.03 + nx * 1e-4 * k
+        assert renderer.step(x_m, y_m, MS) == pytest.approx((-6.0 * nx, -6.0 * ny), abs=0.1)
+    # Only the last part of the way in took energy; sliding along costs nothing.
+    assert renderer.force_n == pytest.approx((-6.0 * nx, -6.0 * ny), abs=1e-9)
+    assert renderer.tank_j == pytest.approx(tank_j, abs=0.001)
+
+
+@pytest.mark.parametrize("degrees", [10, 60, 90, 170])
+def test_a_wall_that_turns_under_load_turns_the_force_within_its_rate(degrees):
+    renderer = in_contact()
+    tank_j = renderer.tank_j
+    angle = radians(degrees)
+    # As deep at the handle as before.
+    renderer.handle_wall(WallMessage(2, Wall(angle, 0.07 * cos(angle) - 0.01, 1500.0)))
+    forces = [renderer.force_n, *(renderer.step(0.07, 0.0, MS) for _ in range(200))]
+    for (ax, ay), (bx, by) in pairwise(forces):
+        assert hypot(bx - ax, by - ay) <= 0.1 + 1e-9
+    assert forces[-1] == pytest.approx((-6.0 * cos(angle), -6.0 * sin(angle)))
+    # The hand has not moved, so a force that turns gave it nothing.
+    assert renderer.tank_j == pytest.approx(tank_j)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_motion_among_walls_that_turn_and_jump_gains_energy(seed):
+    source = random.Random(seed)
+    renderer = WallRenderer(RendererModel(start_j=0.02))
+    given_j = x_m = y_m = 0.0
+    renderer.step(x_m, y_m, MS)
+    vx = vy = 0.0
+    for k in range(20_000):
+        if k % 40 == 0:
+            wall = Wall(
+                source.uniform(0, tau), source.uniform(-0.03, 0.02), source.uniform(50, 5000)
+            )
+            renderer.handle_wall(WallMessage(k + 1, None if source.random() < 0.1 else wall))
+        if k % 100 == 0:
+            to_x, to_y = source.uniform(-0.03, 0.03), source.uniform(-0.03, 0.03)
+        # Accelerates less than the model says.
+        vx += max(-0.1, min(0.1, 15.0 * (to_x - x_m) - vx))
+        vy += max(-0.1, min(0.1, 15.0 * (to_y - y_m) - vy))
+        fx, fy = renderer.force_n
+        given_j += (fx * vx + fy * vy) / 1000.0
+        x_m, y_m = x_m + vx / 1000.0, y_m + vy / 1000.0
+        assert given_j <= 0.02 + 1e-9
+        assert renderer.tank_j >= -1e-12
+        ax, ay = renderer.step(x_m, y_m, MS)
+        # A tank that is empty cuts the force at once, but never turns it.
+        size, before = hypot(ax, ay), hypot(fx, fy)
+        assert hypot(ax - fx, ay - fy) <= 1.0 + 1e-9 or size < before
