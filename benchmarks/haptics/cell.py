@@ -10,8 +10,12 @@ from typing import Any, ClassVar
 from benchmarks.haptics.hands import ALL_HANDS, BenchHand
 from kontur_av.errors import ConfigError
 
-#: A mode is a keyword of both sides, besides `direct` and `deadband`.
-MODES = ("direct", "deadband", "mediated")
+#: The modes of the hand, with the keywords of `JoystickSide` and `RobotSide` that turn each on.
+MODES: Mapping[str, Mapping[str, bool]] = {
+    "direct": {},
+    "deadband": {},
+    "mediated": {"mediated": True},
+}
 #: Round trips (ms) by which random cells are drawn, and cells are grouped.
 BANDS = ((0, 60), (60, 150), (150, 300), (300, 500), (500, 800))
 BAND_NAMES = (*(f"{low}-{high} ms" for low, high in BANDS), "over 800 ms")

@@ -2,7 +2,6 @@
 
 import json
 from cmath import rect
-from collections.abc import Mapping
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.haptics.cell import Cell
+from benchmarks.haptics.cell import MODES, Cell
 from benchmarks.haptics.channel import SampleChannel
 from benchmarks.haptics.hands import HeldHand
 from benchmarks.haptics.plan import CellPlan, plan
@@ -60,9 +59,7 @@ class _Ends:
         self.handle = HeldJoystick(hand=self.hand)
         wall = WallModel(x_m=cell.place / 1000.0, stiffness_n_m=cell.wall)
         self.tip = Robot(board=TurnedBoard(wall, cell.angle))
-        passive = {"passive": cell.passive == "on"}
-        direct = cell.mode in ("direct", "deadband")
-        self._options: Mapping[str, Any] = passive if direct else {**passive, cell.mode: True}
+        self._options: dict[str, Any] = {"passive": cell.passive == "on", **MODES[cell.mode]}
         self._deadband = cell.mode == "deadband"
         self.lives = [0, 0]
         self.start("both")
