@@ -7,10 +7,10 @@ from pathlib import Path
 from random import Random
 from typing import Any, ClassVar
 
-from benchmarks.haptics.hands import ALL_HANDS, BenchHand
+from benchmarks.haptics.hands import HANDS, BenchHand
 from kontur_av.errors import ConfigError
 
-#: By mode: the keywords of both sides.
+#: The modes of the hand, with the keywords of `JoystickSide` and `RobotSide` that turn each on.
 MODES: Mapping[str, Mapping[str, bool]] = {
     "direct": {},
     "deadband": {},
@@ -46,7 +46,7 @@ class Cell:
     outages, of both ways, of the commands alone and of the feedback alone; 0: none.
 
     wall: its stiffness (N/m). angle: of the direction in which the tip meets it (degrees; 0: along
-    x). place: its distance from the middle (mm). hand: one of `ALL_HANDS`. free: free motion before
+    x). place: its distance from the middle (mm). hand: one of `HANDS`. free: free motion before
     the first press (s). restart: the end that begins a new life, at `contact`, in the second press,
     or `free`, before it. mode: of the hand. envelope: the safety envelope is in the loop and asks
     for presses. passive: `off` leaves the passivity controllers out.
@@ -70,7 +70,7 @@ class Cell:
 
     #: The words that each text may be.
     words: ClassVar[Mapping[str, Collection[str]]] = {
-        "hand": ALL_HANDS,
+        "hand": HANDS,
         "restart": _ENDS,
         "at": ("contact", "free"),
         "mode": MODES,
@@ -117,7 +117,7 @@ class Cell:
 
     @property
     def bench_hand(self) -> BenchHand:
-        return ALL_HANDS[self.hand]
+        return HANDS[self.hand]
 
 
 def read_cell(text: str) -> Cell:
@@ -160,7 +160,7 @@ def random_cells(number: int, *, seed: int) -> Iterator[Cell]:
             wall=float(f"{50.0 * 40.0 ** random.random():.2g}"),
             angle=random.choice((-90, 0, 90, 180, *(random.randint(-179, 180) for _ in range(8)))),
             place=random.randint(15, 65),
-            hand=random.choice(tuple(ALL_HANDS)),
+            hand=random.choice(tuple(HANDS)),
             free=random.choice((0.0, 3.0)),
             restart=random.choice(("none", *_ENDS)),
             at=random.choice(("contact", "free")),

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from benchmarks.haptics.cell import MODES
 from benchmarks.haptics.figures import STEP_N, SWING_N, CellFigures
 
 #: Energy totals are sent in whole µJ, rounded down.
@@ -42,7 +43,7 @@ def _bounds(mode: str) -> Iterator[_Bound]:
     """(claim, unit, value, bound) of a mode."""
     text = f"a port's observed energy is never below -{ROUNDING_UJ:g} µJ"
     yield text, "µJ", lambda f: -f.least_uj, ROUNDING_UJ
-    if mode in ("direct", "deadband"):
+    if not MODES[mode]:
         yield "the network never makes energy", "µJ", lambda f: f.network_uj, ROUNDING_UJ
     else:
         # A rendered wall gives back what the hand put in, while the robot presses with as much.

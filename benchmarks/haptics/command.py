@@ -27,7 +27,7 @@ from pipelines.virtual.campaign.sessions import Progress
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `python -m benchmarks haptics`."""
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--grid", choices=["small"], help="of 54 cells (default)")
+    which.add_argument("--grid", choices=["small"], help="of 69 cells (default)")
     which.add_argument("--random", type=int, metavar="N", help="N cells drawn from --seed")
     which.add_argument(
         "--cell",

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from benchmarks.haptics.cell import Cell
 from benchmarks.haptics.plan import FELT_AFTER_S, FIRST, LAST, REST, START, CellPlan
 from benchmarks.haptics.run import Course
+from kontur_av.clock import NS_PER_MS
+from telepresence.haptics.board import WallModel
 from telepresence.haptics.robot import RobotModel
 from telepresence.haptics.robot_controller import RobotControllerModel
 
@@ -46,8 +48,8 @@ class CellFigures:
     contact_peak_n, displayed_peak_n: the largest forces of the wall and on the handle;
     contact_bound_n: see the function of that name. step_n_ms: largest change of the force on the
     handle in 1 ms, without those of a joystick that starts. swing_n: peak to peak of both forces in
-    the last third of the last press and of the rest, middle_n in the middle third; not of a hand
-    with a tremor.
+    the last third of the hold and of the rest, middle_n in the middle third; not of a hand with a
+    tremor.
 
     felt_first, felt_last, felt_restart: stiffness along the wall's normal over that of a coupling
     without delay (%), at the end of the first press of 1.5 s and three round trips, of the last
@@ -118,7 +120,8 @@ def figures(cell: Cell, planned: CellPlan, course: Course) -> CellFigures:
     taken_j = np.cumsum(np.maximum(-np.diff(course["motor_work"], prepend=0.0), 0.0))
     steps = np.hypot(*np.diff(motor, axis=0).T)
     steps[lives[1:]] = 0.0
-    swing_n, middle_n = max(_swing(motor, wall, span) for span in (last, rest))
+    held = last[1] - planned.hold_ns // NS_PER_MS, last[1]
+    swing_n, middle_n = max(_swing(motor, wall, span) for span in (held, rest))
     calm = not cell.bench_hand.tremor_n
     apart = handle + vectors(course, "offset") - vectors(course, "tip")
     settled = rest[0] + round(1000 * cell.bench_hand.back_s) + 3000
@@ -199,9 +202,11 @@ def contact_bound_n(cell: Cell) -> float:
 
     It is the sum of two forces. The static one is that of the controller's spring and the wall in
     series, with the hand at its intended depth behind the wall. The impact is that of the
-    tip's mass at the largest speed of the reference: v * sqrt(k * m) of an undamped wall.
+    tip's mass at the largest speed of the reference: v * sqrt(k * m) of an undamped wall, or of a
+    soft one's damping, v * d. An impact on a spring with a damper has no larger force than those.
     """
-    impact_n = RobotControllerModel().speed_m_s * sqrt(cell.wall * RobotModel().mass_kg)
+    impact_n_s_m = max(sqrt(cell.wall * RobotModel().mass_kg), WallModel().damping_n_s_m)
+    impact_n = RobotControllerModel().speed_m_s * impact_n_s_m
     return cell.bench_hand.depth_m * series_n_m(cell.wall) + impact_n
 
 

@@ -7,17 +7,8 @@ from math import cos, sin, tau
 from random import Random
 
 from kontur_av.clock import NS_PER_S
-from telepresence.haptics.hand import (
-    FIRM_GRIP,
-    HEAVY_ARM,
-    LIGHT_ARM,
-    LOOSE_GRIP,
-    PUSH,
-    SOFT_GRIP,
-    Hand,
-    HandModel,
-    Waypoint,
-)
+from telepresence.haptics import hand
+from telepresence.haptics.hand import Hand, HandModel, Waypoint
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,23 +31,19 @@ class BenchHand:
 
 #: By the name in a cell's text.
 HANDS: Mapping[str, BenchHand] = {
-    "loose": BenchHand(model=LOOSE_GRIP),
-    "soft": BenchHand(model=SOFT_GRIP),
-    "firm": BenchHand(model=FIRM_GRIP),
-    "arm-1kg": BenchHand(model=LIGHT_ARM),
-    "arm-2kg": BenchHand(model=HEAVY_ARM),
-    "push": BenchHand(model=replace(PUSH, push_n=6.0), depth_m=0.035),
-    "taps": BenchHand(model=SOFT_GRIP, taps=True),
-}
-
-#: All hands: also those that no passive hand is.
-ALL_HANDS: Mapping[str, BenchHand] = {
-    **HANDS,
-    "tremor": BenchHand(model=FIRM_GRIP, tremor_n=3.0),
-    "lets-go": BenchHand(model=SOFT_GRIP, leaves="lets go"),
-    "pulls-back": BenchHand(model=FIRM_GRIP, back_s=0.12),
-    "limp": BenchHand(model=SOFT_GRIP, leaves="limp"),
-    "reflex": BenchHand(model=SOFT_GRIP, reflex_n_m=150.0),
+    "loose": BenchHand(model=hand.LOOSE_GRIP),
+    "soft": BenchHand(model=hand.SOFT_GRIP),
+    "firm": BenchHand(model=hand.FIRM_GRIP),
+    "arm-1kg": BenchHand(model=hand.LIGHT_ARM),
+    "arm-2kg": BenchHand(model=hand.HEAVY_ARM),
+    "push": BenchHand(model=replace(hand.PUSH, push_n=6.0), depth_m=0.035),
+    "taps": BenchHand(model=hand.SOFT_GRIP, taps=True),
+    # Those below are not passive.
+    "tremor": BenchHand(model=hand.FIRM_GRIP, tremor_n=3.0),
+    "lets-go": BenchHand(model=hand.SOFT_GRIP, leaves="lets go"),
+    "pulls-back": BenchHand(model=hand.FIRM_GRIP, back_s=0.12),
+    "limp": BenchHand(model=hand.SOFT_GRIP, leaves="limp"),
+    "reflex": BenchHand(model=hand.SOFT_GRIP, reflex_n_m=150.0),
 }
 _REFLEX_MS = 40
 #: Damping of a limp arm (N s/m).

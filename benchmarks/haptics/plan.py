@@ -17,7 +17,7 @@ START, FIRST, FREE, SECOND, LAST, REST = "start", "first", "free", "second", "la
 FELT_AFTER_S = 1.0
 _PRESS_S = 0.7
 #: An oscillation of the delayed loop has a period of 2 to 4 round trips; the hold has three thirds.
-_HOLD_S, _HOLD_ROUND_TRIPS = 3.0, 12.0
+_HOLD_S, _HOLD_ROUND_TRIPS = 5.0, 12.0
 _RECOVERY_S = 2.0
 
 
@@ -26,7 +26,8 @@ class CellPlan:
     """script: waypoints of the hand. phases: the name of each.
 
     down_dark, up_dark: blackouts of commands and of feedback, (begin, end) in ns. restart, leaves:
-    number of a waypoint, and time into it (ns). end_ns: of the script, if the hand never waits.
+    number of a waypoint, and time into it (ns). hold_ns: of the last press, at its end, in which a
+    stable loop is at rest. end_ns: of the script, if the hand never waits.
     """
 
     script: tuple[Waypoint, ...]
@@ -35,6 +36,7 @@ class CellPlan:
     up_dark: tuple[tuple[int, int], ...]
     restart: tuple[int, int]
     leaves: tuple[int, int]
+    hold_ns: int
     end_ns: int
 
 
@@ -79,7 +81,8 @@ def plan(cell: Cell) -> CellPlan:
     stay_s = into_s - _PRESS_S + FELT_AFTER_S + 1.5 + 2.0 * round_trip_s
     press(SECOND, stay_s)
     move(3)
-    press(LAST, max(_HOLD_S, _HOLD_ROUND_TRIPS * round_trip_s))
+    hold_s = max(_HOLD_S, _HOLD_ROUND_TRIPS * round_trip_s)
+    press(LAST, _RECOVERY_S + 2.0 * round_trip_s + hold_s)
     go(REST, 0.0, 0.0, 0.0, 3.0 + 2.0 * round_trip_s)
     return CellPlan(
         script=tuple(script),
@@ -88,6 +91,7 @@ def plan(cell: Cell) -> CellPlan:
         up_dark=tuple(dark[::2]),
         restart=(second, _ns(into_s)) if cell.at == "contact" else (free, _ns(0.1)),
         leaves=(second, _ns(into_s + FELT_AFTER_S + 0.3)),
+        hold_ns=_ns(hold_s),
         end_ns=_ns(_seconds(script)),
     )
 

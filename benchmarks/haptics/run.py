@@ -2,7 +2,6 @@
 
 import json
 from cmath import rect
-from collections.abc import Mapping
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.loop import joystick_link, robot_link
+from telepresence.haptics.mediated.wall import is_wall
 from telepresence.haptics.robot import Robot
 
 #: The JSON schema of what is known of each millisecond, with units.
@@ -60,7 +60,7 @@ class _Ends:
         self.handle = HeldJoystick(hand=self.hand)
         wall = WallModel(x_m=cell.place / 1000.0, stiffness_n_m=cell.wall)
         self.tip = Robot(board=TurnedBoard(wall, cell.angle))
-        self._options: Mapping[str, Any] = {"passive": cell.passive == "on", **MODES[cell.mode]}
+        self._options: dict[str, Any] = {"passive": cell.passive == "on", **MODES[cell.mode]}
         self._deadband = cell.mode == "deadband"
         self.lives = [0, 0]
         self.start("both")
@@ -103,7 +103,6 @@ def run_cell(
     ends = _Ends(cell, planned, seed, controllers)
     down = _channel(cell, f"{seed} down", planned.down_dark)
     up = _channel(cell, f"{seed} up", planned.up_dark)
-    walls = _channel(cell, f"{seed} walls", planned.up_dark)
     handle, tip, hand = ends.handle, ends.tip, ends.hand
     rows = np.zeros((planned.end_ns + _WAITS_NS) // NS_PER_MS, [(name, float) for name in COLUMNS])
     restart = planned.restart if cell.restart != "none" else (len(planned.script), 0)
@@ -121,9 +120,10 @@ def run_cell(
         while (data := down.poll_transmit(now_ns)) is not None:
             robot_side.handle_datagram(data, now_ns)
         while (data := up.poll_transmit(now_ns)) is not None:
-            joystick_side.handle_datagram(data, now_ns)
-        while (data := walls.poll_transmit(now_ns)) is not None:
-            ends.handle_wall(data)
+            if is_wall(data):
+                ends.handle_wall(data)
+            else:
+                joystick_side.handle_datagram(data, now_ns)
         ends.tell_hand(now_ns)
         robot_side.handle_cycle(now_ns, NS_PER_MS)
         joystick_side.handle_cycle(now_ns, NS_PER_MS)
@@ -132,7 +132,7 @@ def run_cell(
         if (data := robot_side.poll_transmit(now_ns)) is not None:
             up.handle_datagram(data, now_ns)
         if (data := robot_side.poll_wall(now_ns)) is not None:
-            walls.handle_datagram(data, now_ns)
+            up.handle_datagram(data, now_ns)
         rows[number] = (
             *(handle.x_m, handle.y_m, handle.motor_x_n, handle.motor_y_n),
             *(tip.x_m, tip.y_m, robot_side.force_x_n, robot_side.force_y_n),

@@ -7,7 +7,7 @@ from statistics import median
 
 from benchmarks.haptics.cell import BAND_NAMES, Cell
 from benchmarks.haptics.figures import SUMMED, CellFigures
-from benchmarks.haptics.hands import ALL_HANDS
+from benchmarks.haptics.hands import HANDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class Summary:
 _GROUPINGS: Mapping[str, tuple[Callable[[Cell], str], Sequence[str]]] = {
     "all": (lambda cell: "all", ("all",)),
     "band": (lambda cell: cell.band, BAND_NAMES),
-    "hand": (lambda cell: cell.hand, tuple(ALL_HANDS)),
+    "hand": (lambda cell: cell.hand, tuple(HANDS)),
 }
 
 

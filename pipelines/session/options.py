@@ -89,8 +89,8 @@ def add_hand_argument(parser: argparse.ArgumentParser) -> None:
         "--hand",
         choices=HAND_MODES,
         help="what the hand feels: the robot's delayed force (direct, the default), a wall "
-        "rendered at the joystick as the robot's side has estimated it (mediated), or that wall and "
-        "directly what it does not explain (auto)",
+        "rendered at the joystick as the robot's side has estimated it (mediated), or that wall, "
+        "and directly what it does not explain (auto)",
     )
 
 

@@ -5,7 +5,7 @@ import pytest
 from benchmarks.haptics.cell import Cell
 from benchmarks.haptics.claims import claims
 from benchmarks.haptics.figures import STEP_N, CellFigures, figures
-from benchmarks.haptics.hands import ALL_HANDS, BenchHand
+from benchmarks.haptics.hands import HANDS, BenchHand
 from benchmarks.haptics.run import run_cell
 from telepresence.haptics.hand import HandModel
 
@@ -26,7 +26,7 @@ def ran(cell: Cell) -> CellFigures:
 @pytest.mark.parametrize(("stiffness", "damping", "mass", "cell"), CHATTERING)
 def test_no_force_swings_on_at_any_hand(stiffness, damping, mass, cell, monkeypatch) -> None:
     model = HandModel(stiffness_n_m=stiffness, damping_n_s_m=damping, mass_kg=mass)
-    monkeypatch.setitem(ALL_HANDS, "soft", BenchHand(model=model))  # type: ignore[arg-type]
+    monkeypatch.setitem(HANDS, "soft", BenchHand(model=model))  # type: ignore[arg-type]
     found = ran(cell)
     for claim in claims([found]):
         assert claim.holds, f"{claim.text}: {claim.found}"
