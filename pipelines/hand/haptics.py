@@ -93,6 +93,7 @@ def robot_side(
     life: int,
     deadband: bool = False,
     mediated: bool = False,
+    residual: bool = False,
     ownership: HapticOwnership | None = None,
     robot: Robot | None = None,
 ) -> RobotSide:
@@ -109,6 +110,7 @@ def robot_side(
             half_height_m=limits.half_height_m,
         ),
         mediated=mediated,
+        residual=residual,
         ownership=ownership,
         envelope=envelope,
         robot=robot,

@@ -152,7 +152,7 @@ def test_a_wall_that_turns_under_load_turns_the_force_within_its_rate(degrees):
     angle = radians(degrees)
     # As deep at the handle as before.
     renderer.handle_wall(WallMessage(2, Wall(angle, 0.07 * cos(angle) - 0.01, 1500.0)))
-    forces = [renderer.force_n, *(renderer.step(0.07, 0.0, MS) for _ in range(200))]
+    forces = [renderer.force_n, *(renderer.step(0.07, 0.0, MS) for _ in range(800))]
     for (ax, ay), (bx, by) in pairwise(forces):
         assert hypot(bx - ax, by - ay) <= 0.1 + 1e-9
     assert forces[-1] == pytest.approx((-6.0 * cos(angle), -6.0 * sin(angle)))
