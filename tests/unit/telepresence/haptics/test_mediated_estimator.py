@@ -102,9 +102,8 @@ def test_a_wall_that_only_turns_is_told():
     assert estimator.poll_transmit(end * MS) is not None
     # The same depth at the tip, and the same stiffness.
     end = touch(estimator, Wall(0.05, 0.06, 1500.0), start_ms=end + 1)
-    assert parse_wall(estimator.poll_transmit(end * MS)).wall.angle_rad == pytest.approx(
-        0.1, abs=0.02
-    )
+    told = parse_wall(estimator.poll_transmit(end * MS)).wall
+    assert told.angle_rad == pytest.approx(0.05, abs=0.01)
 
 
 def test_a_free_tip_behind_the_surface_takes_the_wall_back():
