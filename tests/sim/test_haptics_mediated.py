@@ -201,8 +201,9 @@ def test_garbage_changes_nothing():
     assert renderer.stale == renderer.used
 
 
-def test_a_session_carries_walls_as_telemetry():
-    setup = load_setup("spacejustin", changes={"hand": "mediated", "radio_delay_ms": 150.0})
+@pytest.mark.parametrize("hand", ["mediated", "auto"])
+def test_a_session_carries_walls_as_telemetry(hand):
+    setup = load_setup("spacejustin", changes={"hand": hand, "radio_delay_ms": 150.0})
     report = simulate(setup, seconds=6, seed=1, media=False)
     assert not report.failures
     counts = report.processes["joystick"].counts
