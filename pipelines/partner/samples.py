@@ -169,7 +169,7 @@ class SamplePorts:
         self.leave()
         own = listen_alone(self._session, self._given)
         if own is None:
-            raise ConfigError("another joystick drives already")
+            raise ConfigError("another program of a partner is there already")
         self._from_robot = own
 
         def forward() -> None:

@@ -1,8 +1,10 @@
 """The Russian experiment at the page K2CP: the partner's robot across the Internet, then ours."""
 
 import re
+import shutil
 import signal
 import subprocess
+from pathlib import Path
 
 import numpy as np
 from browser import eventually
@@ -13,7 +15,19 @@ from running_session import COMMAND, RunningSession
 from pipelines.hand.haptic_trace import CONTACT, rows_of
 from pipelines.session.topology import JOYSTICK_TRACE_TOPIC
 
+SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_robot.py"
 LAB = 'cameras = ["head"]\npartner_arm = "board"\n[uplink_video]\ncap_kbps = 85\n'
+#: The partner's robot: a mass on a spring, so each motion of it is felt, wherever it begins.
+ROBOT = """
+from own_robot import Mass
+
+class Sprung(Mass):
+    def wall(self):
+        return -200.0 * self.x
+
+    def read(self):
+        return super().read()._replace(contact=abs(self.wall()) > 0.5)
+"""
 
 
 def button(name):
@@ -47,6 +61,8 @@ def test_the_cosmonaut_drives_the_partners_robot_then_ours(start_browser, tmp_pa
     setup, token, port = tmp_path / "lab.toml", tmp_path / "token", free_port()
     setup.write_text(LAB)
     token.write_text("word-of-the-partner")
+    shutil.copy(SAMPLE, tmp_path)
+    (tmp_path / "partner_robot.py").write_text(ROBOT)
     way = ("--rtc", str(port), "--rtc-token-file", str(token))
     options = (*way, "--page", str(free_port()))
     browser = start_browser()
@@ -68,7 +84,8 @@ def test_the_cosmonaut_drives_the_partners_robot_then_ours(start_browser, tmp_pa
             words = ("--rtc", f"http://127.0.0.1:{port}", "--token-file", str(token))
             out = (tmp_path / "partner.txt").open("w+")
             partner = subprocess.Popen(
-                [*COMMAND, "robot", "serve", *words],
+                [*COMMAND, "robot", "serve", "--robot", "partner_robot:Sprung", *words],
+                cwd=tmp_path,
                 stdout=out,
                 stderr=out,
                 env=session.environment,
