@@ -32,6 +32,7 @@ LEADS = (
     "Do the task",
     "Next task",
 )
+ENDS = re.compile("Finished|took too long")
 #: A hand guesses how far it must go for "a little".
 LITTLE_MM = 3
 SIGNS = {"left": (-1, 0), "right": (1, 0), "up": (0, -1), "down": (0, 1)}
@@ -176,11 +177,17 @@ def test_a_newcomer_finishes_every_task_by_what_the_pages_say(session, start_bro
     top.sit_down("select a task")
     panel.sit_down("do the tasks")
     began = time.monotonic()
-    for number in range(TASKS):
+
+    def do(number):
         eventually(lambda: "Wait for a task" in panel.act(), "a panel that waits")
-        eventually(lambda n=number: top.click("experiment", "Select", which=n), "the selection")
+        eventually(lambda: top.click("experiment", "Select", which=number), "the selection")
         eventually(lambda: "Wait" not in panel.read("what to do"), "the task on the panel")
-        eventually(lambda: "Finished" in panel.act(), f"the end of task {number}")
+        end = eventually(lambda: ENDS.search(panel.act()), f"the end of task {number}")
+        return end.group() == "Finished"
+
+    for number in range(TASKS):
+        # On a full machine pages let go of the handle often, and a task waits only so long.
+        assert any(do(number) for _ in range(3))
         print(f"task {number} was done after {time.monotonic() - began:.0f} s")
         panel.release()
         runs = eventually(lambda: "✓ finished" in top.read("runs") and top.read("runs"), "the run")

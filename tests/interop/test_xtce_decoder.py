@@ -43,6 +43,8 @@ def test_it_reads_every_kind_of_report(tmp_path: Path) -> None:
         packet for packet in packets if "oven_temperature" in packet and "STRUCTURE" in packet
     ]
     assert [(p["TIME"], p["oven_temperature"], p["oven_door"]) for p in states] == [
+        # As soon as the values are known, then at the interval.
+        (0, 21.5, "closed"),
         (1, 21.5, "closed"),
         (2, 21.5, "closed"),
         (3, 230.0, "closed"),

@@ -61,5 +61,6 @@ def test_its_functional_test_is_an_application_of_its_own(session):
         pytest.fail(f"no end of the test: {events(session)}")
     session.command(GROUND, 3, "joystick", "report", "state")
     session.run(1)
-    report = [one for one in session.of(GROUND, Reported) if one.name == "state"][-1]
+    reported = session.of(GROUND, Reported)
+    report = [one for one in reported if (one.application, one.name) == ("joystick", "state")][-1]
     assert report.values["application"] == "none"

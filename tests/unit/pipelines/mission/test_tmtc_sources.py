@@ -175,6 +175,8 @@ def test_joints_are_housekeeping_and_those_that_are_not_there_have_no_number():
     space.news()
     space.now_ns += 11 * S
     robot.handle_status(robot_status(joints=((0.05, 1.5), (-0.1, -0.5))), space.now_ns)
+    # Reports that are known at one instant go out one after the other.
+    space.now_ns += S
     (report,) = [one for one in space.news() if getattr(one, "name", "") == "joints"]
     found = {name: value for name, value in report.values.items() if value == value}
     wanted = {"joint_1_angle": 0.05, "joint_1_torque": 1.5}
