@@ -56,7 +56,7 @@ class OwnershipFigures:
     refused: Mapping[str, int]
     #: The newest 200.
     events: tuple[OwnerEvent, ...]
-    #: Datagrams in the place of a partner's robot that are none of a robot.
+    #: Malformed datagrams of the partner's robot, dropped.
     garbage: int = 0
 
 
