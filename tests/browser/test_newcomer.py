@@ -124,6 +124,13 @@ class Newcomer:
     def wait(self, seconds):
         self.page.run("return new Promise((done) => setTimeout(done, arguments[0]))", 1e3 * seconds)
 
+    def watch(self, words):
+        """Keep still for up to 2 s, until what to do is no longer this."""
+        for _ in range(20):
+            if words not in self.read("what to do"):
+                break
+            self.wait(0.1)
+
     # What it does
 
     def act(self):
@@ -137,6 +144,7 @@ class Newcomer:
         elif "Press it now" in says:
             self.release()
             self.press()
+            self.watch("Press it now")
         elif "Go " in says:
             self.go(says)
         elif "Do the task" in says:
