@@ -13,6 +13,7 @@ from telepresence.link.gateway import Gateway
 from telepresence.link.peer.figures import PeerFigures
 from telepresence.link.slots import GatewaySlots
 from telepresence.link.supervision.configuration import SupervisionTiming
+from telepresence.link.supervision.local_check import LocalCheck, self_test
 
 #: The time for an answer, without the radio's delay there and back.
 _TURNAROUND_NS = 200 * NS_PER_MS
@@ -63,6 +64,9 @@ class GatewayEnd:
             timing=_timing(setup),
             told_offset_ns=told_offset_ns,
         )
+        fault = self_test(transmit, topology.flows(out)) or self_test(receive, topology.flows(back))
+        self._check = LocalCheck(fault, now_ns)
+        gateway.handle_local_check(fault, now_ns)
         self.slots = GatewaySlots(gateway, first_ns=first_ns)
         self._radio_in = None
         if radio_both_ways:
@@ -98,6 +102,11 @@ class GatewayEnd:
         for radio in (self.gateway.radio, self._radio_in):
             if radio is not None:
                 radio.handle_outage(exercises.los_ns, now_ns)
+
+    def handle_refused(self, frames: int, reason: str, now_ns: int) -> None:
+        """So far the system refused this many frames to the peer, the newest for `reason`."""
+        self._check.handle_frames(self.slots.schedule.cycles, frames, reason, now_ns)
+        self.gateway.handle_local_check(self._check.fault, now_ns)
 
     def tell(self, now_ns: int, peer: PeerFigures | None = None) -> GatewayFigures:
         """Put the figures into the probe, and return the gateway's.

@@ -69,12 +69,12 @@ def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> "PeerPath":
 class PeerSocket:
     """One unconnected UDP socket, because the peer's address may change.
 
-    failed: datagrams that the system refused.
+    failed, why: datagrams that the system refused, and its reason for the newest.
     """
 
     def __init__(self, path: "PeerPath", bind: Address, clock_ns: Callable[[], int]) -> None:
         self.udp = listen(bind)
-        self.failed = 0
+        self.failed, self.why = 0, ""
         self._path = path
         self._clock_ns = clock_ns
         self._take = path.handle_datagram
@@ -96,8 +96,12 @@ class PeerSocket:
             return
         try:
             self._send_to(*sealed)
-        except OSError:
-            self.failed += 1
+        except OSError as error:
+            self._note_refusal(error)
+
+    def _note_refusal(self, error: OSError) -> None:
+        self.failed += 1
+        self.why = str(error.strerror)
 
     def work(self, until_ns: int) -> bool:
         """Do what waited for the rest of a slot, which ends at `until_ns`; whether there was any.
@@ -110,8 +114,8 @@ class PeerSocket:
         while (found := path.poll_transmit()) is not None:
             try:
                 self._send_to(*found)
-            except OSError:
-                self.failed += 1
+            except OSError as error:
+                self._note_refusal(error)
         return worked
 
     def report(self) -> PeerFigures:

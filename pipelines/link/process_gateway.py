@@ -190,7 +190,9 @@ class _GatewayLoop:
             probe.series(kind).extend_column(instants)
             instants.clear()
         ports = self._ports
-        probe.tell(SocketFigures(unsent=ports.to_peer.failed, strangers=ports.strangers()))
+        refused = ports.to_peer.failed
+        probe.tell(SocketFigures(unsent=refused, strangers=ports.strangers()))
+        self._end.handle_refused(refused, ports.to_peer.why, now_ns)
         figures = self._end.tell(now_ns, None if self._path is None else self._path.report())
         if self.topics is not None:
             self.topics.handle_figures(figures, now_ns)

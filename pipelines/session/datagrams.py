@@ -43,11 +43,11 @@ class EndAddresses:
 class Outlet:
     """Sends datagrams to one address, whether a program listens there or not.
 
-    failed: datagrams that the system refused.
+    failed, why: datagrams that the system refused, and its reason for the newest.
     """
 
     def __init__(self, udp: socket.socket) -> None:
-        self.failed = 0
+        self.failed, self.why = 0, ""
         self._send = udp.send
 
     def send(self, data: bytes) -> None:
@@ -57,8 +57,9 @@ class Outlet:
             # An ICMP error of an earlier datagram, in place of sending this one: try again.
             try:
                 self._send(data)
-            except OSError:
+            except OSError as error:
                 self.failed += 1
+                self.why = str(error.strerror)
 
 
 def listen(bind: Address) -> socket.socket:

@@ -1,14 +1,18 @@
 """One end of the link on virtual time: the radio of both ways here, and a trainer's exercise."""
 
+import socket
+
 import pytest
 
 from pipelines.link.gateway_end import GatewayEnd
+from pipelines.session.datagrams import Outlet
 from pipelines.session.probe import Probe
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.session.training import Exercises
 from pipelines.table import topology_of
 from telepresence.link.flows import HapticReceived
+from telepresence.link.supervision.message import LinkState
 
 MS = 1_000_000
 TABLE = topology_of(BUILT_IN["spacejustin"])
@@ -95,3 +99,34 @@ def test_the_figures_of_an_end_are_those_of_its_gateway():
     end.slots.handle_slot((), 0)
     figures = end.tell(MS)
     assert figures.transmit.frames == 1
+
+
+def test_an_end_whose_frames_do_not_leave_delivers_nothing_until_they_do():
+    link = Link(radio_both_ways=False)
+    link.run(0, 500)
+    supervisor = link.space.gateway.supervisor
+    assert supervisor.state is LinkState.CONNECTED
+    for ms in (100, 200, 300):
+        made = link.space.slots.schedule.cycles
+        link.run(400 + ms, 500 + ms)
+        link.space.handle_refused(ms, "No buffer space available", (500 + ms) * MS)
+        assert link.space.slots.schedule.cycles == made + 100
+    assert supervisor.state is LinkState.CHECK
+    assert "No buffer space available" in supervisor.why
+    heard = len(link.samples[link.space])
+    link.run(800, 900)
+    assert len(link.samples[link.space]) == heard
+    assert link.ground.gateway.supervisor.state is LinkState.CONFIGURE
+    link.space.handle_refused(300, "No buffer space available", 900 * MS)
+    link.run(900, 1200)
+    assert supervisor.state is LinkState.CONNECTED
+    assert len(link.samples[link.space]) > heard + 200
+
+
+def test_a_refused_datagram_leaves_the_reason_of_the_system():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.connect(("127.0.0.1", 9))
+        out = Outlet(udp)
+        udp.shutdown(socket.SHUT_RDWR)
+        out.send(bytes(32))
+        assert (out.failed, out.why) == (1, "Broken pipe")
