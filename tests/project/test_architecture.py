@@ -18,7 +18,7 @@ TIERS = (
     {"recording", "partner", "seats"},
     {"report"},
     {"packets", "ros2", "foxglove", "study"},
-    {"virtual"},
+    {"virtual", "upkeep"},
     {"bench"},
     {"commands"},
 )
@@ -56,6 +56,7 @@ SHELLS = {
     "kontur_av/sources/camera.py": "a device",
     "kontur_av/sources/microphone.py": "a device",
     "kontur_av/sources/pipe.py": "a FIFO",
+    "pipelines/upkeep/sequence_runner.py": "runs commands, and a log",
     "pipelines/session/children.py": "ends processes",
     "pipelines/session/front_door.py": "the sockets of visitors",
     "pipelines/bench/latency/command.py": "tries the clock",

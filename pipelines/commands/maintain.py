@@ -1,0 +1,102 @@
+"""`kontur-av maintain`: run a sequence of commands, each of which is confirmed."""
+
+import argparse
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+from kontur_av.errors import ConfigError
+from pipelines.commands.common import acting_on, add_session_argument, say
+from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.asking import running_sessions
+from pipelines.session.setup.segments import Segment
+from pipelines.upkeep.sequence import MaintenanceSequence, Outcome
+from pipelines.upkeep.sequence_runner import MaintenanceLog, SequenceRunner, own_command
+from pipelines.upkeep.session_watch import SessionWatch
+
+#: Those that end by themselves and need no terminal.
+COMMANDS = (
+    *("apploader", "devices", "doctor", "export", "file", "info", "joystick", "keys", "owner"),
+    *("recover", "report", "robot", "select", "stop", "task", "tc", "topology", "versions"),
+)
+_KEYS = "Enter: run it, e: change it, s: skip it, q: end"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "script",
+        type=Path,
+        metavar="SCRIPT",
+        help="one command of kontur-av a line, without the word kontur-av; also wait SECONDS, "
+        "wait contact, and say TEXT",
+    )
+    parser.add_argument("--yes", action="store_true", help="confirm all; end at a failure")
+    parser.add_argument(
+        "--log",
+        type=Path,
+        metavar="FILE",
+        help="append what was sent and received, as JSON lines (default SCRIPT.log)",
+    )
+    add_session_argument(parser)
+    parser.description = (
+        "Run the commands of a script one by one. Each is shown, may be changed, and must be "
+        "confirmed. Nothing is run while an experiment of the session runs. Exit code 1 if the "
+        "script did not come to its end."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 if every step is done or skipped; else 1."""
+    try:
+        lines = args.script.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not a text"
+        raise ConfigError(f"{args.script}: cannot be read: {reason}") from None
+    sequence = MaintenanceSequence(lines, COMMANDS)
+    if not args.yes and not sys.stdin.isatty():
+        raise ConfigError("nobody can confirm here: start it in a terminal, or with --yes")
+    ends = [name for end in Segment for name in running_sessions(tmtc_socket_name(end))]
+    running = list(dict.fromkeys(ends))
+    with ExitStack() as stack:
+        log = stack.enter_context(MaintenanceLog(args.log or Path(f"{args.script}.log")))
+        watch = None
+        if running or args.session:
+            name = acting_on(args.session, running, moves=True)
+            watch = stack.enter_context(SessionWatch(name))
+        runner = SequenceRunner(sequence, log, command=own_command(), say=say, watch=watch)
+        log.write("begin", script=str(args.script), session="" if watch is None else watch.name)
+        while (step := sequence.next) is not None:
+            contact = runner.look()
+            say(f"{sequence.number}/{len(sequence)} {step.text}{contact and f'  [{contact}]'}")
+            answer = "" if args.yes else _asked()
+            if answer == "q":
+                break
+            if answer == "e":
+                _change(sequence)
+            elif answer == "s":
+                runner.skip(step)
+            elif answer:
+                say(_KEYS)
+            elif (obstacle := runner.obstacle()) != "":
+                print(f"kontur-av: {obstacle}", file=sys.stderr)
+                if args.yes:
+                    break
+            elif runner.run(step) is Outcome.FAILED and args.yes:
+                break
+    return 0 if sequence.next is None else 1
+
+
+def _asked() -> str:
+    try:
+        return input(f"[{_KEYS}] ").strip().lower()
+    except EOFError:
+        return "q"
+
+
+def _change(sequence: MaintenanceSequence) -> None:
+    try:
+        sequence.change(input("instead: "))
+    except EOFError:
+        return
+    except ConfigError as error:
+        print(f"kontur-av: {error}", file=sys.stderr)

@@ -1,0 +1,1 @@
+"""Upkeep of both ends: versions, storages and maintenance."""
