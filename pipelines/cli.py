@@ -75,6 +75,7 @@ _COMMANDS = {
     "record": "record a running session, and leave it again",
     "trainer": "give a running session an exercise: no signal, a fault, a lost camera",
     "report": "show what a session gave, as a page too; join the reports of two ends",
+    "archive": "keep the reports of many sessions, and show how a figure went",
     "info": "list what is in a recording, gaps and losses included",
     "replay": "send a recorded session through a link again",
     "recover": "make a whole recording of a torn one",

@@ -10,9 +10,13 @@ from pipelines.commands.common import acting_on, add_session_argument, say
 from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.asking import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.upkeep.sequence import MaintenanceSequence, Outcome
-from pipelines.upkeep.sequence_runner import MaintenanceLog, SequenceRunner, own_command
-from pipelines.upkeep.session_watch import SessionWatch
+from pipelines.upkeep.sequence import MaintenanceSequence, StepOutcome
+from pipelines.upkeep.sequence_runner import (
+    MaintenanceLog,
+    SequenceRunner,
+    SessionWatch,
+    own_command,
+)
 
 #: Those that end by themselves and need no terminal.
 COMMANDS = (
@@ -81,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
                 print(f"kontur-av: {obstacle}", file=sys.stderr)
                 if args.yes:
                     break
-            elif runner.run(step) is Outcome.FAILED and args.yes:
+            elif runner.run(step) is StepOutcome.FAILED and args.yes:
                 break
     return 0 if sequence.next is None else 1
 

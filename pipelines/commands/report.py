@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     if args.ends:
         raise ConfigError(f"{args.ends[0]}: name one report, or join and two")
     path = Path(args.report)
-    report = _read(path)
+    report = read_report(path)
     if not args.html:
         print_summary(report)
         return 0
@@ -66,13 +66,17 @@ def run(args: argparse.Namespace) -> int:
 def _joined(ground: Path, space: Path) -> SessionReport:
     try:
         return join_reports(
-            _read(ground), _read(space), read_setup=setup_from_text, table_of=topology_of
+            read_report(ground),
+            read_report(space),
+            read_setup=setup_from_text,
+            table_of=topology_of,
         )
     except ProtocolError as error:
         raise ConfigError(f"{ground}, {space}: damaged: {error}") from None
 
 
-def _read(path: Path) -> SessionReport:
+def read_report(path: Path) -> SessionReport:
+    """The report of a session in a file; ConfigError for anything else."""
     try:
         if path.stat().st_size > _MOST_OCTETS:
             raise ConfigError(f"{path}: larger than any report; name the report of an end")

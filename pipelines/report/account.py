@@ -91,8 +91,13 @@ def _ended_s(run: TaskRow) -> float:
 
 
 def _events(report: SessionReport) -> Iterator[tuple[str, str]]:
-    for at_s, words in sorted(_dated(report), key=lambda event: event[0]):
+    for at_s, words in events_of(report):
         yield f"{at_s:.1f}", words
+
+
+def events_of(report: SessionReport) -> list[tuple[float, str]]:
+    """What happened, in its order: seconds since the start, and words."""
+    return sorted(_dated(report), key=lambda event: event[0])
 
 
 def _dated(report: SessionReport) -> Iterator[tuple[float, str]]:

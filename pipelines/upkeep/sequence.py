@@ -20,7 +20,7 @@ MOST_SECONDS: Final = 86_400.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class ScriptStep:
     """A line of a sequence: the words of a `kontur-av` command, of `wait` or of `say`."""
 
     line: int
@@ -35,7 +35,7 @@ class Step:
         return float(self.words[1])
 
 
-class Outcome(Enum):
+class StepOutcome(Enum):
     """How a step ended."""
 
     DONE = "done"
@@ -62,13 +62,13 @@ class MaintenanceSequence:
         if not self._steps:
             raise ConfigError("no command in the script; write one a line, such as: tc robot ping")
         self._at = 0
-        self.outcomes: list[tuple[Step, Outcome]] = []
+        self.outcomes: list[tuple[ScriptStep, StepOutcome]] = []
 
     def __len__(self) -> int:
         return len(self._steps)
 
     @property
-    def next(self) -> Step | None:
+    def next(self) -> ScriptStep | None:
         """The step that is to be confirmed; None at the end."""
         return self._steps[self._at] if self._at < len(self._steps) else None
 
@@ -82,13 +82,13 @@ class MaintenanceSequence:
         step = self._steps[self._at]
         self._steps[self._at] = self._parsed(step.line, text)
 
-    def handle_end(self, outcome: Outcome) -> None:
+    def handle_end(self, outcome: StepOutcome) -> None:
         """The next step has ended so."""
         self.outcomes.append((self._steps[self._at], outcome))
-        if outcome is not Outcome.FAILED:
+        if outcome is not StepOutcome.FAILED:
             self._at += 1
 
-    def _parsed(self, line: int, text: str) -> Step:
+    def _parsed(self, line: int, text: str) -> ScriptStep:
         try:
             words = tuple(shlex.split(text, comments=True))
         except ValueError as error:
@@ -104,7 +104,7 @@ class MaintenanceSequence:
             raise ConfigError(
                 f"line {line}: {name} is not a command of kontur-av, nor {WAIT} or {SAY}"
             )
-        return Step(line=line, text=text.strip(), words=words)
+        return ScriptStep(line=line, text=text.strip(), words=words)
 
 
 def _check_wait(line: int, words: tuple[str, ...]) -> None:

@@ -1,4 +1,4 @@
-"""Runs the confirmed steps of a maintenance sequence, and keeps the log of what went and came."""
+"""Runs the confirmed steps of a maintenance sequence beside a session, and keeps its log."""
 
 import subprocess
 import sys
@@ -10,11 +10,84 @@ from typing import TextIO
 
 import msgspec
 
+from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.sequence import CONTACT, SAY, WAIT, MaintenanceSequence, Outcome, Step
-from pipelines.upkeep.session_watch import SessionWatch
+from kontur_av.topics.bus import Reader, TopicBus
+from pipelines.link.figures import unpack_link
+from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.asking import running_sessions
+from pipelines.session.mission_messages import ExperimentShown, unpack
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology import MISSION_GROUND_TOPIC, link_state_topic
+from pipelines.upkeep.sequence import (
+    CONTACT,
+    SAY,
+    WAIT,
+    MaintenanceSequence,
+    ScriptStep,
+    StepOutcome,
+)
+from telepresence.tasks.experiment import Phase
 
 _LOOK_S = 0.2
+_PATIENCE_NS = 2_000_000_000
+
+
+class SessionWatch(Closing):
+    """Contact and experiment of a session on this machine.
+
+    name: of the session. Raises ConfigError if there is none.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._bus = TopicBus.join(name)
+        topics = self._bus.topics()
+        self._experiment = (
+            self._bus.reader(MISSION_GROUND_TOPIC) if MISSION_GROUND_TOPIC in topics else None
+        )
+        self._links = [
+            self._bus.reader(topic)
+            for segment in Segment
+            if (topic := link_state_topic(segment)) in topics
+        ]
+        self._shown: ExperimentShown | None = None
+        self._signal = False
+
+    def runs(self) -> bool:
+        """Whether the session still runs."""
+        return any(self.name in running_sessions(tmtc_socket_name(end)) for end in Segment)
+
+    def contact(self) -> bool:
+        """Whether the gateway here has a signal."""
+        for reader in self._links:
+            octets = _newest(reader, wait=False)
+            if octets is not None:
+                self._signal = bool(unpack_link(octets).get("signal"))
+        return self._signal
+
+    def experiment(self) -> str:
+        """What runs, such as "aiming, run 3"; empty if nothing does."""
+        if self._experiment is not None:
+            octets = _newest(self._experiment, wait=self._shown is None)
+            if octets is not None:
+                self._shown = unpack(ExperimentShown, octets)
+        shown = self._shown
+        if shown is None or shown.phase == Phase.IDLE:
+            return ""
+        return f"{shown.task}, run {shown.run}"
+
+    def close(self) -> None:
+        """Leave the session."""
+        self._bus.close()
+
+
+def _newest(reader: Reader, *, wait: bool) -> bytes | None:
+    octets = reader.latest_octets()
+    if octets is None and wait:
+        reader.wait(_PATIENCE_NS)
+        octets = reader.latest_octets()
+    return octets
 
 
 class MaintenanceLog:
@@ -83,7 +156,7 @@ class SequenceRunner:
             self._contact = contact
         return state
 
-    def run(self, step: Step) -> Outcome:
+    def run(self, step: ScriptStep) -> StepOutcome:
         """Run the step, show and log what comes of it, and tell the sequence."""
         self._log.write("step", line=step.line, text=step.text)
         if step.words[0] == SAY:
@@ -93,18 +166,18 @@ class SequenceRunner:
             code = self._wait(step)
         else:
             code = self._run_command(step)
-        outcome = Outcome.FAILED if code else Outcome.DONE
+        outcome = StepOutcome.FAILED if code else StepOutcome.DONE
         self._log.write("end", outcome=outcome.value, code=code)
         self._sequence.handle_end(outcome)
         return outcome
 
-    def skip(self, step: Step) -> None:
+    def skip(self, step: ScriptStep) -> None:
         """The user leaves this step out."""
         self._log.write("step", line=step.line, text=step.text)
-        self._log.write("end", outcome=Outcome.SKIPPED.value, code=0)
-        self._sequence.handle_end(Outcome.SKIPPED)
+        self._log.write("end", outcome=StepOutcome.SKIPPED.value, code=0)
+        self._sequence.handle_end(StepOutcome.SKIPPED)
 
-    def _wait(self, step: Step) -> int:
+    def _wait(self, step: ScriptStep) -> int:
         until_s = None if step.seconds is None else time.monotonic() + step.seconds
         if step.words[1] == CONTACT and self._watch is None:
             self._show("no session runs here, so no contact can come")
@@ -120,7 +193,7 @@ class SequenceRunner:
                 return 1
             time.sleep(_LOOK_S)
 
-    def _run_command(self, step: Step) -> int:
+    def _run_command(self, step: ScriptStep) -> int:
         with subprocess.Popen(
             [*self._command, *step.words],
             stdin=subprocess.DEVNULL,

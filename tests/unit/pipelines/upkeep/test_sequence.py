@@ -3,7 +3,7 @@
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.sequence import MaintenanceSequence, Outcome
+from pipelines.upkeep.sequence import MaintenanceSequence, StepOutcome
 
 SCRIPT = """
 # before the contact
@@ -24,7 +24,7 @@ def test_a_step_is_a_command_a_wait_or_words():
     found, words = sequence(), []
     while (step := found.next) is not None:
         words.append((step.line, step.words, step.seconds))
-        found.handle_end(Outcome.DONE)
+        found.handle_end(StepOutcome.DONE)
     assert words == [
         (3, ("tc", "robot", "ping"), None),
         (4, ("wait", "contact"), None),
@@ -36,12 +36,12 @@ def test_a_step_is_a_command_a_wait_or_words():
 
 def test_what_failed_is_next_again_and_may_be_changed_or_skipped():
     found = sequence()
-    found.handle_end(Outcome.FAILED)
+    found.handle_end(StepOutcome.FAILED)
     assert found.number == 1
     found.change("tc robot get x")
     assert found.next.words == ("tc", "robot", "get", "x")
-    found.handle_end(Outcome.DONE)
-    found.handle_end(Outcome.SKIPPED)
+    found.handle_end(StepOutcome.DONE)
+    found.handle_end(StepOutcome.SKIPPED)
     assert found.number == 3
     assert [outcome.value for _, outcome in found.outcomes] == ["failed", "done", "skipped"]
 
