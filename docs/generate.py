@@ -110,8 +110,7 @@ def entry(member: griffe.Object | griffe.Alias, told: dict[str, str]) -> str:
     lines += ["```\n", paragraph(member), ""]
     methods = [name for name, found in public.items() if _is_method(found)]
     if len(methods) > MOST_METHODS:
-        lines.append("It also has these methods:\n")
-        lines.append(", ".join(f"`{name}`" for name in methods))
+        lines.append("Methods: " + ", ".join(f"`{name}`" for name in methods))
         return "\n".join(lines) + "\n"
     again: dict[str, list[str]] = {}
     for name in methods:
@@ -229,19 +228,18 @@ def commands_text() -> str:
         if count >= 2 and row[1]:
             shared.setdefault(_option(row), row)
     parts = ["## Options of several commands\n"]
-    for option, told in counts:
-        if (option, told) == shared.get(_option((option, told))):
-            parts.append(f"- {option}: {told}")
+    listed = {_option(row): row for row in counts if row == shared.get(_option(row))}
+    parts += [f"- {option}: {told}" for option, told in listed.values()]
     for name, parser in commands:
         told = _sentence(parser.description)
         mine = rows.get(name, [])
-        alike = [row for row in mine if row in shared.values()]
+        alike = [row for row in mine if row in listed.values()]
         own = [
             option + f": {what}" * bool(what)
             for option, what in mine
             if (option, what) not in alike
         ]
-        also = [f"`{_option(row)}`" for row in alike]
+        also = _in_runs([_option(row) for row in alike], list(listed))
         if len(name.split()) > 2 and len(mine) <= 3:
             # Few options: one item.
             parts += [""] * (not parts[-1].startswith("- "))
@@ -252,6 +250,21 @@ def commands_text() -> str:
         parts += [f"- {one}" for one in own]
         parts += ["- " + "and " * bool(own) + ", ".join(also)] * bool(also)
     return "\n".join(parts) + "\n"
+
+
+def _in_runs(options: Sequence[str], listed: Sequence[str]) -> list[str]:
+    """The options in code; of four or more that follow each other in `listed`, first and last."""
+    runs: list[list[str]] = []
+    for option in sorted(options, key=listed.index):
+        follows = runs and listed.index(runs[-1][-1]) + 1 == listed.index(option)
+        runs = [*runs[:-1], [*runs[-1], option]] if follows else [*runs, [option]]
+    return [
+        part
+        for run in runs
+        for part in (
+            [f"`{run[0]}` to `{run[-1]}`"] if len(run) >= 4 else [f"`{option}`" for option in run]
+        )
+    ]
 
 
 def _option(row: tuple[str, str]) -> str:

@@ -82,7 +82,7 @@ TOLD: tuple[type, ...] = (
     RecorderFigures,
     FoxgloveFigures,
 )
-_WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "true or false"}
+_WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "boolean"}
 
 
 def keys_tables(kind: type, *, without: type | None = None) -> str:

@@ -58,7 +58,7 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=Setup.base_port,
         metavar="P",
-        help="of a session that is this user's, on this machine",
+        help="of this user's session",
     )
     parser.add_argument(
         "--rtc",
