@@ -67,7 +67,7 @@ class OperationFigures:
     device: str
     #: Its state in words (docs/joystick.md).
     state: str
-    #: The reason for the state, or for the last intervention of supervision.
+    #: The reason for the state, or for supervision's last intervention.
     reason: str
     #: Null if the device measures none.
     temperature_c: float | None
@@ -84,7 +84,7 @@ class OperationFigures:
     refused: int
     #: How often the dead-man button was released.
     dead_man_released: int
-    #: Of the workspace: centre x and y, half width, half height; null before calibration.
+    #: Centre x and y, half width and half height; null before calibration.
     calibration_mm: list[float] | None
 
 
