@@ -41,8 +41,8 @@ Import these names from the package: `from kontur_av import ...`. Other modules 
 own and may change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
 `samples/` has short scripts that use these names.
 
-Of a class with more than eight methods this page has their names. What they do, and types, units,
-shapes and errors are in the docstrings:
+Of a class with more than eight methods this page has names. Types, units, shapes, errors and what
+methods do are in the docstrings:
 `python -c "import kontur_av; help(kontur_av.VideoSender)"`.
 """
 #: Keys whose unit says that their value is a number.
@@ -105,10 +105,11 @@ def entry(member: griffe.Object | griffe.Alias, told: dict[str, str]) -> str:
         default = f" = {found.value}" if found.value is not None else ""
         # Quotes as ruff would set them: it checks the page, too.
         lines.append(f"    {name}{kind}{default}".replace("'", '"'))
-    if own_init:
-        lines.append("    " + signature(init).replace("\n", "\n    "))
-    lines += ["```\n", paragraph(member), ""]
     methods = [name for name, found in public.items() if _is_method(found)]
+    if own_init:
+        shown = signature(init, typed=len(methods) <= MOST_METHODS)
+        lines.append("    " + shown.replace("\n", "\n    "))
+    lines += ["```\n", paragraph(member), ""]
     if len(methods) > MOST_METHODS:
         lines.append("Methods: " + ", ".join(f"`{name}`" for name in methods))
         return "\n".join(lines) + "\n"
@@ -147,11 +148,12 @@ def names(function: griffe.Object | griffe.Alias) -> str:
     return f"({', '.join(kept)})" + f" -> {result}" * (result != "None")
 
 
-def signature(function: griffe.Object | griffe.Alias) -> str:
-    line = f"def {function.name}{arguments(function)}".removesuffix(" -> None")
+def signature(function: griffe.Object | griffe.Alias, *, typed: bool = True) -> str:
+    told = arguments(function) if typed else f"{names(function)} -> None"
+    line = f"def {function.name}{told}".removesuffix(" -> None")
     if len(line) <= 96:
         return line
-    parameters, _, result = arguments(function).rpartition(") -> ")
+    parameters, _, result = told.rpartition(") -> ")
     inner = ",\n    ".join(_split(parameters.removeprefix("(")))
     end = f" -> {result}" * (result != "None")
     return f"def {function.name}(\n    {inner},\n){end}"
