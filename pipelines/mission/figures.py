@@ -38,13 +38,13 @@ class TmtcFigures:
     pus_events: int = 0
     #: Housekeeping reports sent.
     pus_housekeeping: int = 0
-    #: Reports of applications that came in.
+    #: Reports of applications received.
     pus_reports: int = 0
     #: Messages of K2ACI sent, with repetitions.
     k2aci_sent: int = 0
     #: Messages of K2ACI sent again.
     k2aci_repeated: int = 0
-    #: Messages of K2ACI that came in.
+    #: Messages of K2ACI received.
     k2aci_arrived: int = 0
 
 

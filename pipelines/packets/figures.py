@@ -12,19 +12,19 @@ class PacketsFigures:
 
     #: Telemetry packets of this end.
     outside_packets: int = 0
-    #: Connections that were opened; with UDP none.
+    #: Connections opened; with UDP none.
     outside_peers: int = 0
     #: Packets not taken by a peer in time.
     outside_dropped: int = 0
     #: The longest that one waited for its peer.
     outside_waited_ms: Most[float] = 0.0
-    #: Telecommands that came and were passed on.
+    #: Telecommands passed on.
     outside_commands: int = 0
     #: Telecommands not allowed, or refused before they were sent.
     outside_refused: int = 0
     #: Telecommands beyond the rate.
     outside_excess: int = 0
-    #: What came and is no telecommand.
+    #: What is no telecommand.
     outside_garbage: int = 0
 
 

@@ -30,13 +30,13 @@ class RecorderFigures:
     parts: int = 0
     #: Octets written.
     octets: int = 0
-    #: How often a file could not be opened or written.
+    #: Failures to open or write a file.
     disk_faults: int = 0
     #: Key pictures that came too late, each replaced by a black one.
     late_keys: int = 0
     #: The newest file; null before anything was recorded.
     file: Newest[str] | None = None
-    #: Whether the session is being recorded.
+    #: Whether it records now.
     recording: Newest[bool] = False
     #: Why nothing can be written; null if all is well.
     fault: Newest[str] | None = None

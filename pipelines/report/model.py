@@ -394,7 +394,7 @@ class ProcessReport(Report, frozen=True, kw_only=True):
     #: The newest values of what it tells and what does not add up.
     newest: Flat[dict[str, int | float | str | bool]]
     cpu_s: float
-    #: How often it was started again.
+    #: Times that it was started again.
     restarts: int
     #: The last fault of an input's source.
     source_fault: str | None = None

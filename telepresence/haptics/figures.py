@@ -80,9 +80,9 @@ class OperationFigures:
     force_limit_n: float
     #: Transitions of its state machine.
     transitions: int
-    #: Events that its state machine refused.
+    #: Events that it refused.
     refused: int
-    #: How often the dead-man button was released.
+    #: Releases of the dead-man button.
     dead_man_released: int
     #: Centre x and y, half width and half height; null before calibration.
     calibration_mm: list[float] | None

@@ -43,7 +43,7 @@ class PeerFigures:
     sessions: int = 0
     #: Handshakes given up.
     failed_attempts: int = 0
-    #: How often the other end's address changed.
+    #: Changes of the other end's address.
     address_changes: int
     #: Datagrams with frames sent.
     sent: int
