@@ -67,7 +67,9 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_token_arguments(parser)
     add_ice_arguments(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
+    )
 
 
 def drive(args: argparse.Namespace) -> int:

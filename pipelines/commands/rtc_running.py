@@ -102,7 +102,9 @@ _LOOK_S = 0.2
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", metavar="S", type=float, help="end by itself after S seconds")
+    parser.add_argument(
+        "--seconds", metavar="S", type=float, help="end after S seconds (default: on Ctrl-C)"
+    )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
 
 

@@ -79,7 +79,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for the best way to code pictures that are not coded small: quick takes half the "
         "time and loses 1 dB (default: thorough)",
     )
-    parser.add_argument("--seconds", metavar="S", type=float, help="end by itself after S seconds")
+    parser.add_argument(
+        "--seconds", metavar="S", type=float, help="end after S seconds (default: on Ctrl-C)"
+    )
     parser.add_argument(
         "--sdp", type=Path, metavar="FILE", help="write what receivers need to know"
     )

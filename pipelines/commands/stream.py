@@ -91,7 +91,9 @@ from telepresence.world import audio_scenes, video_scenes
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
     add_setup_argument(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
+    )
     parser.add_argument(
         "--source",
         action="append",
