@@ -82,7 +82,7 @@ TOLD: tuple[type, ...] = (
     RecorderFigures,
     FoxgloveFigures,
 )
-_WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "true or false"}
+_WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "boolean"}
 
 
 def keys_tables(kind: type, *, without: type | None = None) -> str:
@@ -161,7 +161,7 @@ def _words(hint: object, *, optional: bool = False) -> str:
         one = next(of for of in arguments if of is not type(None))
         return _words(one) + ("" if optional else " or null")
     if origin in (dict, Mapping):
-        return f"{_words(arguments[1])}, by name"
+        return "by name" if arguments[1] is int else f"{_words(arguments[1])}, by name"
     if origin is list:
         return f"list of {_words(arguments[0])}"
     if origin is tuple and Ellipsis in arguments:

@@ -1,7 +1,6 @@
 """Real-time media for thin links: from a camera or a microphone to RTP packets, and back.
 
-This package needs no robot and no radio. Each name is imported at its first use, because codecs and
-RTP take long to import.
+This package needs no robot and no radio.
 
 `PictureSender`, `SoundSender` and `StreamReceiver` are whole ends of a stream, as in
 samples/send_numpy.py. They drive cores (`VideoSender`, `VideoReceiver`, `VoiceSender`,

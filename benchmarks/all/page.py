@@ -10,11 +10,10 @@ from pipelines.report.result import Headline, decimals
 
 _HEAD = """# Measurements
 
-`python -m benchmarks all` wrote this page from the JSON files in `{folder}`;
-`python -m benchmarks all --render` writes it again without measuring. A figure is the median of its
-runs, with the least and the largest run in brackets, where they differ. On virtual time every run
-gives the same figures, so there is one run. The machine is named where it changes. Of single clips,
-speech, pages and protection only the main figures are here; the files have all.
+`python -m benchmarks all` wrote this page from the JSON files in `{folder}`; with `--render` it
+does so without measuring. A figure is the median of its runs, with the least and the largest in
+brackets where they differ; on virtual time they never do. The machine is named where it changes. Of
+single clips, speech, pages and protection only the main figures are here; the files have all.
 """
 #: By measurement: figures, as `GROUP: WHAT`, that are in the files only.
 _IN_FILES_ONLY = {

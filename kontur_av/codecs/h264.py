@@ -432,11 +432,11 @@ class DecoderCounts:
     """A decoder of pictures."""
 
     frames_decoded: int = 0
-    #: Access units that could not be decoded, or whose picture does not fit `I420`.
+    #: Access units not decoded, or whose picture does not fit `I420`.
     frames_corrupt: int = 0
-    #: Access units before the first at which a decoder can start; not corrupt.
+    #: Access units before the first at which a decoder can start.
     frames_before_start: int = 0
-    #: How often the decoder was reopened because it held pictures back.
+    #: Times that the decoder held pictures back and was reopened.
     decoder_restarts: int = 0
 
 

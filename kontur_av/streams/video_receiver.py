@@ -32,7 +32,7 @@ class VideoReceiverCounts:
     frames_received: int = 0
     #: Access units with gaps.
     frames_damaged: int = 0
-    #: Damaged pictures after a pause, which waited for a whole one and were not shown.
+    #: Damaged pictures after a pause, not shown before a whole one.
     frames_withheld: int = 0
     #: Pictures before a sender report gave their capture time.
     frames_undated: int = 0

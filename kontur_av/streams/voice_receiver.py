@@ -49,11 +49,11 @@ class VoiceReceiverCounts:
     frames_undated: int = 0
     #: Blocks too late to be played.
     frames_late: int = 0
-    #: Blocks that were dropped to play sooner.
+    #: Blocks dropped to play sooner.
     frames_left_out: int = 0
     frames_stretched: int = 0
     frames_shortened: int = 0
-    #: Silence that was inserted to play later.
+    #: Silence inserted to play later.
     inserted_ns: int = 0
 
 

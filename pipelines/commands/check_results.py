@@ -14,7 +14,7 @@ from telepresence.haptics.device.check import CheckResult
 
 
 def add_setup_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--setup", metavar="NAME", help="it has the axes of this one, or FILE.toml")
+    parser.add_argument("--setup", metavar="NAME", help="the setup whose axes it has")
 
 
 def axes_of(setup: str | None) -> Sequence[AxisName] | None:

@@ -58,7 +58,7 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=Setup.base_port,
         metavar="P",
-        help="of a session that is this user's, on this machine",
+        help="of this user's session",
     )
     parser.add_argument(
         "--rtc",
@@ -67,7 +67,9 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_token_arguments(parser)
     add_ice_arguments(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
+    )
 
 
 def drive(args: argparse.Namespace) -> int:

@@ -47,8 +47,7 @@ def add_end_arguments(parser: argparse.ArgumentParser) -> None:
         "--key",
         type=Path,
         metavar="FILE",
-        help="with --end: this machine's private key; default: kontur-av/key.pem in the "
-        "configuration directory",
+        help="the private key; default: kontur-av/key.pem in the configuration directory",
     )
     parser.add_argument(
         "--identity",

@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="sim, sim:FAULT, evdev, evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: "
         "module:Class (default: sim)",
     )
-    test.add_argument("--report", type=Path, metavar="FILE", help="write all figures as JSON")
+    test.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     text = "drive the robot, or the arm, that a session's setup gives a partner"
     drive.add_arguments(actions.add_parser("drive", help=text, description=text))
 

@@ -47,7 +47,9 @@ from pipelines.table import topology_of
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_setup_argument(parser)
     add_radio_arguments(parser, delay=False)
-    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
+    )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
     add_end_arguments(parser)

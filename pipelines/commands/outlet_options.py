@@ -24,7 +24,7 @@ def add_outlet_arguments(parser: argparse.ArgumentParser) -> None:
         "--metrics": "serve all figures to Prometheus at /metrics, and /healthz (default "
         f"127.0.0.1:{_METRICS_PORT}); everyone who reaches the port can read them",
         "--foxglove": "serve the channels of a recording to Foxglove and Lichtblick "
-        f"(default 127.0.0.1:{_FOXGLOVE_PORT}); another host than loopback gets TLS",
+        f"(default 127.0.0.1:{_FOXGLOVE_PORT}); TLS beyond loopback",
         "--ros2": "be a node of a ROS 2 system, by the router of rmw_zenoh at this place (default "
         f"127.0.0.1:{_ROS2_PORT}), in the domain of ROS_DOMAIN_ID; everyone who reaches the "
         "router can see and hear the session",

@@ -38,7 +38,7 @@ def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="WHAT",
         help="telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
-        "may be given several times (default: questions alone)",
+        "repeatable (default: questions alone)",
     )
     parser.add_argument(
         _FRAMES,

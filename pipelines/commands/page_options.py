@@ -62,8 +62,8 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> None:
     either.add_argument(
         "--page",
         metavar="[HOST:]PORT",
-        help=f"where the browser pages of both seats are served (default 127.0.0.1:{_PORT}, "
-        "or the next free ports); another host than loopback gets TLS",
+        help=f"where the browser pages are served (default 127.0.0.1:{_PORT}, "
+        "or the next free ports); TLS beyond loopback",
     )
     either.add_argument("--no-page", action="store_true", help="serve no browser pages")
     parser.add_argument("--open", action="store_true", help="open the first page in a browser")

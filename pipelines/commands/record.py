@@ -84,7 +84,9 @@ _RETURN_S = 4.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("record", type=Path, metavar="FILE.mcap", help="what to write")
     add_session_argument(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
+    )
     add_recording_arguments(parser)
     parser.description = (
         "Record a running session until Ctrl-C, or until it ends. The session goes on. "

@@ -43,7 +43,7 @@ def add_coding_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="STREAM=KBPS",
-        help="another cap for a replayed stream, like uplink_video=60; may be given several times",
+        help="another cap for a replayed stream, like uplink_video=60; repeatable",
     )
 
 

@@ -29,14 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "ends",
         nargs="*",
         metavar="GROUND.json SPACE.json",
-        help="after join, the reports of `kontur-av stream --end ground` and `--end space`: the "
-        "report that the session would have given on one machine goes to standard output",
+        help="after join, the reports of `stream --end ground` and `--end space`; their joined "
+        "report goes to standard output",
     )
     parser.add_argument(
         "--html",
         action="store_true",
-        help="write an account of the session beside the report, as FILE.html: what fell short, "
-        "what happened, latency, rates, skew, force",
+        help="write FILE.html beside the report: what fell short, what happened, latency, rates, "
+        "skew, force",
     )
 
 

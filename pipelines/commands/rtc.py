@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--http",
         metavar="[HOST:]PORT",
         required=True,
-        help="where; another host than loopback gets TLS",
+        help="where; TLS beyond loopback",
     )
     serve.add_argument(
         "--cert",

@@ -35,8 +35,7 @@ def add_rtc_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=_PORT,
         help="serve a partner across the Internet by WebRTC: it sees and hears both sides, and is "
-        f"seen and heard at the ground (default 127.0.0.1:{_PORT}); another host than loopback "
-        "gets TLS",
+        f"seen and heard at the ground (default 127.0.0.1:{_PORT}); TLS beyond loopback",
     )
     parser.add_argument(
         "--rtc-token-file",

@@ -21,7 +21,7 @@ def add_token_arguments(parser: argparse.ArgumentParser) -> None:
         "--token-file",
         type=Path,
         metavar="FILE",
-        help="the same in a file, which other users of this machine do not see",
+        help="the same in a file, hidden from other users",
     )
 
 
@@ -31,7 +31,7 @@ def add_redirect_argument(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="https://HOST",
-        help="where a server may send us that also gets the token; may be given several times",
+        help="another origin that gets the token after a redirect; repeatable",
     )
 
 
@@ -56,7 +56,7 @@ def add_ice_arguments(parser: argparse.ArgumentParser) -> None:
         "--turn-secret-file",
         type=Path,
         metavar="FILE",
-        help="the secret shared with a TURN server, from which credentials for one hour are made "
+        help="the secret shared with a TURN server, for credentials of one hour "
         "(coturn's use-auth-secret)",
     )
     parser.add_argument("--turn-user", metavar="NAME", help="a lasting user name of the server")

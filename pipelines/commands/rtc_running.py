@@ -102,8 +102,10 @@ _LOOK_S = 0.2
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write a JSON report")
+    parser.add_argument(
+        "--seconds", metavar="S", type=float, help="end after S seconds (default: on Ctrl-C)"
+    )
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
 
 
 async def driven(

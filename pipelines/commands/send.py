@@ -39,8 +39,10 @@ _LONGEST_WAIT_NS = 100 * NS_PER_MS
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     what = parser.add_mutually_exclusive_group(required=True)
     spec = "FILE, pipe:PATH, v4l2:DEVICE or scene:NAME"
-    what.add_argument("--video", metavar="SPEC", help=spec)
-    what.add_argument("--audio", metavar="SPEC", help=spec.replace("v4l2", "alsa"))
+    what.add_argument("--video", metavar="SPEC", help=f"the picture to send: {spec}")
+    what.add_argument(
+        "--audio", metavar="SPEC", help=f"the voice to send: {spec.replace('v4l2', 'alsa')}"
+    )
     parser.add_argument("--to", metavar="HOST:PORT", required=True, help="RTCP goes to PORT+1")
     parser.add_argument(
         "--cap-kbps",
@@ -77,11 +79,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for the best way to code pictures that are not coded small: quick takes half the "
         "time and loses 1 dB (default: thorough)",
     )
-    parser.add_argument("--seconds", metavar="S", type=float, help="default: until Ctrl-C")
+    parser.add_argument(
+        "--seconds", metavar="S", type=float, help="end after S seconds (default: on Ctrl-C)"
+    )
     parser.add_argument(
         "--sdp", type=Path, metavar="FILE", help="write what receivers need to know"
     )
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write a JSON report")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -50,8 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--replay",
         type=Path,
         metavar="FILE.mcap",
-        help="send again what a recorded session sent; its setup, radio and seed, unless others "
-        "are given",
+        help="send a recording again, with its setup, radio and seed unless others are given",
     )
     add_coding_arguments(parser)
     add_radio_arguments(parser)
@@ -63,22 +62,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=SPEC",
-        help="what an input captures: scene:NAME, a media file or mcap:FILE#CHANNEL; may be given "
-        "several times",
+        help="what an input captures: scene:NAME, a media file or mcap:FILE#CHANNEL; repeatable",
     )
     parser.add_argument(
         "--select",
         action="append",
         default=[],
         metavar="T=CAMERA",
-        help="the operator selects CAMERA at second T; may be given several times",
+        help="the operator selects CAMERA at second T; repeatable",
     )
     parser.add_argument(
         "--plan",
         type=Path,
         metavar="PLAN.toml",
-        help="tasks that an experimenter selects one after the other, and a simulated cosmonaut "
-        "does (docs/tasks.md)",
+        help="tasks that a simulated cosmonaut does, one after the other (docs/tasks.md)",
     )
     parser.add_argument(
         "--robot",
@@ -88,8 +85,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--joystick",
         metavar="SPEC",
-        help="sim, sim:FAULT or a simulated one of your own operates as in a live session: "
-        "calibration, states, faults; without, it is in the application all the time",
+        help="sim, sim:FAULT or your own simulated one, with calibration, states and faults; "
+        "without, always in the application",
     )
     parser.add_argument(
         "--no-media", action="store_true", help="haptics and telecommands alone: much faster"
@@ -101,7 +98,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             type=float,
             default=cost.default,
             metavar="MS",
-            help=f"what it takes on virtual time to {what} ({cost.default} ms)",
+            help=f"virtual time to {what} ({cost.default} ms)",
         )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")

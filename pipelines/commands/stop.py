@@ -16,7 +16,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_session_argument(parser)
     parser.description = (
         "Stop the robot of a running session, and hold it until the stop is released. "
-        "At the joystick's end every haptic sample carries it to the robot. "
         "Without --session it stops the robots of all sessions of this user, and asks nothing."
     )
 

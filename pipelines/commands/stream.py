@@ -91,15 +91,17 @@ from telepresence.world import audio_scenes, video_scenes
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
     add_setup_argument(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="end by itself after S seconds")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
+    )
     parser.add_argument(
         "--source",
         action="append",
         default=[],
         metavar="NAME=SPEC",
         help="what an input captures: a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, "
-        "alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a program; may be "
-        "given several times",
+        "alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a program; "
+        "repeatable",
     )
     add_live_arguments(parser)
     add_record_arguments(parser)
@@ -116,7 +118,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--joystick",
         default=SIMULATED,
         metavar="SPEC",
-        help="sim, page (the hand of who sits at the operator's page), ros2 (a node's), evdev, "
+        help="sim, page (the hand at the operator's page), ros2 (a node's), evdev, "
         "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: "
         "sim); see `kontur-av joystick list`",
     )
@@ -131,7 +133,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="SPEC",
-        help="your component in telemetry: module:Class; may be given several times, at both ends",
+        help="your component in telemetry: module:Class, at both ends; repeatable",
     )
     parser.add_argument(
         "--second-robot",

@@ -40,15 +40,15 @@ def add_task_arguments(parser: argparse.ArgumentParser) -> None:
         "--plan",
         type=Path,
         metavar="PLAN.toml",
-        help="select the tasks of a plan; a simulated joystick is then in the hand of a simulated "
-        "cosmonaut, who does them",
+        help="select the tasks of a plan; with a simulated joystick a simulated cosmonaut does "
+        "them",
     )
     parser.add_argument(
         "--tasks",
         nargs="*",
         type=Path,
         metavar="FILE.xml",
-        help="have tasks, which people select and do; with files, further tasks",
+        help="have tasks for people; with files, further ones",
     )
     parser.add_argument(
         "--leds", metavar="HOST:PORT", help="of an LED panel that takes the place of the built-in"

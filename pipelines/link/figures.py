@@ -13,7 +13,7 @@ from telepresence.link.figures import GatewayFigures, PathFigures
 class SocketFigures:
     """The sockets of a gateway."""
 
-    #: Datagrams that the network did not take.
+    #: Datagrams not taken by the network.
     unsent: int = 0
     #: Datagrams from foreign addresses, by port.
     strangers: Mapping[str, int] = field(default_factory=dict)

@@ -22,9 +22,9 @@ class TmtcFigures:
     pus_garbage: int = 0
     #: Packets that waited for the token bucket.
     pus_delayed: int = 0
-    #: Reports and news dropped because too many waited.
+    #: Reports and news dropped: too many waited.
     pus_dropped: int = 0
-    #: Telecommands sent, repetitions included.
+    #: Telecommands sent, with repetitions.
     pus_telecommands: int = 0
     #: Telecommands sent again.
     pus_telecommands_repeated: int = 0
@@ -38,13 +38,13 @@ class TmtcFigures:
     pus_events: int = 0
     #: Housekeeping reports sent.
     pus_housekeeping: int = 0
-    #: Reports of applications that came in.
+    #: Reports of applications received.
     pus_reports: int = 0
-    #: Messages of K2ACI sent, repetitions included.
+    #: Messages of K2ACI sent, with repetitions.
     k2aci_sent: int = 0
     #: Messages of K2ACI sent again.
     k2aci_repeated: int = 0
-    #: Messages of K2ACI that came in.
+    #: Messages of K2ACI received.
     k2aci_arrived: int = 0
 
 
@@ -75,7 +75,7 @@ class ComponentFigures:
     faults: int = 0
     #: The newest of them.
     fault: str = ""
-    #: Requests dropped because too many waited.
+    #: Requests dropped: too many waited.
     requests_dropped: int = 0
     #: The longest that one waited.
     requests_waited_ms: Most[float] = 0.0

@@ -12,19 +12,19 @@ class PacketsFigures:
 
     #: Telemetry packets of this end.
     outside_packets: int = 0
-    #: Connections that were opened; with UDP none.
+    #: Connections opened; with UDP none.
     outside_peers: int = 0
-    #: Packets that a peer did not take in time.
+    #: Packets not taken by a peer in time.
     outside_dropped: int = 0
     #: The longest that one waited for its peer.
     outside_waited_ms: Most[float] = 0.0
-    #: Telecommands that came and were passed on.
+    #: Telecommands passed on.
     outside_commands: int = 0
-    #: Telecommands that are not allowed, or were refused before they were sent.
+    #: Telecommands not allowed, or refused before they were sent.
     outside_refused: int = 0
     #: Telecommands beyond the rate.
     outside_excess: int = 0
-    #: What came and is no telecommand.
+    #: What is no telecommand.
     outside_garbage: int = 0
 
 
@@ -34,7 +34,7 @@ class FrameFigures:
 
     #: Frames sent on, by direction.
     copied: Mapping[str, int] = field(default_factory=dict)
-    #: Samples of 20 ms of frames that were gone before they were read.
+    #: Samples of 20 ms of frames, gone before they were read.
     copies_missed: int = 0
-    #: Copies that the network did not take.
+    #: Copies not taken by the network.
     copies_unsent: int = 0

@@ -14,11 +14,11 @@ class RtcStreamFigures:
     packets: int = 0
     #: Octets of their payload.
     octets: int = 0
-    #: Packets lost, by the reports of who received them.
+    #: Packets lost, by the receiver's reports.
     lost: int = 0
     #: Packets asked for again (NACK).
     asked: int = 0
-    #: Packets that were sent again.
+    #: Packets sent again.
     repeated: int = 0
     #: Key pictures asked for (PLI, FIR).
     keys_asked: int = 0
@@ -38,7 +38,7 @@ class RtcFigures:
     garbage: int = 0
     #: Connections and requests ended by an error of this software; see the error stream.
     faults: int = 0
-    #: Haptic samples `taken` from the partner, `given` to it, or `left_out` for a slow network.
+    #: Haptic samples `taken` from the partner, `given` to it, `left_out` for a slow network.
     samples: Mapping[str, int] = field(default_factory=dict)
     #: How often the rate of the picture was lowered.
     rate_lowered: int = 0
@@ -46,7 +46,7 @@ class RtcFigures:
     partners: Newest[int] = 0
     #: Of the picture that is coded for the partner.
     rate_bps: Newest[int] = 0
-    #: Kinds of the newest connection's addresses, ours and theirs: host, srflx, prflx, relay.
+    #: The newest connection's kinds of address, ours and theirs: host, srflx, prflx, relay.
     route: str | None = None
     #: Of the newest answer to a report.
     round_trip_ns: Newest[int] | None = None

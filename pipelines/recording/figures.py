@@ -14,7 +14,7 @@ class RecordedChannel:
     kept: int = 0
     #: Gone before they were read.
     missed: int = 0
-    #: Dropped because the disk was too slow or full, or a client too slow.
+    #: Dropped: the disk was too slow or full, or a client too slow.
     dropped: int = 0
 
     @property
@@ -30,13 +30,13 @@ class RecorderFigures:
     parts: int = 0
     #: Octets written.
     octets: int = 0
-    #: How often a file could not be opened or written.
+    #: Failures to open or write a file.
     disk_faults: int = 0
-    #: Key pictures that came too late; a black one replaces each.
+    #: Key pictures that came too late, each replaced by a black one.
     late_keys: int = 0
     #: The newest file; null before anything was recorded.
     file: Newest[str] | None = None
-    #: Whether the session is being recorded.
+    #: Whether it records now.
     recording: Newest[bool] = False
     #: Why nothing can be written; null if all is well.
     fault: Newest[str] | None = None
@@ -71,7 +71,7 @@ class FoxgloveFigures:
     channels: Mapping[str, RecordedChannel] = field(default_factory=dict)
     #: Clients now.
     watching: Newest[int] = 0
-    #: What waits for all clients, at most 4 MiB or 2 s for each; the oldest is dropped.
+    #: What waits for all clients; of each at most 4 MiB or 2 s, else the oldest is dropped.
     waiting_octets: Newest[int] = 0
     #: The age of the oldest.
     oldest_age_ns: Newest[int] = 0

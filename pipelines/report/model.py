@@ -79,7 +79,7 @@ class Spread(Report, frozen=True, kw_only=True):
 
 
 class Stages(Report, frozen=True, kw_only=True):
-    """Stages of a stream's latency, of units whose every stage is known."""
+    """Stages of a latency, of units whose every stage is known."""
 
     #: Capture, waiting for the encoder, and encoding.
     capture_to_encoded: Spread
@@ -109,7 +109,7 @@ class StreamReport(Report, frozen=True, kw_only=True):
     gain: Flat[GainFigures] | None = None
     #: Width and height as captured and displayed; of pictures only.
     size: tuple[int, int] | None = None
-    #: Width and height as coded; of pictures only.
+    #: Width and height as coded.
     coded_size: tuple[int, int] | None = None
     payload_bps_mean: int
     #: The largest rate over a sliding second.
@@ -180,7 +180,7 @@ class HapticReport(Report, frozen=True, kw_only=True):
 
 
 class NeedReport(Report, frozen=True, kw_only=True):
-    """What a direction needs when every stream is at its cap."""
+    """What a direction needs with every stream at its cap."""
 
     payload: int
     headers: int
@@ -194,7 +194,7 @@ class LineReport(Report, frozen=True, kw_only=True):
     """One line of that arithmetic."""
 
     what: str
-    #: The stream it is for; empty if it is for none.
+    #: The stream it is for, if any.
     stream: str
     bps: int
 
@@ -202,17 +202,17 @@ class LineReport(Report, frozen=True, kw_only=True):
 class DirectionReport(Report, frozen=True, kw_only=True):
     """One direction of the link, of all lives of its two gateways."""
 
-    #: What is left for everything below haptics.
+    #: What is left below haptics.
     below_haptics_bps: int
     #: The need at the caps.
     needed_at_caps_bps: NeedReport
-    #: How that comes about, line by line.
+    #: The same, line by line.
     arithmetic: list[LineReport]
     sender: Flat[SenderFigures]
     receiver: Received[Flat[ReceiverFigures]]
-    #: Mean rate that slots without a sample gave to lower levels.
+    #: Mean rate that slots without a sample freed.
     freed_bps: int
-    #: Shares of all octets sent; they add up to 100.
+    #: Shares of all octets sent.
     octets_percent: dict[str, float]
     #: How late slots began.
     lateness_us: Punctuality
@@ -229,9 +229,9 @@ class GatewayReport(Report, frozen=True, kw_only=True):
     #: What the radio did to the frames of this end.
     radio: PathFigures | None = None
     sockets: Flat[SocketFigures]
-    #: The path to the other end; of two machines only.
+    #: Of two machines only.
     peer: PeerFigures | None = None
-    #: The other end's clock; of two machines only.
+    #: Of two machines only.
     clock: ClockFigures | None = None
     #: The radio on the way in; only where `--trainer` put both directions at this end.
     way_in: Flat[WayInFigures] | None = None
@@ -246,7 +246,7 @@ class GatewayReport(Report, frozen=True, kw_only=True):
 
 
 class SkewReport(Report, frozen=True, kw_only=True):
-    """How much later the first of two senses came than the second."""
+    """How much later the first of two senses came."""
 
     p50: float
     p95: float
@@ -257,7 +257,7 @@ class SkewReport(Report, frozen=True, kw_only=True):
 
 
 class Terms(Report, frozen=True, kw_only=True):
-    """What a latency is made of; the means of its terms, which add up."""
+    """What a latency is made of: means of terms, which add up."""
 
     camera: float
     capture: float
@@ -309,22 +309,22 @@ class SenseReport(Report, frozen=True, kw_only=True):
     stamped_latency_ms: Ranks
     #: The captured instant by the stamps, less the contact's.
     stamp_error_ms: Ranks
-    #: Number of the clearest perceptions, by which the stamps are judged.
+    #: The clearest perceptions, by which the stamps are judged.
     judged: int
-    #: Their median error; null without any.
+    #: Their median error.
     judged_error_ms: float | None
-    #: Where that median lies with 95 % confidence.
+    #: Its interval of 95 % confidence.
     confident_ms: tuple[float, float] | None
     #: Where it may lie.
     allowed_error_ms: tuple[float, float]
-    #: Whether stamps and content agree; null if too few.
+    #: Whether stamps and content agree; null: too few.
     agrees: bool | None
     #: Lights, clicks or steps found, also those of no contact.
     found: int
 
 
 class ContentSkew(Report, frozen=True, kw_only=True):
-    """How much later the first of two senses perceived a contact than the second."""
+    """How much later the first of two senses perceived a contact."""
 
     #: Contacts that both perceived.
     events: int
@@ -394,17 +394,17 @@ class ProcessReport(Report, frozen=True, kw_only=True):
     #: The newest values of what it tells and what does not add up.
     newest: Flat[dict[str, int | float | str | bool]]
     cpu_s: float
-    #: How often it was started again.
+    #: Times that it was started again.
     restarts: int
     #: The last fault of an input's source.
     source_fault: str | None = None
-    #: `fifo` with real-time priority, `idle` if it leaves the cores to others, else `other`.
+    #: `fifo`: with real-time priority; `idle`: behind all others; or `other`.
     scheduler: str | None = None
-    #: Why it ended last, if it was not told to.
+    #: Why it last ended unasked.
     last_error: str | None = None
-    #: Since when an input has given nothing, if too long.
+    #: Since when an input has given nothing.
     silent_s: float | None = None
-    #: What it counted; of a mapping what is not 0.
+    #: What it counted.
     counts: dict[str, int] | None = None
 
 
@@ -423,7 +423,7 @@ class Warning(Report, frozen=True, kw_only=True):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CodingCosts:
-    """Durations on virtual time: medians of live sessions on two cores.
+    """Durations on virtual time; defaults: medians of live sessions on two cores.
 
     capture_ms: from the capture of a picture to its arrival at the encoder: drawing, the stereo
         merge, the selector, and three wake-ups.
@@ -450,24 +450,24 @@ class CodingCosts:
 
 
 class ReplayedStream(Report, frozen=True, kw_only=True):
-    """The pictures of a replayed stream, held against those of the recording.
+    """Pictures of a replayed stream, against the recording's.
 
     A live replay has the first of them only.
     """
 
-    #: Access units in the recording, as they were sent.
+    #: Access units in the recording, as sent.
     units_recorded: int
     #: Of these, arrived whole; 0 if they were coded anew.
     units_received: int | None = None
-    #: Of these, arrived whole in the recorded session; left out if unknown.
+    #: Of these, arrived whole in the recorded session.
     recorded_received: int | None = None
     #: Arrived alike, octet by octet, in both.
     same_received: int | None = None
     #: Decoded pictures that equal what was sent.
     pictures_same: int | None = None
-    #: PSNR of the luma of all decoded pictures against those sent, at most 99; with losses.
+    #: PSNR of the luma of all decoded pictures against those sent, at most 99.
     psnr_db_mean: float | None = None
-    #: The twentieth that is worst begins here.
+    #: The worst twentieth lies below.
     psnr_db_p5: float | None = None
 
 
@@ -484,7 +484,7 @@ class ReplayReport(Report, frozen=True, kw_only=True):
     recoded: bool
     #: By stream of pictures.
     streams: dict[str, ReplayedStream]
-    #: Haptic samples not sent for a newer one of the same cycle; of a simulation only.
+    #: Haptic samples not sent for a newer one of the same cycle; on virtual time.
     samples_superseded: int | None = None
     #: By channel: messages that the recording lacks.
     missing: dict[str, int]
@@ -555,10 +555,10 @@ class EndTrace(Report, frozen=True, kw_only=True):
     setup: str
     #: Unix time minus the clock of all instants here.
     wall_offset_ns: int
-    #: From when to when the end ran.
+    #: When the end began to run.
     began_ns: int
     ended_ns: int
-    #: The lives of this end's gateway, and those it met of the other's.
+    #: Lives of this end's gateway; `peers`: those it met.
     lives: list[int]
     peers: list[int]
     series: list[TraceSeries]
@@ -572,7 +572,7 @@ class SessionReport(Report, frozen=True, kw_only=True):
     end: str | None = None
     #: How long the session ran. Mean rates are over the time outside of `stopped_s`.
     seconds: float
-    #: Begin and end of each stop by ground control; left out if never.
+    #: Begin and end of each stop by ground control.
     stopped_s: list[tuple[float, float]] | None = None
     streams: dict[str, StreamReport]
     #: `up` and `down`.
@@ -605,17 +605,17 @@ class SessionReport(Report, frozen=True, kw_only=True):
     safety: SafetyFigures | None = None
     #: The arm that only a partner drives.
     second_arm: SecondArmReport | None = None
-    #: What the trainer did, oldest first; absent if nothing.
+    #: What the trainer did, oldest first.
     exercises: list[DatedEvent] | None = None
-    #: The recording; left out without one.
+    #: The recording.
     recorder: RecorderFigures | None = None
-    #: Clients of `--foxglove`; left out without it.
+    #: Clients of `--foxglove`.
     foxglove: FoxgloveFigures | None = None
-    #: The leg to a partner; left out without one.
+    #: The leg to a partner.
     rtc: RtcReport | None = None
     #: The runs of tasks, oldest first; only with a plan.
     tasks: list[TaskRow] | None = None
-    #: Components in telemetry, by name.
+    #: Components in telemetry.
     telemetry: dict[str, ComponentFigures] | None = None
     #: What `report join` needs; of one end alone.
     trace: EndTrace | None = None

@@ -84,11 +84,11 @@ class Headline:
     #: The column, where several things are compared.
     who: str = ""
     unit: str
-    #: In `unit`; null if this run could not measure it.
+    #: In `unit`; null: not measured.
     value: float | None
     #: In words; empty for none.
     target: str = ""
-    #: Whether the value reaches the target; null without a target.
+    #: Whether it reaches the target, if there is one.
     met: bool | None = None
 
 

@@ -32,7 +32,7 @@ class PageFigures:
     units_left_out: int = 0
     #: Web sockets closed by the server: garbage, or a stalled page.
     sockets_closed: int = 0
-    #: Open pages. Without any, no figures are sent to it.
+    #: Open pages.
     watching: Newest[int] = 0
     #: Number of the page that holds the handle; 0: nobody does.
     holder: Newest[int] = 0

@@ -22,9 +22,9 @@ class ProbeFigures:
 class LoopFigures:
     """A periodic loop."""
 
-    #: Cycles that were left out.
+    #: Cycles left out.
     slips: int = 0
-    #: Cycles that were done.
+    #: Cycles done.
     cycles: int = 0
 
 

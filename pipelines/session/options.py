@@ -27,8 +27,7 @@ def add_radio_argument(parser: argparse.ArgumentParser, *, default: str | None =
         "--radio",
         default=default,
         metavar="PROFILE",
-        help=f"{', '.join(RADIOS)} or FILE.toml; iss-overhead is iss-pass from its middle on"
-        f"{_said(default)}",
+        help=f"{', '.join(RADIOS)} or FILE.toml{_said(default)}",
     )
 
 
@@ -75,8 +74,8 @@ def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const="picture",
         choices=DEADBANDS,
-        help="leave out haptic samples while nobody would feel the difference; the uplink video "
-        "gets their room, as a higher rate (picture, the default) or a lower delay (latency)",
+        help="leave out haptic samples that nobody would miss; the uplink video gets their room, "
+        "as a higher rate (picture, the default) or a lower delay (latency)",
     )
 
 
@@ -88,9 +87,9 @@ def add_hand_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--hand",
         choices=HAND_MODES,
-        help="what the hand feels: the robot's delayed force (direct, the default), a wall "
-        "rendered at the joystick as the robot's side has estimated it (mediated), or that wall, "
-        "and directly what it does not explain (auto)",
+        help="what the hand feels: the robot's delayed force (direct, the default), the wall that "
+        "the robot's side has estimated, rendered at the joystick (mediated), or that wall and "
+        "all other force directly (auto)",
     )
 
 

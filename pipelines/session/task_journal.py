@@ -32,23 +32,23 @@ class TaskRow(msgspec.Struct, frozen=True, kw_only=True):
     reason: str
     #: When it was selected.
     selected_ns: int
-    #: From the cosmonaut's start to its end; null if it was never started.
+    #: From the cosmonaut's start to its end; null if never started.
     seconds: float | None
     #: The tip's way while the cosmonaut drove.
     path_m: float
     #: The board's force on the tip.
     force_max_n: float
     force_mean_n: float
-    #: On the partner's hand that the robot's can meet; else null.
+    #: On the partner's hand that the robot's can meet.
     other_force_max_n: float | None = None
     other_force_mean_n: float | None = None
-    #: Distance from target or path (m), or from the force to hold (N); null without any.
+    #: Distance from target or path (m), or from the force to hold (N).
     error_mean: float | None
     error_max: float | None
     #: Of the link meanwhile, both ways.
     frames: int
     frames_lost: int
-    #: The longer delay of both directions at its end.
+    #: The longer one of both directions at its end.
     delay_ms: float
     #: Each is logged once.
     steps: list[TaskStep]

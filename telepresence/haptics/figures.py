@@ -67,7 +67,7 @@ class OperationFigures:
     device: str
     #: Its state in words (docs/joystick.md).
     state: str
-    #: The reason for the state, or for the last intervention of supervision.
+    #: The reason for the state, or for supervision's last intervention.
     reason: str
     #: Null if the device measures none.
     temperature_c: float | None
@@ -80,11 +80,11 @@ class OperationFigures:
     force_limit_n: float
     #: Transitions of its state machine.
     transitions: int
-    #: Events that its state machine refused.
+    #: Events that it refused.
     refused: int
-    #: How often the dead-man button was released.
+    #: Releases of the dead-man button.
     dead_man_released: int
-    #: Of the workspace: centre x and y, half width, half height; null before calibration.
+    #: Centre x and y, half width and half height; null before calibration.
     calibration_mm: list[float] | None
 
 

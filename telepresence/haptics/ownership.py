@@ -50,7 +50,7 @@ class OwnershipFigures:
     owner: Newest[Owner] | None
     #: Who was to drive.
     wanted: Owner
-    #: How often the port changed hands, the start included.
+    #: Changes of the owner, the start included.
     turns: int
     #: Datagrams of a sender that did not drive, by sender.
     refused: Mapping[str, int]

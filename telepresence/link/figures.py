@@ -13,13 +13,13 @@ from kontur_av.figures import Flat, Least, Most, Newest
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QueueFigures:
-    """The queue of one level: what waits, the most that waited, what was dropped."""
+    """The queue of one level."""
 
-    #: Which packet goes when the queue is full: `reject_newest` or `drop_oldest`.
+    #: When it is full: `reject_newest` or `drop_oldest`.
     policy: str
-    #: How many octets may wait.
+    #: Octets that may wait.
     depth_octets: Newest[int]
-    #: How many packets may wait.
+    #: Packets that may wait.
     depth_packets: Newest[int]
     #: Packets waiting, without one partly sent.
     packets: Newest[int]
@@ -27,11 +27,11 @@ class QueueFigures:
     octets: Newest[int]
     #: The oldest packet's age, also of one partly sent.
     oldest_age_ns: Newest[int]
-    #: The most packets that ever waited.
+    #: The most that ever waited.
     max_packets: Most[int]
-    #: The most octets that ever waited.
+    #: The most that ever waited.
     max_octets: Most[int]
-    #: The longest time from arrival until the last octet was sent, or the drop.
+    #: The longest from arrival until the last octet was sent, or the drop.
     max_age_ns: Most[int]
     #: Packets put into the queue.
     accepted: int
@@ -56,7 +56,7 @@ class SenderFigures:
     haptic_sent: int = 0
     #: Samples replaced by a newer one before their slot.
     haptic_superseded: int = 0
-    #: Packets by form of header, and octets of headers, by flow.
+    #: By flow: packets by form of header, and octets of headers.
     headers: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     #: Packets not taken, by reason.
     refused: Mapping[str, int] = field(default_factory=dict)
@@ -115,7 +115,7 @@ class ChannelFigures:
     profile: str
     #: `uplink` or `downlink`.
     direction: str
-    #: For how long blackouts let nothing through.
+    #: Time in blackouts.
     blackout_ns: int
     #: What the orbit predicts; of a profile with a pass.
     contact: ContactWindows | None = None
@@ -140,7 +140,7 @@ class PathFigures:
     bits_flipped: int
     #: Frames that have not arrived yet.
     frames_under_way: Newest[int]
-    #: For how long the pass gave no signal.
+    #: Time in which the pass gave no signal.
     no_signal_ns: int | None = None
     channel: Flat[ChannelFigures] | None = None
 
@@ -149,9 +149,9 @@ class PathFigures:
 class OtherEndFigures:
     """What supervision knows of the other end."""
 
-    #: The number of the peer's present life; null before its first message.
+    #: Its present life; null before its first message.
     life: Newest[int | None]
-    #: Its state, as it said last; null without signal.
+    #: Its state by its last message; null without signal.
     state: str | None
 
 
@@ -160,9 +160,9 @@ class ContactFigures:
     """One contact: from acquisition to loss of signal, counted from `begun_ns`."""
 
     acquired_ns: int
-    #: When the connection was approved; null if it was not.
+    #: When the connection was approved, if it was.
     connected_ns: int | None
-    #: When the last good frame came; null while the contact lasts.
+    #: When the last good frame came; null: it lasts.
     lost_ns: int | None
 
 
@@ -185,7 +185,7 @@ class SupervisionFigures:
     signal: bool
     #: Whether the peer says that it receives.
     peer_hears: bool
-    #: Whether the receiver delivers what it receives.
+    #: Whether it delivers what it receives.
     delivering: bool
     peer: OtherEndFigures
     #: When this end began, on the session's clock.
@@ -210,18 +210,18 @@ class SupervisionFigures:
 class ClockFigures:
     """What this end knows of the peer's clock (`ClockExchange`)."""
 
-    #: The instant for which the estimate holds, on this end's clock.
+    #: When the estimate holds, on this end's clock.
     at_ns: Newest[int]
     #: The peer's clock minus this end's, as wall time at their start; null if unknown.
     offset_ns: Newest[int | None]
-    #: The true offset is at most this far from `offset_ns`.
+    #: The true offset is at most this far away.
     error_ns: Newest[int | None]
     #: How much faster the peer's clock is, in 10⁻⁹.
     drift_ppb: Newest[int | None]
     drift_error_ppb: Newest[int | None]
     messages_sent: int
     messages_received: int
-    #: How often a stepped clock made the estimate begin anew.
+    #: Restarts of the estimate, after a clock was stepped.
     restarts: int
 
 

@@ -33,19 +33,19 @@ class PeerFigures:
     begun_ns: Newest[int]
     #: Whether datagrams are encrypted and authenticated.
     protected: bool
-    #: The identity that the other end must prove; only with protection.
+    #: The identity that the other end must prove.
     identity: str | None = None
-    #: Where frames go, HOST:PORT; null while unknown.
+    #: Where frames go; null while unknown.
     address: str | None
-    #: Since when frames can be sent, from `begun_ns` on; null: they cannot.
+    #: Since when, after `begun_ns`, frames can be sent; null: they cannot.
     session_ns: Newest[int] | None
-    #: Handshakes with both ends proven.
+    #: Handshakes done.
     sessions: int = 0
-    #: Handshakes that came to nothing.
+    #: Handshakes given up.
     failed_attempts: int = 0
-    #: How often the other end's address changed.
+    #: Changes of the other end's address.
     address_changes: int
-    #: Datagrams with frames that were sent.
+    #: Datagrams with frames sent.
     sent: int
     #: Frames not sent for want of session or address.
     unsent: int
