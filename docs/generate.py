@@ -41,8 +41,8 @@ Import these names from the package: `from kontur_av import ...`. Other modules 
 own and may change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
 `samples/` has short scripts that use these names.
 
-Of a class with more than eight methods this page has names. Types, units, shapes, errors and what
-methods do are in the docstrings:
+Of a class with more than eight methods this page has their names. What they do, and types, units,
+shapes and errors are in the docstrings:
 `python -c "import kontur_av; help(kontur_av.VideoSender)"`.
 """
 #: Keys whose unit says that their value is a number.
@@ -107,8 +107,7 @@ def entry(member: griffe.Object | griffe.Alias, told: dict[str, str]) -> str:
         lines.append(f"    {name}{kind}{default}".replace("'", '"'))
     methods = [name for name, found in public.items() if _is_method(found)]
     if own_init:
-        shown = signature(init, typed=len(methods) <= MOST_METHODS)
-        lines.append("    " + shown.replace("\n", "\n    "))
+        lines.append("    " + signature(init).replace("\n", "\n    "))
     lines += ["```\n", paragraph(member), ""]
     if len(methods) > MOST_METHODS:
         lines.append("Methods: " + ", ".join(f"`{name}`" for name in methods))
@@ -148,12 +147,11 @@ def names(function: griffe.Object | griffe.Alias) -> str:
     return f"({', '.join(kept)})" + f" -> {result}" * (result != "None")
 
 
-def signature(function: griffe.Object | griffe.Alias, *, typed: bool = True) -> str:
-    told = arguments(function) if typed else f"{names(function)} -> None"
-    line = f"def {function.name}{told}".removesuffix(" -> None")
+def signature(function: griffe.Object | griffe.Alias) -> str:
+    line = f"def {function.name}{arguments(function)}".removesuffix(" -> None")
     if len(line) <= 96:
         return line
-    parameters, _, result = told.rpartition(") -> ")
+    parameters, _, result = arguments(function).rpartition(") -> ")
     inner = ",\n    ".join(_split(parameters.removeprefix("(")))
     end = f" -> {result}" * (result != "None")
     return f"def {function.name}(\n    {inner},\n){end}"
@@ -241,7 +239,7 @@ def commands_text() -> str:
             for option, what in mine
             if (option, what) not in alike
         ]
-        also = _in_runs([_option(row) for row in alike], list(listed))
+        also = [f"`{_option(row)}`" for row in alike]
         if len(name.split()) > 2 and len(mine) <= 3:
             # Few options: one item.
             parts += [""] * (not parts[-1].startswith("- "))
@@ -252,21 +250,6 @@ def commands_text() -> str:
         parts += [f"- {one}" for one in own]
         parts += ["- " + "and " * bool(own) + ", ".join(also)] * bool(also)
     return "\n".join(parts) + "\n"
-
-
-def _in_runs(options: Sequence[str], listed: Sequence[str]) -> list[str]:
-    """The options in code; of four or more that follow each other in `listed`, first and last."""
-    runs: list[list[str]] = []
-    for option in sorted(options, key=listed.index):
-        follows = runs and listed.index(runs[-1][-1]) + 1 == listed.index(option)
-        runs = [*runs[:-1], [*runs[-1], option]] if follows else [*runs, [option]]
-    return [
-        part
-        for run in runs
-        for part in (
-            [f"`{run[0]}` to `{run[-1]}`"] if len(run) >= 4 else [f"`{option}`" for option in run]
-        )
-    ]
 
 
 def _option(row: tuple[str, str]) -> str:
