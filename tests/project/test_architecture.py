@@ -271,6 +271,7 @@ LIBRARIES = {
     "telepresence/haptics/udp_protocol.py": ({"hmac"}, "codes, compared in constant time"),
     "kontur_av/parts.py": ({"inspect", "pathlib", "sys"}, "a user's module"),
     "telepresence/link/radio/profile_file.py": ({"pathlib"}, "a file"),
+    "telepresence/files/pdus.py": ({"spacepackets"}, "PDUs of CFDP: octets only"),
     "telepresence/tmtc/k2aci.py": ({"cbor2"}, "CBOR: octets only"),
     "telepresence/tmtc/pus/dictionary_file.py": ({"pathlib"}, "a file"),
     "telepresence/tmtc/pus/packets.py": ({"spacepackets"}, "PUS packets: octets only"),
