@@ -47,7 +47,8 @@ _REMEMBERED = 64
 ROOM_OCTETS = 1024
 _MOST_ANSWERS = 16
 _HEADER_OCTETS = 16
-_LARGEST_LISTING = 64 << 10
+#: A listing goes into one answer to a terminal.
+LARGEST_LISTING = 4 << 10
 
 
 class Job(NamedTuple):
@@ -204,7 +205,7 @@ class FileEntity:
         if (heard, room) == (self._heard, self._room):
             return
         self._contact_ns = self._time(now_ns)
-        if not self._heard and (self._senders or self._receivers or self._expected):
+        if not self._heard and self.open:
             self.counts.suspended_ns += now_ns - self._changed_ns
         self._changed_ns = now_ns
         self._heard, self._room = heard, room
@@ -258,7 +259,7 @@ class FileEntity:
 
     def report(self, now_ns: int) -> Counts:
         """What was counted so far."""
-        if not self._heard and (self._senders or self._receivers or self._expected):
+        if not self._heard and self.open:
             self.counts.suspended_ns += now_ns - self._changed_ns
             self._changed_ns = now_ns
         return self.counts
@@ -267,6 +268,11 @@ class FileEntity:
         """How it is with a transfer, with the link as it is now."""
         open_yet = transfer.state in (WAITING, RUNNING)
         return SUSPENDED if open_yet and not self._heard else transfer.state
+
+    @property
+    def open(self) -> bool:
+        """Whether a transaction is under way."""
+        return bool(self._senders or self._receivers or self._expected)
 
     @property
     def _running(self) -> bool:
@@ -349,7 +355,7 @@ class FileEntity:
         key, request = receiver.key, metadata.request
         try:
             if transfer is not None and transfer.kind == LIST:
-                transfer.text = receiver.octets[:_LARGEST_LISTING].decode(errors="replace")
+                transfer.text = receiver.octets[:LARGEST_LISTING].decode(errors="replace")
                 receiver.handle_stored("", at_ns)
                 self._tell_origin(receiver)
             elif metadata.destination:
