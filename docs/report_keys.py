@@ -15,6 +15,7 @@ from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from pipelines.files.figures import FileFigures
 from pipelines.link.figures import SocketFigures, WayInFigures
 from pipelines.media.figures import (
     CaptureFigures,
@@ -74,6 +75,7 @@ TOLD: tuple[type, ...] = (
     TmtcFigures,
     PacketsFigures,
     FrameFigures,
+    FileFigures,
     TaskFigures,
     ComponentFigures,
     TrainerFigures,

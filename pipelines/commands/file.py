@@ -59,9 +59,9 @@ def run(args: argparse.Namespace) -> int:
 def _follow(request: FileRequest, segment: Segment, session: str) -> int:
     """Ask, then print how far it is until it has ended."""
     began_s = told_s = time.monotonic()
-    state = ""
+    state, missing = "", _MISSING
     while True:
-        answer = ask_desk(desk_name(segment), request, FileAnswer, session, missing=_MISSING)
+        answer = ask_desk(desk_name(segment), request, FileAnswer, session, missing=missing)
         if answer is None:
             print("kontur-av: the session has not answered", file=sys.stderr)
             return 1
@@ -72,12 +72,13 @@ def _follow(request: FileRequest, segment: Segment, session: str) -> int:
             return 1
         now_s = time.monotonic()
         if answer.state == DONE:
-            print(answer.text or f"done, {_progress(answer)} in {now_s - began_s:.1f} s")
+            print(answer.text.rstrip() or f"done, {_progress(answer)} in {now_s - began_s:.1f} s")
             return 0
         if answer.state != state or now_s - told_s >= _TELL_S:
             state, told_s = answer.state, now_s
             print(f"{state}, {_progress(answer)}", file=sys.stderr, flush=True)
         request = FileRequest(file=STATE, number=answer.number)
+        missing = f"session {session} has ended before the transfer"
         time.sleep(_LOOK_S)
 
 

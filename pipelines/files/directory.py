@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from telepresence.files.entity import LARGEST_LISTING, STORE, Job
+from telepresence.files.entity import LARGEST_LISTING, STORE, DirectoryJob
 from telepresence.files.names import fenced
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
 from telepresence.files.receiver import MAX_FILE_OCTETS
@@ -23,7 +23,7 @@ class FencedDirectory:
         for part in self._root.rglob(f"{_PART}*"):
             part.unlink(missing_ok=True)
 
-    def do(self, job: Job) -> tuple[str, bytes]:
+    def do(self, job: DirectoryJob) -> tuple[str, bytes]:
         """Do a job of the entity; the octets are those of a file or of a listing."""
         try:
             if job.kind == STORE:

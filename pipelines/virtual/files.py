@@ -9,7 +9,7 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import FILES, maintenance_stream
 from pipelines.virtual.media import Consumer
 from pipelines.virtual.workers import Scene
-from telepresence.files.entity import STORE, FileEntity, Job, Transfer
+from telepresence.files.entity import STORE, DirectoryJob, FileEntity, Transfer
 from telepresence.files.pdus import GET, LIST, RENAME
 from telepresence.link.flows import Level
 
@@ -72,7 +72,7 @@ class SimulatedFiles:
             while (pdu := entity.poll_transmit(now_ns)) is not None:
                 gateway.handle_datagram(maintenance_stream(segment.transmits), pdu, now_ns)
 
-    def _do(self, directory: dict[str, bytes], job: Job) -> tuple[str, bytes]:
+    def _do(self, directory: dict[str, bytes], job: DirectoryJob) -> tuple[str, bytes]:
         if job.kind == LIST:
             return "", "\n".join(sorted(directory)).encode()
         name = job.first

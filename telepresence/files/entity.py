@@ -32,7 +32,7 @@ from telepresence.files.pdus import (
     parse_pdu,
 )
 from telepresence.files.receiver import MAX_FILE_OCTETS, FileReceiver, why
-from telepresence.files.sender import FileSender, Pace, closing
+from telepresence.files.sender import FileSender, TransactionPace, closing
 from telepresence.link.bucket import TokenBucket
 
 PUT = "put"
@@ -51,7 +51,7 @@ _HEADER_OCTETS = 16
 LARGEST_LISTING = 4 << 10
 
 
-class Job(NamedTuple):
+class DirectoryJob(NamedTuple):
     """What the shell is to do in this end's directory: `STORE`, GET, LIST, RENAME or REMOVE.
 
     The names are inside the directory. Answer by `FileEntity.handle_done`.
@@ -125,7 +125,7 @@ class FileEntity:
     ) -> None:
         self._entity, self._peer = entity, peer
         self._next_number = first_number & 0xFFFFFFFF
-        self._pace = Pace(
+        self._pace = TransactionPace(
             segment_octets=segment_octets,
             repeat_ns=repeat_ns + 2 * delay_ns,
             patience_ns=patience_ns + 2 * delay_ns,
@@ -140,7 +140,7 @@ class FileEntity:
         #: What was asked for and comes as a transaction of the other end.
         self._expected: dict[Key, Transfer] = {}
         self._answers: deque[Pdu] = deque()
-        self._jobs: deque[Job] = deque()
+        self._jobs: deque[DirectoryJob] = deque()
         self.counts = Counts()
         self._heard, self._room = False, True
         #: The time in contact at the last change, and when that was.
@@ -210,7 +210,9 @@ class FileEntity:
         self._changed_ns = now_ns
         self._heard, self._room = heard, room
 
-    def handle_done(self, job: Job, refusal: str, now_ns: int, octets: bytes = b"") -> None:
+    def handle_done(
+        self, job: DirectoryJob, refusal: str, now_ns: int, octets: bytes = b""
+    ) -> None:
         """A job is done; else refusal says why not. octets: of the file or of the listing."""
         receiver, at_ns = self._receivers.get(job.key), self._time(now_ns)
         if receiver is None:
@@ -253,7 +255,7 @@ class FileEntity:
         due_ns = max(due_ns, self._bucket.holds_ns(self._most_octets, at_ns))
         return now_ns + max(0, due_ns - at_ns)
 
-    def next_event(self) -> Job | None:
+    def next_event(self) -> DirectoryJob | None:
         """Return the next job, or None."""
         return self._jobs.popleft() if self._jobs else None
 
@@ -362,12 +364,12 @@ class FileEntity:
                 # What was asked for gets the name that was asked for, whatever comes.
                 name = metadata.destination if transfer is None else transfer.second
                 fenced(name)
-                self._jobs.append(Job(key, STORE, name, octets=receiver.octets))
+                self._jobs.append(DirectoryJob(key, STORE, name, octets=receiver.octets))
             elif request is not None:
                 fenced(request.first, directory=request.kind == LIST)
                 if request.kind == RENAME:
                     fenced(request.second)
-                self._jobs.append(Job(key, request.kind, request.first, request.second))
+                self._jobs.append(DirectoryJob(key, request.kind, request.first, request.second))
             else:
                 receiver.handle_stored("", at_ns)
         except ConfigError:
@@ -375,7 +377,7 @@ class FileEntity:
             receiver.handle_stored("the name is not allowed", at_ns)
             self._tell_origin(receiver)
 
-    def _send_back(self, job: Job, octets: bytes, at_ns: int) -> str:
+    def _send_back(self, job: DirectoryJob, octets: bytes, at_ns: int) -> str:
         """Send what was asked for; return why that cannot be."""
         if len(octets) > MAX_FILE_OCTETS:
             return "the file is too large"

@@ -16,7 +16,7 @@ from telepresence.files.pdus import (
     Pdu,
 )
 from telepresence.files.segments import Segments
-from telepresence.files.sender import Pace
+from telepresence.files.sender import TransactionPace
 from telepresence.files.sums import KNOWN_SUMS, file_sum
 
 #: The largest file. Until it is whole it is in memory, at both ends.
@@ -49,7 +49,7 @@ class FileReceiver:
     repeated_octets: of the file that came more than once.
     """
 
-    def __init__(self, key: Key, pace: Pace, now_ns: int) -> None:
+    def __init__(self, key: Key, pace: TransactionPace, now_ns: int) -> None:
         self.key = key
         self.metadata: Metadata | None = None
         self.finished: Finished | None = None

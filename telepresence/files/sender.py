@@ -21,7 +21,7 @@ _SELDOM = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pace:
+class TransactionPace:
     """segment_octets: of a file in one PDU. repeat_ns: until what nobody answered is sent again.
 
     patience_ns: how long the other end may be silent before the transaction fails.
@@ -39,7 +39,9 @@ class FileSender:
     sent_octets: of the file for the first time; resent_octets: again.
     """
 
-    def __init__(self, metadata: Metadata, octets: bytes, pace: Pace, now_ns: int) -> None:
+    def __init__(
+        self, metadata: Metadata, octets: bytes, pace: TransactionPace, now_ns: int
+    ) -> None:
         self.metadata = metadata
         self.done: Finished | None = None
         self.failure = ""

@@ -3,7 +3,7 @@
 from random import Random
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.files.entity import STORE, FileEntity, Job, Transfer
+from telepresence.files.entity import STORE, DirectoryJob, FileEntity, Transfer
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
 
 GROUND, SPACE = 1, 2
@@ -40,7 +40,7 @@ class FileEnd:
                 return sent
             sent.append(pdu)
 
-    def _do(self, job: Job) -> tuple[str, bytes]:
+    def _do(self, job: DirectoryJob) -> tuple[str, bytes]:
         if job.kind == LIST:
             return "", "\n".join(sorted(self.files)).encode()
         if job.kind == STORE:

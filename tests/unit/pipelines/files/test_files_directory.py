@@ -3,7 +3,7 @@
 import pytest
 
 from pipelines.files.directory import FencedDirectory
-from telepresence.files.entity import LARGEST_LISTING, STORE, Job
+from telepresence.files.entity import LARGEST_LISTING, STORE, DirectoryJob
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME, Key
 from telepresence.files.receiver import MAX_FILE_OCTETS
 
@@ -18,7 +18,7 @@ def root(tmp_path):
 
 
 def do(root, kind, first, second="", octets=b""):
-    return FencedDirectory(root).do(Job(KEY, kind, first, second, octets))
+    return FencedDirectory(root).do(DirectoryJob(KEY, kind, first, second, octets))
 
 
 def test_jobs_store_list_read_rename_and_remove(root):
@@ -57,8 +57,8 @@ def test_what_a_killed_process_began_to_write_goes_and_was_never_shown(root):
     directory = FencedDirectory(root)
     assert list((root / "a").iterdir()) == []
     (root / "a" / ".part-78").write_bytes(b"half")
-    assert directory.do(Job(KEY, LIST, "a")) == ("", b"")
-    assert directory.do(Job(KEY, GET, "a/.part-78"))[0]
+    assert directory.do(DirectoryJob(KEY, LIST, "a")) == ("", b"")
+    assert directory.do(DirectoryJob(KEY, GET, "a/.part-78"))[0]
 
 
 def test_too_much_is_refused_or_left_out(root):
