@@ -24,7 +24,6 @@ def add_files_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--files-rate",
-        default=_DEFAULT,
         metavar="UP,DOWN",
         help="the most that files take, in kbit/s from the ground and from space (default "
         f"{_DEFAULT}); media always go first",
@@ -36,10 +35,13 @@ def files_arguments(
 ) -> Mapping[str, Mapping[str, object]]:
     """Return by process what the options say, and make the directories; ConfigError."""
     if args.files is None:
+        if args.files_rate is not None:
+            raise ConfigError("--files-rate is for --files: give the directory, too")
         return {}
-    rates = re.fullmatch(r"(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", args.files_rate)
+    text = args.files_rate or _DEFAULT
+    rates = re.fullmatch(r"(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
     if rates is None or not all(1 <= float(one) <= 10_000 for one in rates.groups()):
-        raise ConfigError(f"--files-rate {args.files_rate}: give two rates, from 1 to 10000 kbit/s")
+        raise ConfigError(f"--files-rate {text}: give two rates, from 1 to 10000 kbit/s")
     by_segment = dict(zip((Segment.GROUND, Segment.SPACE), rates.groups(), strict=True))
     found = {}
     for segment in segments:

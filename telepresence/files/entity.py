@@ -423,6 +423,8 @@ class FileEntity:
         """Beyond a few, what is asked again and again is answered later."""
         if len(self._answers) < _MOST_ANSWERS:
             self._answers.append(pdu)
+        else:
+            self.counts.refused += 1
 
     def _poll(self, at_ns: int) -> Pdu | None:
         """Ask all in turn; receivers first, because their PDUs are short."""
