@@ -7,6 +7,7 @@ from pipelines.files.desk import ENTITIES, RATES_BPS, FileDesk
 from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import FILES, maintenance_stream
+from pipelines.virtual.agenda import Timer
 from pipelines.virtual.media import Consumer
 from pipelines.virtual.workers import Scene
 from telepresence.files.entity import STORE, DirectoryJob, FileEntity, Transfer
@@ -42,6 +43,7 @@ class SimulatedFiles:
             maintenance_stream(segment.peer.transmits): self.entities[segment].handle_pdu
             for segment in Segment
         }
+        self._timers = {one: Timer(scene.agenda, partial(self._work, one)) for one in Segment}
         scene.agenda.at(scene.start_ns, self._look)
         for segment, desk in self._desks.items():
             probe = scene.telling.probe(FILES[segment])
@@ -66,11 +68,16 @@ class SimulatedFiles:
                 waiting_octets=gateway.sender.waiting_octets(Level.MAINTENANCE),
                 now_ns=now_ns,
             )
-            while (job := entity.next_event()) is not None:
-                refusal, octets = self._do(self.directories[segment], job)
-                entity.handle_done(job, refusal, now_ns, octets)
-            while (pdu := entity.poll_transmit(now_ns)) is not None:
-                gateway.handle_datagram(maintenance_stream(segment.transmits), pdu, now_ns)
+            self._work(segment, now_ns)
+
+    def _work(self, segment: Segment, now_ns: int) -> None:
+        entity, gateway = self.entities[segment], self._gateways[segment]
+        while (job := entity.next_event()) is not None:
+            refusal, octets = self._do(self.directories[segment], job)
+            entity.handle_done(job, refusal, now_ns, octets)
+        while (pdu := entity.poll_transmit(now_ns)) is not None:
+            gateway.handle_datagram(maintenance_stream(segment.transmits), pdu, now_ns)
+        self._timers[segment].set(entity.poll_timeout(now_ns), now_ns)
 
     def _do(self, directory: dict[str, bytes], job: DirectoryJob) -> tuple[str, bytes]:
         if job.kind == LIST:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import NamedTuple
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
 from telepresence.files.names import fenced
 from telepresence.files.pdus import (
@@ -43,8 +43,9 @@ WAITING, RUNNING, SUSPENDED, DONE, FAILED = "waiting", "running", "suspended", "
 MOST_SENDING = MOST_RECEIVING = 8
 #: How many that are over are remembered: their last PDUs may come again.
 _REMEMBERED = 64
-#: What may wait in the link: the next PDU goes when less does.
-ROOM_OCTETS = 1024
+#: The next PDU goes when less waits in the link than this, or than what the rate gives in a while
+#: as long as two looks at the link: neither may the link run dry, nor much be lost with the signal.
+_ROOM_OCTETS, _ROOM_NS = 1024, 20 * NS_PER_MS
 _MOST_ANSWERS = 16
 _HEADER_OCTETS = 16
 #: A listing goes into one answer to a terminal.
@@ -131,7 +132,9 @@ class FileEntity:
             patience_ns=patience_ns + 2 * delay_ns,
         )
         self._most_octets = segment_octets + _HEADER_OCTETS
-        self._bucket = TokenBucket(rate_bps, 2 * self._most_octets)
+        room_octets = rate_bps * _ROOM_NS // (8 * NS_PER_S)
+        self._room_octets = max(_ROOM_OCTETS, room_octets)
+        self._bucket = TokenBucket(rate_bps, max(2 * self._most_octets, room_octets))
         self._senders: OrderedDict[Key, FileSender] = OrderedDict()
         self._receivers: OrderedDict[Key, FileReceiver] = OrderedDict()
         #: Those of the other end that are over, with what it was told.
@@ -201,7 +204,7 @@ class FileEntity:
 
     def handle_link(self, *, heard: bool, waiting_octets: int, now_ns: int) -> None:
         """Whether the other end is heard, and what waits in the link on the maintenance level."""
-        room = waiting_octets < ROOM_OCTETS
+        room = waiting_octets < self._room_octets
         if (heard, room) == (self._heard, self._room):
             return
         self._contact_ns = self._time(now_ns)
