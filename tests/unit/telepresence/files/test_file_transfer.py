@@ -14,12 +14,16 @@ from telepresence.files.pdus import (
     LIST,
     REMOVE,
     RENAME,
+    Ack,
     ChecksumType,
+    DirectiveType,
     Eof,
     FileData,
     Finished,
     Key,
     Metadata,
+    Nak,
+    Pdu,
     pack_pdu,
     parse_pdu,
 )
@@ -155,10 +159,7 @@ def test_no_name_leaves_the_directory(name: str) -> None:
     entity.handle_pdu(pack_pdu(Metadata(key=key, source="a", destination=name or "..")), 0)
     entity.handle_pdu(pack_pdu(Eof(key=key, size=0, checksum=bytes(4))), 0)
     assert entity.next_event() is None
-    told = []
-    while (octets := entity.poll_transmit(0)) is not None:
-        told.append(parse_pdu(octets))
-    (finished,) = [pdu for pdu in told if isinstance(pdu, Finished)]
+    (finished,) = [pdu for pdu in told(entity, 0) if isinstance(pdu, Finished)]
     assert finished.condition != 0
 
 
@@ -188,6 +189,52 @@ def test_a_peer_cannot_take_more_memory_than_a_file_may_have() -> None:
         entity.handle_pdu(pack_pdu(FileData(key=key, offset=0, data=b"x")), 0)
     assert entity.counts.refused > 0
     assert entity.counts.received_octets == 0
+
+
+def told(entity, now_ns: int) -> list[Pdu]:
+    """What an entity sends now."""
+    found = []
+    while (octets := entity.poll_transmit(now_ns)) is not None:
+        found.append(parse_pdu(octets))
+    return found
+
+
+def test_a_peer_gets_no_more_than_the_file_however_much_it_asks_for() -> None:
+    entity = FilePair().ground.entity
+    entity.handle_link(heard=True, waiting_octets=0, now_ns=0)
+    key = Key(1, 2, entity.put("a", "", b"abc", 0).number)
+    first = told(entity, 0)
+    entity.handle_pdu(pack_pdu(Nak(key=key, ranges=[(1, 1 << 31)], metadata=True)), NS_PER_S)
+    assert told(entity, NS_PER_S) == [first[0], FileData(key=key, offset=1, data=b"bc")]
+
+
+def test_the_end_of_a_file_is_told_again_until_the_receiver_has_finished() -> None:
+    """It may have been killed after its acknowledgement."""
+    entity = FilePair().ground.entity
+    entity.handle_link(heard=True, waiting_octets=0, now_ns=0)
+    key = Key(1, 2, entity.put("a", "", b"abc", 0).number)
+    eof = told(entity, 0)[-1]
+    entity.handle_pdu(pack_pdu(Ack(key=key, of=DirectiveType.EOF_PDU)), 0)
+    due_ns = entity.poll_timeout(0)
+    assert due_ns is not None
+    assert 3 * NS_PER_S < due_ns < 60 * NS_PER_S
+    assert told(entity, due_ns) == [eof]
+
+
+def test_who_missed_the_end_of_a_transaction_is_told_again() -> None:
+    pair = FilePair()
+    pair.ground.files["f"] = b"abc"
+    key = Key(1, 2, pair.ground.put("f").number)
+    pair.run(2)
+    assert pair.ground.entity.poll_timeout(pair.now_ns) is None
+    del pair.space.files["f"]
+    (eof,) = [one for one in map(parse_pdu, pair.sent) if isinstance(one, Eof)]
+    pair.space.entity.handle_pdu(pack_pdu(eof), pair.now_ns)
+    assert [type(pdu) for pdu in told(pair.space.entity, pair.now_ns)] == [Ack, Finished]
+    # It is no new transaction.
+    assert pair.space.entity.poll_timeout(pair.now_ns) is None
+    pair.ground.entity.handle_pdu(pack_pdu(Finished(key=key)), pair.now_ns)
+    assert [type(pdu) for pdu in told(pair.ground.entity, pair.now_ns)] == [Ack]
 
 
 def test_too_many_or_too_large_is_refused() -> None:
