@@ -15,7 +15,6 @@ from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.files.figures import FileFigures
 from pipelines.link.figures import SocketFigures, WayInFigures
 from pipelines.media.figures import (
     CaptureFigures,
@@ -32,6 +31,7 @@ from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.model import keys_of
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import LoopFigures, ProbeFigures, TrainerFigures
+from telepresence.files.figures import FileFigures
 from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import (
     JoystickFigures,

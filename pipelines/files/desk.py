@@ -6,10 +6,7 @@ the number of the transfer, with which `state` asks how far it is.
 
 import msgspec
 
-from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.files.figures import FileFigures
-from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
 from telepresence.files.entity import PUT, FileEntity, Transfer
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
@@ -52,7 +49,7 @@ class FileAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class FileDesk:
-    """Hands requests to the entity, and tells of its transfers."""
+    """Hands requests to the entity, and answers how its transfers are."""
 
     def __init__(self, entity: FileEntity) -> None:
         self._entity = entity
@@ -78,23 +75,6 @@ class FileDesk:
             return self._answer(entity.ask(request.file, request.first, request.second, now_ns))
         except ConfigError as error:
             return FileAnswer(ok=False, text=str(error), mistake=True)
-
-    def tell(self, probe: Probe, now_ns: int) -> None:
-        """Put the counters into the probe."""
-        counts = self._entity.report(now_ns)
-        probe.tell(
-            FileFigures(
-                file_octets_sent=counts.sent_octets,
-                file_octets_resent=counts.resent_octets,
-                file_octets_received=counts.received_octets,
-                file_octets_repeated=counts.repeated_octets,
-                file_transactions_finished=counts.finished,
-                file_transactions_failed=counts.failed,
-                file_requests_refused=counts.refused,
-                file_garbage=counts.garbage,
-                file_suspended_ms=counts.suspended_ns // NS_PER_MS,
-            )
-        )
 
     def _answer(self, transfer: Transfer) -> FileAnswer:
         return FileAnswer(

@@ -54,7 +54,7 @@ def run_files(context: Context, plan: FilesPlan, *, segment: Segment) -> None:
     lines = LineDesk(FileRequest, answer)
     udp = context.listen_media(topology.exit_port(maintenance_stream(segment.peer.transmits)))
     send = context.sender(topology.entry_port(maintenance_stream(segment.transmits)))
-    context.on_flush(lambda: desk.tell(context.probe, clock.now_ns()))
+    context.on_flush(lambda: context.probe.tell(entity.report(clock.now_ns())))
     make_session_root(context.session)
     terminals = TerminalSockets(desk_path(context.session, desk_name(segment)), most=MOST_TERMINALS)
     with context.open_bus() as bus:

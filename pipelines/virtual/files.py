@@ -3,7 +3,7 @@
 from functools import partial
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.files.desk import ENTITIES, RATES_BPS, FileDesk
+from pipelines.files.desk import ENTITIES, RATES_BPS
 from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import FILES, maintenance_stream
@@ -38,16 +38,15 @@ class SimulatedFiles:
             )
             for segment in Segment
         }
-        self._desks = {segment: FileDesk(entity) for segment, entity in self.entities.items()}
         self.consumers: dict[str, Consumer] = {
             maintenance_stream(segment.peer.transmits): self.entities[segment].handle_pdu
             for segment in Segment
         }
         self._timers = {one: Timer(scene.agenda, partial(self._work, one)) for one in Segment}
         scene.agenda.at(scene.start_ns, self._look)
-        for segment, desk in self._desks.items():
+        for segment, entity in self.entities.items():
             probe = scene.telling.probe(FILES[segment])
-            scene.telling.add(partial(self._tell, desk, probe))
+            scene.telling.add(partial(self._tell, entity, probe))
         self._now_ns = scene.start_ns
 
     def put(self, segment: Segment, name: str, now_ns: int) -> Transfer:
@@ -55,8 +54,8 @@ class SimulatedFiles:
         octets = self.directories[segment][name]
         return self.entities[segment].put(name, "", octets, now_ns)
 
-    def _tell(self, desk: FileDesk, probe: Probe) -> None:
-        desk.tell(probe, self._now_ns)
+    def _tell(self, entity: FileEntity, probe: Probe) -> None:
+        probe.tell(entity.report(self._now_ns))
 
     def _look(self, now_ns: int) -> None:
         self._now_ns = now_ns

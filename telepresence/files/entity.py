@@ -5,12 +5,13 @@ suspends every transaction, and afterwards it goes on where it was (CCSDS 727.0-
 """
 
 from collections import OrderedDict, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
+from telepresence.files.figures import FileFigures
 from telepresence.files.names import fenced
 from telepresence.files.pdus import (
     GET,
@@ -86,21 +87,6 @@ class Transfer:
     heard_ns: int = 0
 
 
-@dataclass(slots=True, kw_only=True)
-class Counts:
-    """What an end counts, in octets of files and in transactions."""
-
-    sent_octets: int = 0
-    resent_octets: int = 0
-    received_octets: int = 0
-    repeated_octets: int = 0
-    finished: int = 0
-    failed: int = 0
-    refused: int = 0
-    garbage: int = 0
-    suspended_ns: int = 0
-
-
 class FileEntity:
     """A CFDP entity. Call `put` and `ask` for a user; hand over PDUs and the state of the link.
 
@@ -144,7 +130,7 @@ class FileEntity:
         self._expected: dict[Key, Transfer] = {}
         self._answers: deque[Pdu] = deque()
         self._jobs: deque[DirectoryJob] = deque()
-        self.counts = Counts()
+        self.counts = FileFigures()
         self._heard, self._room = False, True
         #: The time in contact at the last change, and when that was.
         self._contact_ns, self._changed_ns = 0, now_ns
@@ -192,7 +178,7 @@ class FileEntity:
         try:
             pdu = parse_pdu(octets)
         except ProtocolError:
-            self.counts.garbage += 1
+            self.counts.file_garbage += 1
             return
         key, at_ns = pdu.key, self._time(now_ns)
         if (key.source, key.destination) == (self._entity, self._peer):
@@ -200,7 +186,7 @@ class FileEntity:
         elif (key.source, key.destination) == (self._peer, self._entity):
             self._received(pdu, at_ns)
         else:
-            self.counts.garbage += 1
+            self.counts.file_garbage += 1
 
     def handle_link(self, *, heard: bool, waiting_octets: int, now_ns: int) -> None:
         """Whether the other end is heard, and what waits in the link on the maintenance level."""
@@ -209,7 +195,7 @@ class FileEntity:
             return
         self._contact_ns = self._time(now_ns)
         if not self._heard and self.open:
-            self.counts.suspended_ns += now_ns - self._changed_ns
+            self.counts.file_suspended_ns += now_ns - self._changed_ns
         self._changed_ns = now_ns
         self._heard, self._room = heard, room
 
@@ -222,7 +208,7 @@ class FileEntity:
             return
         if job.kind in (GET, LIST) and not refusal:
             refusal = self._send_back(job, octets, at_ns)
-        self.counts.refused += bool(refusal)
+        self.counts.file_requests_refused += bool(refusal)
         receiver.handle_stored(refusal, at_ns)
         self._tell_origin(receiver)
 
@@ -262,12 +248,12 @@ class FileEntity:
         """Return the next job, or None."""
         return self._jobs.popleft() if self._jobs else None
 
-    def report(self, now_ns: int) -> Counts:
+    def report(self, now_ns: int) -> FileFigures:
         """What was counted so far."""
         if not self._heard and self.open:
-            self.counts.suspended_ns += now_ns - self._changed_ns
+            self.counts.file_suspended_ns += now_ns - self._changed_ns
             self._changed_ns = now_ns
-        return self.counts
+        return replace(self.counts)
 
     def state_of(self, transfer: Transfer) -> str:
         """How it is with a transfer, with the link as it is now."""
@@ -333,13 +319,13 @@ class FileEntity:
                 return
             if len(self._receivers) >= MOST_RECEIVING:
                 # Without an answer it is sent again, when one of the others may have ended.
-                self.counts.refused += 1
+                self.counts.file_requests_refused += 1
                 return
             receiver = self._receivers[key] = FileReceiver(key, self._pace, at_ns)
         before = receiver.received_octets, receiver.repeated_octets, receiver.whole
         receiver.handle_pdu(pdu, at_ns)
-        self.counts.received_octets += receiver.received_octets - before[0]
-        self.counts.repeated_octets += receiver.repeated_octets - before[1]
+        self.counts.file_octets_received += receiver.received_octets - before[0]
+        self.counts.file_octets_repeated += receiver.repeated_octets - before[1]
         metadata = receiver.metadata
         transfer = None
         if metadata is not None and metadata.origin is not None:
@@ -376,7 +362,7 @@ class FileEntity:
             else:
                 receiver.handle_stored("", at_ns)
         except ConfigError:
-            self.counts.refused += 1
+            self.counts.file_requests_refused += 1
             receiver.handle_stored("the name is not allowed", at_ns)
             self._tell_origin(receiver)
 
@@ -427,7 +413,7 @@ class FileEntity:
         if len(self._answers) < _MOST_ANSWERS:
             self._answers.append(pdu)
         else:
-            self.counts.refused += 1
+            self.counts.file_requests_refused += 1
 
     def _poll(self, at_ns: int) -> Pdu | None:
         """Ask all in turn; receivers first, because their PDUs are short."""
@@ -440,8 +426,8 @@ class FileEntity:
         for key, sender in list(self._senders.items()):
             before = sender.sent_octets, sender.resent_octets
             pdu = sender.poll_transmit(at_ns)
-            self.counts.sent_octets += sender.sent_octets - before[0]
-            self.counts.resent_octets += sender.resent_octets - before[1]
+            self.counts.file_octets_sent += sender.sent_octets - before[0]
+            self.counts.file_octets_resent += sender.resent_octets - before[1]
             transfer = self.transfers.get(key.number)
             if transfer is not None and transfer.kind == PUT:
                 transfer.state, transfer.octets = RUNNING, sender.sent_octets
@@ -486,8 +472,8 @@ class FileEntity:
         self._end(transfer, reason)
 
     def _count(self, *, good: bool) -> None:
-        self.counts.finished += good
-        self.counts.failed += not good
+        self.counts.file_transactions_finished += good
+        self.counts.file_transactions_failed += not good
 
 
 def _reason(finished: Finished) -> str:

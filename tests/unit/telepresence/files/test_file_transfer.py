@@ -46,7 +46,7 @@ def test_a_file_goes_each_way_and_several_at_once() -> None:
     assert [pair.space.files[f"up{number}"] for number in range(3)] == [
         OCTETS[number:] for number in range(3)
     ]
-    assert pair.ground.entity.counts.resent_octets == 0
+    assert pair.ground.entity.counts.file_octets_resent == 0
 
 
 def test_a_loss_of_signal_suspends_and_the_next_contact_goes_on_to_the_octet() -> None:
@@ -68,8 +68,8 @@ def test_a_loss_of_signal_suspends_and_the_next_contact_goes_on_to_the_octet() -
     assert pair.space.files["f"] == OCTETS
     counts = pair.ground.entity.report(pair.now_ns)
     # Only what was on its way is sent again.
-    assert counts.resent_octets < 2_000
-    assert counts.suspended_ns == pytest.approx(301 * NS_PER_S, abs=NS_PER_S)
+    assert counts.file_octets_resent < 2_000
+    assert counts.file_suspended_ns == pytest.approx(301 * NS_PER_S, abs=NS_PER_S)
 
 
 def test_nothing_is_sent_while_the_link_has_no_room() -> None:
@@ -129,7 +129,7 @@ def test_a_killed_receiver_gets_the_file_again_and_a_killed_sender_leaves_nothin
     pair.ground.restart(pair.now_ns)
     pair.run(200)
     assert "g" not in pair.space.files
-    assert pair.space.entity.counts.failed == 1
+    assert pair.space.entity.counts.file_transactions_failed == 1
     assert pair.space.entity.poll_timeout(pair.now_ns) is None
 
 
@@ -187,8 +187,8 @@ def test_a_peer_cannot_take_more_memory_than_a_file_may_have() -> None:
         key = Key(2, 1, number)
         entity.handle_pdu(pack_pdu(FileData(key=key, offset=MAX_FILE_OCTETS, data=b"x")), 0)
         entity.handle_pdu(pack_pdu(FileData(key=key, offset=0, data=b"x")), 0)
-    assert entity.counts.refused > 0
-    assert entity.counts.received_octets == 0
+    assert entity.counts.file_requests_refused > 0
+    assert entity.counts.file_octets_received == 0
 
 
 def told(entity, now_ns: int) -> list[Pdu]:

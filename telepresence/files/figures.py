@@ -1,9 +1,9 @@
-"""What the process that carries files counts."""
+"""What an end of the file transfer counts."""
 
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class FileFigures:
     """Files to and from the other end."""
 
@@ -19,9 +19,9 @@ class FileFigures:
     file_transactions_finished: int = 0
     #: Transactions that failed, of both ends.
     file_transactions_failed: int = 0
-    #: What this end refused: names, directories, too many at once.
+    #: What this end refused: names, jobs of its directory, too many at once.
     file_requests_refused: int = 0
     #: Datagrams that are no PDUs.
     file_garbage: int = 0
     #: How long transactions waited for contact.
-    file_suspended_ms: int = 0
+    file_suspended_ns: int = 0
