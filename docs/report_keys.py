@@ -31,6 +31,7 @@ from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.model import keys_of
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import LoopFigures, ProbeFigures, TrainerFigures
+from telepresence.files.figures import FileFigures
 from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import (
     JoystickFigures,
@@ -74,6 +75,7 @@ TOLD: tuple[type, ...] = (
     TmtcFigures,
     PacketsFigures,
     FrameFigures,
+    FileFigures,
     TaskFigures,
     ComponentFigures,
     TrainerFigures,

@@ -68,6 +68,7 @@ _COMMANDS = {
     "select": "switch the camera of a running session",
     "tc": "send a telecommand, and print its verification",
     "maintain": "run a sequence of commands, each of which is confirmed",
+    "file": "put, get, list, rename and remove files at the other end of a running session",
     "yamcs": "write an instance of YAMCS that reads a session's telemetry and commands it",
     "task": "list, select, start and abort tasks of a running session",
     "stop": "emergency stop of the robot, or its release",

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from pipelines.files.rows import process_rows as files_room
 from pipelines.foxglove.rows import process_rows as foxglove_rows
 from pipelines.hand.rows import process_rows as hand
 from pipelines.link.rows import process_rows as link
@@ -33,6 +34,7 @@ ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
     foxglove_rows,
     packets,
     ros2_room,
+    files_room,
 )
 
 
@@ -52,6 +54,7 @@ def topology_of(
     packets: bool = False,
     frames: bool = False,
     ros2: bool = False,
+    files: bool = False,
     components: tuple[Component, ...] = (),
     segments: tuple[Segment, ...] = tuple(Segment),
 ) -> Topology:
@@ -73,6 +76,7 @@ def topology_of(
         packets=packets,
         frames=frames,
         ros2=ros2,
+        files=files,
         components=components,
     )
     both = SessionOptions(pages=True, tasks=True, components=components)

@@ -17,6 +17,7 @@ from pipelines.commands.end_options import (
     inputs_here,
     path_line,
 )
+from pipelines.commands.files_options import add_files_arguments, files_arguments
 from pipelines.commands.live_session import (
     add_live_arguments,
     end_session,
@@ -146,6 +147,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rtc_arguments(parser)
     add_outlet_arguments(parser)
     add_packets_arguments(parser)
+    add_files_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -167,6 +169,7 @@ def run(args: argparse.Namespace) -> int:
     say_unprotected(args.joystick, args.robot)
     ros2 = ros2_arguments(args)
     frames = parse_frames(args.frames)
+    files = files_arguments(args, plan.segments)
     components = load_components(args.telemetry, built_in_dictionary())
     tasks = task_wish(args, setup, plan.segments)
     snapshots = made_directory(args.snapshots)
@@ -192,6 +195,7 @@ def run(args: argparse.Namespace) -> int:
         packets=args.packets is not None,
         frames=args.frames is not None,
         ros2=bool(ros2),
+        files=bool(files),
         components=components,
         segments=plan.segments,
     )
@@ -237,6 +241,7 @@ def run(args: argparse.Namespace) -> int:
                 PACKETS: {"plan": packets},
                 FRAMES: {"address": frames},
                 **ros2,
+                **files,
             },
             clock=clock,
             listener=collector,

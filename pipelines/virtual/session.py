@@ -33,6 +33,7 @@ from pipelines.session.setup.table import STEREO, Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
 from pipelines.virtual.agenda import FAR_NS, Agenda, Telling, Timer
+from pipelines.virtual.files import SimulatedFiles
 from pipelines.virtual.media import Consumer, Media
 from pipelines.virtual.mission import SimulatedMission, SimulatedTmtc
 from pipelines.virtual.workers import Scene, Workers
@@ -79,6 +80,7 @@ class Simulation:
     0 of the radio. plan: what an experimenter selects, and the tasks for a simulated cosmonaut.
     robot: None: the simulated one. joystick: in operation, with its states, faults and functions;
     None: one that is always in the application. A user's must move by `advance` alone.
+    files: with `files`, the transfer of files.
 
     tmtc: telecommands and telemetry of both segments after PUS; ask it, and subscribe to its news.
     """
@@ -100,6 +102,7 @@ class Simulation:
         plan: tuple[SessionPlan, Catalogue] | None = None,
         robot: Robot | None = None,
         joystick: JoystickDevice | None = None,
+        files: bool = False,
     ) -> None:
         slot_ns = setup.uplink.slot_ns
         if not slot_ns == setup.downlink.slot_ns == CYCLE_NS:
@@ -108,7 +111,7 @@ class Simulation:
                 f"{slot_ns} and {setup.downlink.slot_ns}"
             )
         self.setup = setup
-        self.topology = topology_of(setup)
+        self.topology = topology_of(setup, files=files)
         self.collector = Collector(self.topology)
         self._seed = seed
         self._cosmonaut: Cosmonaut | None = None
@@ -185,6 +188,9 @@ class Simulation:
             TELECOMMAND: self._take_telecommand,
             TELEMETRY: self._take_telemetry,
         }
+        self.files = SimulatedFiles(scene) if files else None
+        if self.files is not None:
+            self._consumers.update(self.files.consumers)
         self._work_choice(start_ns)
         agenda.at(start_ns + FLUSH_NS, self._flush)
         self.mission = None if plan is None else self._make_mission(*plan)

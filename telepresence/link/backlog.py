@@ -1,4 +1,4 @@
-"""What a gateway reports to the sender of video: waiting octets, contact, free capacity."""
+"""What a gateway reports to senders of video and files: waiting octets, contact, free capacity."""
 
 import struct
 from typing import NamedTuple
@@ -12,23 +12,25 @@ REPORT_NS = 4 * NS_PER_MS
 #: `Backlog.freed_bps` is rounded down to a multiple of this, so that not every slot is a change.
 FREED_STEP_BPS = 1_000
 
-_LAYOUT = struct.Struct("=qq?q")
+_LAYOUT = struct.Struct("=qq?qq")
 BACKLOG_OCTETS = _LAYOUT.size
 
 
 class Backlog(NamedTuple):
-    """The state of a gateway's way out, for the sender of video.
+    """The state of a gateway's way out, for the senders of video and of files.
 
     waiting_octets: video that waits for a slot, and what is left of packets that are being sent.
     contacts: how often the peer was found, or found again (`Gateway.contacts`).
     peer_heard: whether the peer is heard now.
     freed_bps: capacity left by slots without a haptic sample (`Gateway.freed_bps`).
+    maintenance_octets: what waits on the lowest level.
     """
 
     waiting_octets: int
     contacts: int
     peer_heard: bool
     freed_bps: int
+    maintenance_octets: int = 0
 
     def pack(self) -> bytes:
         """`BACKLOG_OCTETS` octets for another process of the same machine."""
@@ -47,7 +49,8 @@ class BacklogReporter:
         self._gateway = gateway
         self._supervisor = gateway.supervisor
         self._video = gateway.sender.queue(Level.VIDEO)
-        self._seen: tuple[int, int, bool, int] | None = None
+        self._maintenance = gateway.sender.queue(Level.MAINTENANCE)
+        self._seen: tuple[int, int, bool, int, int] | None = None
         self._reported: Backlog | None = None
         self._due_ns = 0
 
@@ -57,12 +60,14 @@ class BacklogReporter:
             return None
         gateway = self._gateway
         waiting_octets = self._video.octets + gateway.sender.begun_octets(Level.VIDEO)
-        seen = waiting_octets, gateway.contacts, self._supervisor.signal, gateway.free_slots
+        left_octets = self._maintenance.octets
+        signal, free_slots = self._supervisor.signal, gateway.free_slots
+        seen = waiting_octets, gateway.contacts, signal, free_slots, left_octets
         if seen == self._seen:
             return None
         self._seen = seen
         freed_bps = gateway.freed_bps
-        backlog = Backlog(*seen[:3], freed_bps - freed_bps % FREED_STEP_BPS)
+        backlog = Backlog(*seen[:3], freed_bps - freed_bps % FREED_STEP_BPS, left_octets)
         if backlog == self._reported:
             return None
         self._reported = backlog

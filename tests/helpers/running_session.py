@@ -119,6 +119,8 @@ class RunningSession:
             foxglove="--foxglove" in options,
             packets="--packets" in options,
             ros2="--ros2" in options,
+            files="--files" in options,
+            trainer="--trainer" in options,
         )
         words = ["stream", "--setup", setup, *options, *([] if pages else ["--no-page"])]
         self._begin(topology.processes, words, directory)

@@ -25,7 +25,7 @@ from pipelines.session.topology.rows import (
     VideoRow,
     backlog_topic,
 )
-from pipelines.session.topology.topics import RTC_CAMERA, RTC_VOICE, STEREO_TOPIC
+from pipelines.session.topology.topics import FILES, RTC_CAMERA, RTC_VOICE, STEREO_TOPIC
 from telepresence.link.flows import (
     Flow,
     Level,
@@ -70,6 +70,11 @@ _PORTS = {
 }
 
 
+def maintenance_stream(direction: Direction) -> str:
+    """The stream of the lowest level: of files, or of the user's own programs."""
+    return f"{direction.value}_maintenance"
+
+
 def link_row(setup: Setup, direction: Direction) -> LinkRow:
     return LinkRow(
         direction=direction,
@@ -102,8 +107,8 @@ def input_rows(setup: Setup) -> Iterable[InputRow]:
             yield InputRow(name=name, process=name, stream=stream.name, kind=kind)
 
 
-def stream_rows(setup: Setup, direction: Direction) -> Iterable[StreamRow]:
-    """Return the streams of one direction, by priority."""
+def stream_rows(setup: Setup, direction: Direction, *, files: bool = False) -> Iterable[StreamRow]:
+    """Return the streams of one direction, by priority. files: the session carries files itself."""
     up = direction is Direction.UPLINK
     video, voice = (
         (setup.uplink_video, setup.uplink_voice)
@@ -144,8 +149,9 @@ def stream_rows(setup: Setup, direction: Direction) -> Iterable[StreamRow]:
         assert isinstance(against, VideoRow)
         flow = rtcp_flow(against.feedback)
         yield row(against.feedback, Kind.FEEDBACK, flow, against.receiver, against.sender)
-    name = f"{direction.value}_maintenance"
-    yield row(name, Kind.MAINTENANCE, packet_flow(name, Level.MAINTENANCE))
+    name = maintenance_stream(direction)
+    ends = (FILES[direction.sender], FILES[direction.receiver]) if files else (None, None)
+    yield row(name, Kind.MAINTENANCE, packet_flow(name, Level.MAINTENANCE), *ends)
 
 
 def _haptic(setup: Setup, direction: Direction) -> HapticRow:

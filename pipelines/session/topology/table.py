@@ -47,6 +47,7 @@ class SessionOptions:
     packets: with the process that another ground system talks to.
     frames: with the process that gives it copies of frames.
     ros2: with the process that is a node of a ROS 2 system.
+    files: with the processes that carry files between two directories.
     components: of users, in the telemetry.
     """
 
@@ -63,6 +64,7 @@ class SessionOptions:
     packets: bool = False
     frames: bool = False
     ros2: bool = False
+    files: bool = False
     components: tuple[Component, ...] = ()
 
 
@@ -86,7 +88,8 @@ class Topology:
     @cached_property
     def streams(self) -> tuple[StreamRow, ...]:
         """The streams of the radio link, by direction, and within one by priority."""
-        return tuple(row for way in Direction for row in stream_rows(self.setup, way))
+        files = self.options.files
+        return tuple(row for way in Direction for row in stream_rows(self.setup, way, files=files))
 
     @cached_property
     def links(self) -> tuple[LinkRow, ...]:

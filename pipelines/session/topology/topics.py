@@ -26,6 +26,8 @@ PACKETS = "packets"
 FRAMES = "frames"
 #: The process that is a node of a ROS 2 system.
 ROS2 = "ros2"
+#: By segment: the process that carries files.
+FILES = {segment: f"files_{segment.value}" for segment in Segment}
 #: By segment: the process that serves its browser pages.
 PAGES = {segment: f"page_{segment.value}" for segment in Segment}
 #: The process that has the connections to partners, and the one that shows the partner.

@@ -1,0 +1,86 @@
+"""`kontur-av file`: put, get, list, rename and remove files at the other end of a session."""
+
+import argparse
+import sys
+import time
+
+from kontur_av.errors import ConfigError
+from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.files.desk import STATE, FileAnswer, FileRequest, desk_name
+from pipelines.session.asking import ask_desk, running_sessions
+from pipelines.session.setup.segments import Segment
+from telepresence.files.entity import DONE, FAILED
+
+_LOOK_S, _TELL_S = 0.2, 2.0
+_MISSING = "no session here carries files: start it with kontur-av stream --files DIR"
+_HELP = {
+    "put": "send a file of this end's directory to the other end",
+    "get": "fetch a file of the other end into this end's directory",
+    "list": "list the other end's directory, or one in it",
+    "rename": "rename a file at the other end",
+    "remove": "remove a file at the other end",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    for name, text in _HELP.items():
+        action = actions.add_parser(name, help=text, description=text)
+        action.add_argument("first", metavar="NAME", nargs="?" if name == "list" else None)
+        if name in ("put", "get"):
+            action.add_argument("second", metavar="AS", nargs="?", help="default: the same name")
+        elif name == "rename":
+            action.add_argument("second", metavar="NEW")
+        action.add_argument(
+            "--from",
+            dest="origin",
+            choices=[segment.value for segment in Segment],
+            help="the end that asks (default: the ground, if it runs here)",
+        )
+        add_session_argument(action)
+    parser.description = (
+        "Files go both ways beside the media, in the directories of `kontur-av stream --files`. A "
+        "loss of signal suspends them. Exit code 1 if a transfer fails."
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 once it is done; else 1."""
+    request = FileRequest(
+        file=args.action, first=args.first or "", second=getattr(args, "second", None) or ""
+    )
+    segments = tuple(Segment) if args.origin is None else (Segment(args.origin),)
+    for segment in sorted(segments, key=lambda one: one is not Segment.GROUND):
+        if running := running_sessions(desk_name(segment)):
+            return _follow(request, segment, acting_on(args.session, running))
+    raise ConfigError(_MISSING)
+
+
+def _follow(request: FileRequest, segment: Segment, session: str) -> int:
+    """Ask, then print how far it is until it has ended."""
+    began_s = told_s = time.monotonic()
+    state, missing = "", _MISSING
+    while True:
+        answer = ask_desk(desk_name(segment), request, FileAnswer, session, missing=missing)
+        if answer is None:
+            print("kontur-av: the session has not answered", file=sys.stderr)
+            return 1
+        if answer.mistake:
+            raise ConfigError(answer.text)
+        if not answer.ok or answer.state == FAILED:
+            print(f"kontur-av: failed: {answer.text}", file=sys.stderr)
+            return 1
+        now_s = time.monotonic()
+        if answer.state == DONE:
+            print(answer.text.rstrip() or f"done, {_progress(answer)} in {now_s - began_s:.1f} s")
+            return 0
+        if answer.state != state or now_s - told_s >= _TELL_S:
+            state, told_s = answer.state, now_s
+            print(f"{state}, {_progress(answer)}", file=sys.stderr, flush=True)
+        request = FileRequest(file=STATE, number=answer.number)
+        missing = f"session {session} has ended before the transfer"
+        time.sleep(_LOOK_S)
+
+
+def _progress(answer: FileAnswer) -> str:
+    return f"{answer.octets}{f' of {answer.size}' if answer.size >= 0 else ''} octets"

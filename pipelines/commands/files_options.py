@@ -1,0 +1,59 @@
+"""The options by which a session carries files: `--files` and `--files-rate`."""
+
+import argparse
+import os
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from kontur_av.errors import ConfigError
+from pipelines.files.desk import RATES_BPS
+from pipelines.files.process_files import FilesPlan
+from pipelines.session.topology import FILES, Segment
+
+_DEFAULT = ",".join(f"{RATES_BPS[one] / 1000:g}" for one in (Segment.GROUND, Segment.SPACE))
+
+
+def add_files_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--files",
+        type=Path,
+        metavar="DIR",
+        help="carry files: the ground's end has DIR/ground, space has DIR/space; see "
+        "`kontur-av file`",
+    )
+    parser.add_argument(
+        "--files-rate",
+        metavar="UP,DOWN",
+        help="the most that files take, in kbit/s from the ground and from space (default "
+        f"{_DEFAULT}); media always go first",
+    )
+
+
+def files_arguments(
+    args: argparse.Namespace, segments: Sequence[Segment]
+) -> Mapping[str, Mapping[str, object]]:
+    """Return by process what the options say, and make the directories; ConfigError."""
+    if args.files is None:
+        if args.files_rate is not None:
+            raise ConfigError("--files-rate is for --files: give the directory, too")
+        return {}
+    text = args.files_rate or _DEFAULT
+    rates = re.fullmatch(r"(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
+    if rates is None or not all(1 <= float(one) <= 10_000 for one in rates.groups()):
+        raise ConfigError(f"--files-rate {text}: give two rates, from 1 to 10000 kbit/s")
+    by_segment = dict(zip((Segment.GROUND, Segment.SPACE), rates.groups(), strict=True))
+    found = {}
+    for segment in segments:
+        directory = args.files / segment.value
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--files {directory}: {error.strerror or error}") from None
+        if not os.access(directory, os.W_OK | os.X_OK):
+            raise ConfigError(f"--files {directory}: cannot be written to; choose another one")
+        plan = FilesPlan(
+            directory=directory.absolute(), rate_bps=round(float(by_segment[segment]) * 1000)
+        )
+        found[FILES[segment]] = {"plan": plan}
+    return found

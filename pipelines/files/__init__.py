@@ -1,0 +1,1 @@
+"""Files between the directories of the two ends, beside the media."""
