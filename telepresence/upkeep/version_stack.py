@@ -140,7 +140,9 @@ class VersionLimits:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             if getattr(self, name) <= 0:
-                raise ConfigError(f"{name} of versions is {getattr(self, name)}: it must be above 0")
+                raise ConfigError(
+                    f"{name} of versions is {getattr(self, name)}: it must be above 0"
+                )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""No history of updates, crashes, losses and power cuts at both ends leaves them without a way back.
+"""No history of updates, crashes, losses and power cuts leaves two ends without a way back.
 
 A way back: application data passes both ways, or both ends run the elementary version, which talk.
 `KONTUR_HISTORIES=10000` draws as many random histories as the claim has.
@@ -66,7 +66,7 @@ def step(ways, ends, now_ns, tell):
 
 
 def history(seed):
-    """Half an hour of trouble, then clean contact; return what runs in the end, and whether well."""
+    """Some minutes of trouble, then clean contact; return whether the ends talk in the end."""
     random = Random(seed)
     ways = drawn_ways(random)
     ends = []
@@ -203,7 +203,9 @@ def all_states(names):
         inputs = [lambda one, word=word: one.handle_status(word, 1) for word in WORDS]
         inputs += [lambda one: one.handle_exit(1), lambda one: one.handle_time(1)]
         inputs += [lambda one: one.handle_broken(0)]
-        inputs += [lambda one, name=name: one.handle_order(name, 0) for name in (*names, ELEMENTARY)]
+        inputs += [
+            lambda one, name=name: one.handle_order(name, 0) for name in (*names, ELEMENTARY)
+        ]
         for action in inputs:
             other, stored = later(switch, action)
             meet(other)
@@ -217,7 +219,10 @@ TICKS = 80
 
 
 class Table:
-    """All states of one end as numbers. after[state, word]: the next one; runs: an index of NAMES."""
+    """All states of one end as numbers.
+
+    after[state, word]: the next one. runs[state]: an index of NAMES, or PAUSED.
+    """
 
     def __init__(self, names):
         states = all_states(names)

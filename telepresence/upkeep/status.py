@@ -1,0 +1,35 @@
+"""What a program tells to whom runs it: one small JSON file, replaced twice a second or so. A core.
+
+`{"contact": true, "passed": false, "stuck": false}`, as of `VersionStatus`. Any program can write
+it: the path stands in the environment variable `KONTUR_AV_STATUS`.
+"""
+
+import msgspec
+
+from telepresence.link.figures import SupervisionFigures
+from telepresence.link.supervision.message import LinkState
+from telepresence.upkeep.version_stack import VersionStatus
+
+VARIABLE = "KONTUR_AV_STATUS"
+_AGREED = {LinkState.APPROVE.name.lower(), LinkState.CONNECTED.name.lower()}
+
+
+def status_of(figures: SupervisionFigures) -> VersionStatus:
+    """Return what a gateway tells. Ends that agree on flows and frames pass their data."""
+    return VersionStatus(
+        contact=figures.signal,
+        passed=figures.state == LinkState.CONNECTED.name.lower(),
+        stuck=figures.signal and figures.state not in _AGREED,
+    )
+
+
+def pack_status(status: VersionStatus) -> bytes:
+    return msgspec.json.encode(status) + b"\n"
+
+
+def parse_status(octets: bytes) -> VersionStatus | None:
+    """Return what a program has told; None if that is none."""
+    try:
+        return msgspec.json.decode(octets, type=VersionStatus)
+    except msgspec.MsgspecError:
+        return None

@@ -1,0 +1,170 @@
+"""Real programs from a directory of versions, and from AppLoader's storages."""
+
+import ftplib
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+
+from pipelines.link.key_files import make_key
+from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.ftp_server import serve_ftp
+from telepresence.upkeep.sfv import fault_of
+
+pytestmark = pytest.mark.realtime
+
+#: A program that tells what it is given, ten times a second, and where it runs.
+PROGRAM = """#!/bin/sh
+echo {name} >> "$TRACE"
+trap 'exit 0' TERM
+while :; do
+    echo '{status}' > "$KONTUR_AV_STATUS.new" && mv "$KONTUR_AV_STATUS.new" "$KONTUR_AV_STATUS"
+    sleep 0.1
+done
+"""
+WORKS = '{"contact": true, "passed": true, "stuck": false}'
+REFUSED = '{"contact": true, "passed": false, "stuck": true}'
+
+
+@pytest.fixture
+def trace(tmp_path, monkeypatch):
+    """trace(): the names of the programs that have started, in order."""
+    path = tmp_path / "trace"
+    path.touch()
+    monkeypatch.setenv("TRACE", str(path))
+    return lambda: path.read_text().split()
+
+
+def make(folder, name, status=WORKS, text=PROGRAM):
+    place = folder / name
+    place.mkdir(parents=True)
+    (place / "run").write_text(text.format(name=name, status=status))
+    (place / "run").chmod(0o755)
+    return place
+
+
+def command(*words):
+    done = subprocess.run(
+        [sys.executable, "-m", "pipelines.cli", *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@contextmanager
+def running(*words):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pipelines.cli", *map(str, words)], stdout=subprocess.DEVNULL
+    )
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(60)
+
+
+def until(check):
+    end_s = time.monotonic() + 60
+    while not check():
+        assert time.monotonic() < end_s
+        time.sleep(0.1)
+
+
+def test_versions_that_fail_are_replaced_by_the_last_that_worked(tmp_path, trace):
+    key, top = tmp_path / "key.pem", tmp_path / "versions"
+    make_key(key)
+    folders = [
+        make(tmp_path, "elementary"),
+        make(tmp_path, "v1"),
+        make(tmp_path, "deaf", REFUSED),
+        make(tmp_path, "broken", text="#!/bin/sh\necho {name} >> $TRACE\nexit 1\n"),
+    ]
+    for folder in folders:
+        command("versions", "sign", folder, "--key", key)
+        command("versions", "add", top, folder, "--key", key)
+
+    def states():
+        lines = command("versions", "list", top).splitlines()
+        return {line.split()[0]: " ".join(line.split()[1:]) for line in lines}
+
+    with running("versions", "run", top, "--key", key, "--probation", 1):
+        until(lambda: trace() == ["elementary"])
+        command("versions", "start", top, "v1")
+        until(lambda: states()["v1"] == "executable runs")
+        command("versions", "start", top, "deaf")
+        until(lambda: states()["v1"] == "executable runs")
+        assert states()["deaf"] == "defective set aside" or states()["deaf"] == "defective"
+        command("versions", "start", top, "broken")
+        until(lambda: states()["v1"] == "executable runs")
+        assert states()["broken"].startswith("defective")
+    assert trace() == ["elementary", "v1", "deaf", "v1", "broken", "broken", "broken", "v1"]
+    # After a restart the one that worked starts again; one that is damaged does not.
+    (top / "v1" / "run").write_text("#!/bin/sh\n")
+    with running("versions", "run", top, "--key", key):
+        until(lambda: trace()[-1] == "elementary")
+    assert states()["v1"] == "defective set aside"
+
+
+def test_a_broken_update_of_the_joystick_falls_back_and_a_good_one_is_copied(tmp_path, trace):
+    top = tmp_path / "storages"
+    first = make(tmp_path, "first")
+    for copy in ("sd/1", "sd/2", "flash"):
+        command("apploader", "fill", top, copy, first)
+    broken = make(tmp_path, "broken", text="#!/bin/sh\necho {name} >> $TRACE\nexit 1\n")
+    command("apploader", "update", top, broken)
+
+    def told():
+        return json.loads((top / "housekeeping.json").read_text())
+
+    with running("apploader", "run", top) as loader:
+        until(lambda: trace() == ["broken", "first"])
+        until(lambda: told()["copy"] == "sd/2" and told()["step"] == "running")
+        until(lambda: told()["flash"]["files_checked"] >= 1)
+        assert list(told()["erroneous"]) == ["sd/1"]
+        assert told()["flash"]["sound"]
+        command("apploader", "shutdown", top)
+        assert loader.wait(30) == 0
+    assert "desired mode  backup" in command("apploader", "list", top)
+
+
+def test_ftp_serves_both_copies(tmp_path):
+    pytest.importorskip("pyftpdlib")
+    top = tmp_path / "storages"
+    for copy in ("ftp/1", "ftp/2"):
+        command("apploader", "fill", top, copy, make(tmp_path, copy.replace("/", "")))
+    lines, stop = [], threading.Event()
+    server = threading.Thread(
+        target=serve_ftp, args=(top / "ftp", ("127.0.0.1", 0), lines.append, stop.is_set)
+    )
+    server.start()
+    try:
+        until(lambda: lines)
+        user, _, rest = lines[0].removeprefix("ftp://").partition(":")
+        password, _, address = rest.partition("@")
+        with ftplib.FTP() as ftp:
+            ftp.connect("127.0.0.1", int(address.strip("/").rpartition(":")[2]), 10)
+            ftp.login(user, password)
+            assert sorted(ftp.nlst()) == ["1", "2"]
+            got = []
+            ftp.retrbinary("RETR 1/run", got.append)
+            assert b"".join(got) == (top / "ftp" / "1" / "run").read_bytes()
+            with (tmp_path / "ftp2" / "run").open("rb") as file:
+                ftp.storbinary("STOR 2/run", file)
+            with (tmp_path / "ftp2" / "run").open("rb") as file:
+                ftp.storbinary("STOR 1/run", file)
+            ftp.quit()
+    finally:
+        stop.set()
+        server.join(30)
+    store = DiskStore(top)
+    assert fault_of(store, "ftp/2") is None
+    # An upload without its list of checksums leaves a copy that is not used.
+    assert fault_of(store, "ftp/1") == "its file run is damaged"
