@@ -11,7 +11,6 @@ from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.program import Program
 from telepresence.link.protection.identity import MachineIdentity
 from telepresence.upkeep.file_store import read_folder
-from telepresence.upkeep.manifest import MANIFEST
 from telepresence.upkeep.stack_directory import VersionDirectory
 from telepresence.upkeep.status import parse_status
 from telepresence.upkeep.version_stack import (
@@ -51,7 +50,7 @@ class VersionKeeper:
         """Take over a signed version. The elementary one comes first, and stays for ever."""
         files = read_folder(DiskStore(folder), "")
         if name == ELEMENTARY:
-            if f"{ELEMENTARY}/{MANIFEST}" in self.store.files(""):
+            if self.versions.has_elementary():
                 raise ConfigError("the elementary version is never replaced")
             self.versions.add(name, files)
             return

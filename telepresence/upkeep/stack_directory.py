@@ -79,6 +79,9 @@ class VersionDirectory:
             self._store.write(f"{unfinished}/{path}", file.octets, executable=file.executable)
         self._store.rename(unfinished, name)
 
+    def has_elementary(self) -> bool:
+        return f"{ELEMENTARY}/{MANIFEST}" in self._store.files("")
+
     def forget(self, name: str) -> None:
         """Remove the files of a version that no record has any more."""
         for path in self._store.files(name):

@@ -8,7 +8,6 @@ down to a pair that can.
 """
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -332,8 +331,3 @@ class VersionSwitch:
         if record != self.record:
             self.record = record
             self._events.append(StoreRecord(record))
-
-
-def names(record: StackRecord) -> Sequence[str]:
-    """All versions, the elementary one last."""
-    return [*dict(record.versions), ELEMENTARY]

@@ -251,12 +251,15 @@ def words(ways, end):
 def without_a_way_back(table, ways):
     """How many pairs of any states do not talk after enough clean contact."""
     size = len(table.runs)
-    first, second = (each.ravel() for each in np.indices((size, size), np.int32))
+    pairs = np.arange(size * size)
     told = [words(ways, end) for end in (0, 1)]
     for _ in range(TICKS):
+        first, second = np.divmod(pairs, size)
         mine, theirs = table.runs[first], table.runs[second]
-        first = table.after[first, told[0][mine, theirs]]
-        second = table.after[second, told[1][theirs, mine]]
+        after = table.after[first, told[0][mine, theirs]].astype(np.int64) * size
+        # What comes to the same goes on as one.
+        pairs = np.unique(after + table.after[second, told[1][theirs, mine]])
+    first, second = np.divmod(pairs, size)
     talk = np.zeros((PAUSED + 1, PAUSED + 1), bool)
     for one, other in product(range(PAUSED), range(PAUSED)):
         talk[one, other] = ways.works(NAMES[one], NAMES[other])
