@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 "--key",
                 type=Path,
                 metavar="FILE",
-                help="this machine's key; versions are signed by it or by those it trusts",
+                help="the private key; default: kontur-av/key.pem in the configuration directory",
             )
 
 

@@ -47,7 +47,7 @@ class Copy(Enum):
     FLASH = "flash"
 
 
-class Step(Enum):
+class LoaderStep(Enum):
     """What AppLoader waits for."""
 
     MODE = "desired mode"
@@ -142,7 +142,7 @@ class AppLoader:
 
     def __init__(self, device: BootDevice, now_ns: int) -> None:
         self.device = device
-        self.step = Step.MODE
+        self.step = LoaderStep.MODE
         self.copy: Copy | None = None
         self.desired = Mode.PRIME
         self.erroneous: dict[Copy, str] = {}
@@ -165,18 +165,18 @@ class AppLoader:
 
     def handle_mode(self, mode: Mode | None, now_ns: int) -> None:
         """The desired mode; None if the EEPROM has none that can be read."""
-        if not self._awaits(Step.MODE, now_ns):
+        if not self._awaits(LoaderStep.MODE, now_ns):
             return
         self.desired = Mode.PRIME if mode is None else mode
         if self.device is BootDevice.SD:
             self._check(Copy.SD_1, Copy.SD_2)
         else:
-            self.step = Step.FTP
+            self.step = LoaderStep.FTP
             self._events.append(FindFtp())
 
     def handle_ftp(self, reachable: bool, now_ns: int) -> None:
         """Whether the FTP server has the folders."""
-        if not self._awaits(Step.FTP, now_ns):
+        if not self._awaits(LoaderStep.FTP, now_ns):
             return
         if reachable:
             self._check(Copy.FTP_1, Copy.FTP_2)
@@ -185,7 +185,7 @@ class AppLoader:
 
     def handle_checked(self, copy: Copy, fault: str | None, now_ns: int) -> None:
         """A copy was verified. fault: what is wrong with it, None if nothing is."""
-        if copy not in self._unchecked or not self._awaits(Step.CHECK, now_ns):
+        if copy not in self._unchecked or not self._awaits(LoaderStep.CHECK, now_ns):
             return
         self._unchecked.remove(copy)
         if fault is not None:
@@ -195,55 +195,60 @@ class AppLoader:
 
     def handle_stored(self, now_ns: int) -> None:
         """The desired mode is in the EEPROM, or cannot be: the application starts in any case."""
-        if not self._awaits(Step.STORE, now_ns):
+        if not self._awaits(LoaderStep.STORE, now_ns):
             return
         if self._ends:
-            self.step = Step.OFF
+            self.step = LoaderStep.OFF
             self._events.append(PowerOffReady())
             return
         assert self.copy is not None
-        self.step, self._due_ns = Step.START, now_ns + START_NS
+        self.step, self._due_ns = LoaderStep.START, now_ns + START_NS
         self._events.append(StartApplication(self.copy))
 
     def handle_started(self, now_ns: int) -> None:
         """The application says that it has started."""
-        if self._awaits(Step.START, now_ns):
-            self.step, self._due_ns = Step.RUN, now_ns + WORKED_NS
+        if self._awaits(LoaderStep.START, now_ns):
+            self.step, self._due_ns = LoaderStep.RUN, now_ns + WORKED_NS
             self._pause_ns = PAUSE_NS
 
     def handle_malfunction(self, why: str, now_ns: int) -> None:
         """The application, or a driver, has failed."""
-        if self.step not in (Step.START, Step.RUN):
+        if self.step not in (LoaderStep.START, LoaderStep.RUN):
             return
         assert self.copy is not None
         self._now_ns, self._due_ns = now_ns, None
         self.erroneous[self.copy] = why
-        self.step = Step.STOP
+        self.step = LoaderStep.STOP
         self._events.append(StopApplication())
 
     def handle_shutdown(self, now_ns: int) -> None:
         """The user has ended the application in good order; power will go."""
         self._now_ns = now_ns
-        if self.step in (Step.START, Step.RUN):
-            self.step, self._due_ns = Step.SHUTDOWN, None
+        if self.step in (LoaderStep.START, LoaderStep.RUN):
+            self.step, self._due_ns = LoaderStep.SHUTDOWN, None
             self._events.append(StopApplication())
-        elif self.step not in (Step.STOP, Step.SHUTDOWN, Step.OFF, Step.REBOOT):
+        elif self.step not in (
+            LoaderStep.STOP,
+            LoaderStep.SHUTDOWN,
+            LoaderStep.OFF,
+            LoaderStep.REBOOT,
+        ):
             # Nothing runs yet, so the stored mode stays.
             self._events.clear()
-            self.step, self._due_ns = Step.OFF, None
+            self.step, self._due_ns = LoaderStep.OFF, None
             self._events.append(PowerOffReady())
         self._ends = True
 
     def handle_stopped(self, now_ns: int) -> None:
         """Application and drivers have ended."""
-        if self.step is Step.SHUTDOWN:
+        if self.step is LoaderStep.SHUTDOWN:
             assert self.copy is not None
             self._store(self._copies[self.copy])
-        elif self.step is Step.STOP and self._ends:
+        elif self.step is LoaderStep.STOP and self._ends:
             # This copy has failed: the mode stays that of the other one.
-            self.step = Step.OFF
+            self.step = LoaderStep.OFF
             self._events.append(PowerOffReady())
-        elif self.step is Step.STOP:
+        elif self.step is LoaderStep.STOP:
             self._now_ns = now_ns
             self._select()
 
@@ -251,24 +256,24 @@ class AppLoader:
         """An application that has not started in time has failed; a pause is over."""
         if self._due_ns is None or now_ns < self._due_ns:
             return
-        if self.step is Step.PAUSE:
+        if self.step is LoaderStep.PAUSE:
             self._now_ns, self._due_ns = now_ns, None
             self._use(Copy.FLASH)
-        elif self.step is Step.RUN:
+        elif self.step is LoaderStep.RUN:
             assert self.copy is not None
             self._due_ns = None
             self._events.append(NoteWorked(self.copy))
-        elif self.step is Step.START:
+        elif self.step is LoaderStep.START:
             self.handle_malfunction("it did not start in time", now_ns)
 
-    def _awaits(self, step: Step, now_ns: int) -> bool:
+    def _awaits(self, step: LoaderStep, now_ns: int) -> bool:
         self._now_ns = now_ns
         return self.step is step
 
     def _check(self, prime: Copy, backup: Copy) -> None:
         self._copies = {prime: Mode.PRIME, backup: Mode.BACKUP}
         self._unchecked = [prime, backup]
-        self.step = Step.CHECK
+        self.step = LoaderStep.CHECK
         self._events.extend(CheckCopy(copy) for copy in self._unchecked)
 
     def _select(self) -> None:
@@ -279,11 +284,11 @@ class AppLoader:
         elif valid:
             self._use(valid[0])
         elif self.device is BootDevice.SD:
-            self.step, self.copy = Step.REBOOT, None
+            self.step, self.copy = LoaderStep.REBOOT, None
             self._events.append(RebootFromFlash())
         elif Copy.FLASH in self._copies:
             # Nothing comes after the last copy, so it is tried again, less and less often.
-            self.step, self._due_ns = Step.PAUSE, self._now_ns + self._pause_ns
+            self.step, self._due_ns = LoaderStep.PAUSE, self._now_ns + self._pause_ns
             self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
         else:
             self._use_flash()
@@ -300,5 +305,5 @@ class AppLoader:
         self._store(mode if alone else mode.other)
 
     def _store(self, mode: Mode) -> None:
-        self.desired, self.step = mode, Step.STORE
+        self.desired, self.step = mode, LoaderStep.STORE
         self._events.append(StoreMode(mode))

@@ -19,7 +19,7 @@ from telepresence.upkeep.app_loader import (
     PowerOffReady,
     RebootFromFlash,
     StartApplication,
-    Step,
+    LoaderStep,
     StopApplication,
     StoreMode,
 )
@@ -143,7 +143,7 @@ def test_a_copy_that_never_says_that_it_started_fails():
     loader.handle_stored(0)
     assert loader.poll_timeout() == START_NS
     loader.handle_time(START_NS)
-    assert loader.step is Step.STOP and loader.erroneous[Copy.SD_1]
+    assert loader.step is LoaderStep.STOP and loader.erroneous[Copy.SD_1]
 
 
 def test_an_orderly_shutdown_keeps_the_copy_that_ran():
