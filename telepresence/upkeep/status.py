@@ -11,15 +11,19 @@ from telepresence.link.supervision.message import LinkState
 from telepresence.upkeep.version_stack import VersionStatus
 
 VARIABLE = "KONTUR_AV_STATUS"
-_AGREED = {LinkState.APPROVE.name.lower(), LinkState.CONNECTED.name.lower()}
+_APPROVE, _CONNECTED, _REFUSED = (
+    state.name.lower() for state in (LinkState.APPROVE, LinkState.CONNECTED, LinkState.REFUSED)
+)
 
 
 def status_of(figures: SupervisionFigures) -> VersionStatus:
     """Return what a gateway tells. Ends that agree on flows and frames pass their data."""
+    # A peer that is refused has been heard, though its frames may not count as a signal.
+    contact = figures.signal or figures.state == _REFUSED
     return VersionStatus(
-        contact=figures.signal,
-        passed=figures.state == LinkState.CONNECTED.name.lower(),
-        stuck=figures.signal and figures.state not in _AGREED,
+        contact=contact,
+        passed=figures.state == _CONNECTED,
+        stuck=contact and figures.state not in (_APPROVE, _CONNECTED),
     )
 
 

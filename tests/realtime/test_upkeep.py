@@ -10,6 +10,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
+from running_link import RunningLink, free_base_port, listening
 
 from pipelines.link.key_files import make_key
 from pipelines.upkeep.disk_store import DiskStore
@@ -111,6 +112,61 @@ def test_versions_that_fail_are_replaced_by_the_last_that_worked(tmp_path, trace
     with running("versions", "run", top, "--key", key):
         until(lambda: trace()[-1] == "elementary")
     assert states()["v1"] == "defective set aside"
+
+
+#: A gateway whose supervision says that it has another version of the link.
+GATEWAY = """#!/bin/sh
+echo {{name}} >> "$TRACE"
+exec {python} -c '
+from telepresence.link.supervision.configuration import Configuration
+Configuration.__init__.__kwdefaults__["version"] = {{status}}
+from pipelines.cli import main
+raise SystemExit(main(["link", "-q", "--setup", "spacejustin", "--insecure", *{options}]))'
+"""
+
+
+def test_a_gateway_that_the_peer_refuses_is_replaced_and_data_passes_again(tmp_path, trace):
+    key, top = tmp_path / "key.pem", tmp_path / "versions"
+    make_key(key)
+    listen = f"127.0.0.1:{free_base_port()}"
+    with RunningLink(
+        "--setup",
+        "spacejustin",
+        "--end",
+        "ground",
+        "--insecure",
+        "--listen",
+        listen,
+        directory=tmp_path,
+    ) as ground:
+        base = free_base_port()
+        options = json.dumps(["--end", "space", "--peer", listen, "--base-port", str(base)])
+        program = GATEWAY.format(python=sys.executable, options=options)
+        for name, version in (("elementary", 3), ("v1", 3), ("v2", 4)):
+            folder = make(tmp_path, name, version, program)
+            command("versions", "sign", folder, "--key", key)
+            command("versions", "add", top, folder, "--key", key)
+        command("versions", "start", top, "v1")
+        entries = [
+            ground.topology.entry_port("uplink_maintenance"),
+            base + ground.topology.entry_port("downlink_maintenance") - ground.base_port,
+        ]
+
+        def listed(line):
+            with listening(0) as anyone:
+                for port in entries:
+                    anyone.sendto(b"both ways", ("127.0.0.1", port))
+            return line in [" ".join(one.split()) for one in listing()]
+
+        def listing():
+            return command("versions", "list", top).splitlines()
+
+        with running("versions", "run", top, "--key", key, "--probation", 6):
+            until(lambda: listed("v1 executable runs"))
+            command("versions", "start", top, "v2")
+            until(lambda: listed("v2 defective"))
+            until(lambda: listed("v1 executable runs"))
+            assert trace() == ["v1", "v2", "v1"]
 
 
 def test_a_broken_update_of_the_joystick_falls_back_and_a_good_one_is_copied(tmp_path, trace):
