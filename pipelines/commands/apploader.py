@@ -6,6 +6,7 @@ from pathlib import Path
 from pipelines.commands.common import parse_address, say, stopped_by_signals
 from pipelines.session.datagrams import LOOPBACK
 from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.ftp_client import check_ftp_url
 from pipelines.upkeep.ftp_server import serve_ftp
 from pipelines.upkeep.loader_keeper import LoaderKeeper, list_lines
 from telepresence.upkeep.app_loader import BootDevice, Copy
@@ -43,6 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 help="where the kernel came from; with flash the two FTP folders are the pair",
             )
         if name == "run":
+            action.add_argument(
+                "--ftp", metavar="URL", help="with flash: fetch folders 1 and 2 from this server"
+            )
             action.add_argument("arguments", nargs="*", metavar="ARGUMENT", help="after --: of run")
         if name == "serve":
             action.add_argument("--storage", choices=("sd", "ftp"), default="sd")
@@ -78,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "shutdown":
         keeper.shutdown()
     else:
+        if args.ftp is not None:
+            check_ftp_url(args.ftp)
         with stopped_by_signals() as stopped:
-            return keeper.run(BootDevice(args.boot), args.arguments, stopped)
+            keeper.run(BootDevice(args.boot), args.arguments, stopped, args.ftp)
     return 0

@@ -14,6 +14,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.upkeep.desk import answer_order, give_order, kept
 from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.ftp_client import fetch_copies
 from pipelines.upkeep.program import Program
 from telepresence.upkeep.app_loader import (
     AppLoader,
@@ -31,6 +32,7 @@ from telepresence.upkeep.app_loader import (
     StoreMode,
 )
 from telepresence.upkeep.copies import (
+    PAIRS,
     copy_to_backup,
     note_worked,
     read_mode,
@@ -44,6 +46,7 @@ from telepresence.upkeep.sfv import fault_of, write_copy
 _POLL_NS = 100 * NS_PER_MS
 _FLASH_NS = NS_PER_S
 _HOUSEKEEPING_NS = 5 * NS_PER_S
+_FTP_COPIES = PAIRS[BootDevice.FLASH]
 _STATUS, _HOUSEKEEPING = ".status", "housekeeping.json"
 
 
@@ -67,6 +70,7 @@ class LoaderKeeper:
         self._loader: AppLoader | None = None
         self._program = Program(path / _STATUS, ())
         self._over = False
+        self._ftp: str | None = None
 
     def fill(self, copy: Copy, folder: Path) -> None:
         """Write a copy as it was at delivery: any storage, also the flash."""
@@ -97,17 +101,23 @@ class LoaderKeeper:
             if not free:
                 raise ConfigError(f"{what} while nothing runs: `kontur-av apploader shutdown`")
 
-    def run(self, device: BootDevice, arguments: Sequence[str], stopped: Callable[[], bool]) -> int:
-        """Run until an orderly shutdown; 0 if power may go. Signals are one."""
+    def run(
+        self,
+        device: BootDevice,
+        arguments: Sequence[str],
+        stopped: Callable[[], bool],
+        ftp: str | None = None,
+    ) -> None:
+        """Run until an orderly shutdown, as a signal is. ftp: the URL of the server, if any."""
         with kept(self.path) as free:
             if not free:
                 raise ConfigError(f"{self.path} runs already")
+            self._ftp = ftp
             self._program = Program(self.path / _STATUS, arguments)
             try:
                 self._run(device, MonotonicClock().now_ns, stopped)
             finally:
                 self._program.stop()
-        return 0
 
     def _run(
         self, device: BootDevice, now_ns: Callable[[], int], stopped: Callable[[], bool]
@@ -144,8 +154,7 @@ class LoaderKeeper:
         if isinstance(event, LoadMode):
             loader.handle_mode(read_mode(store), now_ns())
         elif isinstance(event, FindFtp):
-            there = any(store.files(copy.value) for copy in (Copy.FTP_1, Copy.FTP_2))
-            loader.handle_ftp(there, now_ns())
+            loader.handle_ftp(self._find_ftp(), now_ns())
         elif isinstance(event, CheckCopy):
             fault = fault_of(store, event.copy.value)
             if fault is not None:
@@ -171,6 +180,13 @@ class LoaderKeeper:
         elif isinstance(event, PowerOffReady):
             self._say(f"ready for power off; desired mode {loader.desired.value}")
             self._over = True
+
+    def _find_ftp(self) -> bool:
+        """Whether the two folders are there, after they have been fetched if need be."""
+        if self._ftp is not None:
+            copies = {copy.value.rpartition("/")[2]: copy.value for copy in _FTP_COPIES}
+            return fetch_copies(self._ftp, self.store, copies)
+        return any(self.store.files(copy.value) for copy in _FTP_COPIES)
 
     def _act(self, loader: AppLoader, now_ns: int, order: str) -> None:
         if order == "copy":

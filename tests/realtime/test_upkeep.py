@@ -8,6 +8,8 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
+from io import BytesIO
+from urllib.parse import urlsplit
 
 import pytest
 from running_link import RunningLink, free_base_port, listening
@@ -191,9 +193,11 @@ def test_a_broken_update_of_the_joystick_falls_back_and_a_good_one_is_copied(tmp
     assert "desired mode  backup" in command("apploader", "list", top)
 
 
-def test_ftp_serves_both_copies(tmp_path):
+@pytest.fixture
+def ftp(tmp_path):
+    """The URL of a server with two copies, whose programs are called ftp1 and ftp2."""
     pytest.importorskip("pyftpdlib")
-    top = tmp_path / "storages"
+    top = tmp_path / "server"
     for copy in ("ftp/1", "ftp/2"):
         command("apploader", "fill", top, copy, make(tmp_path, copy.replace("/", "")))
     lines, stop = [], threading.Event()
@@ -203,24 +207,41 @@ def test_ftp_serves_both_copies(tmp_path):
     server.start()
     try:
         until(lambda: lines)
-        user, _, rest = lines[0].removeprefix("ftp://").partition(":")
-        password, _, address = rest.partition("@")
-        with ftplib.FTP() as ftp:
-            ftp.connect("127.0.0.1", int(address.strip("/").rpartition(":")[2]), 10)
-            ftp.login(user, password)
-            assert sorted(ftp.nlst()) == ["1", "2"]
-            got = []
-            ftp.retrbinary("RETR 1/run", got.append)
-            assert b"".join(got) == (top / "ftp" / "1" / "run").read_bytes()
-            with (tmp_path / "ftp2" / "run").open("rb") as file:
-                ftp.storbinary("STOR 2/run", file)
-            with (tmp_path / "ftp2" / "run").open("rb") as file:
-                ftp.storbinary("STOR 1/run", file)
-            ftp.quit()
+        yield lines[0]
     finally:
         stop.set()
         server.join(30)
-    store = DiskStore(top)
-    assert fault_of(store, "ftp/2") is None
+
+
+def test_ftp_serves_both_copies(tmp_path, ftp):
+    url, copies = urlsplit(ftp), tmp_path / "server" / "ftp"
+    with ftplib.FTP() as client:
+        client.connect(url.hostname, url.port, 10)
+        client.login(url.username, url.password)
+        assert sorted(client.nlst()) == ["1", "2"]
+        got = []
+        client.retrbinary("RETR 1/run", got.append)
+        assert b"".join(got) == (copies / "1" / "run").read_bytes()
+        client.storbinary("STOR 1/run", BytesIO(b"#!/bin/sh\n"))
+        client.storbinary("STOR 2/run", BytesIO((copies / "2" / "run").read_bytes()))
+        client.quit()
+    store = DiskStore(copies)
+    assert fault_of(store, "2") is None
     # An upload without its list of checksums leaves a copy that is not used.
-    assert fault_of(store, "ftp/1") == "its file run is damaged"
+    assert fault_of(store, "1") == "its file run is damaged"
+
+
+def test_from_flash_the_copies_of_an_ftp_server_run_and_without_one_that_of_the_flash(
+    tmp_path, trace, ftp
+):
+    top, copies = tmp_path / "storages", tmp_path / "server" / "ftp"
+    command("apploader", "fill", top, "flash", make(tmp_path, "last"))
+    with running("apploader", "run", top, "--boot", "flash", "--ftp", ftp):
+        until(lambda: trace() == ["ftp1"])
+    # What is damaged there is not used.
+    (copies / "1" / "run").write_text("#!/bin/sh\n")
+    (top / "ftp" / "1" / "run").write_text("#!/bin/sh\n")
+    with running("apploader", "run", top, "--boot", "flash", "--ftp", ftp):
+        until(lambda: trace() == ["ftp1", "ftp2"])
+    with running("apploader", "run", top, "--boot", "flash", "--ftp", "ftp://127.0.0.1:9/"):
+        until(lambda: trace() == ["ftp1", "ftp2", "last"])
