@@ -1,5 +1,6 @@
 """A program that is run and watched: the file `run` of a folder, and the status that it tells."""
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -14,6 +15,12 @@ from telepresence.upkeep.version_stack import VersionStatus
 #: How long a program may take to end after SIGTERM.
 _END_S = 10.0
 _LARGEST_STATUS = 4096
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
+
+
+def _end_with_the_keeper() -> None:
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 class Program:
@@ -37,6 +44,8 @@ class Program:
                 stdin=subprocess.DEVNULL,
                 # Its children end with it, and Ctrl-C does not reach it twice.
                 start_new_session=True,
+                # One that outlived a killed keeper would hold the ports of the next.
+                preexec_fn=_end_with_the_keeper,
             )
         except OSError:
             return False

@@ -9,6 +9,7 @@ import threading
 import time
 from contextlib import contextmanager
 from io import BytesIO
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
@@ -24,6 +25,7 @@ pytestmark = pytest.mark.realtime
 #: A program that tells what it is given, ten times a second, and where it runs.
 PROGRAM = """#!/bin/sh
 echo {name} >> "$TRACE"
+echo $$ > "$TRACE.pid"
 trap 'exit 0' TERM
 while :; do
     echo '{status}' > "$KONTUR_AV_STATUS.new" && mv "$KONTUR_AV_STATUS.new" "$KONTUR_AV_STATUS"
@@ -114,6 +116,21 @@ def test_versions_that_fail_are_replaced_by_the_last_that_worked(tmp_path, trace
     with running("versions", "run", top, "--key", key):
         until(lambda: trace()[-1] == "elementary")
     assert states()["v1"] == "defective set aside"
+
+
+def test_a_program_ends_with_a_killed_keeper_and_the_next_keeper_starts_it(tmp_path, trace):
+    key, top = tmp_path / "key.pem", tmp_path / "versions"
+    make_key(key)
+    folder = make(tmp_path, "elementary")
+    command("versions", "sign", folder, "--key", key)
+    command("versions", "add", top, folder, "--key", key)
+    with running("versions", "run", top, "--key", key) as keeper:
+        until(lambda: trace() == ["elementary"] and (top / ".status").exists())
+        program = Path("/proc") / (tmp_path / "trace.pid").read_text().strip()
+        keeper.kill()
+        until(lambda: not program.exists())
+    with running("versions", "run", top, "--key", key):
+        until(lambda: trace() == ["elementary", "elementary"])
 
 
 #: A gateway whose supervision says that it has another version of the link.
