@@ -53,6 +53,8 @@ _COMMANDS = {
     "stream": "run a whole telepresence session on this machine",
     "link": "run the radio link alone, for any programs",
     "keys": "make this machine's key, and say which machines it trusts",
+    "versions": "update the link's software, and fall back by itself from a version that fails",
+    "apploader": "run the joystick's software from the copy that works",
     "topology": "list the processes, streams and topics of a session",
     "simulate": "run a session on virtual time: the same seed, the same report",
     "sweep": "run many sessions on virtual time: any fields, radios and seeds, one table",

@@ -18,7 +18,7 @@ from pipelines.commands.end_options import (
     hold_listen_port,
     path_line,
 )
-from pipelines.commands.live_session import say_failures
+from pipelines.commands.live_session import say_failures, with_status
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         clock=MonotonicClock(),
         listener=collector,
         seed=args.seed,
-        show=screen.show,
+        show=with_status(screen.show, collector, ends[0]),
     )
     launcher.run(args.seconds)
     for udp in held:

@@ -3,7 +3,7 @@
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -19,6 +19,9 @@ from pipelines.report.seat_feed import session_report
 from pipelines.report.summary import print_summary
 from pipelines.session.launcher import Launcher
 from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.topology import Segment
+from pipelines.upkeep.program import status_teller
+from telepresence.upkeep.status import status_of
 
 
 def add_live_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,6 +79,24 @@ def end_session(
     else:
         say_failures(report.failures)
     return 1 if report.failures or not saved else 0
+
+
+def with_status(
+    show: Callable[[Launcher], None], collector: Collector, end: Segment
+) -> Callable[[Launcher], None]:
+    """Return a `show` that also tells how the link is, if this is a version that is watched."""
+    tell = status_teller()
+    if tell is None:
+        return show
+    gateway = collector.topology.gateway(end).name
+
+    def show_and_tell(launcher: Launcher) -> None:
+        link = collector.process(gateway).link
+        if link is not None:
+            tell(status_of(link.supervision))
+        show(launcher)
+
+    return show_and_tell
 
 
 def say_failures(failures: Sequence[str]) -> None:

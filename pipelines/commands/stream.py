@@ -23,6 +23,7 @@ from pipelines.commands.live_session import (
     end_session,
     live_view,
     made_directory,
+    with_status,
 )
 from pipelines.commands.outlet_options import (
     add_outlet_arguments,
@@ -247,7 +248,7 @@ def run(args: argparse.Namespace) -> int:
             listener=collector,
             snapshots=snapshots,
             seed=args.seed,
-            show=view.show,
+            show=with_status(view.show, collector, plan.segments[0]),
             pages={**pages, **partners, **metrics, **foxglove},
             feed=SeatFeed(collector),
         )

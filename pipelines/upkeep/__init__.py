@@ -1,1 +1,1 @@
-"""Upkeep of both ends: versions, storages and maintenance."""
+"""Upkeep: directories of versions and copies with the programs in them, and maintenance."""

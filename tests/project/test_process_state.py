@@ -76,6 +76,8 @@ ALLOWED = {
     },
     "pipelines/session/process.py": {"become", "take_realtime"},
     "pipelines/virtual/workers.py": {"Worker.start", "_work"},
+    # In a program of its own, before it begins.
+    "pipelines/upkeep/program.py": {"_end_with_the_keeper"},
 }
 #: Functions among them that others call by these names.
 CALLED = {

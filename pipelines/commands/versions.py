@@ -1,0 +1,95 @@
+"""`kontur-av versions`: versions of the communication software, and a way back from each."""
+
+import argparse
+from pathlib import Path
+
+from kontur_av.clock import NS_PER_S
+from pipelines.commands.common import say, stopped_by_signals
+from pipelines.link.key_files import default_key_path, read_key, trusted_identities
+from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.version_keeper import VersionKeeper
+from telepresence.upkeep.file_store import read_folder, replace_file
+from telepresence.upkeep.manifest import MANIFEST, signed_manifest
+from telepresence.upkeep.version_stack import ELEMENTARY, VersionLimits
+
+_ACTIONS = {
+    "sign": "make the manifest of a version in a folder: checksums, signed by this machine's key",
+    "add": "take a signed version over from a folder; it is not started",
+    "list": "print the versions: the one that worked last first, the elementary one last",
+    "start": "start a version; a new one is on probation, a defective one is new again",
+    "confirm": "say that the running version works, where no program can tell",
+    "remove": "delete a version that does not run; the elementary one stays",
+    "run": "run the current version, watch it, and fall back from one that fails",
+}
+_SECONDS = VersionLimits().probation_ns // NS_PER_S
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    for name, text in _ACTIONS.items():
+        action = actions.add_parser(name, help=text, description=text)
+        if name == "sign":
+            action.add_argument("folder", type=Path, metavar="FOLDER", help="has the file `run`")
+        else:
+            action.add_argument("directory", type=Path, metavar="DIR", help="of all versions")
+        if name == "add":
+            action.add_argument("folder", type=Path, metavar="FOLDER", help="of the version")
+        if name in ("sign", "add"):
+            action.add_argument(
+                "--name", help=f"of the version; default: the folder's; {ELEMENTARY} for that one"
+            )
+        if name in ("start", "confirm", "remove"):
+            action.add_argument("name", metavar="NAME")
+        if name == "run":
+            action.add_argument(
+                "--probation",
+                type=float,
+                default=_SECONDS,
+                metavar="S",
+                help=f"contact without application data that is allowed; default: {_SECONDS}",
+            )
+            action.add_argument("arguments", nargs="*", metavar="ARGUMENT", help="after --: of run")
+        if name in ("sign", "add", "run"):
+            action.add_argument(
+                "--key",
+                type=Path,
+                metavar="FILE",
+                help="the private key; default: kontur-av/key.pem in the configuration directory",
+            )
+
+
+def run(args: argparse.Namespace) -> int:
+    key_path: Path = getattr(args, "key", None) or default_key_path()
+    if args.action == "sign":
+        store = DiskStore(args.folder)
+        name = args.name or args.folder.absolute().name
+        manifest = signed_manifest(name, read_folder(store, ""), read_key(key_path))
+        replace_file(store, MANIFEST, manifest)
+        say(f"version {name} is signed by {read_key(key_path).identity}")
+        return 0
+    trusted = []
+    if args.action in ("add", "run"):
+        trusted = [read_key(key_path).identity, *trusted_identities(key_path)]
+    keeper = VersionKeeper(args.directory, trusted, say)
+    if args.action == "list":
+        _print_list(keeper)
+    elif args.action == "add":
+        name = args.name or args.folder.absolute().name
+        keeper.add(name, args.folder)
+        say(f"version {name} is there: `kontur-av versions start {args.directory} {name}`")
+    elif args.action == "run":
+        limits = VersionLimits(probation_ns=round(args.probation * NS_PER_S))
+        with stopped_by_signals() as stopped:
+            keeper.run(args.arguments, stopped, limits)
+    else:
+        keeper.order(args.action, args.name)
+    return 0
+
+
+def _print_list(keeper: VersionKeeper) -> None:
+    record = keeper.read()
+    rows = [(name, state.value) for name, state in record.versions]
+    for name, state in [*rows, (ELEMENTARY, "always there")]:
+        notes = ["runs"] if name == record.current else []
+        notes += ["set aside"] if name in record.tried else []
+        say("  ".join([f"{name:<20}", f"{state:<12}", ", ".join(notes)]).rstrip())

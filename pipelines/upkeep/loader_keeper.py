@@ -1,0 +1,219 @@
+"""Runs the joystick's software: `AppLoader` decides which copy, and this module does it.
+
+A directory has the storages: `sd/1`, `sd/2`, `ftp/1`, `ftp/2`, `flash`, and the file `eeprom`.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import msgspec
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.errors import ConfigError
+from pipelines.upkeep.desk import answer_order, give_order, kept
+from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.ftp_client import fetch_copies
+from pipelines.upkeep.program import Program
+from telepresence.upkeep.app_loader import (
+    AppLoader,
+    BootDevice,
+    CheckCopy,
+    Copy,
+    FindFtp,
+    LoaderEvent,
+    LoadMode,
+    NoteWorked,
+    PowerOffReady,
+    RebootFromFlash,
+    StartApplication,
+    StopApplication,
+    StoreMode,
+)
+from telepresence.upkeep.copies import (
+    PAIRS,
+    copy_to_backup,
+    note_worked,
+    read_mode,
+    store_mode,
+    update_prime,
+)
+from telepresence.upkeep.file_store import read_folder, replace_file
+from telepresence.upkeep.flash_check import FlashCheck, FlashFigures
+from telepresence.upkeep.sfv import fault_of, write_copy
+
+_POLL_NS = 100 * NS_PER_MS
+_FLASH_NS = NS_PER_S
+_HOUSEKEEPING_NS = 5 * NS_PER_S
+_FTP_COPIES = PAIRS[BootDevice.FLASH]
+_STATUS, _HOUSEKEEPING = ".status", "housekeeping.json"
+
+
+class Housekeeping(msgspec.Struct, frozen=True, kw_only=True):
+    """What the file `housekeeping.json` says of AppLoader and the flash."""
+
+    device: str
+    step: str
+    copy: str | None
+    desired_mode: str
+    erroneous: dict[str, str]
+    flash: FlashFigures
+
+
+class LoaderKeeper:
+    """The storages of a joystick's computer in a directory. say: takes lines for people."""
+
+    def __init__(self, path: Path, say: Callable[[str], None]) -> None:
+        self.path, self._say = path, say
+        self.store = DiskStore(path)
+        self._loader: AppLoader | None = None
+        self._program = Program(path / _STATUS, ())
+        self._over = False
+        self._ftp: str | None = None
+
+    def fill(self, copy: Copy, folder: Path) -> None:
+        """Write a copy as it was at delivery: any storage, also the flash."""
+        self._refuse_while_running(f"{copy.value} is filled")
+        write_copy(self.store, copy.value, read_folder(DiskStore(folder), ""))
+
+    def update(self, folder: Path, device: BootDevice) -> None:
+        """Write an update to prime. It may not lie in a storage itself."""
+        self._refuse_while_running("prime is updated")
+        update_prime(self.store, read_folder(DiskStore(folder), ""), device)
+
+    def copy_to_backup(self, device: BootDevice) -> None:
+        with kept(self.path) as free:
+            if free:
+                copy_to_backup(self.store, device)
+            else:
+                give_order(self.path, "copy")
+
+    def shutdown(self) -> None:
+        """Let the software that runs end in good order."""
+        with kept(self.path) as free:
+            if free:
+                raise ConfigError(f"nothing runs in {self.path}")
+        give_order(self.path, "shutdown")
+
+    def _refuse_while_running(self, what: str) -> None:
+        with kept(self.path) as free:
+            if not free:
+                raise ConfigError(f"{what} while nothing runs: `kontur-av apploader shutdown`")
+
+    def run(
+        self,
+        device: BootDevice,
+        arguments: Sequence[str],
+        stopped: Callable[[], bool],
+        ftp: str | None = None,
+    ) -> None:
+        """Run until an orderly shutdown, as a signal is. ftp: the URL of the server, if any."""
+        with kept(self.path) as free:
+            if not free:
+                raise ConfigError(f"{self.path} runs already")
+            self._ftp = ftp
+            self._program = Program(self.path / _STATUS, arguments)
+            try:
+                self._run(device, MonotonicClock().now_ns, stopped)
+            finally:
+                self._program.stop()
+
+    def _run(
+        self, device: BootDevice, now_ns: Callable[[], int], stopped: Callable[[], bool]
+    ) -> None:
+        loader = self._loader = AppLoader(device, now_ns())
+        flash = FlashCheck(self.store, Copy.FLASH.value, now_ns(), _FLASH_NS)
+        told_ns, told_step = now_ns(), None
+        while not self._over:
+            loader = self._loader
+            while not self._over and (event := loader.next_event()) is not None:
+                self._do(event, loader, now_ns)
+                loader = self._loader
+            if loader.step is not told_step or now_ns() >= told_ns:
+                told_ns, told_step = now_ns() + _HOUSEKEEPING_NS, loader.step
+                self._tell(loader, flash)
+            if self._over:
+                return
+            time.sleep(_POLL_NS / NS_PER_S)
+            if stopped():
+                loader.handle_shutdown(now_ns())
+            answer_order(self.path, partial(self._act, loader, now_ns()))
+            code = self._program.exit_code()
+            if code == 0:
+                loader.handle_shutdown(now_ns())
+            elif code is not None:
+                loader.handle_malfunction(f"it ended with {code}", now_ns())
+            elif self._program.news() is not None:
+                loader.handle_started(now_ns())
+            loader.handle_time(now_ns())
+            flash.handle_time(now_ns())
+
+    def _do(self, event: LoaderEvent, loader: AppLoader, now_ns: Callable[[], int]) -> None:
+        store = self.store
+        if isinstance(event, LoadMode):
+            loader.handle_mode(read_mode(store), now_ns())
+        elif isinstance(event, FindFtp):
+            loader.handle_ftp(self._find_ftp(), now_ns())
+        elif isinstance(event, CheckCopy):
+            fault = fault_of(store, event.copy.value)
+            if fault is not None:
+                self._say(f"{event.copy.value} is invalid: {fault}")
+            loader.handle_checked(event.copy, fault, now_ns())
+        elif isinstance(event, StoreMode):
+            store_mode(store, event.mode)
+            loader.handle_stored(now_ns())
+        elif isinstance(event, StartApplication):
+            self._say(f"{event.copy.value} starts; desired mode {loader.desired.value}")
+            if not self._program.start(self.path / event.copy.value):
+                loader.handle_malfunction("it cannot be started", now_ns())
+        elif isinstance(event, StopApplication):
+            for copy, why in loader.erroneous.items():
+                self._say(f"{copy.value} is out of use: {why}")
+            self._program.stop()
+            loader.handle_stopped(now_ns())
+        elif isinstance(event, NoteWorked):
+            note_worked(store, event.copy)
+        elif isinstance(event, RebootFromFlash):
+            self._say("no copy on the SD card is valid: reboot from flash")
+            self._loader = AppLoader(BootDevice.FLASH, now_ns())
+        elif isinstance(event, PowerOffReady):
+            self._say(f"ready for power off; desired mode {loader.desired.value}")
+            self._over = True
+
+    def _find_ftp(self) -> bool:
+        """Whether the two folders are there, after they have been fetched if need be."""
+        if self._ftp is not None:
+            copies = {copy.value.rpartition("/")[2]: copy.value for copy in _FTP_COPIES}
+            return fetch_copies(self._ftp, self.store, copies)
+        return any(self.store.files(copy.value) for copy in _FTP_COPIES)
+
+    def _act(self, loader: AppLoader, now_ns: int, order: str) -> None:
+        if order == "copy":
+            copy_to_backup(self.store, loader.device)
+        elif order == "shutdown":
+            loader.handle_shutdown(now_ns)
+        else:
+            raise ConfigError(f"no order is called {order!r}")
+
+    def _tell(self, loader: AppLoader, flash: FlashCheck) -> None:
+        told = Housekeeping(
+            device=loader.device.value,
+            step=loader.step.value,
+            copy=None if loader.copy is None else loader.copy.value,
+            desired_mode=loader.desired.value,
+            erroneous={copy.value: why for copy, why in loader.erroneous.items()},
+            flash=flash.figures,
+        )
+        replace_file(self.store, _HOUSEKEEPING, msgspec.json.encode(told) + b"\n")
+
+
+def list_lines(store: DiskStore) -> list[str]:
+    """A line for each copy, and the desired mode."""
+    mode = read_mode(store)
+    lines = [f"desired mode  {'unreadable' if mode is None else mode.value}"]
+    for copy in Copy:
+        if store.files(copy.value):
+            fault = fault_of(store, copy.value)
+            lines.append(f"{copy.value:<13} {'valid' if fault is None else f'invalid: {fault}'}")
+    return lines

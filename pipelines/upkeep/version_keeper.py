@@ -1,0 +1,154 @@
+"""Runs the versions of a directory: `VersionSwitch` decides, and this module does it."""
+
+import time
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.errors import ConfigError
+from pipelines.upkeep.desk import answer_order, give_order, kept
+from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.program import Program
+from telepresence.link.protection.identity import MachineIdentity
+from telepresence.upkeep.file_store import read_folder
+from telepresence.upkeep.stack_directory import VersionDirectory
+from telepresence.upkeep.status import parse_status
+from telepresence.upkeep.version_stack import (
+    ELEMENTARY,
+    StackRecord,
+    StartVersion,
+    StopVersion,
+    StoreRecord,
+    VersionLimits,
+    VersionSwitch,
+)
+
+_POLL_NS = 200 * NS_PER_MS
+_STATUS = ".status"
+#: By the words of an order: the record after it.
+_RECORDS: dict[str, Callable[[StackRecord, str], StackRecord]] = {
+    "add": StackRecord.added,
+    "remove": StackRecord.removed,
+    "start": StackRecord.ordered,
+}
+
+
+class VersionKeeper:
+    """The versions of one end on this machine. say: takes lines for people."""
+
+    def __init__(
+        self, path: Path, trusted: Collection[MachineIdentity], say: Callable[[str], None]
+    ) -> None:
+        self.path, self._say = path, say
+        self.store = DiskStore(path)
+        self.versions = VersionDirectory(self.store, trusted)
+
+    def read(self) -> StackRecord:
+        return self.versions.read()
+
+    def add(self, name: str, folder: Path) -> None:
+        """Take over a signed version. The elementary one comes first, and stays for ever."""
+        files = read_folder(DiskStore(folder), "")
+        if name == ELEMENTARY:
+            if self.versions.has_elementary():
+                raise ConfigError("the elementary version is never replaced")
+            self.versions.add(name, files)
+            return
+        self.read().added(name)
+        self.versions.add(name, files)
+        self.order("add", name)
+
+    def order(self, word: str, name: str) -> None:
+        """Change the record, or let the keeper that runs do it."""
+        with kept(self.path) as free:
+            if free:
+                record = self.read()
+                if word == "confirm":
+                    self.versions.store(_confirmed(record, name))
+                else:
+                    self.versions.store(_RECORDS[word](record, name))
+            else:
+                give_order(self.path, f"{word} {name}")
+        if word == "remove":
+            self.versions.forget(name)
+
+    def run(
+        self, arguments: Sequence[str], stopped: Callable[[], bool], limits: VersionLimits
+    ) -> None:
+        """Run versions until `stopped`. Raises ConfigError if that cannot be."""
+        with kept(self.path) as free:
+            if not free:
+                raise ConfigError(f"{self.path} runs already")
+            self.versions.tidy()
+            try:
+                self.versions.check(ELEMENTARY)
+            except ValueError as error:
+                raise ConfigError(
+                    f"the elementary version is missing: {error}; add it with "
+                    f"`kontur-av versions add {self.path} FOLDER --name {ELEMENTARY}`"
+                ) from None
+            clock = MonotonicClock()
+            program = Program(self.path / _STATUS, arguments)
+            switch = VersionSwitch(self.read(), clock.now_ns(), limits)
+            try:
+                while not stopped():
+                    self._do(switch, program, clock.now_ns)
+                    answer_order(
+                        self.path,
+                        lambda text: self._act(switch, text, clock.now_ns()),
+                    )
+                    self._do(switch, program, clock.now_ns)
+                    left_ns = switch.poll_timeout() - clock.now_ns()
+                    time.sleep(max(0, min(left_ns, _POLL_NS)) / NS_PER_S)
+                    if program.exit_code() is not None:
+                        switch.handle_exit(clock.now_ns())
+                        continue
+                    told = program.news()
+                    status = None if told is None else parse_status(told)
+                    if status is None:
+                        switch.handle_time(clock.now_ns())
+                    else:
+                        switch.handle_status(status, clock.now_ns())
+            finally:
+                program.stop()
+
+    def _do(self, switch: VersionSwitch, program: Program, now_ns: Callable[[], int]) -> None:
+        while (event := switch.next_event()) is not None:
+            if isinstance(event, StoreRecord):
+                self.versions.store(event.record)
+            elif isinstance(event, StopVersion):
+                program.stop()
+            elif isinstance(event, StartVersion):
+                self._say(f"version {event.name} starts ({switch.reason})")
+                self._start(event.name, switch, program, now_ns)
+
+    def _start(
+        self, name: str, switch: VersionSwitch, program: Program, now_ns: Callable[[], int]
+    ) -> None:
+        try:
+            self.versions.check(name)
+        except ValueError as error:
+            self._say(f"version {name} is damaged: {error}")
+            if name != ELEMENTARY:
+                switch.handle_broken(now_ns())
+                return
+        if not program.start(self.path / name):
+            switch.handle_exit(now_ns())
+
+    def _act(self, switch: VersionSwitch, order: str, now_ns: int) -> None:
+        word, _, name = order.partition(" ")
+        if word == "start":
+            switch.handle_order(name, now_ns)
+        elif word == "confirm":
+            switch.handle_record(_confirmed(switch.record, name), now_ns)
+        elif word in _RECORDS:
+            switch.handle_record(_RECORDS[word](switch.record, name), now_ns)
+        else:
+            raise ConfigError(f"no order is called {word!r}")
+
+
+def _confirmed(record: StackRecord, name: str) -> StackRecord:
+    """The record after a person has said that the current version works."""
+    if name != record.current:
+        raise ConfigError(f"version {name} does not run: {record.current} does")
+    return record.worked()

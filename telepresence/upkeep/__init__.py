@@ -1,0 +1,1 @@
+"""Upkeep: versions of the communication software, and the joystick computer's AppLoader."""

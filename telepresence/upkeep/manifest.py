@@ -1,0 +1,84 @@
+"""The manifest of a version: its files with SHA-256, signed by a machine's key. A core.
+
+The signature is Ed25519 (RFC 8032) over name and files, as JSON with sorted keys.
+"""
+
+from collections.abc import Collection, Mapping
+from hashlib import sha256
+
+import msgspec
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+from kontur_av.errors import ConfigError
+from telepresence.link.protection.identity import MachineIdentity, MachineKey
+from telepresence.upkeep.file_store import StoredFile, safe_path
+
+#: The manifest's file in a version's folder, and the program that starts it.
+MANIFEST, RUN = "manifest.json", "run"
+_LARGEST_MANIFEST = 1 << 20
+
+
+class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """files: SHA-256 by path, as hexadecimal digits. key, signature: of who signed, likewise."""
+
+    version: str
+    files: dict[str, str]
+    key: str
+    signature: str
+
+
+def signed_manifest(version: str, files: Mapping[str, StoredFile], key: MachineKey) -> bytes:
+    """Return the manifest of these files. Raises ConfigError if they are no version."""
+    if RUN not in files or not files[RUN].executable:
+        raise ConfigError(f"version {version} has no executable file {RUN!r}, which starts it")
+    sums = {
+        path: sha256(file.octets).hexdigest() for path, file in files.items() if path != MANIFEST
+    }
+    public = key.private.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
+    signature = key.private.sign(_signed(version, sums))
+    manifest = Manifest(version=version, files=sums, key=public.hex(), signature=signature.hex())
+    return msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=1) + b"\n"
+
+
+def signer(octets: bytes) -> tuple[Manifest, MachineIdentity]:
+    """Return a manifest and who signed it. Raises ValueError if it is damaged or forged."""
+    if len(octets) > _LARGEST_MANIFEST:
+        raise ValueError("its manifest is larger than 1 MB")
+    try:
+        manifest = msgspec.json.decode(octets, type=Manifest)
+        public = Ed25519PublicKey.from_public_bytes(bytes.fromhex(manifest.key))
+        public.verify(bytes.fromhex(manifest.signature), _signed(manifest.version, manifest.files))
+    except (ValueError, InvalidSignature, msgspec.MsgspecError):
+        raise ValueError("its manifest is damaged, or its signature does not fit") from None
+    if RUN not in manifest.files or not all(map(safe_path, manifest.files)):
+        raise ValueError("its manifest names paths that are no version's")
+    return manifest, MachineIdentity.of(public)
+
+
+def check_version(
+    files: Mapping[str, StoredFile], version: str, trusted: Collection[MachineIdentity]
+) -> None:
+    """Raise ValueError, with the reason, unless these are the files that a trusted one signed."""
+    if MANIFEST not in files:
+        raise ValueError("it has no manifest")
+    manifest, identity = signer(files[MANIFEST].octets)
+    if identity not in trusted:
+        raise ValueError(f"it is signed by {identity}, which is not trusted")
+    if manifest.version != version:
+        raise ValueError(f"its manifest is that of version {manifest.version}")
+    sums = {
+        path: sha256(file.octets).hexdigest() for path, file in files.items() if path != MANIFEST
+    }
+    for path in sorted(sums.keys() ^ manifest.files.keys()):
+        raise ValueError(f"its file {path} is {'extra' if path in sums else 'missing'}")
+    for path, digest in manifest.files.items():
+        if sums[path] != digest:
+            raise ValueError(f"its file {path} is damaged")
+    if not files[RUN].executable:
+        raise ValueError(f"its file {RUN} is not executable")
+
+
+def _signed(version: str, files: Mapping[str, str]) -> bytes:
+    return msgspec.json.encode({"version": version, "files": files}, order="sorted")
