@@ -41,7 +41,7 @@ Import these names from the package: `from kontur_av import ...`. Other modules 
 own and may change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
 `samples/` has short scripts that use these names.
 
-Of a class with more than eight methods this page has their names. What they do, and types, units,
+Of a class with more than six methods this page has their names. What they do, and types, units,
 shapes and errors are in the docstrings:
 `python -c "import kontur_av; help(kontur_av.VideoSender)"`.
 """
@@ -50,7 +50,7 @@ NUMBERS = re.compile(
     r"(`(?:p[\d.]+|max|mean|\w+_(?:ms|s|us|mm|km|deg|n|c|percent))`\??) \(number\)"
 )
 #: Of a class with more methods the page has their names only.
-MOST_METHODS = 8
+MOST_METHODS = 6
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
 
 
