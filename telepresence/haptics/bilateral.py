@@ -147,11 +147,16 @@ class JoystickSide(_Side):
         )
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
         self._last_ns = NS_PER_MS
+        self._restarts = 0
         self.axes = JoystickAxes(self.handle.more, model) if self.handle.more else None
         super().__init__()
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         """Run one cycle, which advances the handle by `advance_ns`, at most 50 ms."""
+        if self.link.session.restarts != self._restarts:
+            self._restarts = self.link.session.restarts
+            if isinstance(self.controller, MediatedController):
+                self.controller.handle_restart()
         acted = self._advance(now_ns, advance_ns)
         handle, controller = self.handle, self.controller
         state = handle.state
@@ -291,7 +296,9 @@ class RobotSide(_Side):
 
     def poll_wall(self, now_ns: int) -> bytes | None:
         """Return the message with the wall to send now, or None."""
-        return None if self.estimator is None else self.estimator.poll_transmit(now_ns)
+        if self.estimator is None:
+            return None
+        return self.estimator.poll_transmit(now_ns, heard=self.link.hearing)
 
     def _cycle(self, command: Command | None, dt_ns: int) -> None:
         if dt_ns <= 0:

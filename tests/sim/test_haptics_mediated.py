@@ -9,10 +9,12 @@ from shaped_boards import RoundBoard, SlantedBoard
 
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.simulate import simulate
+from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.board import WALL_X_M, Board, WallModel
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, HandModel, Waypoint
 from telepresence.haptics.mediated.renderer import RendererModel
+from telepresence.haptics.sample import Feedback
 
 MS = 1_000_000
 HEAVY_ARM = HandModel(stiffness_n_m=800.0, damping_n_s_m=24.0, mass_kg=2.0)
@@ -160,6 +162,56 @@ def test_a_joystick_that_restarts_in_contact_feels_the_wall_again():
     pair.run(1)
     # The 50 mJ of its start push the hand back as far as that.
     assert felt_n_m(pair.rows)[-1] > 0.6 * 600.0
+
+
+@pytest.mark.parametrize("round_trip_ms", [60, 300, 800])
+@pytest.mark.parametrize("grip", [FIRM_GRIP, PUSH_6_N], ids=["firm", "push"])
+def test_a_still_hand_has_its_wall_again_1_s_after_the_joystick_restarts(grip, round_trip_ms):
+    script = (PRESS[0], PRESS[1]._replace(stay_ns=60_000 * MS))
+    pair = MediatedPair(round_trip_ms, grip, residual=True, script=script)
+    pair.run(6)
+    pair.restart_joystick()
+    pair.run(1.1)
+    rows = pair.rows
+    assert -rows[-1, 1] > 0.8 * 600.0 * (rows[-1, 0] - WALL_X_M)
+    since = rows[6000:, 2] - rows[5999, 2]
+    assert since.max() <= RendererModel().start_j
+
+
+@pytest.mark.parametrize("into_ms", [30, 90, 110])
+def test_a_joystick_that_starts_while_the_hand_moves_makes_no_jump(into_ms):
+    script = (Waypoint(0.085, 0.0, 125 * MS, 0), Waypoint(0.035, 0.0, 125 * MS, 0))
+    pair = MediatedPair(300, SOFT_GRIP, residual=True, script=script)
+    pair.run(2.0 + into_ms / 1000)
+    pair.restart_joystick()
+    started = len(pair.rows)
+    pair.run(1.5)
+    assert np.abs(np.diff(pair.rows[started:, 1])).max() < 1.1
+
+
+def test_a_robot_that_starts_in_contact_finds_a_soft_wall_while_it_lets_go():
+    script = (PRESS[0], PRESS[1]._replace(stay_ns=60_000 * MS))
+    pair = MediatedPair(60, PUSH_6_N, residual=True, stiffness_n_m=78.0, script=script)
+    pair.run(6)
+    ground = RobotSide(robot=pair.ground.robot, mediated=True)
+    for ms in range(400):
+        ground.handle_cycle(ms * MS, MS)
+    assert ground.estimator.wall.stiffness_n_m == pytest.approx(78.0, rel=0.1)
+
+
+def test_a_robot_that_has_started_is_felt_once_not_twice():
+    pair = MediatedPair(60, SOFT_GRIP, residual=True, script=PRESS)
+    pair.run(3)
+    controller = pair.space.controller
+    controller.handle_restart()
+    feedback = Feedback(-5.0, 3.0, 0, True)
+    for _ in range(50):
+        controller.step(feedback, pair.handle.x_m, pair.handle.y_m, MS)
+    assert controller.robot_force_n == controller.renderer.force_n
+    controller.handle_wall(pair.ground.estimator.poll_transmit(10**12))
+    for _ in range(50):
+        controller.step(feedback, pair.handle.x_m, pair.handle.y_m, MS)
+    assert controller.robot_force_n != controller.renderer.force_n
 
 
 def test_the_wall_is_where_the_robot_meets_it_whatever_the_hand_pressed_at():

@@ -10,6 +10,7 @@ energy of its contact, and the network as a whole is not passive. No delayed for
 
 from math import hypot
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.mediated.renderer import RendererModel, WallRenderer
@@ -19,6 +20,16 @@ from telepresence.haptics.sample import Feedback
 _tuple = tuple.__new__
 #: Less damping than `direct`: the wall's force takes its energy from the tank, not from the robot.
 _MODEL = JoystickControllerModel(most_damping_n_s_m=8.0)
+_RENDERING = RendererModel(limit_j=0.5, steepest_n_m=2000.0)
+#: Fastest change of wall and rest together.
+_MOST_N_S = 1000.0
+#: What the rest may give out at first beyond what the hand put in. The robot never gets it.
+_START_J = 0.003
+#: Damping at the start, until the robot is heard or a wall is felt, and its longest time. A hand
+#: that has lost its wall sinks in against it, and so pays for the wall that comes back.
+_BRAKE_N_S_M, _BRAKE_S = 120.0, 0.5
+#: Filtered speed after the first cycle of a handle that moves already.
+_MOVES_M_S = 0.01
 
 
 class MediatedController(JoystickController):
@@ -28,7 +39,7 @@ class MediatedController(JoystickController):
     renderer: what it renders with. garbage: messages that were not a wall.
     """
 
-    spared_j = 0.002
+    spared_j = 0.002 + _START_J
 
     def __init__(
         self,
@@ -40,9 +51,14 @@ class MediatedController(JoystickController):
     ) -> None:
         super().__init__(model or _MODEL, passive=passive)
         self.residual = residual
-        self.renderer = WallRenderer(rendering)
+        self.renderer = WallRenderer(rendering or _RENDERING)
         self.garbage = 0
         self._damping_n = (0.0, 0.0)
+        if passive:
+            self.port.kept_j = self.port.credit_j = _START_J
+        self._heard, self._braking = False, True
+        #: The robot may not know the wall that is rendered: one of the two has just started.
+        self._unknown = True
         self._before: tuple[float, float] | None = None
 
     @property
@@ -58,7 +74,13 @@ class MediatedController(JoystickController):
         except ProtocolError:
             self.garbage += 1
             return
+        # What comes before the robot is heard may be of its earlier life.
+        self._unknown = self._unknown and not self._heard
         self.renderer.handle_wall(message)
+
+    def handle_restart(self) -> None:
+        """The robot has started. Its feedback is the whole force until it tells a wall again."""
+        self._unknown = True
 
     def step(
         self, feedback: Feedback | None, x_m: float, y_m: float, dt_ns: int
@@ -71,14 +93,31 @@ class MediatedController(JoystickController):
             renderer.handle_flow(bx * (x_m - before[0]) + by * (y_m - before[1]))
         renderer.limit_n = limit_n
         felt = feedback is None or not feedback[7]
+        held_x, held_y = renderer.force_n
         wall_x, wall_y = renderer.step(x_m, y_m, dt_ns, felt=felt)
-        if feedback is not None and not self.residual:
+        left_n_s = _MOST_N_S - hypot(wall_x - held_x, wall_y - held_y) * NS_PER_S / dt_ns
+        rate_n_s = max(0.0, min(self.model.rate_n_s, left_n_s))
+        self._constants = (self._constants[0], rate_n_s, *self._constants[2:])
+        if feedback is not None and (not self.residual or (self._unknown and (wall_x or wall_y))):
             feedback = _tuple(Feedback, (0.0, 0.0, *feedback[2:]))
         self.limit_n = limit_n - hypot(wall_x, wall_y)
         self.most_j = renderer.spare_j
         self._damping_n = bx, by = super().step(feedback, x_m, y_m, dt_ns)
         self.limit_n = limit_n
         return wall_x + bx, wall_y + by
+
+    def _follow_credit(self, feedback: Feedback | None, dt_s: float) -> None:
+        super()._follow_credit(feedback, dt_s)
+        self._heard = self._heard or feedback is not None
+        if not self._braking:
+            return
+        known = self._heard or self.renderer.force_n != (0.0, 0.0)
+        # A hand that moves already, or turns back, leans on no wall.
+        moves = self._silent_s <= dt_s and hypot(self._vx, self._vy) > _MOVES_M_S
+        turns = self._bx * self._vx + self._by * self._vy > 0.0
+        self._braking = not (known or moves or turns or self._silent_s > _BRAKE_S)
+        model = self.model
+        self.damping_n_s_m = _BRAKE_N_S_M if self._braking else model.damping_n_s_m
 
     def _book(self, energy_j: float) -> None:
         """Count wall and damping together: what the wall gives back, the damper takes."""

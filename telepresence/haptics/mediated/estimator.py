@@ -50,7 +50,8 @@ class EstimatorModel:
     """Parameters of the estimate; all of them chosen.
 
     least_n: a smaller force is not looked at.
-    step_m: the tip must move by this for its next sample.
+    step_m: the tip must move by this for its next sample; further in a contact that is too soft for
+    such short ways to tell its stiffness.
     samples: an estimate needs so many, and looks at `most_samples`.
     keep: weight of a sample after the next one.
     noise_n: standard deviation of the measured force, at least.
@@ -66,7 +67,9 @@ class EstimatorModel:
     behind_m: a free tip so far behind the surface says that there is no wall.
     moved_m, changed, turned_rad: a change of the surface at the tip, a relative one of the
     stiffness, and one of the angle, that is told.
-    apart_ns: the least time between two messages. repeat_ns: the time to the next without a change.
+    apart_ns: the least time between two messages. repeat_ns: the time to the next without a change;
+    pressed_ns, unheard_ns: while the tip touches something, and while no joystick is heard then. A
+    joystick that starts meanwhile soon has the wall.
     """
 
     least_n: float = 0.05
@@ -92,6 +95,8 @@ class EstimatorModel:
     turned_rad: float = 0.03
     apart_ns: int = 100 * NS_PER_MS
     repeat_ns: int = NS_PER_S
+    pressed_ns: int = 500 * NS_PER_MS
+    unheard_ns: int = 250 * NS_PER_MS
 
 
 class WallEstimator:
@@ -106,9 +111,8 @@ class WallEstimator:
         self.sent = 0
         self.told: Wall | None = None
         self._changed = False
-        #: The next message is due, and the earliest instant of one after a change.
-        self._due_ns: int | None = None
-        self._earliest_ns = 0
+        #: When the newest message was sent; None: the next one is due.
+        self._sent_ns: int | None = None
         self._last: tuple[int, float, float] | None = None
         self._free = False
         #: Position, velocity and force of the samples of this contact, the newest last.
@@ -122,6 +126,7 @@ class WallEstimator:
         """Forget the samples of a contact."""
         self._samples.clear()
         self._used = 0
+        self._step_m = self.model.step_m
         #: Deviation of the place where it began; that place, velocity and force there.
         self._entered: tuple[float, complex, complex, complex] = (inf, 0j, 0j, 0j)
         #: The assumed plane's angle and stiffness; the variance of the force about the model.
@@ -157,7 +162,7 @@ class WallEstimator:
         if abs(fx_n) + abs(fy_n) < model.least_n:
             return
         place = complex(x_m, y_m)
-        if samples and abs(place - samples[-1][0]) < model.step_m:
+        if samples and abs(place - samples[-1][0]) < self._step_m:
             return
         velocity = complex(dx, dy) * NS_PER_S / (now_ns - last[0])
         samples.append((place, velocity, complex(fx_n, fy_n)))
@@ -175,23 +180,30 @@ class WallEstimator:
 
     def tell_again(self) -> None:
         """The joystick has started: it knows no wall."""
-        self._due_ns, self._earliest_ns = None, 0
+        self._sent_ns = None
 
-    def poll_transmit(self, now_ns: int) -> bytes | None:
+    def poll_transmit(self, now_ns: int, *, heard: bool = True) -> bytes | None:
         """Return the message to send now, or None. Without a change it is repeated, rarely.
+
+        heard: the joystick is.
 
         Nothing is sent before a contact: a robot that has just started denies no wall.
         """
         if self.wall is None and self.told is None and not self._changed:
             return None
-        due_ns = self._due_ns
-        if due_ns is not None and now_ns < (self._earliest_ns if self._changed else due_ns):
+        model = self.model
+        if self._changed:
+            wait_ns = model.apart_ns
+        elif self._free:
+            wait_ns = model.repeat_ns
+        else:
+            wait_ns = model.pressed_ns if heard else model.unheard_ns
+        if self._sent_ns is not None and now_ns < self._sent_ns + wait_ns:
             return None
         data = pack_wall(WallMessage(now_ns // NS_PER_MS, self.wall), self.sent)
         self.sent += 1
         self.told, self._changed = self.wall, False
-        self._earliest_ns = now_ns + self.model.apart_ns
-        self._due_ns = now_ns + self.model.repeat_ns
+        self._sent_ns = now_ns
         return data
 
     def _estimate(self) -> None:
@@ -267,6 +279,11 @@ class WallEstimator:
         self._angle_rad = angle
         uncertain_2 = float(covariance[0, 0]) / stiffness**2
         if not 0.0 < uncertain_2 <= model.uncertain**2 or covariance[3, 3] > model.uncertain_rad**2:
+            if len(self._samples) == model.most_samples:
+                self._step_m *= 2.0
+                for _ in range(model.most_samples // 2):
+                    self._samples.popleft()
+                    self._samples.rotate(-1)
             return None
         # What the samples alone tell of the stiffness.
         told_2 = 1.0 / uncertain_2

@@ -38,6 +38,8 @@ class RendererModel:
     hand that is pushed back fast wastes the tank's energy in its muscles, so the rise is slow.
     most_rate_n_s: fastest change of the force for any reason.
     soften_s: the stiffness under load follows a new one with this time constant.
+    steepest_n_m: where the tank does not pay for the wall's spring, one of up to this stiffness has
+    the same force and stores less. It feels as stiff to a hand that keeps still.
     acceleration_m_s2: greatest acceleration of the handle; it bounds the next cycle's distance.
     old_ns: a wall that nobody has repeated for so long fades out.
     """
@@ -49,6 +51,7 @@ class RendererModel:
     fall_n_s: float = 100.0
     most_rate_n_s: float = 1000.0
     soften_s: float = 0.1
+    steepest_n_m: float = 0.0
     acceleration_m_s2: float = 150.0
     old_ns: int = 5 * NS_PER_S
 
@@ -73,9 +76,10 @@ class WallRenderer:
         self._goal: Wall | None = None
         self._stamp_ms: int | None = None
         self._age_ns = 0
-        #: The plane that is rendered: its inward normal, stiffness, and where along the normal its
-        #: force begins.
-        self._inward, self._stiffness, self._from_m = (1.0, 0.0), 0.0, 0.0
+        #: The plane that is rendered: its inward normal, the stiffness that is felt at rest and the
+        #: one of the spring, and where along the normal its force begins.
+        self._inward, self._stiffness, self._spring_n_m = (1.0, 0.0), 0.0, 0.0
+        self._from_m = 0.0
         #: The present force on the handle (N, N).
         self.force_n = (0.0, 0.0)
         self._last: tuple[float, float] | None = None
@@ -86,7 +90,7 @@ class WallRenderer:
         fx, fy = self.force_n
         if fx == fy == 0.0:
             return self.tank_j
-        return max(0.0, self.tank_j - (fx * fx + fy * fy) / (2.0 * self._stiffness))
+        return max(0.0, self.tank_j - (fx * fx + fy * fy) / (2.0 * self._spring_n_m))
 
     def handle_wall(self, message: WallMessage) -> None:
         """Take a message. One that is not newer than the last counts as stale and changes nothing.
@@ -126,7 +130,7 @@ class WallRenderer:
         self.handle_flow(self.given_j)
         # What the spring does by itself.
         nx, ny = self._inward
-        force = self._stiffness * (nx * x_m + ny * y_m - self._from_m)
+        force = self._spring_n_m * (nx * x_m + ny * y_m - self._from_m)
         goal = self._goal if felt and self._age_ns <= self.model.old_ns else None
         if force <= 0.0:
             force = 0.0
@@ -146,11 +150,12 @@ class WallRenderer:
         fx, fy = _towards(held_x, held_y, fx, fy, self.model.most_rate_n_s * dt_s)
         force = hypot(fx, fy)
         if force > 0.0:
+            self._steepen(force)
             self._inward = nx, ny = -fx / force, -fy / force
             force = self._bounded(force, (nx * dx + ny * dy) / dt_s)
         if force > 0.0:
             self.force_n = -force * nx, -force * ny
-            self._from_m = nx * x_m + ny * y_m - force / self._stiffness
+            self._from_m = nx * x_m + ny * y_m - force / self._spring_n_m
         else:
             self.force_n = 0.0, 0.0
         return self.force_n
@@ -162,10 +167,10 @@ class WallRenderer:
     def _place(self, goal: Wall | None, x_m: float, y_m: float) -> None:
         """Take the newest wall while there is no force. It begins at a handle that is inside."""
         if goal is None:
-            self._stiffness = 0.0
+            self._stiffness = self._spring_n_m = 0.0
             return
         self._inward = nx, ny = goal.inward
-        self._stiffness = self._series(goal)
+        self._stiffness = self._spring_n_m = self._series(goal)
         self._from_m = max(nx * x_m + ny * y_m, goal.distance_m)
 
     def _soften(self, stiffness: float, force: float, dt_s: float) -> None:
@@ -175,10 +180,16 @@ class WallRenderer:
         if force * force <= 2.0 * after * self.tank_j:
             self._stiffness = after
 
+    def _steepen(self, force: float) -> None:
+        """Choose the spring whose energy at this force the tank pays for, as soft as the wall."""
+        tank_j, steepest = self.tank_j, max(self._stiffness, self.model.steepest_n_m)
+        need_n_m = force * force / (2.0 * tank_j) if tank_j > 0.0 else steepest
+        self._spring_n_m = min(max(self._stiffness, need_n_m), steepest)
+
     def _bounded(self, force: float, in_m_s: float) -> float:
         """Return the force within the bounds of the tank and the motors."""
         tank_j = max(0.0, self.tank_j)
-        force = min(force, self.limit_n, sqrt(2.0 * self._stiffness * tank_j))
+        force = min(force, self.limit_n, sqrt(2.0 * self._spring_n_m * tank_j))
         # The next cycle is held, and the handle may accelerate.
         out_m = (self.model.acceleration_m_s2 * _CYCLE_S - in_m_s) * _CYCLE_S
         if force * out_m > tank_j:

@@ -138,6 +138,17 @@ def test_a_change_is_told_at_most_ten_times_a_second_and_no_change_once_a_second
     assert len(quiet) in (5, 6)
 
 
+def test_a_wall_in_contact_is_repeated_for_a_joystick_that_starts():
+    estimator = WallEstimator()
+    for k in range(200):
+        depth = 0.00002 * k
+        estimator.handle_sample(k * MS, 0.06 + depth, 0.0, -1500.0 * depth, 0.0, True)
+    for heard, least in ((True, 9), (False, 18)):
+        polled = range(1000, 6000) if heard else range(6000, 11000)
+        told = [ms for ms in polled if estimator.poll_transmit(ms * MS, heard=heard) is not None]
+        assert least <= len(told) <= least + 3
+
+
 @pytest.mark.parametrize("free_before", [True, False])
 def test_a_tip_that_only_slows_down_tells_no_wrong_wall(free_before):
     """Position and velocity go together then: the beginning of the contact says the rest."""

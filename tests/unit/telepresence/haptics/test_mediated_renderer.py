@@ -54,6 +54,15 @@ def test_a_wall_under_the_hand_comes_as_far_as_the_tank_pays_for():
     assert steps(renderer, [0.08] * 500)[-1] == pytest.approx(12.0)
 
 
+def test_where_the_tank_lacks_a_steeper_spring_has_the_force_of_the_wall():
+    renderer = WallRenderer(RendererModel(start_j=0.005, steepest_n_m=2000.0))
+    steps(renderer, [0.067] * 10)
+    renderer.handle_wall(WallMessage(1, WALL))
+    assert steps(renderer, [0.067] * 300)[-1] == pytest.approx(4.2)
+    assert steps(renderer, from_to(0.067, 0.0599))[-1] == 0.0
+    assert renderer.least_j >= 0.0
+
+
 @pytest.mark.parametrize(
     "after",
     [None, Wall(0.0, 0.08, 1500.0), Wall(0.0, 0.05, 5000.0), Wall(tau * 3 / 4, 0.0, 200.0)],
