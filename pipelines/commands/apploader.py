@@ -3,7 +3,12 @@
 import argparse
 from pathlib import Path
 
-from pipelines.commands.common import parse_address, say, stopped_by_signals
+from pipelines.commands.common import (
+    add_inbox_argument,
+    parse_address,
+    say,
+    stopped_by_signals,
+)
 from pipelines.session.datagrams import LOOPBACK
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.ftp_client import check_ftp_url
@@ -48,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 "--ftp", metavar="URL", help="with flash: fetch folders 1 and 2 from this server"
             )
             action.add_argument("arguments", nargs="*", metavar="ARGUMENT", help="after --: of run")
+            add_inbox_argument(action)
         if name == "serve":
             action.add_argument("--storage", choices=("sd", "ftp"), default="sd")
             action.add_argument(
@@ -85,5 +91,6 @@ def run(args: argparse.Namespace) -> int:
         if args.ftp is not None:
             check_ftp_url(args.ftp)
         with stopped_by_signals() as stopped:
-            keeper.run(BootDevice(args.boot), args.arguments, stopped, args.ftp)
+            device = BootDevice(args.boot)
+            keeper.run(device, args.arguments, stopped, args.ftp, args.inbox)
     return 0

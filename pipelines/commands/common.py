@@ -7,6 +7,7 @@ import socket
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, sessions
@@ -99,6 +100,15 @@ def say_unprotected(*specs: str) -> None:
 def add_session_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
+    )
+
+
+def add_inbox_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--inbox",
+        type=Path,
+        metavar="FOLDER",
+        help="take updates and orders that come here as files",
     )
 
 

@@ -6,7 +6,7 @@ import time
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on, add_session_argument
-from pipelines.files.desk import STATE, FileAnswer, FileRequest, desk_name
+from pipelines.files.desk import CANCEL, STATE, STATUS, FileAnswer, FileRequest, desk_name
 from pipelines.session.asking import ask_desk, running_sessions
 from pipelines.session.setup.segments import Segment
 from telepresence.files.entity import DONE, FAILED
@@ -19,6 +19,8 @@ _HELP = {
     "list": "list the other end's directory, or one in it",
     "rename": "rename a file at the other end",
     "remove": "remove a file at the other end",
+    STATUS: "list the transfers under way that were asked for here",
+    CANCEL: "give up a transfer, at both ends",
 }
 
 
@@ -26,7 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     for name, text in _HELP.items():
         action = actions.add_parser(name, help=text, description=text)
-        action.add_argument("first", metavar="NAME", nargs="?" if name == "list" else None)
+        if name == CANCEL:
+            action.add_argument("number", metavar="NUMBER", type=int, help="as of status")
+        elif name != STATUS:
+            action.add_argument("first", metavar="NAME", nargs="?" if name == "list" else None)
         if name in ("put", "get"):
             action.add_argument("second", metavar="AS", nargs="?", help="default: the same name")
         elif name == "rename":
@@ -40,14 +45,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         add_session_argument(action)
     parser.description = (
         "Files go both ways beside the media, in the directories of `kontur-av stream --files`. A "
-        "loss of signal suspends them. Exit code 1 if a transfer fails."
+        "loss of signal suspends them, Ctrl-C cancels. Exit code 1 if a transfer fails."
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """0 once it is done; else 1."""
     request = FileRequest(
-        file=args.action, first=args.first or "", second=getattr(args, "second", None) or ""
+        file=args.action,
+        first=getattr(args, "first", None) or "",
+        second=getattr(args, "second", None) or "",
+        number=getattr(args, "number", -1),
     )
     segments = tuple(Segment) if args.origin is None else (Segment(args.origin),)
     for segment in sorted(segments, key=lambda one: one is not Segment.GROUND):
@@ -57,29 +65,40 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _follow(request: FileRequest, segment: Segment, session: str) -> int:
-    """Ask, then print how far it is until it has ended."""
+    """Ask, then print how far it is until it has ended; Ctrl-C cancels it."""
     began_s = told_s = time.monotonic()
-    state, missing = "", _MISSING
-    while True:
-        answer = ask_desk(desk_name(segment), request, FileAnswer, session, missing=missing)
-        if answer is None:
-            print("kontur-av: the session has not answered", file=sys.stderr)
-            return 1
-        if answer.mistake:
-            raise ConfigError(answer.text)
-        if not answer.ok or answer.state == FAILED:
-            print(f"kontur-av: failed: {answer.text}", file=sys.stderr)
-            return 1
-        now_s = time.monotonic()
-        if answer.state == DONE:
-            print(answer.text.rstrip() or f"done, {_progress(answer)} in {now_s - began_s:.1f} s")
-            return 0
-        if answer.state != state or now_s - told_s >= _TELL_S:
-            state, told_s = answer.state, now_s
-            print(f"{state}, {_progress(answer)}", file=sys.stderr, flush=True)
-        request = FileRequest(file=STATE, number=answer.number)
-        missing = f"session {session} has ended before the transfer"
-        time.sleep(_LOOK_S)
+    desk, state, text, missing = desk_name(segment), "", "", _MISSING
+    try:
+        while True:
+            answer = ask_desk(desk, request, FileAnswer, session, missing=missing)
+            if answer is None:
+                print("kontur-av: the session has not answered", file=sys.stderr)
+                return 1
+            if answer.mistake:
+                raise ConfigError(answer.text)
+            if not answer.ok or answer.state == FAILED:
+                print(f"kontur-av: failed: {answer.text}", file=sys.stderr)
+                return 1
+            now_s = time.monotonic()
+            if answer.state == DONE:
+                done = f"done, {_progress(answer)} in {now_s - began_s:.1f} s"
+                print(answer.text.rstrip() or done)
+                return 0
+            if answer.text != text:
+                text = answer.text
+                print(f"kontur-av: {text or 'the other end answers'}", file=sys.stderr, flush=True)
+            if answer.state != state or now_s - told_s >= _TELL_S:
+                state, told_s = answer.state, now_s
+                print(f"{state}, {_progress(answer)}", file=sys.stderr, flush=True)
+            request = FileRequest(file=STATE, number=answer.number)
+            missing = f"session {session} has ended before the transfer"
+            time.sleep(_LOOK_S)
+    except KeyboardInterrupt:
+        if request.file == STATE:
+            cancel = FileRequest(file=CANCEL, number=request.number)
+            ask_desk(desk, cancel, FileAnswer, session, missing=missing)
+            print("kontur-av: cancelled", file=sys.stderr)
+        raise
 
 
 def _progress(answer: FileAnswer) -> str:

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
-from pipelines.commands.common import say, stopped_by_signals
+from pipelines.commands.common import add_inbox_argument, say, stopped_by_signals
 from pipelines.link.key_files import default_key_path, read_key, trusted_identities
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.version_keeper import VersionKeeper
@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 help=f"contact without application data that is allowed; default: {_SECONDS}",
             )
             action.add_argument("arguments", nargs="*", metavar="ARGUMENT", help="after --: of run")
+            add_inbox_argument(action)
         if name in ("sign", "add", "run"):
             action.add_argument(
                 "--key",
@@ -80,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "run":
         limits = VersionLimits(probation_ns=round(args.probation * NS_PER_S))
         with stopped_by_signals() as stopped:
-            keeper.run(args.arguments, stopped, limits)
+            keeper.run(args.arguments, stopped, limits, args.inbox)
     else:
         keeper.order(args.action, args.name)
     return 0

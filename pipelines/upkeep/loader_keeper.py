@@ -4,7 +4,7 @@ A directory has the storages: `sd/1`, `sd/2`, `ftp/1`, `ftp/2`, `flash`, and the
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from kontur_av.errors import ConfigError
 from pipelines.upkeep.desk import answer_order, give_order, kept
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.ftp_client import fetch_copies
+from pipelines.upkeep.inbox_folder import InboxFolder
 from pipelines.upkeep.program import Program
 from telepresence.upkeep.app_loader import (
     AppLoader,
@@ -30,18 +31,21 @@ from telepresence.upkeep.app_loader import (
     StartApplication,
     StopApplication,
     StoreMode,
+    WriteUpdate,
 )
 from telepresence.upkeep.copies import (
     PAIRS,
+    check_update,
     copy_to_backup,
     note_worked,
     read_mode,
     store_mode,
     update_prime,
 )
-from telepresence.upkeep.file_store import read_folder, replace_file
+from telepresence.upkeep.file_store import StoredFile, read_folder, replace_file
 from telepresence.upkeep.flash_check import FlashCheck, FlashFigures
-from telepresence.upkeep.sfv import fault_of, write_copy
+from telepresence.upkeep.sfv import SFV, fault_of, write_copy
+from telepresence.upkeep.status import parse_status
 
 _POLL_NS = 100 * NS_PER_MS
 _FLASH_NS = NS_PER_S
@@ -71,6 +75,13 @@ class LoaderKeeper:
         self._program = Program(path / _STATUS, ())
         self._over = False
         self._ftp: str | None = None
+        self._device = BootDevice.SD
+        #: What waits to be written to prime, and why that was not possible.
+        self._update: Mapping[str, StoredFile] | None = None
+        self._refusal = ""
+        self._busy = False
+        #: Copies out of use since the last update, also those before a reboot from flash.
+        self._wrong: dict[Copy, str] = {}
 
     def fill(self, copy: Copy, folder: Path) -> None:
         """Write a copy as it was at delivery: any storage, also the flash."""
@@ -107,29 +118,44 @@ class LoaderKeeper:
         arguments: Sequence[str],
         stopped: Callable[[], bool],
         ftp: str | None = None,
+        inbox: Path | None = None,
     ) -> None:
-        """Run until an orderly shutdown, as a signal is. ftp: the URL of the server, if any."""
+        """Run until an orderly shutdown, as a signal is. ftp: the URL of the server, if any.
+
+        inbox: a folder where updates and orders come as files.
+        """
+        if inbox is not None and ftp is not None:
+            raise ConfigError("--inbox and --ftp: the server's copies would overwrite the update")
         with kept(self.path) as free:
             if not free:
                 raise ConfigError(f"{self.path} runs already")
-            self._ftp = ftp
+            self._ftp, self._device = ftp, device
             self._program = Program(self.path / _STATUS, arguments)
             try:
-                self._run(device, MonotonicClock().now_ns, stopped)
+                self._run(MonotonicClock().now_ns, stopped, inbox)
             finally:
                 self._program.stop()
 
     def _run(
-        self, device: BootDevice, now_ns: Callable[[], int], stopped: Callable[[], bool]
+        self, now_ns: Callable[[], int], stopped: Callable[[], bool], inbox: Path | None
     ) -> None:
-        loader = self._loader = AppLoader(device, now_ns())
+        self._loader = AppLoader(self._device, now_ns())
+        box = None
+        if inbox is not None:
+            box = InboxFolder(
+                inbox,
+                ("copy",),
+                add=partial(self._take, now_ns),
+                order=partial(self._obey, now_ns),
+            )
         flash = FlashCheck(self.store, Copy.FLASH.value, now_ns(), _FLASH_NS)
         told_ns, told_step = now_ns(), None
         while not self._over:
-            loader = self._loader
-            while not self._over and (event := loader.next_event()) is not None:
-                self._do(event, loader, now_ns)
-                loader = self._loader
+            loader = self._work(now_ns)
+            if box is not None and not self._over:
+                box.work(busy=self._busy, now_ns=now_ns())
+                loader = self._work(now_ns)
+                box.tell(*self._summary(loader))
             if loader.step is not told_step or now_ns() >= told_ns:
                 told_ns, told_step = now_ns() + _HOUSEKEEPING_NS, loader.step
                 self._tell(loader, flash)
@@ -140,14 +166,25 @@ class LoaderKeeper:
                 loader.handle_shutdown(now_ns())
             answer_order(self.path, partial(self._act, loader, now_ns()))
             code = self._program.exit_code()
+            told = self._program.news()
+            if told is not None:
+                status = parse_status(told)
+                self._busy = status is not None and status.busy
             if code == 0:
                 loader.handle_shutdown(now_ns())
             elif code is not None:
                 loader.handle_malfunction(f"it ended with {code}", now_ns())
-            elif self._program.news() is not None:
+            elif told is not None:
                 loader.handle_started(now_ns())
             loader.handle_time(now_ns())
             flash.handle_time(now_ns())
+
+    def _work(self, now_ns: Callable[[], int]) -> AppLoader:
+        """Do all that is to be done; return the loader, which may be another one by then."""
+        assert self._loader is not None
+        while not self._over and (event := self._loader.next_event()) is not None:
+            self._do(event, self._loader, now_ns)
+        return self._loader
 
     def _do(self, event: LoaderEvent, loader: AppLoader, now_ns: Callable[[], int]) -> None:
         store = self.store
@@ -168,6 +205,8 @@ class LoaderKeeper:
             if not self._program.start(self.path / event.copy.value):
                 loader.handle_malfunction("it cannot be started", now_ns())
         elif isinstance(event, StopApplication):
+            self._busy = False
+            self._wrong |= loader.erroneous
             for copy, why in loader.erroneous.items():
                 self._say(f"{copy.value} is out of use: {why}")
             self._program.stop()
@@ -176,7 +215,11 @@ class LoaderKeeper:
             note_worked(store, event.copy)
         elif isinstance(event, RebootFromFlash):
             self._say("no copy on the SD card is valid: reboot from flash")
+            self._wrong |= loader.erroneous
             self._loader = AppLoader(BootDevice.FLASH, now_ns())
+        elif isinstance(event, WriteUpdate):
+            self._write_update()
+            self._loader = AppLoader(self._device, now_ns())
         elif isinstance(event, PowerOffReady):
             self._say(f"ready for power off; desired mode {loader.desired.value}")
             self._over = True
@@ -187,6 +230,45 @@ class LoaderKeeper:
             copies = {copy.value.rpartition("/")[2]: copy.value for copy in _FTP_COPIES}
             return fetch_copies(self._ftp, self.store, copies)
         return any(self.store.files(copy.value) for copy in _FTP_COPIES)
+
+    def _take(self, now_ns: Callable[[], int], name: str, files: Mapping[str, StoredFile]) -> str:
+        """Write an update that came into the inbox to prime, and start it."""
+        if SFV not in files:
+            raise ConfigError(f"the update has no {SFV}: `kontur-av apploader sfv FOLDER`")
+        check_update(self.store, files, self._device)
+        self._say(f"update {name} waits: the software is ended")
+        assert self._loader is not None
+        self._update, self._refusal = files, ""
+        self._loader.handle_update(now_ns())
+        self._work(now_ns)
+        assert self._update is None
+        if self._refusal:
+            raise ConfigError(self._refusal)
+        return f"written to {PAIRS[self._device][0].value}"
+
+    def _write_update(self) -> None:
+        assert self._update is not None
+        self._wrong.clear()
+        try:
+            update_prime(self.store, self._update, self._device)
+        except ConfigError as error:
+            self._refusal = str(error)
+        except OSError as error:
+            self._refusal = f"the disk: {error.strerror or error}"
+        self._update = None
+
+    def _obey(self, now_ns: Callable[[], int], order: str) -> str:
+        """Do an order that came into the inbox."""
+        assert self._loader is not None
+        self._act(self._loader, now_ns(), order)
+        return "done"
+
+    def _summary(self, loader: AppLoader) -> tuple[str, str, dict[str, str]]:
+        """What runs, what AppLoader does, and the copies with what is wrong with them."""
+        wrong = {**self._wrong, **loader.erroneous}
+        copies = dict.fromkeys((*PAIRS[self._device], *wrong))
+        states = {copy.value: wrong.get(copy, "valid") for copy in copies}
+        return "" if loader.copy is None else loader.copy.value, loader.step.value, states
 
     def _act(self, loader: AppLoader, now_ns: int, order: str) -> None:
         if order == "copy":

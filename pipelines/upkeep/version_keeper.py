@@ -1,16 +1,18 @@
 """Runs the versions of a directory: `VersionSwitch` decides, and this module does it."""
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.upkeep.desk import answer_order, give_order, kept
 from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.inbox_folder import InboxFolder
 from pipelines.upkeep.program import Program
 from telepresence.link.protection.identity import MachineIdentity
-from telepresence.upkeep.file_store import read_folder
+from telepresence.upkeep.file_store import StoredFile, read_folder
 from telepresence.upkeep.stack_directory import VersionDirectory
 from telepresence.upkeep.status import parse_status
 from telepresence.upkeep.version_stack import (
@@ -31,6 +33,8 @@ _RECORDS: dict[str, Callable[[StackRecord, str], StackRecord]] = {
     "remove": StackRecord.removed,
     "start": StackRecord.ordered,
 }
+#: Orders that an inbox takes.
+_INBOX_WORDS = ("confirm", "remove", "start")
 
 
 class VersionKeeper:
@@ -42,6 +46,7 @@ class VersionKeeper:
         self.path, self._say = path, say
         self.store = DiskStore(path)
         self.versions = VersionDirectory(self.store, trusted)
+        self._busy = False
 
     def read(self) -> StackRecord:
         return self.versions.read()
@@ -73,9 +78,16 @@ class VersionKeeper:
             self.versions.forget(name)
 
     def run(
-        self, arguments: Sequence[str], stopped: Callable[[], bool], limits: VersionLimits
+        self,
+        arguments: Sequence[str],
+        stopped: Callable[[], bool],
+        limits: VersionLimits,
+        inbox: Path | None = None,
     ) -> None:
-        """Run versions until `stopped`. Raises ConfigError if that cannot be."""
+        """Run versions until `stopped`. Raises ConfigError if that cannot be.
+
+        inbox: a folder where updates and orders come as files.
+        """
         with kept(self.path) as free:
             if not free:
                 raise ConfigError(f"{self.path} runs already")
@@ -90,6 +102,14 @@ class VersionKeeper:
             clock = MonotonicClock()
             program = Program(self.path / _STATUS, arguments)
             switch = VersionSwitch(self.read(), clock.now_ns(), limits)
+            box = None
+            if inbox is not None:
+                box = InboxFolder(
+                    inbox,
+                    _INBOX_WORDS,
+                    add=partial(self._take, switch, clock.now_ns),
+                    order=partial(self._obey, switch, clock.now_ns),
+                )
             try:
                 while not stopped():
                     self._do(switch, program, clock.now_ns)
@@ -97,7 +117,11 @@ class VersionKeeper:
                         self.path,
                         lambda text: self._act(switch, text, clock.now_ns()),
                     )
+                    if box is not None:
+                        box.work(busy=self._busy, now_ns=clock.now_ns())
                     self._do(switch, program, clock.now_ns)
+                    if box is not None:
+                        box.tell(switch.record.current, switch.reason, _states(switch.record))
                     left_ns = switch.poll_timeout() - clock.now_ns()
                     time.sleep(max(0, min(left_ns, _POLL_NS)) / NS_PER_S)
                     if program.exit_code() is not None:
@@ -108,6 +132,7 @@ class VersionKeeper:
                     if status is None:
                         switch.handle_time(clock.now_ns())
                     else:
+                        self._busy = status.busy
                         switch.handle_status(status, clock.now_ns())
             finally:
                 program.stop()
@@ -120,6 +145,7 @@ class VersionKeeper:
                 program.stop()
             elif isinstance(event, StartVersion):
                 self._say(f"version {event.name} starts ({switch.reason})")
+                self._busy = False
                 self._start(event.name, switch, program, now_ns)
 
     def _start(
@@ -134,6 +160,32 @@ class VersionKeeper:
                 return
         if not program.start(self.path / name):
             switch.handle_exit(now_ns())
+
+    def _take(
+        self,
+        switch: VersionSwitch,
+        now_ns: Callable[[], int],
+        name: str,
+        files: Mapping[str, StoredFile],
+    ) -> str:
+        """Add a version that came into the inbox, and start it."""
+        if self.versions.holds(name, files, switch.record):
+            return "it is there already"
+        # Refused before anything is written, if there is another one of this name.
+        switch.record.added(name)
+        self.versions.add(name, files)
+        self._act(switch, f"add {name}", now_ns())
+        self._act(switch, f"start {name}", now_ns())
+        return "added and started"
+
+    def _obey(self, switch: VersionSwitch, now_ns: Callable[[], int], order: str) -> str:
+        """Do an order that came into the inbox."""
+        self._act(switch, order, now_ns())
+        word, _, name = order.partition(" ")
+        if word == "remove":
+            self.versions.store(switch.record)
+            self.versions.forget(name)
+        return "done"
 
     def _act(self, switch: VersionSwitch, order: str, now_ns: int) -> None:
         word, _, name = order.partition(" ")
@@ -152,3 +204,10 @@ def _confirmed(record: StackRecord, name: str) -> StackRecord:
     if name != record.current:
         raise ConfigError(f"version {name} does not run: {record.current} does")
     return record.worked()
+
+
+def _states(record: StackRecord) -> dict[str, str]:
+    return {
+        name: state.value + (", set aside" if name in record.tried else "")
+        for name, state in record.versions
+    }

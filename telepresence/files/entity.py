@@ -24,6 +24,7 @@ from telepresence.files.pdus import (
     Eof,
     FileData,
     Finished,
+    KeepAlive,
     Key,
     Metadata,
     Nak,
@@ -33,7 +34,7 @@ from telepresence.files.pdus import (
     parse_pdu,
 )
 from telepresence.files.receiver import MAX_FILE_OCTETS, FileReceiver, why
-from telepresence.files.sender import FileSender, TransactionPace, closing
+from telepresence.files.sender import CANCELLED, FileSender, TransactionPace, closing
 from telepresence.link.bucket import TokenBucket
 
 PUT = "put"
@@ -48,6 +49,8 @@ _REMEMBERED = 64
 #: as long as two looks at the link: neither may the link run dry, nor much be lost with the signal.
 _ROOM_OCTETS, _ROOM_NS = 1024, 20 * NS_PER_MS
 _MOST_ANSWERS = 16
+#: After so long in contact without a word of the other end, its user is told.
+_NOTICE_NS = 10 * NS_PER_S
 _HEADER_OCTETS = 16
 #: A listing goes into one answer to a terminal.
 LARGEST_LISTING = 4 << 10
@@ -128,12 +131,16 @@ class FileEntity:
         self.transfers: OrderedDict[int, Transfer] = OrderedDict()
         #: What was asked for and comes as a transaction of the other end.
         self._expected: dict[Key, Transfer] = {}
+        #: Cancelled before it came: it is cancelled at its receiver when it comes.
+        self._unwanted: OrderedDict[Key, None] = OrderedDict()
         self._answers: deque[Pdu] = deque()
         self._jobs: deque[DirectoryJob] = deque()
         self.counts = FileFigures()
         self._heard, self._room = False, True
         #: The time in contact at the last change, and when that was.
         self._contact_ns, self._changed_ns = 0, now_ns
+        #: When the other end was heard last, in the time in contact.
+        self._peer_ns = -1
 
     def put(self, first: str, second: str, octets: bytes, now_ns: int) -> Transfer:
         """Send the octets of the file `first` to the other end, as `second` or under its own name.
@@ -173,6 +180,23 @@ class FileEntity:
         )
         return self._begin(metadata, b"", kind, first, second, now_ns)
 
+    def cancel(self, number: int, now_ns: int) -> Transfer:
+        """Give up a transfer that was asked for here, at both ends. ConfigError if it is over."""
+        transfer = self.transfers.get(number)
+        if transfer is None or transfer.state in (DONE, FAILED):
+            raise ConfigError(f"no transfer {number} is under way: see kontur-av file status")
+        key, at_ns = Key(self._entity, self._peer, number), self._time(now_ns)
+        if (sender := self._senders.get(key)) is not None:
+            sender.cancel()
+        if self._expected.pop(key, None) is not None:
+            while len(self._unwanted) >= _REMEMBERED:
+                self._unwanted.popitem(last=False)
+            self._unwanted[key] = None
+            for receiver in self._receivers.values():
+                self._drop_unwanted(receiver, at_ns)
+        self._end(transfer, CANCELLED)
+        return transfer
+
     def handle_pdu(self, octets: bytes, now_ns: int) -> None:
         """A datagram from the other end; garbage is counted."""
         try:
@@ -181,6 +205,7 @@ class FileEntity:
             self.counts.file_garbage += 1
             return
         key, at_ns = pdu.key, self._time(now_ns)
+        self._peer_ns = at_ns
         if (key.source, key.destination) == (self._entity, self._peer):
             self._answered(pdu, at_ns)
         elif (key.source, key.destination) == (self._peer, self._entity):
@@ -260,6 +285,13 @@ class FileEntity:
         open_yet = transfer.state in (WAITING, RUNNING)
         return SUSPENDED if open_yet and not self._heard else transfer.state
 
+    def unanswered(self, transfer: Transfer, now_ns: int) -> bool:
+        """Whether nothing at all was heard for a while since a transfer began."""
+        sender = self._senders.get(Key(self._entity, self._peer, transfer.number))
+        if sender is None or sender.began_ns is None or self._peer_ns >= sender.began_ns:
+            return False
+        return self._heard and self._time(now_ns) - sender.began_ns >= _NOTICE_NS
+
     @property
     def open(self) -> bool:
         """Whether a transaction is under way."""
@@ -304,7 +336,7 @@ class FileEntity:
         if sender is None:
             if isinstance(pdu, Finished):
                 self._answer(closing(pdu))
-        elif isinstance(pdu, Ack | Nak | Finished):
+        elif isinstance(pdu, Ack | Nak | Finished | KeepAlive):
             sender.handle_pdu(pdu, at_ns)
 
     def _received(self, pdu: Pdu, at_ns: int) -> None:
@@ -326,6 +358,7 @@ class FileEntity:
         receiver.handle_pdu(pdu, at_ns)
         self.counts.file_octets_received += receiver.received_octets - before[0]
         self.counts.file_octets_repeated += receiver.repeated_octets - before[1]
+        self._drop_unwanted(receiver, at_ns)
         metadata = receiver.metadata
         transfer = None
         if metadata is not None and metadata.origin is not None:
@@ -334,10 +367,15 @@ class FileEntity:
             transfer.state, transfer.heard_ns = RUNNING, at_ns
             transfer.octets = receiver.received_octets
             transfer.size = -1 if receiver.size is None else receiver.size
-        if receiver.whole and not before[2]:
+        if receiver.whole and not before[2] and receiver.finished is None:
             self._whole(receiver, transfer, at_ns)
         elif receiver.finished is not None:
             self._tell_origin(receiver)
+
+    def _drop_unwanted(self, receiver: FileReceiver, at_ns: int) -> None:
+        metadata = receiver.metadata
+        if metadata is not None and metadata.origin in self._unwanted:
+            receiver.cancel(at_ns)
 
     def _whole(self, receiver: FileReceiver, transfer: Transfer | None, at_ns: int) -> None:
         """A file has come, or a request: do what it asks for."""
@@ -429,7 +467,8 @@ class FileEntity:
             self.counts.file_octets_sent += sender.sent_octets - before[0]
             self.counts.file_octets_resent += sender.resent_octets - before[1]
             transfer = self.transfers.get(key.number)
-            if transfer is not None and transfer.kind == PUT:
+            open_yet = transfer is not None and transfer.state in (WAITING, RUNNING)
+            if transfer is not None and open_yet and transfer.kind == PUT:
                 transfer.state, transfer.octets = RUNNING, sender.sent_octets
             if pdu is not None:
                 self._senders.move_to_end(key)

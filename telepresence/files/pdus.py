@@ -25,7 +25,15 @@ from spacepackets.cfdp import (
 )
 from spacepackets.cfdp.defs import UnsupportedCfdpVersionError
 from spacepackets.cfdp.lv import CfdpLv
-from spacepackets.cfdp.pdu import AckPdu, EofPdu, FileDataPdu, FinishedPdu, MetadataPdu, NakPdu
+from spacepackets.cfdp.pdu import (
+    AckPdu,
+    EofPdu,
+    FileDataPdu,
+    FinishedPdu,
+    KeepAlivePdu,
+    MetadataPdu,
+    NakPdu,
+)
 from spacepackets.cfdp.pdu.ack import TransactionStatus
 from spacepackets.cfdp.pdu.file_data import FileDataParams
 from spacepackets.cfdp.pdu.finished import FinishedParams
@@ -170,7 +178,15 @@ class Nak:
     metadata: bool = False
 
 
-Pdu = Metadata | FileData | Eof | Finished | Ack | Nak
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeepAlive:
+    """Clause 5.2.8. octets: as far as the file has come."""
+
+    key: Key
+    octets: int
+
+
+Pdu = Metadata | FileData | Eof | Finished | Ack | Nak | KeepAlive
 
 
 def pack_pdu(pdu: Pdu) -> bytes:
@@ -206,6 +222,8 @@ def pack_pdu(pdu: Pdu) -> bytes:
             requests = [*([(0, 0)] if pdu.metadata else []), *pdu.ranges]
             end = pdu.ranges[-1][1] if pdu.ranges else 0
             return bytes(NakPdu(conf, 0, end, requests).pack())
+        case KeepAlive():
+            return bytes(KeepAlivePdu(conf, pdu.octets).pack())
         case Finished():
             finished = FinishedParams(
                 condition_code=ConditionCode(pdu.condition),
@@ -309,6 +327,8 @@ def _parse(octets: bytes) -> Pdu:
                 ranges=[one for one in ranges if one[0] < one[1]],
                 metadata=(0, 0) in ranges,
             )
+        case KeepAlivePdu() if not onward:
+            return KeepAlive(key=key, octets=pdu.progress)
         case FinishedPdu() if not onward:
             return _finished(key, pdu)
     raise ValueError("not for this direction")

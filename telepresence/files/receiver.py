@@ -2,6 +2,7 @@
 
 from hashlib import sha256
 
+from kontur_av.clock import NS_PER_S
 from telepresence.files.pdus import (
     Ack,
     ConditionCode,
@@ -10,6 +11,7 @@ from telepresence.files.pdus import (
     FileData,
     FileStatus,
     Finished,
+    KeepAlive,
     Key,
     Metadata,
     Nak,
@@ -21,6 +23,8 @@ from telepresence.files.sums import KNOWN_SUMS, file_sum
 
 #: The largest file. Until it is whole it is in memory, at both ends.
 MAX_FILE_OCTETS = 16 << 20
+#: How often a sender that still sends learns that somebody receives (clause 4.6.5).
+_ALIVE_NS = 5 * NS_PER_S
 #: The most ranges that one NAK asks for; the next one asks for others.
 _MOST_RANGES = 48
 _WHY = {
@@ -60,7 +64,8 @@ class FileReceiver:
         self._there = Segments()
         self._eof: Eof | None = None
         self._ack: Ack | None = None
-        self._heard_ns = self._due_ns = now_ns
+        self._heard_ns = self._due_ns = self._alive_ns = now_ns
+        self._alive_due = False
 
     @property
     def octets(self) -> bytes:
@@ -80,6 +85,8 @@ class FileReceiver:
     def handle_pdu(self, pdu: Pdu, now_ns: int) -> None:
         """A PDU of the sender."""
         self._heard_ns = now_ns
+        if now_ns >= self._alive_ns:
+            self._alive_due, self._alive_ns = True, now_ns + _ALIVE_NS
         if isinstance(pdu, Eof):
             self._ack = Ack(
                 key=self.key,
@@ -91,6 +98,11 @@ class FileReceiver:
             self.ended = self.finished is not None
         elif self.finished is None and not self.whole:
             self._take(pdu, now_ns)
+
+    def cancel(self, now_ns: int) -> None:
+        """The user does not want the file any more (clause 4.11.2.3)."""
+        if self.finished is None:
+            self._fail(ConditionCode.CANCEL_REQUEST_RECEIVED, now_ns)
 
     def handle_stored(self, refusal: str, now_ns: int) -> None:
         """What was asked for is done; else refusal says why not."""
@@ -128,6 +140,9 @@ class FileReceiver:
             if not self.whole:
                 self._fail(ConditionCode.INACTIVITY_DETECTED, now_ns)
                 self._heard_ns = now_ns
+        if self._alive_due and self._eof is None and self.finished is None:
+            self._alive_due = False
+            return KeepAlive(key=self.key, octets=self.received_octets)
         if now_ns < self._due_ns:
             return None
         if self.finished is not None:
@@ -147,6 +162,8 @@ class FileReceiver:
             return None
         patience_ns = self._heard_ns + self._pace.patience_ns
         waits = self.finished is None and self._eof is None
+        if waits and self._alive_due:
+            return 0
         return patience_ns if waits else min(self._due_ns, patience_ns)
 
     def _take(self, pdu: Pdu, now_ns: int) -> None:

@@ -16,6 +16,7 @@ from telepresence.files.pdus import (
 from telepresence.files.segments import Segments
 from telepresence.files.sums import file_sum
 
+CANCELLED = "cancelled"
 #: An EOF that was acknowledged is repeated more seldom: the receiver may have been started again.
 _SELDOM = 4
 
@@ -36,6 +37,7 @@ class FileSender:
     """Sends one file, or metadata alone. All instants are of the time in contact.
 
     done: what the receiver said at the end; failure: why nobody said it, "" if not yet.
+    began_ns: when the metadata were sent first; None if not yet.
     sent_octets: of the file for the first time; resent_octets: again.
     """
 
@@ -45,6 +47,7 @@ class FileSender:
         self.metadata = metadata
         self.done: Finished | None = None
         self.failure = ""
+        self.began_ns: int | None = None
         self.sent_octets = self.resent_octets = 0
         self._octets, self._pace = octets, pace
         self._metadata_due = True
@@ -74,11 +77,30 @@ class FileSender:
                 # What comes anyway needs no retransmission.
                 self._again.add(start, min(end, self.sent_octets))
         elif isinstance(pdu, Ack) and pdu.of == DirectiveType.EOF_PDU:
+            if pdu.condition != self._eof.condition:
+                return
+            if self._eof.condition != ConditionCode.NO_ERROR:
+                self.failure = CANCELLED
             self._eof_acknowledged = True
             self._eof_ns = now_ns + _SELDOM * self._pace.repeat_ns
         elif isinstance(pdu, Finished):
             self.done = pdu
             self._closing = closing(pdu)
+
+    def cancel(self) -> None:
+        """The rest shall not go, and the receiver is told (clause 4.11.2.2)."""
+        if self.began_ns is None:
+            self.failure = CANCELLED
+        if self.ended or self.done is not None:
+            return
+        self._octets, self._again = self._octets[: self.sent_octets], Segments()
+        self._metadata_due = self._eof_sent = self._eof_acknowledged = False
+        self._eof = Eof(
+            key=self.metadata.key,
+            size=self.size,
+            checksum=file_sum(self.metadata.checksum, self._octets),
+            condition=ConditionCode.CANCEL_REQUEST_RECEIVED,
+        )
 
     def poll_transmit(self, now_ns: int) -> Pdu | None:
         """Return the next PDU, or None."""
@@ -90,6 +112,8 @@ class FileSender:
         key = self.metadata.key
         if self._metadata_due:
             self._metadata_due = False
+            if self.began_ns is None:
+                self.began_ns = now_ns
             return self.metadata
         if self._again:
             start, end = self._again.take(self._pace.segment_octets)

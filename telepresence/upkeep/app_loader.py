@@ -116,6 +116,11 @@ class PowerOffReady:
     """All is stopped and stored: power may go."""
 
 
+@dataclass(frozen=True, slots=True)
+class WriteUpdate:
+    """All is stopped and stored: write the update to prime, then make another `AppLoader`."""
+
+
 LoaderEvent = (
     LoadMode
     | FindFtp
@@ -126,6 +131,7 @@ LoaderEvent = (
     | NoteWorked
     | RebootFromFlash
     | PowerOffReady
+    | WriteUpdate
 )
 
 
@@ -133,8 +139,8 @@ class AppLoader:
     """Begins at power on. Do each `next_event`, and answer it as its class says.
 
     Call `handle_time` at `poll_timeout`, `handle_malfunction` when the application fails before or
-    after it has started, and `handle_shutdown` when the user wants power off. An answer that nobody
-    waits for is ignored.
+    after it has started, `handle_shutdown` when the user wants power off, and `handle_update` when
+    prime is to be written. An answer that nobody waits for is ignored.
 
     step: what it waits for. copy: the one in use, if any. erroneous: copies out of use until the
     next power on, with the reason.
@@ -150,7 +156,7 @@ class AppLoader:
         #: Mode by copy that may be used; empty until they are checked.
         self._copies: dict[Copy, Mode] = {}
         self._unchecked: list[Copy] = []
-        self._ends = False
+        self._ends = self._updates = False
         self._due_ns: int | None = None
         self._pause_ns = PAUSE_NS
         self._now_ns = now_ns
@@ -198,8 +204,7 @@ class AppLoader:
         if not self._awaits(LoaderStep.STORE, now_ns):
             return
         if self._ends:
-            self.step = LoaderStep.OFF
-            self._events.append(PowerOffReady())
+            self._off()
             return
         assert self.copy is not None
         self.step, self._due_ns = LoaderStep.START, now_ns + START_NS
@@ -221,23 +226,16 @@ class AppLoader:
         self.step = LoaderStep.STOP
         self._events.append(StopApplication())
 
+    def handle_update(self, now_ns: int) -> None:
+        """An update waits: end the application in good order, as before power off."""
+        # Power off goes first.
+        self._updates = not self._ends
+        self._end(now_ns)
+
     def handle_shutdown(self, now_ns: int) -> None:
         """The user has ended the application in good order; power will go."""
-        self._now_ns = now_ns
-        if self.step in (LoaderStep.START, LoaderStep.RUN):
-            self.step, self._due_ns = LoaderStep.SHUTDOWN, None
-            self._events.append(StopApplication())
-        elif self.step not in (
-            LoaderStep.STOP,
-            LoaderStep.SHUTDOWN,
-            LoaderStep.OFF,
-            LoaderStep.REBOOT,
-        ):
-            # Nothing runs yet, so the stored mode stays.
-            self._events.clear()
-            self.step, self._due_ns = LoaderStep.OFF, None
-            self._events.append(PowerOffReady())
-        self._ends = True
+        self._updates = False
+        self._end(now_ns)
 
     def handle_stopped(self, now_ns: int) -> None:
         """Application and drivers have ended."""
@@ -246,8 +244,7 @@ class AppLoader:
             self._store(self._copies[self.copy])
         elif self.step is LoaderStep.STOP and self._ends:
             # This copy has failed: the mode stays that of the other one.
-            self.step = LoaderStep.OFF
-            self._events.append(PowerOffReady())
+            self._off()
         elif self.step is LoaderStep.STOP:
             self._now_ns = now_ns
             self._select()
@@ -265,6 +262,26 @@ class AppLoader:
             self._events.append(NoteWorked(self.copy))
         elif self.step is LoaderStep.START:
             self.handle_malfunction("it did not start in time", now_ns)
+
+    def _end(self, now_ns: int) -> None:
+        self._now_ns = now_ns
+        if self.step in (LoaderStep.START, LoaderStep.RUN):
+            self.step, self._due_ns = LoaderStep.SHUTDOWN, None
+            self._events.append(StopApplication())
+        elif self.step not in (
+            LoaderStep.STOP,
+            LoaderStep.SHUTDOWN,
+            LoaderStep.OFF,
+            LoaderStep.REBOOT,
+        ):
+            # Nothing runs yet, so the stored mode stays.
+            self._events.clear()
+            self._off()
+        self._ends = True
+
+    def _off(self) -> None:
+        self.step, self._due_ns = LoaderStep.OFF, None
+        self._events.append(WriteUpdate() if self._updates else PowerOffReady())
 
     def _awaits(self, step: LoaderStep, now_ns: int) -> bool:
         self._now_ns = now_ns

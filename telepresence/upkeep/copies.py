@@ -34,15 +34,22 @@ def store_mode(store: FileStore, mode: Mode) -> None:
         replace_file(store, _EEPROM, f"{mode.value}\n".encode())
 
 
-def update_prime(store: FileStore, files: Mapping[str, StoredFile], device: BootDevice) -> None:
-    """Write an update to prime, to be tried next. ConfigError if no other copy is whole."""
-    prime, backup = PAIRS[device]
+def check_update(store: FileStore, files: Mapping[str, StoredFile], device: BootDevice) -> None:
+    """Raise ConfigError unless an update may be written to prime: another copy must be whole."""
+    backup = PAIRS[device][1]
     if RUN not in files or not files[RUN].executable:
         raise ConfigError(f"the update has no executable file {RUN!r}, which starts it")
     if SFV in files and (fault := fault_of_files(files)) is not None:
         raise ConfigError(f"the update is refused: {fault}")
-    if (fault := fault_of(store, backup.value)) is not None:
+    # Where neither is valid, there is nothing to lose.
+    if (fault := fault_of(store, backup.value)) is not None and bootable(store, device):
         raise ConfigError(f"backup is invalid ({fault}): copy prime to backup first")
+
+
+def update_prime(store: FileStore, files: Mapping[str, StoredFile], device: BootDevice) -> None:
+    """Write an update to prime, to be tried next. ConfigError as of `check_update`."""
+    check_update(store, files, device)
+    prime = PAIRS[device][0]
     # If power fails meanwhile, prime is invalid, and this mode only names it.
     store_mode(store, Mode.PRIME)
     write_copy(store, prime.value, files)

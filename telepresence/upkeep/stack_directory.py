@@ -79,6 +79,18 @@ class VersionDirectory:
             self._store.write(f"{unfinished}/{path}", file.octets, executable=file.executable)
         self._store.rename(unfinished, name)
 
+    def holds(self, name: str, files: Mapping[str, StoredFile], record: StackRecord) -> bool:
+        """Whether a version is here already, as one that came twice.
+
+        It may have ended the link the first time, before its sender knew.
+        """
+        if record.state(name) is None or MANIFEST not in files:
+            return False
+        try:
+            return self._store.read(f"{name}/{MANIFEST}") == files[MANIFEST].octets
+        except OSError:
+            return False
+
     def has_elementary(self) -> bool:
         return f"{ELEMENTARY}/{MANIFEST}" in self._store.files("")
 

@@ -110,12 +110,14 @@ class VersionStatus:
     """What a running version tells.
 
     contact: frames of the peer arrive. passed: in this contact application data has passed both
-    ways. stuck: there is contact, but the two ends do not agree, or data does not pass.
+    ways. stuck: there is contact, but the two ends do not agree, or data does not pass. busy: an
+    experiment runs, so no update may stop the program.
     """
 
     contact: bool
     passed: bool
     stuck: bool
+    busy: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -36,7 +36,8 @@ from cfdppy.mib import (  # noqa: E402
 from cfdppy.request import PutRequest  # noqa: E402
 from cfdppy.user import CfdpUserBase  # noqa: E402
 from spacepackets import countdown  # noqa: E402
-from spacepackets.cfdp import ChecksumType, PduFactory, TransmissionMode  # noqa: E402
+from spacepackets.cfdp import ChecksumType, ConditionCode, PduFactory, TransmissionMode  # noqa: E402
+from spacepackets.cfdp.pdu import EofPdu  # noqa: E402
 from spacepackets.countdown import Countdown  # noqa: E402
 from spacepackets.seqcount import SeqCountProvider  # noqa: E402
 from spacepackets.util import ByteFieldU16  # noqa: E402
@@ -112,6 +113,9 @@ class Peer:
     def work(self, octets: bytes | None) -> list[bytes]:
         """Take a PDU, or the time; return what it sends."""
         pdu = None if octets is None else PduFactory.from_raw(octets)
+        if isinstance(pdu, EofPdu):
+            # The package's parser leaves the code in the upper four bits.
+            pdu.condition_code = ConditionCode(pdu.condition_code >> 4)
         sent = []
         for handler in (self.source, self.dest):
             to_dest = handler is self.dest
@@ -126,8 +130,10 @@ class Peer:
         return sent
 
 
-def run(end: FileEnd, peer: Peer, monkeypatch, seed: int, seconds: float, loss: float) -> None:
-    random, now_ns = Random(seed), 0
+def run(
+    end: FileEnd, peer: Peer, monkeypatch, seed: int, seconds: float, loss: float, now_ns: int = 0
+) -> int:
+    random, seconds = Random(seed), seconds + now_ns / NS_PER_S
     clock = SimpleNamespace(time=lambda: now_ns / NS_PER_S)
     monkeypatch.setattr(countdown, "time", clock)
     to_peer: list[bytes] = []
@@ -140,6 +146,7 @@ def run(end: FileEnd, peer: Peer, monkeypatch, seed: int, seconds: float, loss: 
         arrived, to_peer = to_peer, [one for one in end.work(now_ns) if random.random() >= loss]
         to_end = [pdu for one in [*arrived, None] for pdu in peer.work(one)]
         to_end = [one for one in to_end if random.random() >= loss]
+    return now_ns
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -169,3 +176,32 @@ def test_the_sender_of_others_and_our_receiver(tmp_path, monkeypatch, seed, loss
     assert end.files == {"kept/given.bin": OCTETS}
     (finished,) = peer.user.finished
     assert finished.condition_code == 0
+
+
+def test_a_cancelled_file_ends_at_the_handler_of_others(tmp_path, monkeypatch) -> None:
+    end = FileEnd(GROUND, SPACE, segment_octets=400)
+    peer = Peer(tmp_path, ChecksumType.CRC_32)
+    end.files["cut.bin"] = OCTETS
+    monkeypatch.chdir(tmp_path)
+    transfer = end.put("cut.bin")
+    now_ns = run(end, peer, monkeypatch, 1, 0.5, 0.0)
+    end.entity.cancel(transfer.number, now_ns)
+    run(end, peer, monkeypatch, 1, 20, 0.0, now_ns)
+    (finished,) = peer.user.finished
+    assert finished.condition_code == ConditionCode.CANCEL_REQUEST_RECEIVED
+    assert not end.entity.open
+
+
+def test_the_sender_of_others_ends_when_our_receiver_cancels(tmp_path, monkeypatch) -> None:
+    end = FileEnd(GROUND, SPACE)
+    peer = Peer(tmp_path, ChecksumType.CRC_32)
+    source = tmp_path / "sent.bin"
+    source.write_bytes(OCTETS)
+    peer.put(source, "given.bin")
+    now_ns = run(end, peer, monkeypatch, 1, 0.5, 0.0)
+    (receiver,) = end.entity._receivers.values()
+    receiver.cancel(now_ns)
+    run(end, peer, monkeypatch, 1, 20, 0.0, now_ns)
+    assert not end.entity.open and not end.files
+    (finished,) = peer.user.finished
+    assert finished.condition_code == ConditionCode.CANCEL_REQUEST_RECEIVED

@@ -2,38 +2,15 @@
 
 import os
 import signal
-import subprocess
 from random import Random
 
-from running_session import COMMAND, PATIENCE_S, RunningSession, assert_sound, eventually
+from file_transfer import Transfer
+from running_session import RunningSession, assert_sound, eventually
 
 from kontur_av.clock import NS_PER_S
 
 DOWN = Random(1).randbytes(150_000)
 UP = Random(2).randbytes(1_500)
-
-
-class Transfer:
-    """`kontur-av file` in another terminal."""
-
-    def __init__(self, session, *words):
-        self._said = (session.directory / f"{words[0]}-{words[1].replace('/', '-')}").open("w+")
-        self._process = subprocess.Popen(
-            [*COMMAND, "file", *words],
-            stdout=self._said,
-            stderr=self._said,
-            env=session.environment,
-        )
-
-    def said(self):
-        self._said.seek(0)
-        return self._said.read()
-
-    def until(self, text):
-        eventually(lambda: text in self.said(), f"{text} of {self.said()}")
-
-    def end(self):
-        return self._process.wait(PATIENCE_S)
 
 
 def test_files_go_both_ways_across_a_loss_of_signal_beside_the_media(tmp_path):
@@ -53,6 +30,16 @@ def test_files_go_both_ways_across_a_loss_of_signal_beside_the_media(tmp_path):
         assert (down.end(), up.end()) == (0, 0), (down.said(), up.said())
         assert (directory / "ground" / "kept" / "down.bin").read_bytes() == DOWN
         assert (directory / "space" / "up.bin").read_bytes() == UP
+
+        # Ctrl-C gives a transfer up, and leaves nothing at the other end.
+        cut = Transfer(session, "put", "down.bin", "cut.bin", "--from", "space")
+        cut.until("running")
+        listed = session.ask("file", "status", "--from", "space").stdout
+        assert listed.splitlines()[1].split()[1:3] == ["put", "running"]
+        cut.interrupt()
+        assert cut.end() == 130
+        listed = session.ask("file", "status", "--from", "space").stdout
+        assert listed == "nothing is under way\n"
 
         # The receiver is killed: the sender gives it the file again.
         down = Transfer(session, "get", "down.bin", "again.bin")
@@ -74,6 +61,7 @@ def test_files_go_both_ways_across_a_loss_of_signal_beside_the_media(tmp_path):
         assert session.ask("file", "remove", "none").returncode == 1
         assert session.ask("file", "get", "../x").returncode == 2
         assert (directory / "space" / "new.bin").read_bytes() == UP
+        assert not (directory / "ground" / "cut.bin").exists()
         code, report = session.interrupt()
     assert code == 0
     assert_sound(report)

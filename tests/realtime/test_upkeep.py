@@ -2,18 +2,15 @@
 
 import ftplib
 import json
-import signal
-import subprocess
 import sys
 import threading
-import time
-from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
 from running_link import RunningLink, free_base_port, listening
+from upkeep_programs import command, make, running, until
 
 from pipelines.link.key_files import make_key
 from pipelines.upkeep.disk_store import DiskStore
@@ -22,17 +19,6 @@ from telepresence.upkeep.sfv import fault_of
 
 pytestmark = pytest.mark.realtime
 
-#: A program that tells what it is given, ten times a second, and where it runs.
-PROGRAM = """#!/bin/sh
-echo {name} >> "$TRACE"
-echo $$ > "$TRACE.pid"
-trap 'exit 0' TERM
-while :; do
-    echo '{status}' > "$KONTUR_AV_STATUS.new" && mv "$KONTUR_AV_STATUS.new" "$KONTUR_AV_STATUS"
-    sleep 0.1
-done
-"""
-WORKS = '{"contact": true, "passed": true, "stuck": false}'
 REFUSED = '{"contact": true, "passed": false, "stuck": true}'
 
 
@@ -43,44 +29,6 @@ def trace(tmp_path, monkeypatch):
     path.touch()
     monkeypatch.setenv("TRACE", str(path))
     return lambda: path.read_text().split()
-
-
-def make(folder, name, status=WORKS, text=PROGRAM):
-    place = folder / name
-    place.mkdir(parents=True)
-    (place / "run").write_text(text.format(name=name, status=status))
-    (place / "run").chmod(0o755)
-    return place
-
-
-def command(*words):
-    done = subprocess.run(
-        [sys.executable, "-m", "pipelines.cli", *map(str, words)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-@contextmanager
-def running(*words):
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pipelines.cli", *map(str, words)], stdout=subprocess.DEVNULL
-    )
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(60)
-
-
-def until(check):
-    end_s = time.monotonic() + 60
-    while not check():
-        assert time.monotonic() < end_s
-        time.sleep(0.1)
 
 
 def test_versions_that_fail_are_replaced_by_the_last_that_worked(tmp_path, trace):

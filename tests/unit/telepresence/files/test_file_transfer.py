@@ -143,6 +143,72 @@ def test_an_end_that_nobody_answers_gives_up() -> None:
     assert "silent" in transfer.reason
 
 
+def test_a_cancelled_file_ends_at_both_ends_and_leaves_nothing() -> None:
+    pair = FilePair()
+    pair.ground.files["f"] = OCTETS
+    transfer = pair.ground.put("f")
+    pair.run(1)
+    pair.ground.entity.cancel(transfer.number, pair.now_ns)
+    sent = len(pair.sent)
+    pair.run(2)
+    assert (transfer.state, transfer.reason) == (FAILED, "cancelled")
+    assert not pair.space.files
+    after = [parse_pdu(one) for one in pair.sent[sent:]]
+    assert not any(isinstance(pdu, FileData) for pdu in after)
+    (eof,) = [pdu for pdu in after if isinstance(pdu, Eof)]
+    assert eof.checksum == file_sum(ChecksumType.CRC_32, OCTETS[: eof.size])
+    assert not pair.ground.entity.open and not pair.space.entity.open
+    with pytest.raises(ConfigError, match="under way"):
+        pair.ground.entity.cancel(transfer.number, pair.now_ns)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.03, 1.0])
+def test_a_cancelled_get_leaves_nothing_however_far_it_was(seconds: float) -> None:
+    pair = FilePair()
+    pair.space.files["f"] = OCTETS
+    got = pair.ground.entity.ask(GET, "f", "f", 0)
+    pair.run(seconds)
+    pair.ground.entity.cancel(got.number, pair.now_ns)
+    pair.run(5)
+    assert (got.state, got.reason) == (FAILED, "cancelled")
+    assert not pair.ground.files
+    assert not pair.ground.entity.open and not pair.space.entity.open
+    assert pair.space.entity.counts.file_octets_sent < len(OCTETS)
+
+
+def test_a_cancel_without_a_signal_is_told_with_the_next_one() -> None:
+    pair = FilePair()
+    pair.ground.files["f"] = OCTETS
+    transfer = pair.ground.put("f")
+    pair.run(1)
+    pair.contact = False
+    pair.run(1)
+    pair.ground.entity.cancel(transfer.number, pair.now_ns)
+    pair.run(1)
+    assert pair.space.entity.open
+    pair.contact = True
+    pair.run(2)
+    assert not pair.ground.entity.open and not pair.space.entity.open
+
+
+def test_an_end_that_says_nothing_at_all_is_noticed_early() -> None:
+    pair, rate_bps = FilePair(loss=1.0), 8_000
+    pair.ground.files["f"] = OCTETS
+    transfer = pair.ground.put("f")
+    pair.run(9.9)
+    assert not pair.ground.entity.unanswered(transfer, pair.now_ns)
+    pair.run(0.2)
+    assert pair.ground.entity.unanswered(transfer, pair.now_ns)
+    # The receiver of a file that takes long tells that it is there.
+    slow = FilePair(rate_bps=rate_bps)
+    slow.ground.files["f"] = OCTETS
+    transfer = slow.ground.put("f")
+    for _ in range(40):
+        slow.run(1)
+        assert not slow.ground.entity.unanswered(transfer, slow.now_ns)
+    assert transfer.octets < len(OCTETS)
+
+
 @pytest.mark.parametrize(
     "name", ["", "/etc/passwd", "..", "a/../b", "a//b", ".hidden", "a/.b", "a\0", "a\n", "x" * 201]
 )

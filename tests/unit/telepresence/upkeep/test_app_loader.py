@@ -22,6 +22,7 @@ from telepresence.upkeep.app_loader import (
     StartApplication,
     StopApplication,
     StoreMode,
+    WriteUpdate,
 )
 
 SD, FLASH = BootDevice.SD, BootDevice.FLASH
@@ -70,6 +71,9 @@ class Computer:
             loader.handle_stopped(now_ns)
         elif isinstance(event, RebootFromFlash):
             self.boot(FLASH, now_ns)
+        elif isinstance(event, WriteUpdate):
+            self.mode = Mode.PRIME
+            self.boot(now_ns=now_ns)
         elif isinstance(event, PowerOffReady):
             self.off = True
 
@@ -155,6 +159,34 @@ def test_an_orderly_shutdown_keeps_the_copy_that_ran():
     assert again.running is Copy.SD_1
 
 
+@pytest.mark.parametrize("broken", [set(), {Copy.SD_1}])
+def test_an_update_waits_for_an_orderly_end_and_is_tried_then(broken):
+    computer = booted(mode=Mode.BACKUP)
+    assert computer.running is Copy.SD_2
+    computer.broken = broken
+    computer.done.clear()
+    computer.loader.handle_update(5)
+    computer.work(5)
+    assert computer.done[:4] == [
+        StopApplication(),
+        StoreMode(Mode.BACKUP),
+        WriteUpdate(),
+        LoadMode(),
+    ]
+    assert StartApplication(Copy.SD_1) in computer.done
+    assert computer.running is (Copy.SD_2 if broken else Copy.SD_1)
+    assert computer.mode is Mode.BACKUP
+
+
+def test_power_off_goes_before_an_update():
+    computer = booted()
+    computer.loader.handle_update(5)
+    computer.loader.handle_shutdown(5)
+    computer.loader.handle_update(5)
+    computer.work(5)
+    assert computer.off and WriteUpdate() not in computer.done
+
+
 def test_a_machine_that_hangs_and_is_switched_on_again_takes_the_other_copy():
     computer = booted()
     computer.boot()
@@ -204,6 +236,8 @@ def life(seed):
                 computer.loader.handle_malfunction("fault", now_ns)
             elif fault < 0.3:
                 computer.loader.handle_shutdown(now_ns)
+            elif fault < 0.4:
+                computer.loader.handle_update(now_ns)
             else:
                 computer.loader.handle_time(now_ns)
     on_card = sound in (Copy.SD_1, Copy.SD_2)

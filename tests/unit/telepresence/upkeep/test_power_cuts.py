@@ -161,6 +161,27 @@ def test_prime_stays_while_backup_is_damaged():
         update_prime(disk, software(Random(2), "second"), SD)
 
 
+def test_prime_is_written_where_no_copy_is_whole():
+    disk = copies_disk(Random(1))
+    for copy in ("sd/1", "sd/2"):
+        disk.content[f"{copy}/run"] = (b"#!/bin/sh\n# damaged\n", True)
+    update_prime(disk, software(Random(2), "second"), SD)
+    assert bootable(disk, SD) == [Copy.SD_1]
+
+
+def test_a_version_that_came_twice_is_known_by_its_manifest():
+    random, versions = Random(1), versions_of(FailingDisk())
+    files, record = signed(random, "v1"), versions.read()
+    assert not versions.holds("v1", files, record)
+    versions.add("v1", files)
+    # A power cut left it without a record.
+    assert not versions.holds("v1", files, record)
+    record = record.added("v1")
+    assert versions.holds("v1", files, record)
+    assert not versions.holds("v1", signed(random, "v1"), record)
+    assert not versions.holds("v1", software(random, "v1"), record)
+
+
 @pytest.mark.parametrize("path", ["run", "lib/same.so", MANIFEST])
 def test_a_version_that_is_not_as_signed_is_refused(path):
     files = signed(Random(1), "v1")

@@ -1,0 +1,57 @@
+"""Small programs for the keepers of `kontur-av versions` and `apploader`, and their commands."""
+
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+#: A program that tells what it is given, ten times a second, and where it runs.
+PROGRAM = """#!/bin/sh
+echo {name} >> "$TRACE"
+echo $$ > "$TRACE.pid"
+trap 'exit 0' TERM
+while :; do
+    echo '{status}' > "$KONTUR_AV_STATUS.new" && mv "$KONTUR_AV_STATUS.new" "$KONTUR_AV_STATUS"
+    sleep 0.1
+done
+"""
+WORKS = '{"contact": true, "passed": true, "stuck": false}'
+
+
+def make(folder, name, status=WORKS, text=PROGRAM):
+    place = folder / name
+    place.mkdir(parents=True)
+    (place / "run").write_text(text.format(name=name, status=status))
+    (place / "run").chmod(0o755)
+    return place
+
+
+def command(*words):
+    done = subprocess.run(
+        [sys.executable, "-m", "pipelines.cli", *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@contextmanager
+def running(*words):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pipelines.cli", *map(str, words)], stdout=subprocess.DEVNULL
+    )
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(60)
+
+
+def until(check):
+    end_s = time.monotonic() + 60
+    while not check():
+        assert time.monotonic() < end_s
+        time.sleep(0.1)
