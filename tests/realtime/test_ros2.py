@@ -3,7 +3,7 @@
 import os
 import signal
 import time
-from bisect import bisect_left
+from dataclasses import replace
 
 import av
 import cv2
@@ -26,6 +26,8 @@ from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.ros2.publications import publications_of, sources_of
 from pipelines.session.robot_state import unpack_state
 from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_TOPIC
 from pipelines.table import topology_of
 from telepresence.haptics.device.page import FACTS as HANDLE
@@ -88,7 +90,10 @@ def counted(found, came, numbers, missed):
 
 def test_a_node_of_others_hears_what_is_recorded(start, tmp_path, monkeypatch):
     port, path = free_port(), tmp_path / "run.mcap"
-    session = start("taskboard", "--ros2", str(port), "--record", str(path))
+    # With each picture recorded, whichever of them the node chooses is in the file.
+    setup = tmp_path / "whole.toml"
+    setup.write_text(setup_toml(replace(load_setup("taskboard"), recorded_cameras="all")))
+    session = start(str(setup), "--ros2", str(port), "--record", str(path))
     topics = topics_of(session.setup)
     setup_topic = next(topic for topic in topics if topic.endswith("/setup"))
     late = "/kontur_av/uplink_video/received"
@@ -180,11 +185,10 @@ def test_a_node_of_others_hears_what_is_recorded(start, tmp_path, monkeypatch):
     for one in images:
         at_ns = wall_ns(one["header"]["stamp"])
         image = cv2.imdecode(np.frombuffer(one["data"], np.uint8), cv2.IMREAD_COLOR)
-        near = stamps[min(bisect_left(stamps, at_ns), len(stamps) - 1)]
-        if near == at_ns and at_ns in decoded:
+        if at_ns in decoded:
             same += 1
             assert cv2.PSNR(image, decoded[at_ns]) > 25
-    assert same > 3 and len(images) > 40
+    assert same > 0.9 * len(images) > 36
 
     assert [one["data"] for one in messages["/kontur_av/chat"]] == ["cosmonaut: Здесь хорошо"]
     assert [one["data"] for one in messages[setup_topic]] == [recorded.facts.setup_toml]
