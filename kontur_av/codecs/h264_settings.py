@@ -16,9 +16,18 @@ _MACROBLOCK = 16 * 16
 Search = Literal["quick", "thorough"]
 SEARCHES: tuple[Search, ...] = get_args(Search)
 
+#: What a thin channel's pictures are to be: soon there, or good.
+Preference = Literal["latency", "quality"]
+PREFERENCES: tuple[Preference, ...] = get_args(Preference)
+
 #: With fewer bits for each macroblock, x264 leaves most blocks unchanged.
 #: Measured at 85 kbit/s and 30 Hz: 640x480 (2.4 bits) is 4 to 8 dB worse than 384x288 (6.6 bits).
 _BITS_PER_MACROBLOCK = 6.5
+#: What each picture gets of the cap where a faster camera's pictures are left out. Of whole kbit,
+#: because x264's buffer is. docs/experiments/video.md has the curve.
+_PICTURE_BITS = {"latency": 2000, "quality": 2800}
+#: This many pictures a second are coded whatever they get.
+_ALWAYS_HZ = 30
 #: Coded sizes, as shares of the displayed size.
 _SHARES = tuple(Fraction(parts, 20) for parts in (20, 15, 12, 10, 8, 5))
 _NARROWEST = 160
@@ -86,6 +95,11 @@ _PUNCTUAL = 51
 _PUNCTUAL_RATE = Fraction(104, 100)
 #: Up to this many macroblocks a second, there is time for the thin channel's search.
 _THIN_UP_TO = 20_000
+
+
+def coded_rate_for(fps: int, cap_bps: int, prefer: Preference = "quality") -> int:
+    """Return how many pictures a second to code, of a camera's `fps`."""
+    return min(fps, max(_ALWAYS_HZ, cap_bps // _PICTURE_BITS[prefer]))
 
 
 def coded_size_for(width: int, height: int, fps: float | Fraction, cap_bps: int) -> tuple[int, int]:

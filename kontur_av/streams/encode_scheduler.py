@@ -37,14 +37,17 @@ class EncodeScheduler:
     Call `handle_picture` for each picture. Then, and at `poll_timeout`, call `poll_encode`. Call
     `handle_encoded` when the coding is done; until then no other picture is encoded.
 
-    pacer: of the stream. fps: the picture rate for which the encoder was made.
+    pacer: of the stream. fps: the picture rate for which the encoder was made. camera_hz: of the
+        camera, if it is higher. Then pictures between those of the encoder are left out.
     """
 
-    def __init__(self, pacer: Pacer, *, fps: float) -> None:
+    def __init__(self, pacer: Pacer, *, fps: float, camera_hz: float | None = None) -> None:
         self._pacer = pacer
         self._fps = fps
         self._told_hz = fps
-        self._period_ns = round(NS_PER_S / fps)
+        self._camera_hz = max(camera_hz or fps, fps)
+        #: Of the camera.
+        self._period_ns = round(NS_PER_S / self._camera_hz)
         self._coding_ns = _CODING_NS
         #: When the newest picture came, and whether it waits for a decision.
         self._came_ns = 0
@@ -134,7 +137,8 @@ class EncodeScheduler:
         self._counted += pictures
         self._longest_ns = max(self._longest_ns, capture_ns - last_ns)
         mean_ns = (capture_ns - since_ns) // self._counted
-        hz = min(NS_PER_S / mean_ns, self._fps)
+        camera_hz = min(NS_PER_S / mean_ns, self._camera_hz)
+        hz = min(camera_hz, self._fps)
         faster = hz > self._told_hz * _OTHER_RATE
         if self._counted < (_COUNTED_FASTER if faster else _COUNTED):
             return
@@ -143,4 +147,4 @@ class EncodeScheduler:
         self._counted_since_ns, self._counted, self._longest_ns = capture_ns, 0, 0
         if faster or slower:
             self._told_hz = self._new_hz = round(hz, 1)
-            self._period_ns = round(NS_PER_S / self._told_hz)
+            self._period_ns = round(NS_PER_S / camera_hz)

@@ -64,7 +64,8 @@ class VideoSender(PacedSender):
        events are dropped if the caller takes none.
 
     cap_bps: limit of the payload bits over any second; over any 100 ms 1.5 times their share.
-    fps: the picture rate for which the encoder was made.
+    fps: the picture rate for which the encoder was made. camera_hz: of the camera, if it is higher:
+        then some pictures are left out, and those that are coded are newer.
     identity: drawn at random. cname: see `RtpSender`.
     channel_bps: rate of the channel, which sets the spacing of packets; None: the cap.
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
@@ -80,6 +81,7 @@ class VideoSender(PacedSender):
         *,
         cap_bps: int,
         fps: float,
+        camera_hz: float | None = None,
         identity: RtpIdentity,
         cname: str,
         channel_bps: int | None = None,
@@ -106,7 +108,7 @@ class VideoSender(PacedSender):
             capture_time_id=capture_time_id,
         )
         super().__init__(pacer, rtp)
-        self._scheduler = EncodeScheduler(pacer, fps=fps)
+        self._scheduler = EncodeScheduler(pacer, fps=fps, camera_hz=camera_hz)
         self._losses = PictureLossListener(ssrc=identity.ssrc)
         #: Pictures that came coded.
         self._coded = 0

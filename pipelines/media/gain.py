@@ -125,7 +125,7 @@ def _kilobits(stream: VideoStream, gain_bps: int) -> int:
     settings = H264Settings(
         width=width,
         height=height,
-        rate=Fraction(stream.fps),
+        rate=Fraction(stream.coded_hz),
         cap_bps=stream.cap_bps + gain_bps,
         refresh_s=SLOW_REFRESH_S,
         preset="superfast",

@@ -38,7 +38,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
     encoder = H264Encoder(
         width=stream.width,
         height=stream.height,
-        fps=stream.fps,
+        fps=stream.coded_hz,
         cap_bps=stream.cap_bps,
         coded_size=stream.coded,
         regions=tip is not None,

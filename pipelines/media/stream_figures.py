@@ -31,7 +31,8 @@ def video_sender(
     """The sender of a picture: packets leave as fast as the link carries media."""
     return VideoSender(
         cap_bps=stream.cap_bps,
-        fps=stream.fps,
+        fps=stream.coded_hz,
+        camera_hz=stream.fps,
         identity=identity,
         cname=setup.direction_of(stream).sender.cname,
         channel_bps=setup.profile_of(stream).media_bps,

@@ -83,7 +83,7 @@ class VideoStudio:
         self._encoder = H264Encoder(
             width=stream.width,
             height=stream.height,
-            fps=stream.fps,
+            fps=stream.coded_hz,
             cap_bps=stream.cap_bps,
             coded_size=stream.coded,
             regions=regions,

@@ -29,6 +29,7 @@ class _Video:
     size: str = "640x480"
     coded: str = "auto"
     fps: int = 30
+    prefer: str = "quality"
     stale_after_ms: float | None = None
 
 
@@ -207,6 +208,7 @@ def _video(name: str, entry: _Video) -> VideoStream:
         width=width,
         height=height,
         fps=entry.fps,
+        prefer=entry.prefer,
         coded=coded,
         stale_after_ms=entry.stale_after_ms,
     )

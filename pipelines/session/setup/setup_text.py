@@ -61,6 +61,7 @@ def _video(stream: VideoStream) -> Iterator[str]:
     if stream.coded is not None:
         yield f'coded = "{stream.coded[0]}x{stream.coded[1]}"'
     yield f"fps = {stream.fps}"
+    yield f"prefer = {_text(stream.prefer)}"
 
 
 def _voice(stream: VideoStream | VoiceStream) -> Iterator[str]:

@@ -10,7 +10,12 @@ from math import ceil
 from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.h264_settings import coded_size_for
+from kontur_av.codecs.h264_settings import (
+    PREFERENCES,
+    Preference,
+    coded_rate_for,
+    coded_size_for,
+)
 from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
@@ -61,6 +66,9 @@ PORTS = 40
 class VideoStream:
     """An H.264 stream: its hard cap of RTP payload in bit/s, picture size and rate.
 
+    fps: pictures a second of its cameras. Of a fast camera, only those are coded that the cap has
+        bits for (`coded_hz`).
+    prefer: "latency" codes more and smaller pictures of a fast camera.
     stale_after_ms: older pictures are marked as stale; None: the default of `Setup.stale_after_ns`.
     coded: (width, height) in which pictures are coded; None: the largest size that the cap has
         bits for (`coded_size`). They are shown in the stream's size.
@@ -71,6 +79,7 @@ class VideoStream:
     width: int = 640
     height: int = 480
     fps: int = 30
+    prefer: Preference = "quality"
     coded: tuple[int, int] | None = None
     stale_after_ms: float | None = None
 
@@ -81,6 +90,10 @@ class VideoStream:
             )
         if not 1 <= self.fps <= 120:
             raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
+        if self.prefer not in PREFERENCES:
+            raise ConfigError(
+                f"{self.name}: prefer {self.prefer}: it is one of {', '.join(PREFERENCES)}"
+            )
         _check_stale_after(self)
         check_size(self.width, self.height)
         if self.coded is not None:
@@ -93,7 +106,12 @@ class VideoStream:
 
     @property
     def coded_size(self) -> tuple[int, int]:
-        return self.coded or coded_size_for(self.width, self.height, self.fps, self.cap_bps)
+        return self.coded or coded_size_for(self.width, self.height, self.coded_hz, self.cap_bps)
+
+    @property
+    def coded_hz(self) -> int:
+        """The pictures a second for which the encoder is made."""
+        return coded_rate_for(self.fps, self.cap_bps, self.prefer)
 
     @property
     def payload_octets(self) -> int:
@@ -103,7 +121,7 @@ class VideoStream:
     @property
     def packets_per_s(self) -> int:
         """The packets a second if pictures of equal size fill the cap."""
-        return self.fps * ceil(self.cap_bps / (8 * self.fps * self.payload_octets))
+        return self.coded_hz * ceil(self.cap_bps / (8 * self.coded_hz * self.payload_octets))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -442,7 +460,7 @@ class Setup:
         """
         if stream.stale_after_ms is not None:
             return round(stream.stale_after_ms * NS_PER_MS)
-        rate = stream.fps if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S
+        rate = stream.coded_hz if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S
         own_ns = _STALE_NS + _STALE_PERIODS * NS_PER_S // rate
         return self.radio_profile.longest_delay_ns + own_ns
 

