@@ -92,7 +92,7 @@ class VideoStream:
             raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
         if self.prefer not in PREFERENCES:
             raise ConfigError(
-                f"{self.name}: prefer {self.prefer}: it is one of {', '.join(PREFERENCES)}"
+                f"{self.name}: prefer {self.prefer!r}: take one of {', '.join(PREFERENCES)}"
             )
         _check_stale_after(self)
         check_size(self.width, self.height)
