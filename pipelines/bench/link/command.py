@@ -5,13 +5,9 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.bench.link.live import Cost, LoopPunctuality, live_punctuality, slot_costs
-from pipelines.bench.link.paired import WAYS, headlines
-from pipelines.bench.link.protected import paired_run
 from pipelines.bench.link.resume import Resumptions, resumptions
 from pipelines.bench.link.virtual import (
     FILE,
@@ -55,15 +51,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--setup", default="spacejustin", metavar="NAME", help="of the live runs")
     parser.add_argument("--no-live", action="store_true", help="virtual time and cost only")
-    parser.add_argument(
-        "--protected",
-        action="store_true",
-        help="instead, live only: two ends over loopback in turns, --insecure, protected, and "
-        "protected with new keys every 2 s",
-    )
-    parser.add_argument(
-        "--runs", type=int, default=3, metavar="N", help="with --protected: of each (default 3)"
-    )
     parser.add_argument("--base-port", type=int, default=27_000, metavar="P", help="of live runs")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
 
@@ -73,13 +60,9 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--seconds {args.seconds:g}: give 1 to 3600")
     if not 1 <= args.blackouts <= 10_000:
         raise ConfigError(f"--blackouts {args.blackouts}: give 1 to 10000")
-    if not 1 <= args.runs <= 1000:
-        raise ConfigError(f"--runs {args.runs}: give 1 to 1000")
     check_writable(args.report)
     load_setup(args.setup)
     console = open_console(args)
-    if args.protected:
-        return _run_protected(args, console)
     difference = haptic_difference(args.seconds, delay_ns=_DELAY_NS)
     #: Of a voice packet until its first slot, by direction.
     waits_ms = {
@@ -123,27 +106,6 @@ def run(args: argparse.Namespace) -> int:
     if live and not any(task.name == "cyclictest" for tasks in live.values() for task in tasks):
         console.print("cyclictest is not installed or not permitted (Debian package rt-tests)")
     write_result(args.report, figures, found)
-    return 0
-
-
-def _run_protected(args: argparse.Namespace, console: Console) -> int:
-    """Run the ways in turn, so that a change of the machine's load falls on all."""
-    runs = []
-    for number in range(1, args.runs + 1):
-        for way in WAYS:
-            run = paired_run(way, setup=args.setup, seconds=args.seconds, base_port=args.base_port)
-            runs.append(run)
-            cpu = ", ".join(f"{end} {one.cpu_percent:.1f} %" for end, one in run.ends.items())
-            late = ", ".join(
-                f"{name} {of['p99']:.0f} µs" for name, of in run.delay_us.items() if of
-            )
-            console.print(
-                f"run {number}, {way}: p99 {late}; CPU {cpu}; {run.frames_lost} frames lost",
-                highlight=False,
-            )
-    found = headlines(runs)
-    console.print(*headline_tables(found))
-    write_result(args.report, {"runs": as_json(runs)}, found)
     return 0
 
 
