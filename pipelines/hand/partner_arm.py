@@ -2,9 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import closing
-from itertools import count
 
-from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.arm_owner import STATE_OCTETS as ARM_STATE_OCTETS
 from pipelines.hand.arm_owner import ArmState
@@ -16,10 +14,10 @@ from pipelines.session.datagrams import receive
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
+from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import (
     ARM_ORDER_TOPIC,
     ARM_STATE_TOPIC,
-    SECOND_ROBOT,
     SECOND_ROBOT_TOPIC,
     partner_ports,
 )
@@ -44,12 +42,10 @@ def run_second_robot(context: Context) -> None:
     """
     robot = open_robot(context.topology.options.second_robot)
     with closing(robot), context.open_bus() as bus:
-        writer = bus.writer(SECOND_ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
-        numbers = count()
+        writer = NumberedTopic(bus, SECOND_ROBOT_TOPIC, max_octets=STATE_OCTETS)
 
         def publish(state: WorldState) -> None:
-            stamp = CaptureStamp(state.time_ns, next(numbers), SECOND_ROBOT)
-            writer.publish_octets(pack_state(state), stamp)
+            writer.publish_octets(pack_state(state), state.time_ns)
 
         envelope = SafetyEnvelope(within(context.setup.safety, robot.facts))
         end = RobotEnd(context.probe, life=new_life(), envelope=envelope, robot=robot)
@@ -81,8 +77,8 @@ def keep_powered(control: RobotControl, envelope: SafetyEnvelope) -> tuple[Cycle
 def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cycle:
     """Return what takes the orders of the gateway application's desk, and tells who drives."""
     reader = bus.reader(ARM_ORDER_TOPIC)
-    writer = bus.writer(ARM_STATE_TOPIC, max_octets=ARM_STATE_OCTETS, wake=False)
-    numbers, told = count(), b""
+    writer = NumberedTopic(bus, ARM_STATE_TOPIC, max_octets=ARM_STATE_OCTETS)
+    told = b""
 
     def follow(now_ns: int) -> None:
         nonlocal told
@@ -91,7 +87,7 @@ def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cy
         state = ArmState.of(ownership.report(), waiting=end.envelope.waiting).pack()
         if state != told:
             told = state
-            writer.publish_octets(state, CaptureStamp(now_ns, next(numbers), "robot"))
+            writer.publish_octets(state, now_ns)
 
     return follow
 
