@@ -7,7 +7,7 @@ from kontur_av.topics.bus import TopicBus
 from pipelines.hand.arm_owner import STATE_OCTETS as ARM_STATE_OCTETS
 from pipelines.hand.arm_owner import ArmState
 from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
-from pipelines.hand.haptics import RobotEnd
+from pipelines.hand.haptics import RobotEnd, robot_side
 from pipelines.hand.robot_desk import limits_of
 from pipelines.hand.safety_ends import follow_stop, within
 from pipelines.session.datagrams import receive
@@ -48,7 +48,7 @@ def run_second_robot(context: Context) -> None:
             writer.publish_octets(pack_state(state), state.time_ns)
 
         envelope = SafetyEnvelope(within(context.setup.safety, robot.facts))
-        end = RobotEnd(context.probe, life=new_life(), envelope=envelope, robot=robot)
+        end = RobotEnd(context.probe, robot_side(envelope, life=new_life(), robot=robot))
         control = RobotControl(
             robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
         )

@@ -7,7 +7,7 @@ from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import STATUS_OCTETS, JoystickOrders, RobotOrders, unpack_input
 from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
-from pipelines.hand.haptics import JoystickEnd, RobotEnd
+from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.mission_ends import both, follow_exercises, looking, seeing, serve_robot
 from pipelines.hand.partner_arm import (
@@ -94,18 +94,18 @@ def run_robot(context: Context) -> None:
         if setup.partner_arm == "board":
             # Nobody drives until our robot has rested.
             asked = Owner.PARTNER if orders.board else Owner.ISS
-            board = PartnerBoard(HapticOwnership(None, wanted=asked))
-        end = RobotEnd(
-            context.probe,
+            ownership = HapticOwnership(None, wanted=asked)
+            board = PartnerBoard(ownership)
+        side = robot_side(
+            SafetyEnvelope(within(setup.safety, robot.facts), stopped=kept.stopped),
             life=life,
             deadband=setup.deadband != "off",
             mediated=mediated,
             residual=setup.hand == "auto",
             ownership=ownership,
-            envelope=SafetyEnvelope(within(setup.safety, robot.facts), stopped=kept.stopped),
             robot=robot,
-            board=board,
         )
+        end = RobotEnd(context.probe, side, board=board)
         to_gateway = context.own_sender(topology.entry_port(TELEMETRY)) if mediated else None
 
         def tell_wall(now_ns: int) -> None:
