@@ -13,7 +13,7 @@ _HEAD = """# Measurements
 `python -m benchmarks all` wrote this page from the JSON files in `{folder}`; with `--render` it
 does so without measuring. A figure is the median of its runs, with the least and the largest in
 brackets where they differ; on virtual time they never do. The machine is named where it changes. Of
-single clips, speech, pages and protection only the main figures are here; the files have all.
+single clips, speech and pages only the main figures are here; the files have all.
 """
 #: By measurement: figures, as `GROUP: WHAT`, that are in the files only.
 _IN_FILES_ONLY = {
@@ -21,7 +21,6 @@ _IN_FILES_ONLY = {
     "voice": re.compile(r".*p50"),
     "page": re.compile(r".*p95"),
     "rtc": re.compile(r".*p95"),
-    "protection": re.compile(r"protection, medians: (slots|handshakes|added)"),
 }
 
 

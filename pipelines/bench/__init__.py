@@ -13,7 +13,7 @@ from importlib import import_module
 BENCHES = {
     "cpu": "CPU time of a live session, also beside another checkout of the project",
     "latency": "one page: every stream of a setup, end to end and by stage, and what is in it",
-    "link": "the radio link: delays on virtual time, punctuality and cost on this machine",
+    "link": "the radio link: punctuality and cost on this machine",
     "sync": "how far sight, hearing and touch lie apart, from what they show; also of recordings",
     "video": "pictures through a thin channel: latency, quality, rate and cost",
 }

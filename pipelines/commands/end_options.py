@@ -148,8 +148,7 @@ def _protection(args: argparse.Namespace) -> Protection | None:
     peer = pinned_peer(path, args.identity)
     if peer == key.identity:
         raise ConfigError(f"{path} trusts itself: `kontur-av keys trust` the other machine")
-    # A bench renews keys often, to see what that costs.
-    return Protection(key=key, peer=peer, rekey_ns=getattr(args, "rekey_ns", None))
+    return Protection(key=key, peer=peer)
 
 
 def inputs_here(topology: Topology) -> tuple[str, ...]:

@@ -1,16 +1,27 @@
 """`kontur-av robot`: check a user's robot, or let a session's joystick drive it."""
 
 import argparse
+from contextlib import closing
+from math import hypot
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands import serve_robot
 from pipelines.commands.check_results import add_setup_argument, axes_of, print_results
 from pipelines.commands.common import say_unprotected
+from pipelines.commands.drive import add_way_arguments, reached, run_side, told
+from pipelines.hand.haptic_loop import new_life
+from pipelines.hand.haptics import robot_side
+from pipelines.hand.partner_arm import keep_powered
 from pipelines.hand.robot_check import RobotCheck
+from pipelines.hand.robot_desk import limits_of
+from pipelines.hand.safety_ends import within
 from pipelines.report.report_file import words_console
+from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import Robot
-from telepresence.haptics.robot_spec import check_robot, load_robot
+from telepresence.haptics.robot_device import SIMULATED_ROBOT
+from telepresence.haptics.robot_spec import check_robot, load_robot, open_robot
+from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.robot_control import RobotControl
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -24,13 +35,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_setup_argument(check)
     text = "let the joystick of a session drive a partner's robot: its Russian experiment"
-    serve_robot.add_arguments(actions.add_parser("serve", help=text, description=text))
+    serve = actions.add_parser("serve", help=text, description=text)
+    serve.add_argument(
+        "--robot",
+        default=SIMULATED_ROBOT,
+        metavar="SPEC",
+        help="sim, with its task board, udp:HOST:PORT[:KEYFILE] or your own: module:Class "
+        "(default: sim)",
+    )
+    add_way_arguments(serve)
 
 
 def run(args: argparse.Namespace) -> int:
     """0 if all is well; 1 if a check failed, or no joystick came."""
     if args.action == "serve":
-        return serve_robot.serve(args)
+        return _serve(args)
     axes = axes_of(args.setup)
     if axes is not None:
         check_robot(args.robot, axes)
@@ -41,3 +60,32 @@ def run(args: argparse.Namespace) -> int:
     console = words_console()
     console.print(f"{args.robot}; it moves a few centimetres", highlight=False)
     return print_results(console, list(RobotCheck(device, MonotonicClock()).run()))
+
+
+def _serve(args: argparse.Namespace) -> int:
+    """Serve the robot until it is stopped; 0 if the joystick has driven it, else 1."""
+    say_unprotected(args.robot)
+    with closing(open_robot(args.robot)) as robot:
+        envelope = SafetyEnvelope(within(SafetyLimits(), robot.facts))
+        side = robot_side(envelope, life=new_life(), robot=robot)
+        control = RobotControl(
+            robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
+        )
+        watch, recover = keep_powered(control, envelope)
+        began_m, most_m, most_n = (robot.x_m, robot.y_m), 0.0, 0.0
+
+        def work(now_ns: int) -> None:
+            nonlocal most_m, most_n
+            command = side.link.latest(now_ns)
+            if envelope.stopped and command is not None and not command.stop:
+                # The session in space keeps its stop, and its samples no longer tell of one.
+                envelope.handle_stop_released(now_ns)
+            watch(now_ns)
+            recover(now_ns)
+            most_m = max(most_m, hypot(robot.x_m - began_m[0], robot.y_m - began_m[1]))
+            most_n = max(most_n, hypot(robot.push_x_n, robot.push_y_n))
+
+        with reached(args, "robot") as way:
+            run_side(side, work, way, args.seconds)
+    print(f"the tip went {most_m * 1e3:.0f} mm far, and felt up to {most_n:.1f} N")
+    return told(side, "joystick")

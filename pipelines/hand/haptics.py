@@ -97,7 +97,11 @@ def robot_side(
     ownership: HapticOwnership | None = None,
     robot: Robot | None = None,
 ) -> RobotSide:
-    """Return a robot's side within the limits of its envelope; parameters as in `RobotEnd`."""
+    """Return a robot's side within the limits of its envelope.
+
+    life: 1 to 2^24-1; no earlier life of this end had it. residual: see `RobotSide`.
+    ownership: where a partner may drive, too. robot: the simulated one, if None.
+    """
     limits = envelope.limits
     max_age_ns = round(limits.command_max_age_s * NS_PER_S)
     more = 0 if robot is None else len(robot.more)
@@ -121,49 +125,26 @@ class RobotEnd(_End[RobotSide]):
     """Follows the commands, measures the force, and returns the state of the robot.
 
     `next_event` returns a state every 10 cycles, and at once when a contact begins or ends. Each
-    beginning is a `ContactRow`. With `mediated`, send as telemetry what `poll_wall` returns in a
-    cycle. `residual`: see `RobotSide`.
+    beginning is a `ContactRow`. Of a mediated side, send as telemetry what `poll_wall` returns in a
+    cycle.
 
-    life: 1 to 2^24-1; no earlier life of this end had it.
-    envelope: whether the robot may follow the hand; one with the default limits, if None.
-    robot: the simulated one, if None.
-    ownership: where a partner may drive, too. Then `handle_datagram` is for datagrams of the
-    joystick in space, and `handle_partner` for the partner's; send to the owner alone.
-    board: where the joystick in space may drive the partner's robot. Send to it what
-    `board.poll_partner` returns; `poll_transmit` returns what goes to space, of either robot.
+    side: if it has an ownership, `handle_datagram` is for datagrams of the joystick in space, and
+    `handle_partner` for the partner's; send to the owner alone.
+    board: where the joystick in space may drive the partner's robot, with the ownership of `side`.
+    Send to it what `board.poll_partner` returns; `poll_transmit` returns what goes to space, of
+    either robot.
     """
 
-    def __init__(
-        self,
-        probe: Probe,
-        *,
-        life: int,
-        deadband: bool = False,
-        mediated: bool = False,
-        residual: bool = False,
-        ownership: HapticOwnership | None = None,
-        envelope: SafetyEnvelope | None = None,
-        robot: Robot | None = None,
-        board: PartnerBoard | None = None,
-    ) -> None:
-        ownership = ownership if board is None else board.ownership
-        self.envelope = envelope = envelope or SafetyEnvelope()
-        side = robot_side(
-            envelope,
-            life=life,
-            deadband=deadband,
-            mediated=mediated,
-            residual=residual,
-            ownership=ownership,
-            robot=robot,
-        )
+    def __init__(self, probe: Probe, side: RobotSide, *, board: PartnerBoard | None = None) -> None:
         super().__init__(side, probe)
-        self._ownership = ownership
+        assert side.envelope is not None
+        self.envelope = side.envelope
+        self._ownership = side.ownership
         self.board = board
         if board is not None:
             self.handle_datagram = self._handle_routed
             self.poll_transmit = self._poll_routed
-        elif ownership is not None:
+        elif side.ownership is not None:
             self.handle_datagram = self._handle_iss
         self.poll_wall = self.side.poll_wall
         self._latest = self.side.link.latest
@@ -258,7 +239,7 @@ class JoystickEnd(_End[JoystickSide]):
 
     handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
         is reported, too.
-    life: as in `RobotEnd`.
+    life: as in `robot_side`.
     mediated, residual: the hand feels the wall that `handle_wall` takes (see `JoystickSide`).
     """
 

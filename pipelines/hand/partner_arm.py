@@ -2,24 +2,22 @@
 
 from collections.abc import Callable
 from contextlib import closing
-from itertools import count
 
-from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.arm_owner import STATE_OCTETS as ARM_STATE_OCTETS
 from pipelines.hand.arm_owner import ArmState
 from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
-from pipelines.hand.haptics import RobotEnd
+from pipelines.hand.haptics import RobotEnd, robot_side
 from pipelines.hand.robot_desk import limits_of
 from pipelines.hand.safety_ends import follow_stop, within
 from pipelines.session.datagrams import receive
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
+from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import (
     ARM_ORDER_TOPIC,
     ARM_STATE_TOPIC,
-    SECOND_ROBOT,
     SECOND_ROBOT_TOPIC,
     partner_ports,
 )
@@ -44,15 +42,13 @@ def run_second_robot(context: Context) -> None:
     """
     robot = open_robot(context.topology.options.second_robot)
     with closing(robot), context.open_bus() as bus:
-        writer = bus.writer(SECOND_ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
-        numbers = count()
+        writer = NumberedTopic(bus, SECOND_ROBOT_TOPIC, max_octets=STATE_OCTETS)
 
         def publish(state: WorldState) -> None:
-            stamp = CaptureStamp(state.time_ns, next(numbers), SECOND_ROBOT)
-            writer.publish_octets(pack_state(state), stamp)
+            writer.publish_octets(pack_state(state), state.time_ns)
 
         envelope = SafetyEnvelope(within(context.setup.safety, robot.facts))
-        end = RobotEnd(context.probe, life=new_life(), envelope=envelope, robot=robot)
+        end = RobotEnd(context.probe, robot_side(envelope, life=new_life(), robot=robot))
         control = RobotControl(
             robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
         )
@@ -81,8 +77,8 @@ def keep_powered(control: RobotControl, envelope: SafetyEnvelope) -> tuple[Cycle
 def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cycle:
     """Return what takes the orders of the gateway application's desk, and tells who drives."""
     reader = bus.reader(ARM_ORDER_TOPIC)
-    writer = bus.writer(ARM_STATE_TOPIC, max_octets=ARM_STATE_OCTETS, wake=False)
-    numbers, told = count(), b""
+    writer = NumberedTopic(bus, ARM_STATE_TOPIC, max_octets=ARM_STATE_OCTETS)
+    told = b""
 
     def follow(now_ns: int) -> None:
         nonlocal told
@@ -91,7 +87,7 @@ def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cy
         state = ArmState.of(ownership.report(), waiting=end.envelope.waiting).pack()
         if state != told:
             told = state
-            writer.publish_octets(state, CaptureStamp(now_ns, next(numbers), "robot"))
+            writer.publish_octets(state, now_ns)
 
     return follow
 

@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from contextlib import closing
-from itertools import count
 
-from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import STATUS_OCTETS, JoystickOrders, RobotOrders, unpack_input
 from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
-from pipelines.hand.haptics import JoystickEnd, RobotEnd
+from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.mission_ends import both, follow_exercises, looking, seeing, serve_robot
 from pipelines.hand.partner_arm import (
@@ -32,6 +30,7 @@ from pipelines.hand.safety_ends import (
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
+from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
@@ -77,12 +76,10 @@ def run_robot(context: Context) -> None:
     with closing(robot), context.open_bus() as bus:
         if isinstance(robot, DrivenRobot):
             _tell_datagrams(context, robot.device)
-        writer = bus.writer(ROBOT_TOPIC, max_octets=STATE_OCTETS, wake=False)
-        numbers = count()
+        writer = NumberedTopic(bus, ROBOT_TOPIC, max_octets=STATE_OCTETS)
 
         def publish(state: WorldState) -> None:
-            stamp = CaptureStamp(state.time_ns, next(numbers), "robot")
-            writer.publish_octets(pack_state(state), stamp)
+            writer.publish_octets(pack_state(state), state.time_ns)
 
         setup, topology = context.setup, context.topology
         tasks = topology.options.tasks
@@ -97,18 +94,18 @@ def run_robot(context: Context) -> None:
         if setup.partner_arm == "board":
             # Nobody drives until our robot has rested.
             asked = Owner.PARTNER if orders.board else Owner.ISS
-            board = PartnerBoard(HapticOwnership(None, wanted=asked))
-        end = RobotEnd(
-            context.probe,
+            ownership = HapticOwnership(None, wanted=asked)
+            board = PartnerBoard(ownership)
+        side = robot_side(
+            SafetyEnvelope(within(setup.safety, robot.facts), stopped=kept.stopped),
             life=life,
             deadband=setup.deadband != "off",
             mediated=mediated,
             residual=setup.hand == "auto",
             ownership=ownership,
-            envelope=SafetyEnvelope(within(setup.safety, robot.facts), stopped=kept.stopped),
             robot=robot,
-            board=board,
         )
+        end = RobotEnd(context.probe, side, board=board)
         to_gateway = context.own_sender(topology.entry_port(TELEMETRY)) if mediated else None
 
         def tell_wall(now_ns: int) -> None:
@@ -219,13 +216,12 @@ def _tell_datagrams(context: Context, device: RobotDevice | JoystickDevice) -> N
 
 def _trace(bus: TopicBus, topic: str, trace: HapticTrace) -> Cycle:
     """Return what publishes the rows of an end while they have readers."""
-    writer = bus.writer(topic, max_octets=BLOCK_OCTETS)
-    numbers = count()
+    writer = NumberedTopic(bus, topic, max_octets=BLOCK_OCTETS, wake=True)
 
     def tell(now_ns: int) -> None:
         block = trace.poll_block()
         if block is not None:
-            writer.publish_octets(block, CaptureStamp(now_ns, next(numbers), topic))
+            writer.publish_octets(block, now_ns)
         if trace.asks(now_ns):
             trace.handle_watched(writer.has_readers())
 
@@ -235,12 +231,11 @@ def _trace(bus: TopicBus, topic: str, trace: HapticTrace) -> Cycle:
 def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycle:
     """Return what takes persons' commands and telecommands, and publishes the joystick's state."""
     teller = JoystickStatusTeller(handle)
-    writer = bus.writer(JOYSTICK_STATE_TOPIC, max_octets=STATUS_OCTETS)
+    writer = NumberedTopic(bus, JOYSTICK_STATE_TOPIC, max_octets=STATUS_OCTETS, wake=True)
     requests = None
     if HAND_REQUEST_TOPIC in reads:
         requests = bus.reader(HAND_REQUEST_TOPIC, depth=_REQUESTS)
     commands = bus.reader(JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)
-    numbers = count()
 
     def tell(now_ns: int) -> None:
         # One at a time, so that each has its own answer.
@@ -250,7 +245,7 @@ def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycl
             teller.handle_telecommand(command)
         status = teller.poll_status(now_ns)
         if status is not None:
-            writer.publish_octets(status, CaptureStamp(now_ns, next(numbers), "joystick"))
+            writer.publish_octets(status, now_ns)
         if teller.asks(now_ns):
             teller.handle_watched(writer.has_readers())
 

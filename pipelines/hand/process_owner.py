@@ -3,14 +3,12 @@
 The last order is kept in a file, so that a desk or a robot that was killed goes on with it.
 """
 
-from itertools import count
-
-from kontur_av.media import CaptureStamp
 from kontur_av.topics.session_files import make_session_root, session_root
 from pipelines.hand.arm_owner import DESK, ORDER_OCTETS, ArmState, OwnerDesk
 from pipelines.session.process import Context
 from pipelines.session.reception import replace_file
 from pipelines.session.terminals import serve_terminals
+from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import ARM_ORDER_TOPIC, ARM_STATE_TOPIC
 from telepresence.haptics.ownership import Owner
 
@@ -21,9 +19,8 @@ def run_owner_desk(context: Context) -> None:
     remembered = session_root(context.session) / "owner"
     known = remembered.read_text("ascii") if remembered.exists() else Owner.ISS.value
     desk = OwnerDesk(Owner(known))
-    numbers = count()
     with context.open_bus() as bus:
-        writer = bus.writer(ARM_ORDER_TOPIC, max_octets=ORDER_OCTETS, wake=False)
+        writer = NumberedTopic(bus, ARM_ORDER_TOPIC, max_octets=ORDER_OCTETS)
         reader = bus.reader(ARM_STATE_TOPIC)
 
         def follow(now_ns: int) -> None:
@@ -35,7 +32,6 @@ def run_owner_desk(context: Context) -> None:
                 known = order
                 replace_file(remembered, order.encode("ascii"))
             # Published repeatedly, for a robot that has started since.
-            stamp = CaptureStamp(now_ns, next(numbers), DESK)
-            writer.publish_octets(order.encode("ascii"), stamp)
+            writer.publish_octets(order.encode("ascii"), now_ns)
 
         serve_terminals(context, DESK, desk.desk, follow)

@@ -23,14 +23,10 @@ _MOST_OCTETS = 1201
 
 @dataclass(frozen=True, kw_only=True)
 class Protection:
-    """The own key pair, the one identity that is believed, and when keys are renewed.
-
-    rekey_ns: None for the channel's own interval.
-    """
+    """The own key pair, and the one identity that is believed."""
 
     key: "MachineKey"
     peer: "MachineIdentity"
-    rekey_ns: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +50,6 @@ def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> "PeerPath":
 
         return OpenPath(receive, address=plan.peer, now_ns=now_ns)
     from telepresence.link.peer.protected import ProtectedPath
-    from telepresence.link.protection.channel import REKEY_NS
 
     return ProtectedPath(
         protection.key,
@@ -62,7 +57,6 @@ def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> "PeerPath":
         secret=secrets.token_bytes(_SECRET_OCTETS),
         address=plan.peer,
         now_ns=now_ns,
-        rekey_ns=protection.rekey_ns or REKEY_NS,
     )
 
 

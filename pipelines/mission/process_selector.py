@@ -5,9 +5,7 @@ when the sender has confirmed it.
 """
 
 from collections import deque
-from itertools import count
 
-from kontur_av.media import CaptureStamp
 from kontur_av.topics.session_files import session_root
 from pipelines.media.following import CHOICE_OCTETS, unpack_confirmed
 from pipelines.mission.choosing import CameraChoice
@@ -17,6 +15,7 @@ from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import CameraWish, unpack
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.reception import replace_file
+from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import (
     FOLLOWED_TOPIC,
     MISSION_CAMERA_TOPIC,
@@ -40,9 +39,8 @@ def run_selector(context: Context) -> None:
     udp = context.listen_own(topology.exit_port(TELECOMMAND))
     to_gateway = context.own_sender(topology.entry_port(TELEMETRY))
     context.on_flush(choice.tell)
-    numbers = count()
     with context.open_bus() as bus:
-        writer = bus.writer(SELECTED_TOPIC, max_octets=CHOICE_OCTETS)
+        writer = NumberedTopic(bus, SELECTED_TOPIC, max_octets=CHOICE_OCTETS, wake=True)
         reader = bus.reader(FOLLOWED_TOPIC)
         wished = None
         if MISSION_CAMERA_TOPIC in topology.reads(SELECTOR):
@@ -67,8 +65,7 @@ def run_selector(context: Context) -> None:
             if changed:
                 replace_file(remembered, choice.selected.encode("ascii"))
             if (told := choice.poll_choice(now_ns)) is not None:
-                stamp = CaptureStamp(now_ns, next(numbers), "selector")
-                writer.publish_octets(told.pack(), stamp)
+                writer.publish_octets(told.pack(), now_ns)
             if (confirmed := reader.latest_octets()) is not None:
                 choice.handle_confirmed(unpack_confirmed(confirmed))
             while (request := choice.next_event()) is not None:

@@ -3,11 +3,9 @@
 `Trainer` decides.
 """
 
-from itertools import count
-
-from kontur_av.media import CaptureStamp
 from pipelines.session.process import Context
 from pipelines.session.terminals import serve_terminals
+from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import TRAINER_TOPIC
 from pipelines.session.training import TRAINER_DESK, Trainer, TrainerReach
 
@@ -18,15 +16,14 @@ def run_trainer(context: Context) -> None:
     """Take requests, and publish what lasts."""
     trainer = Trainer(context.probe, TrainerReach.of(context.topology))
     context.on_flush(trainer.tell)
-    published, numbers = trainer.exercises, count()
+    published = trainer.exercises
     with context.open_bus() as bus:
-        writer = bus.writer(TRAINER_TOPIC, max_octets=_OCTETS, wake=False)
+        writer = NumberedTopic(bus, TRAINER_TOPIC, max_octets=_OCTETS)
 
         def publish(now_ns: int) -> None:
             nonlocal published
             if trainer.exercises is not published:
                 published = trainer.exercises
-                stamp = CaptureStamp(now_ns, next(numbers), "trainer")
-                writer.publish_octets(published.pack(), stamp)
+                writer.publish_octets(published.pack(), now_ns)
 
         serve_terminals(context, TRAINER_DESK, trainer.desk, publish)

@@ -5,13 +5,11 @@
 
 import secrets
 from collections.abc import Callable
-from itertools import count
 from socket import socket
 
 import msgspec
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import Reader, TopicBus
 from kontur_av.topics.session_files import make_session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
@@ -26,7 +24,7 @@ from pipelines.session.figures import ProcessState
 from pipelines.session.mission_messages import MISSION_OCTETS, RobotStatus, pack, unpack
 from pipelines.session.process import Context
 from pipelines.session.robot_state import unpack_state
-from pipelines.session.topic_ends import SampleTopic
+from pipelines.session.topic_ends import NumberedTopic, SampleTopic
 from pipelines.session.topology import (
     JOYSTICK_COMMAND_TOPIC,
     JOYSTICK_STATE_TOPIC,
@@ -95,9 +93,8 @@ class TmtcDesk:
         self._send, self._ask, self._context = send, ask, context
         self._supervisor = ProcessSupervisor(segment, context.topology)
         self._packets = _PacketTopics(bus, segment)
-        self._source = f"tmtc.{segment.value}"
-        self._numbers = count()
-        self._news = bus.writer(TMTC_TOPICS[segment], max_octets=MAX_NEWS_OCTETS)
+        news = TMTC_TOPICS[segment]
+        self._news = NumberedTopic(bus, news, max_octets=MAX_NEWS_OCTETS, wake=True)
         gateway = GatewaySource(self.end, f"{segment.value}_gateway")
 
         def take_link(octets: bytes, now_ns: int) -> None:
@@ -111,7 +108,7 @@ class TmtcDesk:
         if segment is Segment.SPACE:
             joystick = JoystickSource(self.end, first_number=now_ns)
             self._request = joystick.handle_asked
-            self._commands = bus.writer(JOYSTICK_COMMAND_TOPIC, max_octets=REQUEST_OCTETS)
+            commands, octets = JOYSTICK_COMMAND_TOPIC, REQUEST_OCTETS
 
             def take_joystick(octets: bytes, now_ns: int) -> None:
                 status = unpack_status(octets)
@@ -133,9 +130,10 @@ class TmtcDesk:
                 robot.handle_status(unpack(RobotStatus, octets), now_ns)
 
             self._request = ask_robot
-            self._commands = bus.writer(ROBOT_COMMAND_TOPIC, max_octets=MISSION_OCTETS)
+            commands, octets = ROBOT_COMMAND_TOPIC, MISSION_OCTETS
             self._topics.append((bus.reader(ROBOT_TOPIC), take_robot))
             self._topics.append((bus.reader(ROBOT_STATUS_TOPIC, depth=_STATES), take_status))
+        self._commands = NumberedTopic(bus, commands, max_octets=octets, wake=True)
         make_session_root(context.session)
         write_dictionary(context.session, dictionary)
         self._requests = TmtcSocket(context.session, segment)
@@ -176,10 +174,8 @@ class TmtcDesk:
                     self._context.order(order, now_ns)
                 asked = self._request(news, now_ns)
                 if asked is not None:
-                    stamp = CaptureStamp(now_ns, next(self._numbers), self._source)
-                    self._commands.publish_octets(asked, stamp)
-            stamp = CaptureStamp(now_ns, next(self._numbers), self._source)
-            self._news.publish_octets(pack_news(news), stamp)
+                    self._commands.publish_octets(asked, now_ns)
+            self._news.publish_octets(pack_news(news), now_ns)
 
     def wait_ns(self, now_ns: int, most_ns: int) -> int:
         """How long nothing has to be done without a request or a packet, at most `most_ns`."""

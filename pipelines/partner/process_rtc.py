@@ -28,7 +28,7 @@ from pipelines.session.messages import UNKNOWN_US
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
-from pipelines.session.topic_ends import SampleTopic
+from pipelines.session.topic_ends import NumberedTopic, SampleTopic
 from pipelines.session.topology import (
     RTC,
     RTC_CAMERA,
@@ -178,8 +178,7 @@ class _Uplink:
             self.feeds.append(Feed(loop, bus, RTC_SPEECH_TOPIC, self._packet, depth=_DEPTH))
         self.programme = Programme(UPLINK, sends=sends, want_key=lambda _: self._want_key())
         self.wish = UplinkWish(most_bps=leg.video_bps)
-        self._wishes = bus.writer(RTC_WISH_TOPIC, max_octets=WISH_OCTETS)
-        self._numbers = count()
+        self._wishes = NumberedTopic(bus, RTC_WISH_TOPIC, max_octets=WISH_OCTETS, wake=True)
 
     def handle_time(self) -> None:
         """Follow the partners' wishes, and tell the coding process, also one that began since."""
@@ -194,7 +193,7 @@ class _Uplink:
         now_ns = self._clock.now_ns()
         watched = any(peer.connected for peer in self.programme.peers)
         wish = self.wish.wish(watched=watched)
-        self._wishes.publish_octets(wish.pack(), CaptureStamp(now_ns, next(self._numbers), RTC))
+        self._wishes.publish_octets(wish.pack(), now_ns)
 
     def _unit(self, lease: Lease) -> None:
         unit, stamp = CodedUnit.unpack(lease.octets()), lease.stamp

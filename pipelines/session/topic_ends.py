@@ -14,6 +14,19 @@ from pipelines.session.training import Exercises
 _SAMPLE_OCTETS = 2 << 10
 
 
+class NumberedTopic:
+    """Publishes samples; a number counts them. wake: readers may wait for them."""
+
+    def __init__(self, bus: TopicBus, topic: str, *, max_octets: int, wake: bool = False) -> None:
+        self._writer = bus.writer(topic, max_octets=max_octets, wake=wake)
+        self._topic, self._numbers = topic, count()
+        self.has_readers = self._writer.has_readers
+
+    def publish_octets(self, octets: bytes, now_ns: int) -> None:
+        """Publish a sample of this instant."""
+        self._writer.publish_octets(octets, CaptureStamp(now_ns, next(self._numbers), self._topic))
+
+
 class SampleTopic:
     """A number counts the samples, also those that nobody reads."""
 
@@ -29,16 +42,14 @@ class SampleTopic:
             self._writer.publish_octets(octets, stamp)
 
 
-class MissionWriter:
+class MissionWriter(NumberedTopic):
     """Publishes messages. wake: readers may wait for them."""
 
     def __init__(self, bus: TopicBus, topic: str, *, wake: bool = False) -> None:
-        self._writer = bus.writer(topic, max_octets=MISSION_OCTETS, wake=wake)
-        self._topic, self._numbers = topic, count()
+        super().__init__(bus, topic, max_octets=MISSION_OCTETS, wake=wake)
 
     def publish(self, message: Message, now_ns: int) -> None:
-        stamp = CaptureStamp(now_ns, next(self._numbers), self._topic)
-        self._writer.publish_octets(pack(message), stamp)
+        self.publish_octets(pack(message), now_ns)
 
 
 class MissionReader(Generic[MessageT]):

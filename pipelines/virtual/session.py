@@ -15,7 +15,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
+from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.operator_view import CameraWatch
 from pipelines.hand.replaying import ReplayedEnd
 from pipelines.hand.robot_desk import RobotDesk
@@ -307,15 +307,15 @@ class Simulation:
         probe, life = self._probe(up.sender), self._life(up.sender)
         given = self._given_robot
         limits = within(self.setup.safety, None if given is None else given.facts)
-        robot = RobotEnd(
-            probe,
+        side = robot_side(
+            SafetyEnvelope(limits),
             life=life,
             deadband=deadband,
             mediated=mediated,
             residual=residual,
-            envelope=SafetyEnvelope(limits),
             robot=given or Robot(axes=self.setup.more_axes),
         )
+        robot = RobotEnd(probe, side)
         probe, life = self._probe(up.receiver), self._life(up.receiver)
         joystick = JoystickEnd(
             probe,

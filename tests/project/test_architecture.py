@@ -63,7 +63,6 @@ SHELLS = {
     "pipelines/session/front_door.py": "the sockets of visitors",
     "pipelines/bench/latency/command.py": "tries the clock",
     "pipelines/bench/link/live.py": "runs commands",
-    "pipelines/bench/link/protected.py": "runs commands, and sockets",
     "pipelines/bench/session.py": "runs commands",
     "pipelines/bench/video/clips.py": "shared memory",
     "pipelines/bench/video/contenders.py": "runs commands",

@@ -1,69 +1,23 @@
-"""`kontur-av bench link`: delays, header sizes, goodput, recovery, punctuality and CPU cost."""
+"""`kontur-av bench link`: punctuality and CPU cost of the link on this machine."""
 
 import argparse
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-
-from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.bench.link.live import Cost, LoopPunctuality, live_punctuality, slot_costs
-from pipelines.bench.link.paired import WAYS, headlines
-from pipelines.bench.link.protected import paired_run
-from pipelines.bench.link.resume import Resumptions, resumptions
-from pipelines.bench.link.virtual import (
-    FILE,
-    VIDEO,
-    VOICE,
-    Goodput,
-    HapticDifference,
-    HeaderOctets,
-    goodput,
-    haptic_difference,
-    header_octets,
-    voice_waits,
-)
 from pipelines.report.report_file import check_writable, open_console, write_result
-from pipelines.report.result import (
-    Headline,
-    Json,
-    Percentiles,
-    as_json,
-    headline_tables,
-    spread,
-)
+from pipelines.report.result import Headline, Json, as_json, headline_tables
 from pipelines.session.setup.setup_file import load_setup
 from telepresence.link.profile import DOWNLINK, UPLINK
-
-#: Kinds of packets that saturate the link, and the octets of their payloads: voice and video of
-#: `spacejustin`, and files.
-_PACKETS = ((VIDEO, 354), (VIDEO, 1000), (VOICE, 19), (FILE, 200), (FILE, 1000))
-_DELAY_NS = 3 * NS_PER_MS
-#: With their tags and headers; the rest is framing, supervision and fill.
-GOODPUT = "one kind of packet saturates the link: its share of the octets left to it"
-_BLACKOUTS_S = (0.1, 1.0, 10.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, default=20.0, metavar="S", help="of each run (default 20)"
     )
-    parser.add_argument(
-        "--blackouts", type=int, default=100, metavar="N", help="of each length (default 100)"
-    )
     parser.add_argument("--setup", default="spacejustin", metavar="NAME", help="of the live runs")
-    parser.add_argument("--no-live", action="store_true", help="virtual time and cost only")
-    parser.add_argument(
-        "--protected",
-        action="store_true",
-        help="instead, live only: two ends over loopback in turns, --insecure, protected, and "
-        "protected with new keys every 2 s",
-    )
-    parser.add_argument(
-        "--runs", type=int, default=3, metavar="N", help="with --protected: of each (default 3)"
-    )
+    parser.add_argument("--no-live", action="store_true", help="the cost of a slot only")
     parser.add_argument("--base-port", type=int, default=27_000, metavar="P", help="of live runs")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
 
@@ -71,46 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     if not 1 <= args.seconds <= 3600:
         raise ConfigError(f"--seconds {args.seconds:g}: give 1 to 3600")
-    if not 1 <= args.blackouts <= 10_000:
-        raise ConfigError(f"--blackouts {args.blackouts}: give 1 to 10000")
-    if not 1 <= args.runs <= 1000:
-        raise ConfigError(f"--runs {args.runs}: give 1 to 1000")
     check_writable(args.report)
     load_setup(args.setup)
     console = open_console(args)
-    if args.protected:
-        return _run_protected(args, console)
-    difference = haptic_difference(args.seconds, delay_ns=_DELAY_NS)
-    #: Of a voice packet until its first slot, by direction.
-    waits_ms = {
-        profile.name: spread(voice_waits(args.seconds, profile), per_unit=NS_PER_MS)
-        for profile in (UPLINK, DOWNLINK)
-    }
-    headers = header_octets(args.seconds)
-    goodputs = _measure_goodputs(min(args.seconds, 5.0))
-    resumed = {
-        f"{length_s:g} s": resumptions(length_s, blackouts=args.blackouts, delay_ns=_DELAY_NS)
-        for length_s in _BLACKOUTS_S
-    }
     costs = [
         cost
         for profile in (UPLINK, DOWNLINK)
         for busy in (False, True)
         for cost in slot_costs(profile, slots=round(1000 * args.seconds), busy=busy)
     ]
-    figures: dict[str, Json] = {
-        "delays": {
-            "haptic_difference": as_json(difference),
-            **{f"voice_wait_{name}_ms": as_json(of) for name, of in waits_ms.items()},
-        },
-        "headers": as_json(headers),
-        "goodput": as_json(goodputs),
-        "resumption": {
-            length: as_json({**of.times_ms, "packets": of.packets, "stale": of.stale})
-            for length, of in resumed.items()
-        },
-        "cost": as_json(costs),
-    }
+    figures: dict[str, Json] = {"cost": as_json(costs)}
     live: dict[str, Sequence[LoopPunctuality]] = {}
     for media in () if args.no_live else (False, True):
         name = "with" if media else "without"
@@ -118,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
             args.seconds, args.setup, media=media, base_port=args.base_port
         )
         figures[f"live_{name}_media"] = as_json(live[name])
-    found = _headlines(difference, waits_ms, headers, goodputs, resumed, costs, live)
+    found = _headlines(costs, live)
     console.print(*headline_tables(found))
     if live and not any(task.name == "cyclictest" for tasks in live.values() for task in tasks):
         console.print("cyclictest is not installed or not permitted (Debian package rt-tests)")
@@ -126,62 +50,10 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _run_protected(args: argparse.Namespace, console: Console) -> int:
-    """Run the ways in turn, so that a change of the machine's load falls on all."""
-    runs = []
-    for number in range(1, args.runs + 1):
-        for way in WAYS:
-            run = paired_run(way, setup=args.setup, seconds=args.seconds, base_port=args.base_port)
-            runs.append(run)
-            cpu = ", ".join(f"{end} {one.cpu_percent:.1f} %" for end, one in run.ends.items())
-            late = ", ".join(
-                f"{name} {of['p99']:.0f} µs" for name, of in run.delay_us.items() if of
-            )
-            console.print(
-                f"run {number}, {way}: p99 {late}; CPU {cpu}; {run.frames_lost} frames lost",
-                highlight=False,
-            )
-    found = headlines(runs)
-    console.print(*headline_tables(found))
-    write_result(args.report, {"runs": as_json(runs)}, found)
-    return 0
-
-
 def _headlines(
-    difference: HapticDifference,
-    waits_ms: Mapping[str, Percentiles],
-    headers: Mapping[str, HeaderOctets],
-    goodputs: Sequence[Goodput],
-    resumed: Mapping[str, Resumptions],
-    costs: Sequence[Cost],
-    live: Mapping[str, Sequence[LoopPunctuality]],
+    costs: Sequence[Cost], live: Mapping[str, Sequence[LoopPunctuality]]
 ) -> list[Headline]:
-    virtual = partial(Headline, group="on virtual time")
-    what = "delay that saturated media add to a haptic sample, largest"
-    found = [virtual(what=what, unit="slots", value=difference.largest_slots)]
-    for name, of in waits_ms.items():
-        what = f"voice until its first slot, {name} saturated, max"
-        found.append(virtual(what=what, unit="ms", value=of.max))
-    for traffic, counted in headers.items():
-        what = f"header octets of {traffic} (of 40), mean"
-        found.append(virtual(what=what, unit="octets", value=counted.mean))
-    found += [
-        Headline(
-            group=GOODPUT,
-            what=f"{of.direction}, {of.flow} of {of.octets} octets",
-            who="with samples" if of.haptics else "without",
-            unit="%",
-            value=100 * of.packets,
-        )
-        for of in goodputs
-    ]
-    group = "from the first good frame after a blackout, p99"
-    for length, recovery in resumed.items():
-        for event, of in recovery.times_ms.items():
-            who = f"of {length}"
-            found.append(Headline(group=group, what=event, who=who, unit="ms", value=of.p99))
-        what, who = f"packets over 100 ms old, of {recovery.packets}", f"of {length}"
-        found.append(Headline(group=group, what=what, who=who, unit="", value=recovery.stale))
+    found = []
     for cost in costs:
         what, group = f"{cost.direction}, {cost.traffic}", "cost of a slot, p50"
         found.append(Headline(group=group, what=what, who=cost.what, unit="µs", value=cost.us.p50))
@@ -194,12 +66,3 @@ def _headlines(
                 what, share = f"{task.name}: slots left out", 100 * task.slips / task.cycles
                 found.append(Headline(group="live", what=what, who=who, unit="%", value=share))
     return found
-
-
-def _measure_goodputs(seconds: float) -> list[Goodput]:
-    return [
-        goodput(seconds, profile, flow=flow, payload_octets=octets, haptics=haptics)
-        for profile in (UPLINK, DOWNLINK)
-        for flow, octets in _PACKETS
-        for haptics in (True, False)
-    ]

@@ -2,16 +2,17 @@
 
 import re
 import shutil
+import struct
 import subprocess
 from dataclasses import dataclass
 
-from kontur_av.clock import NS_PER_MS, NS_PER_US, MonotonicClock
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US, MonotonicClock
+from kontur_av.media import BLOCK_SAMPLES, VIDEO_CLOCK_HZ
 from kontur_av.meters import Histogram
-from pipelines.bench.link.virtual import FILE, FLOWS, VIDEO, VOICE, Talker
 from pipelines.bench.session import live_report
 from pipelines.report.model import DirectionReport, LinkReport, SessionReport, from_json
 from pipelines.report.result import Percentiles
-from telepresence.link.flows import Level
+from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_flow
 from telepresence.link.profile import LinkProfile
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import LinkSender
@@ -106,6 +107,44 @@ def parse_cyclictest(output: str) -> LoopPunctuality:
             figures[name] = float(largest[1])
     figures["max"] = float(largest[1])
     return LoopPunctuality("cyclictest", figures, None, total + beyond)
+
+
+COMMANDS, VOICE, VIDEO, FILE = "commands", "voice", "video", "file"
+
+#: One flow a level. Commands are carried as they are, so that they may have any length.
+FLOWS: tuple[Flow, ...] = (
+    packet_flow(COMMANDS, Level.TMTC),
+    voice_flow(VOICE),
+    video_flow(VIDEO),
+    packet_flow(FILE, Level.MAINTENANCE),
+)
+
+_RTP = struct.Struct(">BBHII")
+
+
+@dataclass
+class Talker:
+    """Makes the RTP packets of one voice or one video."""
+
+    flow: str
+    payload_octets: int
+    ssrc: int = 0x6B6F6E74
+    sequence: int = 0xFFF0
+
+    def packet(self, now_ns: int, *, last: bool = True) -> bytes:
+        """The next packet; the timestamp of voice counts samples, that of video is `now_ns`.
+
+        last: whether it ends its picture; sets the marker (RFC 6184).
+        """
+        if self.flow == VOICE:
+            timestamp = self.sequence * BLOCK_SAMPLES
+            second = 97
+        else:
+            timestamp = now_ns * VIDEO_CLOCK_HZ // NS_PER_S
+            second = last << 7 | 96
+        header = _RTP.pack(0x80, second, self.sequence & 0xFFFF, timestamp & 0xFFFF_FFFF, self.ssrc)
+        self.sequence += 1
+        return header + bytes(self.payload_octets)
 
 
 #: The first slots fill caches.

@@ -3,16 +3,17 @@
 import pytest
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.hand.haptics import RobotEnd
+from pipelines.hand.haptics import RobotEnd, robot_side
 from pipelines.session.probe import Probe
 from telepresence.haptics.bilateral import JoystickSide
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.loop import joystick_link
 from telepresence.haptics.ownership import HapticOwnership, Owner
 
 
 def received(ownership, source):
     """How many of the samples that `source` sends in 50 ms reach the controller."""
-    robot = RobotEnd(Probe(), life=3, ownership=ownership)
+    robot = RobotEnd(Probe(), robot_side(SafetyEnvelope(), life=3, ownership=ownership))
     joystick = JoystickSide(link=joystick_link(life=1))
     take = robot.handle_datagram if source is Owner.ISS else robot.handle_partner
     for now_ns in range(0, 50 * NS_PER_MS, NS_PER_MS):

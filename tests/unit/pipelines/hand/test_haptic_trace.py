@@ -13,9 +13,10 @@ from pipelines.hand.haptic_trace import (
     rows_of,
     state_of,
 )
-from pipelines.hand.haptics import JoystickEnd, RobotEnd
+from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
 from pipelines.session.probe import Probe
 from telepresence.haptics.device.states import JoystickState
+from telepresence.haptics.envelope import SafetyEnvelope
 
 
 def test_rows_are_read_back_as_they_were():
@@ -67,7 +68,8 @@ def test_flags_have_state_and_led(state, lit):
 
 
 def test_both_ends_trace_what_they_felt():
-    robot, joystick = RobotEnd(Probe(), life=1), JoystickEnd(Probe(), life=2)
+    robot = RobotEnd(Probe(), robot_side(SafetyEnvelope(), life=1))
+    joystick = JoystickEnd(Probe(), life=2)
     blocks = {robot: [], joystick: []}
     for end in blocks:
         end.trace.handle_watched(True)

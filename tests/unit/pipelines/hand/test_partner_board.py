@@ -53,8 +53,10 @@ class Bench:
 
     def start_ground(self, *, life, orders=None):
         wanted = Owner.PARTNER if orders is not None and orders.board else Owner.ISS
-        self.board = PartnerBoard(HapticOwnership(None, wanted=wanted))
-        self.ours = RobotEnd(Probe(), life=life, board=self.board)
+        ownership = HapticOwnership(None, wanted=wanted)
+        self.board = PartnerBoard(ownership)
+        side = robot_side(SafetyEnvelope(), life=life, ownership=ownership)
+        self.ours = RobotEnd(Probe(), side, board=self.board)
         self.desk = RobotDesk(
             self.ours.side,
             life=life,
