@@ -14,7 +14,8 @@ from kontur_av.lazy import lazy_names
 if TYPE_CHECKING:
     from kontur_av.clock import ManualClock, MonotonicClock
     from kontur_av.codecs.coding import Coding
-    from kontur_av.codecs.h264 import DecodedPicture, H264Decoder, H264Encoder
+    from kontur_av.codecs.decoder import DecodedPicture
+    from kontur_av.codecs.h264 import H264Decoder, H264Encoder
     from kontur_av.codecs.opus import OpusDecoder, OpusEncoder
     from kontur_av.codecs.region import Region
     from kontur_av.errors import ConfigError, ProtocolError

@@ -12,13 +12,8 @@ from rtp_packets import PromptSender
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.payload_h264 import (
-    H264Depacketizer,
-    join_annex_b,
-    packetize,
-    parse_payload,
-    split_annex_b,
-)
+from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.payload_h264 import H264Depacketizer, packetize, parse_payload
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import MAX_MISORDER, RtpReceiver

@@ -4,7 +4,8 @@ import pytest
 from rtp_packets import PromptSender
 
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.payload_h264 import packetize, parse_payload, split_annex_b
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.payload_h264 import packetize, parse_payload
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.rtp.wire import parse_rtp

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kontur_av.errors import ConfigError
-from kontur_av.media import parse_size
+from kontur_av.media import codec_named, parse_size
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.setup.table import NO_RADIO, RtcLeg, Setup, VideoStream, VoiceStream
@@ -28,6 +28,7 @@ class _Video:
     cap_kbps: float
     size: str = "640x480"
     coded: str = "auto"
+    codec: str = "h264"
     fps: int = 30
     stale_after_ms: float | None = None
 
@@ -208,5 +209,6 @@ def _video(name: str, entry: _Video) -> VideoStream:
         height=height,
         fps=entry.fps,
         coded=coded,
+        codec=codec_named(entry.codec, name),
         stale_after_ms=entry.stale_after_ms,
     )

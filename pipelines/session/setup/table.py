@@ -10,10 +10,10 @@ from math import ceil
 from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.h264_settings import coded_size_for
+from kontur_av.codecs.coded_size import coded_size_for
 from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.errors import ConfigError
-from kontur_av.media import check_size
+from kontur_av.media import VideoCodec, check_size, codec_named
 from kontur_av.streams.budget import Pacer
 from pipelines.session.setup.segments import Direction
 from telepresence.haptics.axes import AxisName, more_axes, sample_octets
@@ -59,11 +59,12 @@ PORTS = 40
 
 @dataclass(frozen=True, kw_only=True)
 class VideoStream:
-    """An H.264 stream: its hard cap of RTP payload in bit/s, picture size and rate.
+    """A stream of pictures: its hard cap of RTP payload in bit/s, picture size and rate.
 
     stale_after_ms: older pictures are marked as stale; None: the default of `Setup.stale_after_ns`.
     coded: (width, height) in which pictures are coded; None: the largest size that the cap has
         bits for (`coded_size`). They are shown in the stream's size.
+    codec: `h264`, or `h265` for a better picture at more computing.
     """
 
     name: str
@@ -72,6 +73,7 @@ class VideoStream:
     height: int = 480
     fps: int = 30
     coded: tuple[int, int] | None = None
+    codec: VideoCodec = "h264"
     stale_after_ms: float | None = None
 
     def __post_init__(self) -> None:
@@ -81,6 +83,7 @@ class VideoStream:
             )
         if not 1 <= self.fps <= 120:
             raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
+        codec_named(self.codec, self.name)
         _check_stale_after(self)
         check_size(self.width, self.height)
         if self.coded is not None:

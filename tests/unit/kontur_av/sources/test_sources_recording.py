@@ -82,7 +82,7 @@ def path(tmp_path):
             "/head": pictures,
             "/voice": spoken,
             "/empty": [],
-            "/h265": [(0, picture(b"1", "h265"))],
+            "/av1": [(0, picture(b"1", "av1"))],
         },
     )
     return file
@@ -137,11 +137,11 @@ def test_a_coded_size_that_was_rounded_fills_the_picture(tmp_path):
 @pytest.mark.parametrize(
     ("channel", "kind", "told"),
     [
-        ("#/feet", "video", "no channel '/feet' with pictures; .* one of /empty, /h265, /head"),
+        ("#/feet", "video", "no channel '/feet' with pictures; .* one of /av1, /empty, /head"),
         ("#/voice", "video", "no channel '/voice' with pictures"),
         ("#/head", "audio", "one of /voice"),
         ("#/empty", "video", "channel /empty of .* is empty"),
-        ("#/h265", "video", "is h265: take one with h264"),
+        ("#/av1", "video", "is av1: take one with h264 or h265"),
     ],
 )
 def test_a_channel_that_cannot_be_played_is_refused(path, channel, kind, told):

@@ -13,7 +13,7 @@ from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
-from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.receive_media import TimeLine
