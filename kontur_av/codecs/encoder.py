@@ -6,7 +6,6 @@ So each access unit takes about the same time on the channel. Every wave begins 
 and a recovery point SEI, at which a late decoder can start.
 """
 
-from abc import ABC, abstractmethod
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any, ClassVar
@@ -50,7 +49,7 @@ _QUANTISERS = 51
 _LIKE_BEFORE = Coding()
 
 
-class VideoEncoder(ABC):
+class VideoEncoder:
     """An encoder, set up for a thin channel. It aims at the cap; the pacer keeps it.
 
     width, height: size of the pictures in pixels, within the limits of `media.check_size`.
@@ -198,13 +197,13 @@ class VideoEncoder(ABC):
         octets, keyframe = self._finished(packet)
         return AccessUnit(octets, frame.stamp, keyframe, self.codec)
 
-    @abstractmethod
     def _finished(self, packet: Any) -> tuple[bytes, bool]:
         """Return the access unit of a packet, and whether every decoder can start at it."""
+        raise NotImplementedError
 
-    @abstractmethod
     def _quantiser_and_loss(self, packet: Any) -> tuple[float, float]:
         """Return the mean quantiser, and the mean squared error of the luma by coding."""
+        raise NotImplementedError
 
     def _soft_pixels(self, force_keyframe: bool) -> float:
         """Return how much to soften this picture, in pixels of its coded size; 0: not at all."""

@@ -1,6 +1,5 @@
 """The settings that encoders of all codecs share, and how an encoder of PyAV is opened."""
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, ClassVar, Literal, get_args
@@ -19,7 +18,7 @@ SEARCHES: tuple[Search, ...] = get_args(Search)
 
 
 @dataclass(frozen=True, kw_only=True)
-class EncoderSettings(ABC):
+class EncoderSettings:
     """Settings for pictures of this coded size and rate under this cap.
 
     refresh_s: time from one refresh wave to the next. search, preset: as of `VideoEncoder`.
@@ -44,9 +43,9 @@ class EncoderSettings(ABC):
         """Pictures from the start of one refresh wave to the next."""
         return max(round(self.rate * Fraction(self.refresh_s)), 1)
 
-    @abstractmethod
     def options(self) -> dict[str, str]:
         """Options of FFmpeg's `library`."""
+        raise NotImplementedError
 
     def open(self) -> VideoCodecContext:
         """Return an open encoder; ConfigError if there is none."""

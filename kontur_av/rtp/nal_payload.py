@@ -4,7 +4,6 @@ A payload is a single NAL unit, an aggregation of several small ones, or a fragm
 """
 
 import re
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -51,7 +50,7 @@ class Fragment(NamedTuple):
 _NOTHING = Fragment(())
 
 
-class NalFormat(ABC):
+class NalFormat:
     """The NAL units of one codec, and its payloads in RTP. It has no state.
 
     header_octets: of a NAL unit. largest: the largest type of a NAL unit that RTP can carry.
@@ -79,25 +78,25 @@ class NalFormat(ABC):
         """The types of parameter sets."""
         return frozenset(self.set_names)
 
-    @abstractmethod
     def nal_type(self, nal_unit: bytes) -> int:
         """Return nal_unit_type of a NAL unit of at least one octet."""
+        raise NotImplementedError
 
-    @abstractmethod
     def is_nal(self, nal_unit: bytes) -> bool:
         """Return whether these octets begin with the header of a NAL unit."""
+        raise NotImplementedError
 
-    @abstractmethod
     def aggregate_header(self, units: Sequence[bytes]) -> bytes:
         """Return the payload header of an aggregation of these NAL units."""
+        raise NotImplementedError
 
-    @abstractmethod
     def fragment_header(self, unit: bytes) -> bytes:
         """Return the payload header of a fragment of this NAL unit."""
+        raise NotImplementedError
 
-    @abstractmethod
     def nal_header(self, payload_header: bytes, kind: int) -> bytes:
         """Return the header of a NAL unit of this type, of whose fragment `payload_header` is."""
+        raise NotImplementedError
 
     def parameter_sets(self, access_unit: bytes) -> bytes:
         """Return the parameter sets of an access unit, as Annex B; b"" if it has no SPS."""

@@ -263,6 +263,11 @@ class Setup:
             if (chosen := getattr(self, name)) not in choices:
                 raise ConfigError(f"{name} {chosen!r}: take one of {', '.join(choices)}")
         self._check_partner_arm()
+        if self.rtc is not None and self.downlink_video and self.downlink_video.codec != "h264":
+            raise ConfigError(
+                "downlink_video: it goes on to the browsers of a partner, which take H.264: "
+                'take codec = "h264", or leave [rtc] out'
+            )
         self._make_room()
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")

@@ -45,6 +45,7 @@ size = "320x240"
 fps = 25
 stale_after_ms = 250.5
 coded = "160x120"
+codec = "h265"
 
 [uplink_voice]
 cap_kbps = 6.4
@@ -54,6 +55,7 @@ stale_after_ms = 90
 cap_kbps = 300
 size = "800x600"
 fps = 15
+codec = "h264"
 
 [downlink_voice]
 cap_kbps = 24
@@ -99,9 +101,17 @@ def test_every_field_of_a_file_reaches_the_setup(tmp_path):
     assert setup.rtc == RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000)
     assert setup.safety == SafetyLimits(resume_within_s=0.2, slow_m_s=0.05)
     video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
-    assert asdict(setup.uplink_video) == video | {"stale_after_ms": 250.5, "coded": (160, 120)}
+    assert asdict(setup.uplink_video) == video | {
+        "stale_after_ms": 250.5,
+        "coded": (160, 120),
+        "codec": "h265",
+    }
     down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
-    assert asdict(setup.downlink_video) == down | {"stale_after_ms": None, "coded": None}
+    assert asdict(setup.downlink_video) == down | {
+        "stale_after_ms": None,
+        "coded": None,
+        "codec": "h264",
+    }
     voice = {"name": "uplink_voice", "cap_bps": 6_400, "stale_after_ms": 90}
     assert asdict(setup.uplink_voice) == voice
     down = {"name": "downlink_voice", "cap_bps": 24_000, "stale_after_ms": None}
