@@ -17,7 +17,7 @@ LAMBDA = 118
 
 
 class H264Encoder(VideoEncoder):
-    """Encodes by libx264; see `VideoEncoder`. A wave begins with a recovery point (D.2.8)."""
+    """Encodes by libx264; see `VideoEncoder`."""
 
     codec: ClassVar[VideoCodec] = "h264"
     _settings_of: ClassVar[type[EncoderSettings]] = H264Settings

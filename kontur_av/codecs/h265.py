@@ -17,10 +17,7 @@ _LOSS_PER_STEP = 0.4
 
 
 class H265Encoder(VideoEncoder):
-    """Encodes by libx265; see `VideoEncoder`. A wave begins with a recovery point (D.2.8).
-
-    A slow refresh is a key picture: waves cost too much (docs/experiments/video.md).
-    """
+    """Encodes by libx265; see `VideoEncoder`. A refresh of 3 s and more is a key picture."""
 
     codec: ClassVar[VideoCodec] = "h265"
     _settings_of: ClassVar[type[EncoderSettings]] = H265Settings
