@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
     from kontur_av.codecs.encoder import VideoEncoder
     from kontur_av.codecs.h264 import H264Decoder, H264Encoder
-    from kontur_av.codecs.h265 import H265Decoder, H265Encoder
+    from kontur_av.codecs.h265 import H265Encoder
     from kontur_av.codecs.opus import OpusDecoder, OpusEncoder
     from kontur_av.codecs.region import Region
     from kontur_av.errors import ConfigError, ProtocolError
@@ -58,7 +58,6 @@ __all__ = [
     "EncodingThread",
     "H264Decoder",
     "H264Encoder",
-    "H265Decoder",
     "H265Encoder",
     "LipSync",
     "ManualClock",

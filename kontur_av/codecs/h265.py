@@ -1,9 +1,8 @@
-"""Pictures to HEVC access units, and back (ITU-T H.265): libx265 by PyAV, and FFmpeg's decoder."""
+"""Pictures to HEVC access units (ITU-T H.265), by libx265 in PyAV."""
 
 from struct import unpack_from
 from typing import Any, ClassVar
 
-from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.encoder import VideoEncoder
 from kontur_av.codecs.encoder_settings import EncoderSettings
 from kontur_av.codecs.h264 import LAMBDA
@@ -46,10 +45,3 @@ def recovery_point(pictures: int) -> bytes:
     bits = "0" * (len(number) - 1) + number + "10" + "1"
     payload = int(bits + "0" * (-len(bits) % 8), 2).to_bytes(-(-len(bits) // 8), "big")
     return bytes((NAL_PREFIX_SEI << 1, 1, 6, len(payload))) + payload + b"\x80"
-
-
-class H265Decoder(VideoDecoder):
-    """Decodes HEVC; see `VideoDecoder`."""
-
-    def __init__(self, *, reordered: bool = False) -> None:
-        super().__init__("h265", reordered=reordered)

@@ -8,7 +8,8 @@ import pytest
 
 from kontur_av.codecs import encoder_settings
 from kontur_av.codecs.coding import Coding
-from kontur_av.codecs.h265 import H265Decoder, H265Encoder, recovery_point
+from kontur_av.codecs.decoder import VideoDecoder
+from kontur_av.codecs.h265 import H265Encoder, recovery_point
 from kontur_av.codecs.healing import Healing, recovery_pictures
 from kontur_av.codecs.region import Region
 from kontur_av.errors import ConfigError
@@ -46,7 +47,7 @@ def received(unit, **changes):
 
 
 def test_every_picture_is_one_unit_of_about_its_share_and_comes_back():
-    coder, decoder = encoder(), H265Decoder()
+    coder, decoder = encoder(), VideoDecoder("h265")
     units = [coder.encode(scene(number)) for number in range(45)]
     assert [unit.keyframe for unit in units] == [True] + [False] * 44
     assert {unit.codec for unit in units} == {"h265"}
@@ -66,7 +67,7 @@ def test_a_key_picture_on_request_lets_a_new_decoder_begin():
     unit = coder.encode(scene(5), Coding(keyframe=True))
     assert unit.keyframe
     assert H265.parameter_sets(unit.data)
-    assert len(H265Decoder().decode(unit.data, 5)) == 1
+    assert len(VideoDecoder("h265").decode(unit.data, 5)) == 1
 
 
 def test_a_decoder_that_joins_has_the_exact_picture_after_a_wave():
@@ -74,7 +75,7 @@ def test_a_decoder_that_joins_has_the_exact_picture_after_a_wave():
     units = [coder.encode(scene(number)) for number in range(100)]
     begins = [at for at, unit in enumerate(units) if recovery_pictures(unit.data, "h265")]
     assert begins == [30, 60, 90]
-    whole, late = H265Decoder(), H265Decoder()
+    whole, late = VideoDecoder("h265"), VideoDecoder("h265")
     pictures = [whole.decode(unit.data, 0)[0].to_i420() for unit in units]
     shown = {}
     for at in range(30, 100):
@@ -86,7 +87,7 @@ def test_a_decoder_that_joins_has_the_exact_picture_after_a_wave():
 
 
 def test_after_a_loss_pictures_come_again_with_the_next_key_picture():
-    coder, decoder, healing = encoder(refresh_s=60), H265Decoder(), Healing()
+    coder, decoder, healing = encoder(refresh_s=60), VideoDecoder("h265"), Healing()
     units = [coder.encode(scene(number), Coding(keyframe=number == 12)) for number in range(20)]
     hurt, shown = [], []
     for number, unit in enumerate(units):
@@ -106,7 +107,7 @@ def test_recovery_points_are_read_as_written(pictures):
 
 
 def test_garbage_ends_no_decoder():
-    coder, decoder, draw = encoder(), H265Decoder(), random.Random(3)
+    coder, decoder, draw = encoder(), VideoDecoder("h265"), random.Random(3)
     for number in range(60):
         data = bytearray(coder.encode(scene(number), Coding(keyframe=number % 20 == 0)).data)
         if number % 3:
@@ -125,7 +126,7 @@ def test_a_size_beyond_the_limit_is_not_decoded():
     assert any(H265.nal_type(nal) == NAL_SPS for nal in nals)
     coder = encoder(width=4096, height=4096, coded_size=(4096, 4096), cap_bps=2_000_000)
     big = coder.encode(VideoFrame(np.full((6144, 4096), 90, np.uint8), CaptureStamp(0, 0, "big")))
-    (picture,) = H265Decoder().decode(big.data, 0)
+    (picture,) = VideoDecoder("h265").decode(big.data, 0)
     assert (picture.width, picture.height) == (4096, 4096)
 
 
