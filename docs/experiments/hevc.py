@@ -74,9 +74,7 @@ if __name__ == "__main__":
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(CLIPS))
     args = parser.parse_args()
     count = round((args.seconds + 1) * FPS)
-    print(
-        "| clip | codec | PSNR mean/worst, dB | p50/p99, ms | pictures/s | kbit/s | CPU, ms |"
-    )
+    print("| clip | codec | PSNR mean/worst, dB | p50/p99, ms | pictures/s | kbit/s | CPU, ms |")
     print("|---|---|---|---|--:|--:|--:|")
     for _, make in clips([], WIDTH, HEIGHT, FPS, count, print, only=frozenset(args.names)):
         made = make()

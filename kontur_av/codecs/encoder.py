@@ -96,7 +96,7 @@ class VideoEncoder:
             raise ConfigError(f"{float(rate):g} pictures a second: take a rate from 1 to 120")
         if cap_bps < 10_000:
             raise ConfigError(f"video at {cap_bps} bit/s: give it at least 10000")
-        coded = coded_size or coded_size_for(width, height, rate, cap_bps)
+        coded = coded_size or coded_size_for(width, height, rate, cap_bps, self.codec)
         check_size(*coded)
         if coded[0] > width or coded[1] > height:
             raise ConfigError(
@@ -109,7 +109,7 @@ class VideoEncoder:
         self.encoded = 0
         # A stream in its full size keeps it, because not every receiver can scale.
         self._cuts = Cuts() if coded_size is None and coded != (width, height) else None
-        self._sizes = sizes_around(width, height, coded)
+        self._sizes = sizes_around(width, height, coded, self.codec)
         self.largest_size = self._sizes[-1] if self._cuts is not None else coded
         self._choice = SizeChoice(
             [size[0] * size[1] for size in self._sizes],

@@ -96,7 +96,8 @@ class VideoStream:
 
     @property
     def coded_size(self) -> tuple[int, int]:
-        return self.coded or coded_size_for(self.width, self.height, self.fps, self.cap_bps)
+        size = self.width, self.height
+        return self.coded or coded_size_for(*size, self.fps, self.cap_bps, self.codec)
 
     @property
     def payload_octets(self) -> int:
