@@ -152,6 +152,11 @@ def test_a_setup_without_a_name_takes_that_of_its_file(tmp_path):
         ("cap_kbps = 50\ncoded = '800x600'", "coded as 800x600: take no larger size"),
         ("cap_kbps = 50\nstale_after_ms = 2", "uplink_video: stale after 2 ms; take 10 to"),
         ("cap_kbps = 50\nstale_after_ms = '1 s'", "uplink_video.stale_after_ms must be a number"),
+        ('cap_kbps = 50\ncodec = "av1"', "uplink_video: codec 'av1': take one of h264, h265"),
+        (
+            'cap_kbps = 50\n[rtc]\n[downlink_video]\ncap_kbps = 300\ncodec = "h265"',
+            'downlink_video: .* take codec = "h264"',
+        ),
         ('cap_kbps = 50\nsize = "640"', "odd.toml: uplink_video.size '640': write WIDTHxHEIGHT"),
     ],
 )
