@@ -3,6 +3,7 @@
 import random
 from fractions import Fraction
 
+import av
 import numpy as np
 import pytest
 
@@ -10,13 +11,14 @@ from kontur_av.codecs import encoder_settings
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.h265 import H265Encoder, recovery_point
+from kontur_av.codecs.h265_settings import H265Settings
 from kontur_av.codecs.healing import Healing, recovery_pictures
 from kontur_av.codecs.region import Region
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
-from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.annex_b import join_annex_b
 from kontur_av.rtp.nal_payload import ReceivedUnit
-from kontur_av.rtp.payload_h265 import H265, NAL_SPS
+from kontur_av.rtp.payload_h265 import H265
 
 CAP_BPS, FPS, WIDTH, HEIGHT = 85_000, 30, 320, 240
 
@@ -119,15 +121,22 @@ def test_garbage_ends_no_decoder():
     assert decoder.decode(coder.encode(scene(61), Coding(keyframe=True)).data, 61)
 
 
-def test_a_size_beyond_the_limit_is_not_decoded():
-    """An SPS of 8192x8192 pixels must not fill the memory."""
-    unit = encoder().encode(scene(0)).data
-    nals = split_annex_b(unit)
-    assert any(H265.nal_type(nal) == NAL_SPS for nal in nals)
-    coder = encoder(width=4096, height=4096, coded_size=(4096, 4096), cap_bps=2_000_000)
-    big = coder.encode(VideoFrame(np.full((6144, 4096), 90, np.uint8), CaptureStamp(0, 0, "big")))
-    (picture,) = VideoDecoder("h265").decode(big.data, 0)
-    assert (picture.width, picture.height) == (4096, 4096)
+def test_a_picture_beyond_the_limit_is_not_decoded():
+    """A forged SPS must not fill the memory."""
+    settings = H265Settings(
+        width=8192,
+        height=4096,
+        rate=Fraction(30),
+        cap_bps=2_000_000,
+        refresh_s=60,
+        preset="ultrafast",
+    )
+    picture = av.VideoFrame(8192, 4096, "yuv420p")
+    picture.pts = 0
+    (packet,) = settings.open().encode(picture)
+    decoder = VideoDecoder("h265")
+    assert decoder.decode(bytes(packet), 0) == []
+    assert decoder.counts.frames_before_start == 1
 
 
 def test_cap_rate_and_region_change_as_those_of_h264():
