@@ -14,6 +14,7 @@ from av.video.reformatter import VideoReformatter
 from kontur_av.codecs.colours import as_i420, like_i420
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, VideoCodec, check_size, empty_picture, planes
+from kontur_av.rtp.payload_h265 import H265
 
 #: FFmpeg's names.
 _DECODERS: dict[VideoCodec, str] = {"h264": "h264", "h265": "hevc"}
@@ -131,6 +132,9 @@ class VideoDecoder:
         """
         if not data:
             return []
+        if self._without_picture and self._name == "h265" and H265.parameter_sets(data):
+            # After a loss, FFmpeg passes over recovery points; a new decoder begins at one.
+            self._codec = _open_decoder(self._name)
         packet = av.Packet(data)
         packet.pts = timestamp
         try:

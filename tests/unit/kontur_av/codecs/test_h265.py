@@ -102,6 +102,20 @@ def test_after_a_loss_pictures_come_again_with_the_next_key_picture():
     assert decoder.counts.frames_corrupt + len(shown) == 19
 
 
+def test_without_feedback_a_wave_brings_the_picture_back_after_any_loss():
+    coder, decoder = encoder(refresh_s=1.0), VideoDecoder("h265")
+    units = [coder.encode(scene(number % 80)) for number in range(140)]
+    whole = VideoDecoder("h265")
+    exact = [whole.decode(unit.data, 0)[0].to_i420() for unit in units]
+    # One amid the stream, and one amid the wave that would heal it: the next wave does.
+    shown = {}
+    for number, unit in enumerate(units):
+        for picture in decoder.decode(unit.data, number) if number not in (40, 70) else ():
+            shown[number] = picture.to_i420()
+    assert list(shown) == [*range(40), *range(89, 140)]
+    assert psnr_db(shown[125], exact[125]) > 45
+
+
 @pytest.mark.parametrize("pictures", [0, 1, 2, 29, 1799])
 def test_recovery_points_are_read_as_written(pictures):
     unit = join_annex_b([recovery_point(pictures)])
