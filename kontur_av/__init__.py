@@ -14,7 +14,10 @@ from kontur_av.lazy import lazy_names
 if TYPE_CHECKING:
     from kontur_av.clock import ManualClock, MonotonicClock
     from kontur_av.codecs.coding import Coding
-    from kontur_av.codecs.h264 import DecodedPicture, H264Decoder, H264Encoder
+    from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
+    from kontur_av.codecs.encoder import VideoEncoder
+    from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+    from kontur_av.codecs.h265 import H265Encoder
     from kontur_av.codecs.opus import OpusDecoder, OpusEncoder
     from kontur_av.codecs.region import Region
     from kontur_av.errors import ConfigError, ProtocolError
@@ -55,6 +58,7 @@ __all__ = [
     "EncodingThread",
     "H264Decoder",
     "H264Encoder",
+    "H265Encoder",
     "LipSync",
     "ManualClock",
     "MonotonicClock",
@@ -73,6 +77,8 @@ __all__ = [
     "TopicBus",
     "UdpReceiver",
     "UdpSender",
+    "VideoDecoder",
+    "VideoEncoder",
     "VideoFrame",
     "VideoReceiver",
     "VideoSender",

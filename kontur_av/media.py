@@ -3,6 +3,7 @@
 import re
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,11 @@ I420 = NDArray[np.uint8]
 #: Mono sound: shape (samples,), dtype int16.
 Pcm = NDArray[np.int16]
 
-VIDEO_CLOCK_HZ = 90_000  # RFC 6184 section 8.2.1
+#: How pictures are coded: H.264, or HEVC (ITU-T H.265).
+VideoCodec = Literal["h264", "h265"]
+VIDEO_CODECS: tuple[VideoCodec, ...] = get_args(VideoCodec)
+
+VIDEO_CLOCK_HZ = 90_000  # RFC 6184 section 8.2.1, RFC 7798 section 7.1
 AUDIO_CLOCK_HZ = 48_000  # RFC 7587 section 4.1
 
 #: Every block of sound has this many samples: 20 ms at 48 kHz.
@@ -91,14 +96,15 @@ class AudioFrame:
 
 @dataclass(frozen=True, slots=True)
 class AccessUnit:
-    """One coded picture: an H.264 access unit as an Annex B byte stream (ITU-T H.264 Annex B).
+    """One coded picture: an access unit as a byte stream (ITU-T H.264 or H.265, Annex B).
 
-    keyframe: an IDR picture, at which any decoder can start.
+    keyframe: an IDR picture, at which any decoder can start. codec: how it is coded.
     """
 
     data: bytes
     stamp: CaptureStamp
     keyframe: bool
+    codec: VideoCodec = "h264"
 
 
 def planes(picture: I420) -> tuple[I420, I420, I420]:
@@ -129,6 +135,14 @@ def check_size(width: int, height: int) -> None:
             f"size {width}x{height}: the width must be even, the height a multiple of 4, "
             "both from 16 to 4096"
         )
+
+
+def codec_named(name: str, where: str) -> VideoCodec:
+    """Return the codec of this name; ConfigError, which names `where`, if there is none."""
+    for codec in VIDEO_CODECS:
+        if codec == name:
+            return codec
+    raise ConfigError(f"{where}: codec {name!r}: take one of {', '.join(VIDEO_CODECS)}")
 
 
 def parse_size(text: str, name: str = "--size") -> tuple[int, int]:

@@ -40,7 +40,7 @@ NEAR: dict[str, tuple[str, ...]] = {
         f"{UNIT}/kontur_av/streams/test_voice.py",
         "tests/fuzz/test_rtp_fuzz.py",
     ),
-    "kontur_av/rtp/payload_h264.py": (
+    "kontur_av/rtp/nal_payload.py": (
         f"{UNIT}/kontur_av/rtp/test_payload_h264.py",
         f"{UNIT}/kontur_av/rtp/test_rtp_stream.py",
         "tests/vectors/test_rtp_vectors.py",

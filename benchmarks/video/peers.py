@@ -15,6 +15,7 @@ from benchmarks.video.targets import CHROMIUM, DEFAULT, TUNED
 from kontur_av.clock import NS_PER_S
 from pipelines.bench.video.contenders import (
     KONTUR_AV,
+    KONTUR_AV_H265,
     Contender,
     ContenderError,
     Course,
@@ -213,6 +214,7 @@ CONTENDERS = {
     one.name: one
     for one in (
         KONTUR_AV,
+        KONTUR_AV_H265,
         *(
             Contender(name=name, started=partial(_gstreamer, encoder), missing=_no_gstreamer)
             for name, encoder in _ENCODERS.items()

@@ -2,7 +2,7 @@
 
 from kontur_av.codecs.colours import BT601
 from kontur_av.media import BLACK_LUMA, NEUTRAL_CHROMA, check_size
-from kontur_av.rtp.payload_h264 import join_annex_b
+from kontur_av.rtp.annex_b import join_annex_b
 
 _SPS, _PPS, _IDR = b"\x67", b"\x68", b"\x65"
 _HIGH = 100

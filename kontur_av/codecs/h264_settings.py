@@ -1,4 +1,4 @@
-"""The coded size and x264's options for a thin channel.
+"""x264's options for a thin channel.
 
 docs/experiments/video.md lists what was tried, and the gain of each.
 """
@@ -6,33 +6,10 @@ docs/experiments/video.md lists what was tried, and the gain of each.
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil
-from typing import Literal, get_args
+from typing import ClassVar
 
-from kontur_av.media import check_size
-
-_MACROBLOCK = 16 * 16
-
-#: How long x264 searches in large pictures. Small ones are always searched thoroughly.
-Search = Literal["quick", "thorough"]
-SEARCHES: tuple[Search, ...] = get_args(Search)
-
-#: What a thin channel's pictures are to be: soon there, or good.
-Preference = Literal["latency", "quality"]
-PREFERENCES: tuple[Preference, ...] = get_args(Preference)
-
-#: With fewer bits for each macroblock, x264 leaves most blocks unchanged.
-#: Measured at 85 kbit/s and 30 Hz: 640x480 (2.4 bits) is 4 to 8 dB worse than 384x288 (6.6 bits).
-_BITS_PER_MACROBLOCK = 6.5
-#: What each picture gets of the cap where a faster camera's pictures are left out. Of whole kbit,
-#: because x264's buffer is. docs/experiments/video.md has the curve.
-_PICTURE_BITS = {"latency": 2000, "quality": 2800}
-#: This many pictures a second are coded whatever they get.
-_ALWAYS_HZ = 30
-#: Coded sizes, as shares of the displayed size.
-_SHARES = tuple(Fraction(parts, 20) for parts in (20, 15, 12, 10, 8, 5))
-_NARROWEST = 160
-#: While cuts come too fast: the share of the usual coded size.
-_RESTLESS_SHARE = Fraction(2, 3)
+from kontur_av.codecs.coded_size import BITS_PER_MACROBLOCK, MACROBLOCK
+from kontur_av.codecs.encoder_settings import EncoderSettings
 
 #: One slice: each slice has its own header and entropy contexts. No scene cut: a cut must not
 #: become an IDR picture. No psy: it keeps grain, for which the bits are missing. No adaptive
@@ -97,79 +74,16 @@ _PUNCTUAL_RATE = Fraction(104, 100)
 _THIN_UP_TO = 20_000
 
 
-def coded_rate_for(fps: int, cap_bps: int, prefer: Preference = "quality") -> int:
-    """Return how many pictures a second to code, of a camera's `fps`."""
-    return min(fps, max(_ALWAYS_HZ, cap_bps // _PICTURE_BITS[prefer]))
+class H264Settings(EncoderSettings):
+    """Settings of x264 for pictures of this coded size and rate under this cap."""
 
-
-def coded_size_for(width: int, height: int, fps: float | Fraction, cap_bps: int) -> tuple[int, int]:
-    """Return the coded (width, height): the largest for which the cap gives enough bits.
-
-    width, height: size of the pictures in pixels. fps: pictures a second.
-    """
-    bits = cap_bps / float(fps)
-    size = (width, height)
-    for share in _SHARES:
-        smaller = _scaled(width, height, share)
-        if share < 1 and (smaller[0] < _NARROWEST or smaller[1] < 16):
-            break
-        size = smaller
-        if bits * _MACROBLOCK >= _BITS_PER_MACROBLOCK * size[0] * size[1]:
-            break
-    check_size(*size)
-    return size
-
-
-def sizes_around(width: int, height: int, coded: tuple[int, int]) -> list[tuple[int, int]]:
-    """Return coded sizes from small to large: one below `coded`, `coded`, and all above it."""
-    shares = [Fraction(share) for share in reversed(_SHARES)]
-    sizes = [_scaled(width, height, share) for share in shares]
-    above = [size for size in sizes if size[0] > coded[0]]
-    below = [size for size in sizes if _NARROWEST <= size[0] < coded[0] and size[1] >= 16]
-    return [*below[-1:], coded, *above]
-
-
-def _scaled(width: int, height: int, share: Fraction) -> tuple[int, int]:
-    if share == 1:
-        return width, height
-    return round(width * share / 4) * 4, round(height * share / 4) * 4
-
-
-def restless_size_for(width: int, height: int) -> tuple[int, int]:
-    """Return the smaller coded size to use while cuts come too fast (`cuts.Cuts`)."""
-    smaller = _scaled(width, height, _RESTLESS_SHARE)
-    return smaller if smaller[0] >= _NARROWEST and smaller[1] >= 16 else (width, height)
-
-
-@dataclass(frozen=True, kw_only=True)
-class H264Settings:
-    """Settings of x264 for pictures of this coded size and rate under this cap.
-
-    refresh_s: time from one refresh wave to the next. search: as of `H264Encoder`.
-    punctual: code a picture coarsely rather than late, also at a cut.
-    regions: parts of a picture may be coded finer.
-    """
-
-    width: int
-    height: int
-    rate: Fraction
-    cap_bps: int
-    refresh_s: float
-    preset: str
-    search: Search = "quick"
-    punctual: bool = False
-    regions: bool = False
-
-    @property
-    def refresh_pictures(self) -> int:
-        """Pictures from the start of one refresh wave to the next."""
-        return max(round(self.rate * Fraction(self.refresh_s)), 1)
+    library: ClassVar[str] = "libx264"
 
     def options(self) -> dict[str, str]:
         """Options of FFmpeg's libx264."""
-        blocks_hz = self.width * self.height * self.rate / _MACROBLOCK
+        blocks_hz = self.width * self.height * self.rate / MACROBLOCK
         effort = _WIDE_THOROUGH if self.search == "thorough" else _WIDE
-        if blocks_hz <= _THIN_UP_TO or self.cap_bps < _BITS_PER_MACROBLOCK * blocks_hz:
+        if blocks_hz <= _THIN_UP_TO or self.cap_bps < BITS_PER_MACROBLOCK * blocks_hz:
             effort = _THIN
         coarsest = _PUNCTUAL if self.punctual else effort.coarsest
         over_cap = effort.rate_over_cap

@@ -1,6 +1,9 @@
 """Which pictures are damaged after a loss, and when the intra refresh has healed them."""
 
-from kontur_av.rtp.payload_h264 import NAL_SEI, ReceivedUnit, nal_type, split_annex_b
+from kontur_av.media import VideoCodec
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.nal_formats import NAL_FORMATS
+from kontur_av.rtp.nal_payload import ReceivedUnit
 
 _SEI_RECOVERY_POINT = 6  # ITU-T H.264 table D-1
 
@@ -30,7 +33,7 @@ class Healing:
         if not self._damaged or unit.damaged:
             return self._damaged
         if self._left is None:
-            self._left = 0 if unit.keyframe else recovery_pictures(unit.data)
+            self._left = 0 if unit.keyframe else recovery_pictures(unit.data, unit.codec)
         else:
             self._left = 0 if unit.keyframe else self._left - 1
         if self._left == 0:
@@ -39,26 +42,31 @@ class Healing:
         return self._damaged
 
 
-def recovery_pictures(access_unit: bytes) -> int | None:
+def recovery_pictures(access_unit: bytes, codec: VideoCodec = "h264") -> int | None:
     """Return recovery_frame_cnt of the recovery point SEI in an access unit (ITU-T H.264 D.2.8).
 
     access_unit: an Annex B byte stream. None if there is no such SEI, or it is malformed.
+    HEVC counts pictures in the order of display (ITU-T H.265 clause D.3.8): the same without B.
     """
+    form = NAL_FORMATS[codec]
     for nal in split_annex_b(access_unit):
-        if nal_type(nal) == NAL_SEI:
-            found = _recovery_point(nal[1:].replace(b"\0\0\3", b"\0\0"))
+        if form.nal_type(nal) == form.sei:
+            messages = nal[form.header_octets :].replace(b"\0\0\3", b"\0\0")
+            found = _recovery_point(messages, signed=codec == "h265")
             if found is not None:
                 return found
     return None
 
 
-def _recovery_point(messages: bytes) -> int | None:
+def _recovery_point(messages: bytes, *, signed: bool) -> int | None:
     at = 0
     while at + 2 <= len(messages):
         kind, at = _number(messages, at)
         size, at = _number(messages, at)
         if kind == _SEI_RECOVERY_POINT:
-            return _exp_golomb(messages[at : at + size])
+            coded = _exp_golomb(messages[at : at + size])
+            # se(v) of a count that is not negative is 0, 1, 3, 5 … (clause 9.2.2 of H.265).
+            return (coded + 1) // 2 if signed and coded is not None else coded
         at += size
     return None
 

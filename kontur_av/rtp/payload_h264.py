@@ -1,261 +1,58 @@
-"""H.264 in RTP, packetization-mode 1 (RFC 6184 section 6.3): access units to payloads, and back.
+"""H.264 in RTP, packetization-mode 1 (RFC 6184 section 6.3): single NAL units, STAP-A and FU-A."""
 
-A payload is a single NAL unit, a STAP-A (several small NAL units) or an FU-A (one part of a large
-NAL unit).
-"""
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
-import re
-from collections import deque
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from struct import pack, unpack_from
-from typing import TYPE_CHECKING, NamedTuple
-
-from kontur_av.clock import NS_PER_MS
-from kontur_av.errors import ProtocolError
-
-if TYPE_CHECKING:
-    # The encoder splits NAL units, too, and must not load the rest of RTP.
-    from kontur_av.rtp.receiver import RtpReceived
-
-DEFAULT_MAX_PAYLOAD_OCTETS = 1200
+from kontur_av.media import VideoCodec
+from kontur_av.rtp.nal_payload import NalDepacketizer, NalFormat
 
 NAL_SLICE, NAL_IDR, NAL_SEI, NAL_SPS, NAL_PPS, NAL_AUD = 1, 5, 6, 7, 8, 9  # H.264 table 7-1
 STAP_A, FU_A = 24, 28  # RFC 6184 table 3
 
 _TYPE_BITS, _NRI_BITS, _FORBIDDEN_BIT = 0x1F, 0x60, 0x80
-_FU_START, _FU_END = 0x80, 0x40
-_START_CODE = b"\x00\x00\x00\x01"
-
-#: Found by an expression, because it takes a third of the time of `in`.
-_CODE = re.compile(b"\x00\x00\x01")
-#: Slices that tell their first macroblock; 2 is the first partition of one.
-_SLICES = frozenset((NAL_SLICE, 2, NAL_IDR))
-#: Behind a picture these begin the next access unit (ITU-T H.264 clause 7.4.1.2.3).
-_BEGINNERS = frozenset((NAL_SEI, NAL_SPS, NAL_PPS, NAL_AUD))
-#: How long the first marked picture waits for a sign that it goes on behind its marker.
-_MARKER_TRIED_NS = 40 * NS_PER_MS
-#: How long a picture that no marker ends waits for its successor.
-_UNMARKED_NS = 500 * NS_PER_MS
 
 
-def split_annex_b(stream: bytes) -> list[bytes]:
-    """Return the NAL units of an Annex B byte stream (ITU-T H.264 B.1), without start codes.
+class _H264Format(NalFormat):
+    codec: ClassVar[VideoCodec] = "h264"
+    header_octets = 1
+    largest = 23
+    aggregate, fragment = STAP_A, FU_A
+    sps, sei = NAL_SPS, NAL_SEI
+    set_names: ClassVar[Mapping[int, str]] = {NAL_SPS: "SPS", NAL_PPS: "PPS"}
+    #: 2 is the first partition of one.
+    slices = frozenset((NAL_SLICE, 2, NAL_IDR))
+    keys = frozenset((NAL_IDR,))
+    #: ITU-T H.264 clause 7.4.1.2.3.
+    beginners = frozenset((NAL_SEI, NAL_SPS, NAL_PPS, NAL_AUD))
 
-    Octets before the first start code and zeros after a NAL unit belong to none.
-    """
-    units = []
-    start = stream.find(b"\x00\x00\x01")
-    while start != -1:
-        start += 3
-        end = stream.find(b"\x00\x00\x01", start)
-        unit = stream[start:] if end == -1 else stream[start:end]
-        unit = unit.rstrip(b"\x00")
-        if unit:
-            units.append(unit)
-        start = end
-    return units
+    def nal_type(self, nal_unit: bytes) -> int:
+        return nal_unit[0] & _TYPE_BITS
 
+    def is_nal(self, nal_unit: bytes) -> bool:
+        return bool(nal_unit[0] & _TYPE_BITS)
 
-def join_annex_b(nal_units: Iterable[bytes]) -> bytes:
-    """Return an Annex B byte stream of `nal_units`, each behind a start code of 4 octets."""
-    return b"".join(_START_CODE + unit for unit in nal_units)
+    def aggregate_header(self, units: Sequence[bytes]) -> bytes:
+        # RFC 6184 section 5.7.1: F is the OR of all, NRI the largest of all.
+        forbidden = max(unit[0] & _FORBIDDEN_BIT for unit in units)
+        nri = max(unit[0] & _NRI_BITS for unit in units)
+        return bytes((forbidden | nri | STAP_A,))
 
+    def fragment_header(self, unit: bytes) -> bytes:
+        return bytes(((unit[0] & (_FORBIDDEN_BIT | _NRI_BITS)) | FU_A,))
 
-def nal_type(nal_unit: bytes) -> int:
-    """Return nal_unit_type (ITU-T H.264 clause 7.3.1) of a NAL unit of at least one octet."""
-    return nal_unit[0] & _TYPE_BITS
-
-
-def parameter_sets(access_unit: bytes) -> bytes:
-    """Return the SPS and PPS of an access unit as an Annex B byte stream; b"" if it has no SPS."""
-    nals = [nal for nal in split_annex_b(access_unit) if nal_type(nal) in (NAL_SPS, NAL_PPS)]
-    return join_annex_b(nals) if any(nal_type(nal) == NAL_SPS for nal in nals) else b""
+    def nal_header(self, payload_header: bytes, kind: int) -> bytes:
+        return bytes(((payload_header[0] & (_FORBIDDEN_BIT | _NRI_BITS)) | kind,))
 
 
-def packetize(
-    nal_units: Sequence[bytes], max_payload_octets: int = DEFAULT_MAX_PAYLOAD_OCTETS
-) -> list[bytes]:
-    """Return RTP payloads of at most `max_payload_octets` that carry `nal_units` in order.
-
-    Neighbours that fit together share a STAP-A. A NAL unit that fits only alone is a payload of its
-    own. A larger one is cut into FU-A parts of equal size, so that no small last packet costs a
-    header of its own.
-
-    Raises ValueError for a NAL unit of a type that RTP cannot carry (0 and 24 to 31), or if
-    `max_payload_octets` is below 8.
-    """
-    if max_payload_octets < 8:
-        raise ValueError(f"max_payload_octets {max_payload_octets}: at least 8")
-    payloads: list[bytes] = []
-    group: list[bytes] = []
-    group_octets = 1
-    for unit in nal_units:
-        if not unit or not 1 <= nal_type(unit) <= 23:
-            raise ValueError(f"a NAL unit that RTP cannot carry: {unit[:1].hex() or 'empty'}")
-        needed = 2 + len(unit)
-        if group and group_octets + needed > max_payload_octets:
-            payloads.append(_aggregate(group))
-            group, group_octets = [], 1
-        if len(unit) > max_payload_octets:
-            payloads.extend(_fragment(unit, max_payload_octets))
-        else:
-            group.append(unit)
-            group_octets += needed
-    if group:
-        payloads.append(_aggregate(group))
-    return payloads
+H264 = _H264Format()
+nal_type = H264.nal_type
+parameter_sets = H264.parameter_sets
+packetize = H264.packetize
+parse_payload = H264.parse_payload
 
 
-def _aggregate(group: list[bytes]) -> bytes:
-    if len(group) == 1:
-        return group[0]
-    # RFC 6184 section 5.7.1: F is the OR of all, NRI the largest of all.
-    forbidden = max(unit[0] & _FORBIDDEN_BIT for unit in group)
-    nri = max(unit[0] & _NRI_BITS for unit in group)
-    parts = [bytes((forbidden | nri | STAP_A,))]
-    for unit in group:
-        parts += (pack("!H", len(unit)), unit)
-    return b"".join(parts)
-
-
-def _fragment(unit: bytes, max_payload_octets: int) -> list[bytes]:
-    indicator = (unit[0] & (_FORBIDDEN_BIT | _NRI_BITS)) | FU_A
-    kind = unit[0] & _TYPE_BITS
-    body = unit[1:]
-    parts = -(-len(body) // (max_payload_octets - 2))
-    cuts = [len(body) * index // parts for index in range(parts + 1)]
-    payloads = []
-    for index in range(parts):
-        header = kind
-        if index == 0:
-            header |= _FU_START
-        if index == parts - 1:
-            header |= _FU_END
-        payloads.append(bytes((indicator, header)) + body[cuts[index] : cuts[index + 1]])
-    return payloads
-
-
-class Fragment(NamedTuple):
-    """The content of one payload: whole NAL units, or one part of a NAL unit (FU-A).
-
-    is_part: `nal_units` has one element, a part of a NAL unit. The first part begins with the
-        rebuilt NAL unit header.
-    starts, ends: this part is the first, the last.
-    """
-
-    nal_units: tuple[bytes, ...]
-    is_part: bool = False
-    starts: bool = True
-    ends: bool = True
-
-
-#: A packet without content, such as padding that keeps a path open.
-_NOTHING = Fragment(())
-
-
-def parse_payload(payload: bytes) -> Fragment:
-    """Parse one RTP payload (RFC 6184 sections 5.6 to 5.8).
-
-    What FFmpeg takes is taken, too: an FU-A that starts and ends, start codes of Annex B and zeros
-    around NAL units. Raises ProtocolError if it is no single NAL unit, STAP-A or FU-A.
-    """
-    if not payload:
-        raise ProtocolError("an empty H.264 payload")
-    kind = payload[0] & _TYPE_BITS
-    if kind <= 23:
-        units = _without_start_codes(payload)
-        if not units and any(payload):
-            raise ProtocolError("a NAL unit of type 0")
-        return Fragment(tuple(units))
-    if kind == STAP_A:
-        return Fragment(tuple(_disaggregate(payload)))
-    if kind != FU_A:
-        raise ProtocolError(f"H.264 payload type {kind} is no part of packetization-mode 1")
-    if len(payload) < 2:
-        raise ProtocolError("an FU-A without its header")
-    starts, ends = bool(payload[1] & _FU_START), bool(payload[1] & _FU_END)
-    original = payload[1] & _TYPE_BITS
-    if original > 23:
-        raise ProtocolError(f"an FU-A with the header {payload[1]:#04x}")
-    body = payload[2:]
-    if starts:
-        body = bytes(((payload[0] & (_FORBIDDEN_BIT | _NRI_BITS)) | original,)) + body
-    if starts and ends:
-        return Fragment(tuple(_without_start_codes(body)))
-    return Fragment((body,), is_part=True, starts=starts, ends=ends)
-
-
-def _without_start_codes(unit: bytes) -> list[bytes]:
-    """Divide a payload that should be one NAL unit, as most are. Zeros are skipped."""
-    if not _CODE.search(unit):
-        unit = unit if unit[-1] else unit.rstrip(b"\x00")
-        return [unit] if unit and unit[0] & _TYPE_BITS else []
-    # What stands before the first start code is a NAL unit, too, unless it is all zeros.
-    return [one for one in split_annex_b(_START_CODE + unit) if one[0] & _TYPE_BITS]
-
-
-def _disaggregate(payload: bytes) -> list[bytes]:
-    units: list[bytes] = []
-    position = 1
-    # One or two octets at the end are no NAL unit, nor is one without octets.
-    while position + 2 < len(payload):
-        (size,) = unpack_from("!H", payload, position)
-        position += 2
-        unit = payload[position : position + size]
-        position += size
-        if len(unit) < size or (unit and unit[0] & _TYPE_BITS > 23):
-            raise ProtocolError("a STAP-A with a cut or nested NAL unit")
-        if unit:
-            units += _without_start_codes(unit)
-    if not units:
-        raise ProtocolError("a STAP-A without content")
-    return units
-
-
-@dataclass(frozen=True, slots=True)
-class ReceivedUnit:
-    """One received access unit.
-
-    data: an Annex B byte stream with start codes of 4 octets.
-    timestamp: its 32-bit RTP timestamp.
-    keyframe: it holds an IDR slice.
-    damaged: packets of it are missing.
-    lost_before: packets lost directly before its first packet, or in a unit before it that was
-        dropped whole. They belonged to earlier access units or to non-slice NAL units at its head,
-        which cannot be told apart.
-    first_received_ns, received_ns: when its first and its last packet came.
-
-    A unit that is not damaged and has no loss before it equals the unit sent. Exception: the first
-    unit of a stream that was joined late may lack non-slice NAL units.
-    """
-
-    data: bytes
-    timestamp: int
-    keyframe: bool
-    damaged: bool
-    lost_before: int
-    first_received_ns: int
-    received_ns: int
-
-
-class H264Depacketizer:
-    """Packets in sequence order in, access units out (RFC 6184).
-
-    Pass each packet of an RtpReceiver to `handle_packet`, and call `handle_timeout` at
-    `poll_timeout`. Then call `next_event` until None.
-
-    An access unit ends where the next one begins: before a first slice, or before what goes ahead
-    of one (ITU-T H.264 clause 7.4.1.2.3). After a loss it ends where the timestamp changes. The
-    marker ends it sooner, once the first picture has shown that no more of it follows. A sender
-    that marks each slice is so found out. SPS, PPS and SEI without a picture go with the next one.
-
-    parameter_sets: SPS and PPS NAL units of the SDP (sprop-parameter-sets). They go before the
-        first access unit and before each IDR picture, until the stream has brought its own.
-    marked: the sender is known to mark the last packet of each picture alone, so that the first
-        picture need not wait.
-    max_unit_octets: a larger access unit is dropped as garbage, so that no peer fills the memory.
-    """
+class H264Depacketizer(NalDepacketizer):
+    """Packets to H.264 access units; see `NalDepacketizer`."""
 
     def __init__(
         self,
@@ -264,228 +61,4 @@ class H264Depacketizer:
         marked: bool = False,
         max_unit_octets: int = 4 << 20,
     ) -> None:
-        self._parameter_sets = tuple(parameter_sets)
-        self._max_unit_octets = max_unit_octets
-        self._ready: deque[ReceivedUnit] = deque()
-        self._source: int | None = None
-        self._parameters_seen = False
-        self._joining = True
-        self._open = False
-        #: Whether the marker ends pictures; None: not known yet.
-        self._first_markers: bool | None = True if marked else None
-        self._markers = self._first_markers
-        #: The timestamp of a picture that has just been ended by its marker.
-        self._ended_at: int | None = None
-        #: Packets lost in units that were dropped whole, and before packets without content.
-        self._lost_whole = self._lost_idle = 0
-        #: NAL units that wait for their picture.
-        self._ahead: list[bytes] = []
-        self._begin(0, 0, 0)
-        #: Payloads that were not H.264, and access units of more than `max_unit_octets`.
-        self.garbage = 0
-        #: Access units returned, those of them that were damaged, and those dropped because no
-        #: whole NAL unit of them came.
-        self.units = 0
-        self.units_damaged = 0
-        self.units_dropped = 0
-
-    def _begin(self, timestamp: int, lost_before: int, received_ns: int) -> None:
-        self._timestamp = timestamp
-        self._lost_before = lost_before + self._lost_whole
-        self._lost_within = self._lost_whole = 0
-        self._first_received_ns = self._received_ns = received_ns
-        self._nal_units, self._ahead = self._ahead, []
-        self._parts: list[bytes] = []
-        self._octets = sum(map(len, self._nal_units)) if self._nal_units else 0
-        self._has_picture = self._has_first = self._marked = False
-        self._damaged = False
-        self._too_large = False
-
-    def handle_packet(self, packet: "RtpReceived") -> None:
-        """Handle the next packet in sequence. Garbage is counted and never raises."""
-        if packet.ssrc != self._source or packet.restart:
-            if self._open:
-                self._finish(complete=self._marked or self._markers is False)
-            self._source = packet.ssrc
-            self._joining = True
-            self._markers, self._ended_at = self._first_markers, None
-            self._ahead.clear()
-        lost = packet.lost_before + self._lost_idle
-        self._lost_idle = 0
-        try:
-            fragment = parse_payload(packet.payload) if packet.payload else _NOTHING
-        except ProtocolError:
-            self.garbage += 1
-            if self._open:
-                self._break_part()
-                self._damaged = True
-            return
-        if not fragment.nal_units:
-            self._lost_idle = lost
-        elif fragment.is_part and not fragment.starts:
-            if lost or not self._parts or packet.timestamp != self._timestamp:
-                self._place(None, packet, lost)
-            if self._parts:
-                self._parts.append(fragment.nal_units[0])
-            else:
-                self._damaged = True
-        elif fragment.is_part:
-            self._place(_head(fragment.nal_units[0]), packet, lost)
-            self._parts.append(fragment.nal_units[0])
-        for unit in () if fragment.is_part else fragment.nal_units:
-            self._place(unit, packet, lost)
-            self._nal_units.append(unit)
-            lost = 0
-        if not self._open:
-            return
-        self._received_ns = packet.received_ns
-        self._octets += len(packet.payload)
-        if self._octets > self._max_unit_octets:
-            self._too_large = True
-            self._nal_units.clear()
-            self._parts.clear()
-        if fragment.is_part and fragment.ends:
-            self._join_parts()
-        if packet.marker:
-            self._handle_marker()
-
-    def _place(self, unit: bytes | None, packet: "RtpReceived", lost: int) -> None:
-        """Prepare for a NAL unit, or its first part; None: for a later part of the present one."""
-        kind = 0 if unit is None else unit[0] & _TYPE_BITS
-        goes_on = unit is None or _is_later_slice(unit)
-        ended_first = self._ended_at is not None and self._has_first
-        if self._open:
-            if self._parts and unit is not None and not lost:
-                # No packet is missing, so the sender forgot to mark the last part.
-                self._join_parts()
-            later = packet.timestamp != self._timestamp
-            # A sender may date each slice: a later one belongs to the first one before it.
-            new = later and not (goes_on and self._has_first)
-            by_time = (later and lost) or (new and (self._marked or not self._has_picture))
-            by_content = not goes_on and (later or kind in _SLICES or kind in _BEGINNERS)
-            if by_time or (by_content and self._has_picture):
-                self._finish_before(lost)
-        if not self._open:
-            self._begin(packet.timestamp, lost, packet.received_ns)
-            self._open = True
-        elif lost:
-            self._lost_within += lost
-            self._break_part()
-            self._damaged = True
-        if goes_on:
-            if self._ended_at == packet.timestamp or (ended_first and not lost):
-                self._markers, self._damaged = False, True
-            elif self._marked:
-                self._markers = False
-            self._marked = False
-        self._ended_at = None
-        if kind in _SLICES:
-            self._has_picture = True
-            self._has_first |= not goes_on
-
-    def _finish_before(self, lost: int) -> None:
-        """The next access unit begins. lost: packets directly before it."""
-        if self._markers is None and self._has_picture and (self._marked or not lost):
-            self._markers = self._marked
-        self._finish(complete=self._marked or not lost)
-
-    def _join_parts(self) -> None:
-        if self._parts:
-            # Start codes of Annex B may have come along, and so more than one.
-            units = _without_start_codes(b"".join(self._parts))
-            self._parts.clear()
-            self._nal_units += units
-            self._has_picture |= any(nal_type(unit) in _SLICES for unit in units)
-
-    def _handle_marker(self) -> None:
-        self._marked = True
-        if self._markers is not False or not self._has_picture:
-            self._join_parts()
-        if self._markers or not self._has_picture:
-            self._ended_at = self._timestamp if self._has_picture else None
-            self._finish(complete=True)
-
-    def _break_part(self) -> None:
-        if self._parts:
-            self._damaged = True
-            self._parts.clear()
-
-    def handle_timeout(self, now_ns: int) -> None:
-        """End a picture that has waited long enough. Drain `next_event` afterwards."""
-        due_ns = self.poll_timeout()
-        if due_ns is not None and now_ns >= due_ns:
-            if self._marked and self._markers is None:
-                self._markers = True
-                self._ended_at = self._timestamp
-            self._join_parts()
-            self._finish(complete=True)
-
-    def poll_timeout(self) -> int | None:
-        """Return when to call `handle_timeout`; None: not yet."""
-        if not self._open or not self._has_picture or self._markers:
-            return None
-        tried = self._marked and self._markers is None
-        return self._received_ns + (_MARKER_TRIED_NS if tried else _UNMARKED_NS)
-
-    def _finish(self, *, complete: bool) -> None:
-        self._open = False
-        self._break_part()
-        if self._too_large:
-            self.garbage += 1
-            self._lost_whole = max(self._lost_before + self._lost_within, 1)
-            return
-        units = self._nal_units
-        kinds = [nal_type(unit) for unit in units]
-        if _SLICES.isdisjoint(kinds):
-            self.units_dropped += self._damaged
-            # The next unit may be predicted from this one.
-            self._lost_whole = self._lost_before + self._lost_within
-            self._ahead = units
-            return
-        head_unsure = self._lost_before > 0 or self._joining
-        damaged = self._damaged or not complete or (head_unsure and _lacks_its_head(units))
-        self._joining = False
-        self.units += 1
-        self.units_damaged += damaged
-        self._ready.append(
-            ReceivedUnit(
-                join_annex_b(self._with_parameters(units, kinds)),
-                self._timestamp,
-                NAL_IDR in kinds,
-                damaged,
-                self._lost_before,
-                self._first_received_ns,
-                self._received_ns,
-            )
-        )
-
-    def _with_parameters(self, units: list[bytes], kinds: list[int]) -> list[bytes]:
-        if NAL_SPS in kinds:
-            # The SDP may be older than the stream.
-            self._parameter_sets = ()
-        wanted = not self._parameters_seen or NAL_IDR in kinds
-        self._parameters_seen = True
-        return [*self._parameter_sets, *units] if wanted else units
-
-    def next_event(self) -> ReceivedUnit | None:
-        """Return the next access unit, or None until more packets come."""
-        return self._ready.popleft() if self._ready else None
-
-
-def _head(part: bytes) -> bytes:
-    """Return the first part of a NAL unit without a start code before it."""
-    code = -1 if part[0] & _TYPE_BITS else part.find(b"\x00\x00\x01", 0, 8)
-    return part if code < 0 else part[code + 3 :] or part
-
-
-def _is_later_slice(unit: bytes) -> bool:
-    """Return whether it is a slice, but not the picture's first (ITU-T H.264 clause 7.3.3).
-
-    first_mb_in_slice is the first field of the slice header, in Exp-Golomb code. It is 0 if the
-    first bit is 1.
-    """
-    return len(unit) > 1 and unit[0] & _TYPE_BITS in _SLICES and not unit[1] & 0x80
-
-
-def _lacks_its_head(units: list[bytes]) -> bool:
-    return _is_later_slice(next(unit for unit in units if nal_type(unit) in _SLICES))
+        super().__init__(H264, parameter_sets, marked=marked, max_unit_octets=max_unit_octets)

@@ -7,17 +7,19 @@ import base64
 import binascii
 import ipaddress
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal
 
 from kontur_av.errors import ConfigError
-from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
+from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, VideoCodec
 from kontur_av.media import AUDIO_PAYLOAD_TYPE as AUDIO_PAYLOAD_TYPE
 from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
+from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.header_extensions import ABS_CAPTURE_TIME
-from kontur_av.rtp.payload_h264 import NAL_PPS, NAL_SPS, nal_type, split_annex_b
+from kontur_av.rtp.nal_formats import NAL_FORMATS
+from kontur_av.rtp.payload_h265 import H265, NAL_PPS, NAL_SPS, NAL_VPS
 
 _UDP_OCTETS, _RTP_OCTETS = 8, 12
 #: Three octets (RFC 6184 section 8.1).
@@ -29,6 +31,10 @@ _BEGIN = re.compile("^[ \t]*(?=v=)", re.MULTILINE)
 #: Where a stream may be sent to that is described without an address.
 _ANY_HOST = "0.0.0.0"
 _NAL_EXT = 13  # extension of an SPS
+#: By the name in a=rtpmap, in small letters.
+_ENCODINGS: Mapping[str, VideoCodec] = {"h264": "h264", "h265": "h265", "hevc": "h265"}
+#: By the name in a=fmtp (RFC 7798 section 7.1): the type of the NAL units.
+_SPROPS = {"sprop-vps": NAL_VPS, "sprop-sps": NAL_SPS, "sprop-pps": NAL_PPS}
 #: Of elements with one-octet headers (RFC 8285 section 4.2).
 _IDS = frozenset(map(str, range(1, 15)))
 
@@ -37,15 +43,16 @@ _IDS = frozenset(map(str, range(1, 15)))
 class StreamDescription:
     """One stream of plain RTP over UDP.
 
-    kind: "video" is H.264 in packetization-mode 1 or 0, "audio" is Opus. Of mode 2 the payloads of
-    the other modes are taken, which is all that some mean.
+    kind: "video" or "audio", which is Opus.
+    codec: of "video": H.264 in packetization-mode 1 or 0, or HEVC without decoding order numbers.
+    Of mode 2 the payloads of the other modes are taken, which is all that some mean.
     host: the IP address to which the stream is sent.
     port: of RTP, from 1 to 65534.
     payload_type: of RTP, from 0 to 127.
     rtcp_port: of RTCP; None: port + 1. It may be `port` (RFC 5761).
     bandwidth_bps: what the stream takes at most in bit/s, with the headers of IP, UDP and RTP
     (`session_bandwidth_bps`), or None.
-    parameter_sets: SPS and PPS NAL units, if known (video).
+    parameter_sets: VPS (HEVC), SPS and PPS NAL units, if known (video).
     profile_level_id: of H.264, three octets as hexadecimal digits (RFC 6184 section 8.1). "": that
     of the first SPS. A stream whose pictures may grow gives that of the largest.
     feedback: the profile is RTP/AVPF (RFC 4585), in which reports may be frequent. The sender of a
@@ -62,6 +69,7 @@ class StreamDescription:
     payload_type: int
     rtcp_port: int | None = None
     bandwidth_bps: int | None = None
+    codec: VideoCodec = "h264"
     parameter_sets: tuple[bytes, ...] = ()
     profile_level_id: str = ""
     feedback: bool = False
@@ -115,8 +123,11 @@ def write_sdp(stream: StreamDescription) -> str:
     elif stream.control_port != stream.port + 1:
         lines.append(f"a=rtcp:{stream.rtcp_port}")
     if stream.kind == "video":
-        lines.append(f"a=rtpmap:{payload_type} H264/{VIDEO_CLOCK_HZ}")
-        lines.append(f"a=fmtp:{payload_type} {_h264_parameters(stream)}")
+        h264 = stream.codec == "h264"
+        parameters = _h264_parameters(stream) if h264 else _h265_parameters(stream)
+        lines.append(f"a=rtpmap:{payload_type} {stream.codec.upper()}/{VIDEO_CLOCK_HZ}")
+        if parameters:
+            lines.append(f"a=fmtp:{payload_type} {parameters}")
         if stream.feedback:
             lines.append(f"a=rtcp-fb:{payload_type} nack pli")
     else:
@@ -149,8 +160,19 @@ def _h264_parameters(stream: StreamDescription) -> str:
     return ";".join(parameters)
 
 
+def _h265_parameters(stream: StreamDescription) -> str:
+    """RFC 7798 section 7.1."""
+    parameters = []
+    for name, kind in _SPROPS.items():
+        sets = [unit for unit in stream.parameter_sets if H265.nal_type(unit) == kind]
+        if sets:
+            coded = ",".join(base64.b64encode(unit).decode() for unit in sets)
+            parameters.append(f"{name}={coded}")
+    return ";".join(parameters)
+
+
 def parse_sdp(text: str) -> StreamDescription:
-    """Return the first H.264 or Opus stream that the SDP describes.
+    """Return the first H.264, HEVC or Opus stream that the SDP describes.
 
     What is malformed and not needed is ignored, as FFmpeg does. Raises ConfigError if no stream of
     RTP without encryption can be received by it.
@@ -189,7 +211,7 @@ def parse_sdp(text: str) -> StreamDescription:
         raise fault
     raise ConfigError(
         "the SDP describes no stream that can be received: it needs "
-        "m=video with a=rtpmap H264/90000 or m=audio with a=rtpmap opus/48000/2"
+        "m=video with a=rtpmap H264/90000 or H265/90000, or m=audio with a=rtpmap opus/48000/2"
     )
 
 
@@ -268,16 +290,23 @@ def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDe
             number = rest.split()[0].partition("/")[0]
             capture_time_id = int(number) if number in _IDS else None
     kind: Literal["video", "audio"]
+    codec: VideoCodec = "h264"
     for payload_type in fields[3:]:
         encoding = maps.get(payload_type, "")
-        if fields[0] == "video" and encoding == "h264":
-            kind = "video"
+        if fields[0] == "video" and encoding in _ENCODINGS:
+            kind, codec = "video", _ENCODINGS[encoding]
         elif fields[0] == "audio" and encoding == "opus":
             kind = "audio"
         else:
             continue
         formats = _parse_formats(parameters.get(payload_type, ""))
-        sets = _parse_parameter_sets(formats.get("sprop-parameter-sets", ""))
+        names = _SPROPS if codec == "h265" else ("sprop-parameter-sets",)
+        sets = _parse_parameter_sets(",".join(formats.get(name, "") for name in names), codec)
+        if formats.get("sprop-max-don-diff", "0") != "0":
+            raise ConfigError(
+                "SDP sprop-max-don-diff: HEVC with decoding order numbers is not received: let the "
+                "sender send in decoding order"
+            )
         level = formats.get("profile-level-id", "").upper()
         if not _LEVEL.fullmatch(level):
             level = ""
@@ -292,6 +321,7 @@ def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDe
             feedback="AVPF" in fields[2].upper(),
             reduced_size=reduced_size,
             capture_time_id=capture_time_id,
+            codec=codec,
             parameter_sets=sets,
             profile_level_id="" if level == profile_level_id(sets) else level,
             name=name,
@@ -317,13 +347,16 @@ def _parse_formats(text: str) -> dict[str, str]:
     return formats
 
 
-def _parse_parameter_sets(text: str) -> tuple[bytes, ...]:
-    """Return the SPS and PPS in base64, divided by commas. Anything else is left out."""
-    units: list[bytes] = []
+def _parse_parameter_sets(text: str, codec: VideoCodec) -> tuple[bytes, ...]:
+    """Return the parameter sets in base64, divided by commas. Anything else is left out."""
+    form, units = NAL_FORMATS[codec], list[bytes]()
+    wanted = form.sets | {_NAL_EXT} if codec == "h264" else form.sets
     for part in text.split(","):
         with suppress(binascii.Error, ValueError):
             unit = base64.b64decode(part.strip() + "===")
             # Some cameras send start codes along.
             found = split_annex_b(unit) if unit[:3] in (b"\0\0\0", b"\0\0\1") else [unit]
-            units += [one for one in found if one and nal_type(one) in (NAL_SPS, NAL_PPS, _NAL_EXT)]
+            units += [
+                one for one in found if one and form.is_nal(one) and form.nal_type(one) in wanted
+            ]
     return tuple(units)

@@ -6,8 +6,10 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S, ntp_from_unix_ns
 from kontur_av.media import BLOCK_SAMPLES, AccessUnit, CaptureStamp
+from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.header_extensions import capture_time_element, extended, header_octets
-from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS, packetize, split_annex_b
+from kontur_av.rtp.nal_formats import NAL_FORMATS
+from kontur_av.rtp.nal_payload import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.report_timer import AVPF_LEAST_NS, ReportTimer
 from kontur_av.rtp.wire import RtcpByePacket, RtcpSenderInfo, RtcpSrPacket, cname_packet, pack_rtp
 
@@ -103,11 +105,12 @@ class RtpSender:
         self._expected_ns = 0
 
     def video_packets(self, access_unit: AccessUnit) -> Packetized:
-        """Return the packets of one H.264 access unit; the last one has the marker.
+        """Return the packets of one access unit; the last one has the marker.
 
         Raises ValueError if it has no NAL unit, or one that RTP cannot carry.
         """
-        payloads = packetize(split_annex_b(access_unit.data), self._max_payload_octets)
+        form = NAL_FORMATS[access_unit.codec]
+        payloads = form.packetize(split_annex_b(access_unit.data), self._max_payload_octets)
         if not payloads:
             raise ValueError("an access unit without a NAL unit")
         timestamp = self.timestamp(access_unit.stamp.capture_ns)

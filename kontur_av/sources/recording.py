@@ -26,10 +26,17 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 
 from kontur_av.clock import NS_PER_S, Clock
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.opus import OpusDecoder
 from kontur_av.errors import ConfigError, ProtocolError
-from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_NS, BLOCK_SAMPLES, Pcm
+from kontur_av.media import (
+    AUDIO_CLOCK_HZ,
+    BLOCK_NS,
+    BLOCK_SAMPLES,
+    VIDEO_CODECS,
+    Pcm,
+    VideoCodec,
+)
 from kontur_av.recorded_format import FORMAT, FORMAT_KEY
 from kontur_av.sources.chunks import unpacked_chunk
 from kontur_av.sources.fit import scaled_aspect
@@ -38,8 +45,8 @@ from kontur_av.sources.looped import LoopedAudio, LoopedVideo, PlayedPicture
 
 #: By kind: schema and format of its messages, and what it is called.
 _SCHEMAS = {
-    "video": ("foxglove.CompressedVideo", "h264", "pictures"),
-    "audio": ("foxglove.CompressedAudio", "opus", "sound"),
+    "video": ("foxglove.CompressedVideo", VIDEO_CODECS, "pictures"),
+    "audio": ("foxglove.CompressedAudio", ("opus",), "sound"),
 }
 _NOT_PROTOBUF = ", which is not read"
 #: Missing sound is concealed for so many blocks. Then there is silence.
@@ -80,7 +87,7 @@ def parse_place(place: str) -> tuple[str, str]:
 def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
     """Raise ConfigError, with the mend, if this FILE#CHANNEL cannot be played."""
     path, channel = parse_place(place)
-    schema_name, format_name, wanted = _SCHEMAS[kind]
+    schema_name, formats, wanted = _SCHEMAS[kind]
     try:
         if Path(path).exists() and not Path(path).is_file():
             raise ConfigError(f"{path!r} is no file: write mcap:FILE#CHANNEL")
@@ -105,10 +112,10 @@ def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
         ) from None
     if unit is None:
         raise ConfigError(f"channel {channel} of {path!r} is empty: take another one")
-    if unit.format != format_name:
+    if unit.format not in formats:
         raise ConfigError(
             f"channel {channel} of {path!r} is {unit.format or 'of no known format'}: "
-            f"take one with {format_name}"
+            f"take one with {' or '.join(formats)}"
         )
     if kind == "video" and unit.data.lstrip(b"\0")[:1] != b"\1":
         raise ConfigError(
@@ -285,11 +292,15 @@ class RecordedVideo(LoopedVideo):
         super().__init__(name, width, height, fps, clock, path)
 
     def _pass(self) -> Iterator[PlayedPicture]:
-        decoder = H264Decoder()
+        decoder = VideoDecoder()
+        codec: VideoCodec | None = None
         first_ns: int | None = None
         reordered = False
         instants = RisingInstants(self._period_ns)
         for unit in read_units(self._path, self._channel, instants):
+            if unit.format != codec:
+                codec = "h265" if unit.format == "h265" else "h264"
+                decoder = VideoDecoder(codec)
             corrupt = decoder.counts.frames_corrupt
             for picture in decoder.decode(unit.data, 0):
                 first_ns = unit.log_ns if first_ns is None else first_ns

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from typing import Self
 
 from kontur_av.errors import ProtocolError
+from kontur_av.media import VideoCodec
 
 #: Flags, an octet without meaning, width, height, lengths of parameter sets and access unit.
 _HEADER = struct.Struct("<BxHHHI")
-_KEY, _DAMAGED, _REFUSED, _DATED = 1, 2, 4, 8
+_KEY, _DAMAGED, _REFUSED, _DATED, _H265 = 1, 2, 4, 8, 16
 
 #: A larger access unit is not published, so that no peer makes shared memory grow.
 MOST_UNIT_OCTETS = 1 << 20
@@ -16,9 +17,9 @@ MOST_UNIT_OCTETS = 1 << 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CodedUnit:
-    """One H.264 access unit as a sample of a topic. The sample's stamp says when it was captured.
+    """One access unit as a sample of a topic. The sample's stamp says when it was captured.
 
-    data: an Annex B byte stream (ITU-T H.264 Annex B), of at most `MOST_UNIT_OCTETS`.
+    data: a byte stream (ITU-T H.264 or H.265, Annex B), of at most `MOST_UNIT_OCTETS`.
     key: it holds an IDR picture, at which any decoder can start.
     damaged: packets of it are missing. The stamp's quality is DAMAGED also where the picture shows
         the loss of an earlier one.
@@ -27,7 +28,8 @@ class CodedUnit:
     dated: the stamp's `capture_ns` is known. False before the first sender report of a received
         stream; `capture_ns` is 0 then.
     width, height: size of its picture in pixels; 0 if it is refused.
-    parameter_sets: SPS and PPS with which it is decoded, as Annex B, for a reader that has missed
+    codec: how it is coded.
+    parameter_sets: those with which it is decoded, as Annex B, for a reader that has missed
         them: they come with a key picture or a refresh wave only. b"" if they are not known.
 
     The `sequence` of the stamp counts the units of one life of the writer. A gap means that this
@@ -42,6 +44,7 @@ class CodedUnit:
     width: int = 0
     height: int = 0
     parameter_sets: bytes = b""
+    codec: VideoCodec = "h264"
 
     def pack(self) -> bytes:
         """Return it as octets, for `Writer.publish_octets`."""
@@ -50,6 +53,7 @@ class CodedUnit:
             | _DAMAGED * self.damaged
             | _REFUSED * self.refused
             | _DATED * self.dated
+            | _H265 * (self.codec == "h265")
         )
         sets = self.parameter_sets
         header = _HEADER.pack(flags, self.width, self.height, len(sets), len(self.data))
@@ -74,4 +78,5 @@ class CodedUnit:
             width=width,
             height=height,
             parameter_sets=octets[_HEADER.size : begin],
+            codec="h265" if flags & _H265 else "h264",
         )

@@ -4,9 +4,9 @@ import secrets
 from collections.abc import Iterator
 
 from kontur_av.clock import MonotonicClock
-from kontur_av.codecs.h264 import DecodedPicture, H264Decoder
+from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
 from kontur_av.media import CaptureStamp, Pcm
-from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.reordering import MOST_REORDER_NS
 from kontur_av.rtp.report_timer import report_interval_ns
@@ -23,6 +23,7 @@ class PictureDecoding:
         self.receiver = VideoReceiver(
             ssrc=secrets.randbits(32),
             wall_offset_ns=clock.wall_offset_ns,
+            codec=stream.codec,
             parameter_sets=stream.parameter_sets,
             payload_type=stream.payload_type,
             report_interval_ns=report_interval_ns(frequent=stream.feedback),
@@ -31,7 +32,7 @@ class PictureDecoding:
             capture_time_id=stream.capture_time_id,
             most_reorder_ns=MOST_REORDER_NS,
         )
-        self.decoder = H264Decoder(reordered=True)
+        self.decoder = VideoDecoder(stream.codec, reordered=True)
 
     def units(
         self,
@@ -44,7 +45,11 @@ class PictureDecoding:
             yield unit, self._pictures(unit)
 
     def _pictures(self, unit: ReceivedUnit) -> Iterator[tuple[DecodedPicture, CaptureStamp | None]]:
-        for picture in self.decoder.decode(unit.data, unit.timestamp):
+        corrupt = self.decoder.counts.frames_corrupt
+        pictures = self.decoder.decode(unit.data, unit.timestamp)
+        if self.decoder.counts.frames_corrupt > corrupt:
+            self.receiver.handle_undecoded()
+        for picture in pictures:
             yield (
                 picture,
                 self.receiver.handle_picture(

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from kontur_av.clock import Clock
 from kontur_av.closing import Closing
 from kontur_av.codecs.coding import Coding
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.encoder import VideoEncoder
 from kontur_av.codecs.region import Region
 from kontur_av.media import AccessUnit, VideoFrame
 
@@ -42,7 +42,7 @@ class EncodingThread(Closing):
     encoder: only this thread may use it from now on. clock: stamps the access units.
     """
 
-    def __init__(self, encoder: H264Encoder, clock: Clock) -> None:
+    def __init__(self, encoder: VideoEncoder, clock: Clock) -> None:
         self._encoder = encoder
         self._clock = clock
         self._jobs: SimpleQueue[tuple[VideoFrame, Coding, Region | None] | None] = SimpleQueue()
@@ -57,7 +57,7 @@ class EncodingThread(Closing):
     def submit(self, frame: VideoFrame, coding: Coding, region: Region | None = None) -> None:
         """Begin to encode `frame`. Do not change it until `poll` returns its access unit.
 
-        region: as of `H264Encoder.encode`.
+        region: as of `VideoEncoder.encode`.
 
         Raises ValueError while another picture is being encoded.
         """

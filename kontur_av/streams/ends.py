@@ -28,7 +28,15 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
-from kontur_av.media import BLOCK_NS, BLOCK_SAMPLES, I420, AudioFrame, CaptureStamp, Quality
+from kontur_av.media import (
+    BLOCK_NS,
+    BLOCK_SAMPLES,
+    I420,
+    AudioFrame,
+    CaptureStamp,
+    Quality,
+    VideoCodec,
+)
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
 from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
@@ -209,21 +217,27 @@ class _Sender(_AsyncClosing, Generic[_Item]):
 
 
 class PictureSender(_Sender[Picture]):
-    """Sends pictures as H.264 to one address, under a hard cap. A context manager, sync or async.
+    """Sends pictures to one address, under a hard cap. A context manager, sync or async.
 
     to: HOST:PORT, an IP address; RTCP goes to the next port.
     cap_bps: of RTP payload, in any second. fps: pictures a second, at most.
-    sdp: a file for the receiver, written before the first packet.
+    sdp: a file for the receiver, written before the first packet. codec: `h264` or `h265`.
     Raises ConfigError for what cannot work.
     """
 
     def __init__(
-        self, to: str, *, cap_bps: int, fps: int = 30, sdp: str | Path | None = None
+        self,
+        to: str,
+        *,
+        cap_bps: int,
+        fps: int = 30,
+        sdp: str | Path | None = None,
+        codec: VideoCodec = "h264",
     ) -> None:
         if not 1 <= fps <= 120:
             raise ConfigError(f"fps {fps}: take 1 to 120")
         super().__init__(to, cap_bps, sdp, NS_PER_S // fps)
-        self._fps = fps
+        self._fps, self._codec = fps, codec
         self._source = _Pictures(1)
         self._shape: tuple[int, ...] = ()
 
@@ -259,6 +273,7 @@ class PictureSender(_Sender[Picture]):
                 size=(width, height),
                 fps=self._fps,
                 cap_bps=self._cap_bps,
+                codec=self._codec,
             )
             self._shape = picture.shape
             self._begin(feed)

@@ -4,25 +4,23 @@ import secrets
 from typing import Literal
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
+from kontur_av.codecs.choice import encoder_of
 from kontur_av.codecs.coding import REFRESH_S
-from kontur_av.codecs.h264 import H264Encoder
-from kontur_av.codecs.h264_settings import Search
+from kontur_av.codecs.encoder import VideoEncoder
+from kontur_av.codecs.encoder_settings import Search
 from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusEncoder
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
     AUDIO_PAYLOAD_TYPE,
     VIDEO_PAYLOAD_TYPE,
     CaptureStamp,
+    VideoCodec,
     VideoFrame,
     empty_picture,
 )
-from kontur_av.rtp.payload_h264 import (
-    DEFAULT_MAX_PAYLOAD_OCTETS,
-    NAL_PPS,
-    NAL_SPS,
-    nal_type,
-    split_annex_b,
-)
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.nal_formats import NAL_FORMATS
+from kontur_av.rtp.nal_payload import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sdp import StreamDescription, profile_level_id, session_bandwidth_bps
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.source import AudioSource, VideoSource
@@ -35,12 +33,13 @@ from kontur_av.topics.notifier import WaitSet
 _CAPTURE_TIME_ID = 1
 
 
-def _parameter_sets(encoder: H264Encoder) -> tuple[bytes, ...]:
-    """SPS and PPS that `encoder` writes. Do not use it afterwards: it has begun its stream."""
+def _parameter_sets(encoder: VideoEncoder) -> tuple[bytes, ...]:
+    """The parameter sets of `encoder`. Do not use it afterwards: it has begun its stream."""
     grey = empty_picture(encoder.width, encoder.height)
     grey.fill(128)
     units = split_annex_b(encoder.encode(VideoFrame(grey, CaptureStamp(0, 0, "twin"))).data)
-    return tuple(unit for unit in units if nal_type(unit) in (NAL_SPS, NAL_PPS))
+    form = NAL_FORMATS[encoder.codec]
+    return tuple(unit for unit in units if form.nal_type(unit) in form.sets)
 
 
 class PictureFeed:
@@ -66,11 +65,12 @@ class PictureFeed:
         coded_size: tuple[int, int] | None = None,
         refresh_s: float | None = None,
         search: Search = "thorough",
+        codec: VideoCodec = "h264",
     ) -> None:
         width, height = size
 
-        def make(coded: tuple[int, int] | None) -> H264Encoder:
-            return H264Encoder(
+        def make(coded: tuple[int, int] | None) -> VideoEncoder:
+            return encoder_of(codec)(
                 width=width,
                 height=height,
                 fps=fps,
@@ -93,10 +93,13 @@ class PictureFeed:
             adapt_refresh=refresh_s is None,
         )
         # The SDP must exist before the first packet. A second encoder of the same settings has the
-        # same SPS and PPS, and the real one still begins with the first real picture. A third shows
-        # the level that pictures may grow to.
+        # same parameter sets, and the real one still begins with the first real picture. A third
+        # shows the level that pictures may grow to.
         self.parameter_sets = _parameter_sets(make(coded_size))
-        self.profile_level_id = profile_level_id(_parameter_sets(make(encoder.largest_size)))
+        self.codec: VideoCodec = codec
+        self.profile_level_id = ""
+        if codec == "h264":
+            self.profile_level_id = profile_level_id(_parameter_sets(make(encoder.largest_size)))
         #: At most: a packet for each picture, and one more for each whole payload of the cap.
         self.packets_per_s = fps + cap_bps / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
         self._clock = clock
@@ -144,6 +147,7 @@ class SoundFeed:
     lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
     parameter_sets: tuple[bytes, ...] = ()
     profile_level_id = ""
+    codec: VideoCodec = "h264"
     packets_per_s = 50.0
 
     def __init__(
@@ -190,6 +194,7 @@ def describe(feed: PictureFeed | SoundFeed, host: str, port: int) -> StreamDescr
         port=port,
         payload_type=feed.payload_type,
         bandwidth_bps=session_bandwidth_bps(feed.sender.cap_bps, feed.packets_per_s, host),
+        codec=feed.codec,
         parameter_sets=feed.parameter_sets,
         profile_level_id=feed.profile_level_id,
         feedback=True,

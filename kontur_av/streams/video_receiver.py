@@ -6,9 +6,10 @@ from dataclasses import dataclass, field, replace
 from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.healing import Healing
 from kontur_av.figures import Flat, Newest
-from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality
+from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality, VideoCodec
 from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
-from kontur_av.rtp.payload_h264 import H264Depacketizer, ReceivedUnit
+from kontur_av.rtp.nal_formats import NAL_FORMATS
+from kontur_av.rtp.nal_payload import NalDepacketizer, ReceivedUnit
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.rtp.reordering import REORDER_DEPTH_NS
 from kontur_av.rtp.report_timer import AVPF_LEAST_NS
@@ -43,25 +44,26 @@ class VideoReceiverCounts:
 
 
 class VideoReceiver(ReportingReceiver):
-    """Receives pictures as H.264 over RTP. A core.
+    """Receives pictures as H.264 or HEVC over RTP. A core.
 
     1. Pass datagrams to `handle_packet` and `handle_report`, and call `handle_timeout` at
        `poll_timeout`.
     2. Decode each unit of `next_event`, in order, with its timestamp.
-    3. Call `handle_picture` for the stamp of each picture that the decoder returns.
+    3. Call `handle_picture` for the stamp of each picture that the decoder returns, and
+       `handle_undecoded` where its count of corrupt units rose.
     4. Send the datagrams of `poll_feedback` to the sender's RTCP port.
 
     ssrc: the receiver's own, 32 random bits.
     name: the source in the stamps.
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
-    parameter_sets: SPS and PPS of the SDP, if it has any.
+    codec: of the stream. parameter_sets: NAL units of the SDP, if it has any.
     largest: width and height of the largest picture wanted; None: any.
     report_interval_ns: mean time between two receiver reports (RFC 3550 section 6.4.2). They also
         show the sender that it may refresh slowly. None: none are sent, to save their octets.
     bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
     reduced_size: the sender takes a PLI without a report before it (RFC 5506).
     capture_time_id: see `RtpReceiver`.
-    payload_type: of the stream. marked: see `H264Depacketizer`.
+    payload_type: of the stream. marked: see `NalDepacketizer`.
     reorder_depth_ns: see `RtpReceiver`. Longer than a round trip where lost packets are sent again.
     most_reorder_ns: see `RtpReceiver`.
     """
@@ -72,6 +74,7 @@ class VideoReceiver(ReportingReceiver):
         ssrc: int,
         name: str = "video",
         wall_offset_ns: int = 0,
+        codec: VideoCodec = "h264",
         parameter_sets: tuple[bytes, ...] = (),
         largest: tuple[int, int] | None = None,
         report_interval_ns: int | None = AVPF_LEAST_NS,
@@ -97,7 +100,7 @@ class VideoReceiver(ReportingReceiver):
         super().__init__(receiver, reports)
         self._name = name
         self._most_pixels = None if largest is None else largest[0] * largest[1]
-        self._depacketizer = H264Depacketizer(parameter_sets, marked=marked)
+        self._depacketizer = NalDepacketizer(NAL_FORMATS[codec], parameter_sets, marked=marked)
         self._healing = Healing()
         #: Timestamps of units in the decoder that will show damage, and whether to withhold them.
         self._hurt: OrderedDict[int, bool] = OrderedDict()
@@ -163,6 +166,10 @@ class VideoReceiver(ReportingReceiver):
                 # Another camera, perhaps: its pictures are not predicted from those before.
                 self._healing.handle_damage()
             self._depacketizer.handle_packet(packet)
+
+    def handle_undecoded(self) -> None:
+        """The decoder could not decode a unit: ask for a key picture with the next one."""
+        self._healing.handle_damage()
 
     def handle_new_viewer(self) -> None:
         """Ask for a key picture with the next unit: who begins to watch needs one."""

@@ -7,7 +7,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S, Coding
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, AccessUnit, CaptureStamp
 from kontur_av.rtp.feedback import PictureLossListener
-from kontur_av.rtp.payload_h264 import DEFAULT_MAX_PAYLOAD_OCTETS
+from kontur_av.rtp.nal_payload import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sdp import session_bandwidth_bps
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.streams.budget import Pacer
@@ -51,7 +51,7 @@ class FeedbackCounts:
 
 
 class VideoSender(PacedSender):
-    """Sends pictures as H.264 over RTP, under a hard cap. A core.
+    """Sends pictures as H.264 or HEVC over RTP, under a hard cap. A core.
 
     Call `handle_picture` for each picture. Then, and at `poll_timeout`:
 

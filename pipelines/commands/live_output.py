@@ -19,6 +19,7 @@ import av
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from kontur_av.media import VideoCodec
 from pipelines.commands.common import resolve, say
 from pipelines.commands.media_reports import ForwardedReport
 from pipelines.commands.remux import Remuxer
@@ -61,12 +62,13 @@ class _State(NamedTuple):
 
 
 class LiveWriter:
-    """One H.264 or Opus stream to a URL. It never waits, and never raises after the start.
+    """One stream of pictures or sound to a URL. It never waits, and never raises after the start.
 
     Raises ConfigError for a URL that cannot work.
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, codec: VideoCodec = "h264") -> None:
+        self._codec = codec
         self._url, self._shown = _checked(url)
         self._state = _State()
         self._offered = 0
@@ -75,7 +77,7 @@ class LiveWriter:
         context = multiprocessing.get_context("fork")
         self._ours, theirs = context.Pipe()
         self._process = context.Process(
-            target=_write, args=(theirs, self._ours, self._url), daemon=True
+            target=_write, args=(theirs, self._ours, self._url, codec), daemon=True
         )
         self._process.start()
         theirs.close()
@@ -90,7 +92,7 @@ class LiveWriter:
     def add_unit(self, data: bytes, ticks: int, *, keyframe: bool) -> None:
         """Hand on an access unit (Annex B), shown at `ticks` of 90 kHz."""
         self._offered += 1
-        if self._skips and not begins_stream(data):
+        if self._skips and not begins_stream(data, self._codec):
             return
         # Pictures behind one that is missing would show damage.
         self._skips = not self._put(_Piece(data, ticks, keyframe, 0))
@@ -199,18 +201,18 @@ def _has_srt() -> bool:
     return True
 
 
-def _write(inbox: Connection, other: Connection, url: str) -> None:
+def _write(inbox: Connection, other: Connection, url: str, codec: VideoCodec) -> None:
     """The process: connect, write, and connect anew a second after a fault."""
     other.close()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     with suppress(EOFError, OSError):
-        _Writing(url, inbox.send).run(inbox)
+        _Writing(url, codec, inbox.send).run(inbox)
 
 
 class _Writing:
-    def __init__(self, url: str, tell: Callable[[_State], None]) -> None:
-        self._url = url
+    def __init__(self, url: str, codec: VideoCodec, tell: Callable[[_State], None]) -> None:
+        self._url, self._codec = url, codec
         self._tell = tell
         self._state = _State()
         self._remuxer: Remuxer | None = None
@@ -234,13 +236,13 @@ class _Writing:
         if self._remuxer is None:
             if time.monotonic_ns() < self._retry_ns:
                 return state
-            if not piece.samples and not begins_stream(piece.data):
+            if not piece.samples and not begins_stream(piece.data, self._codec):
                 return state._replace(needs_key=True)
             # Told if FFmpeg then waits without an end.
             self._tell(state._replace(last_fault="no answer"))
             form, options = _SCHEMES[urlsplit(self._url).scheme]
             self._remuxer = Remuxer(
-                CodedContainer(av.open(self._url, "w", format=form, options=options))
+                CodedContainer(av.open(self._url, "w", format=form, options=options)), self._codec
             )
         remuxer, before = self._remuxer, self._remuxer.written
         if piece.samples:

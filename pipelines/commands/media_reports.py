@@ -1,6 +1,6 @@
 """The reports of `kontur-av send` and `kontur-av receive`."""
 
-from kontur_av.codecs.h264 import DecoderCounts
+from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.figures import Flat
 from kontur_av.meters import Histogram
 from kontur_av.streams.paced_sender import SenderCounts

@@ -15,7 +15,7 @@ import numpy as np
 from av.video.reformatter import VideoReformatter
 
 from kontur_av.codecs.colours import is_full_range
-from kontur_av.codecs.h264 import DecodedPicture
+from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.errors import ConfigError
 from kontur_av.media import BLACK_LUMA, NEUTRAL_CHROMA
 from kontur_av.sources.fit import fitted_size, letterbox, plane_pixels, same_shape

@@ -77,9 +77,9 @@ def run(args: argparse.Namespace) -> int:
         check_writable(args.report)
         writer: MatroskaWriter | None = None
         if args.save:
-            writer = MatroskaWriter(args.save)
+            writer = MatroskaWriter(args.save, stream.codec)
             stack.callback(writer.close)
-        live = LiveWriter(args.to) if args.to else None
+        live = LiveWriter(args.to, stream.codec) if args.to else None
         if live is not None:
             stack.callback(live.close)
         writers = [one for one in (writer, live) if one is not None]

@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
-from kontur_av.codecs.h264 import DecodedPicture
+from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.meters import Histogram
-from kontur_av.rtp.payload_h264 import NAL_PPS, NAL_SPS, nal_type, split_annex_b
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
@@ -61,6 +62,7 @@ class PictureOutput:
         raw: RawPictures | None = None,
     ) -> None:
         self._decoding = PictureDecoding(stream, clock)
+        self._form = NAL_FORMATS[stream.codec]
         self.receiver = self._decoding.receiver
         self.decoded_ns = Histogram()
         self.received_ns = Histogram()
@@ -82,7 +84,7 @@ class PictureOutput:
             if capture_ns is not None:
                 self.received_ns.add(unit.received_ns - capture_ns)
             if not self.decoded:
-                self._came.update(map(nal_type, split_annex_b(unit.data)))
+                self._came.update(map(self._form.nal_type, split_annex_b(unit.data)))
             for picture, stamp in pictures:
                 self._show(picture)
                 if stamp is not None:
@@ -102,8 +104,8 @@ class PictureOutput:
 
     def missing(self) -> str:
         """Say what the decoder waits for; "" where that is not known."""
-        wanted = {NAL_SPS: "SPS", NAL_PPS: "PPS"}
-        names = [f"no {name}" for kind, name in wanted.items() if kind not in self._came]
+        wanted = self._form.set_names.items()
+        names = [f"no {name}" for kind, name in wanted if kind not in self._came]
         return f": {' and '.join(names)} came, in the stream or in the SDP" if names else ""
 
     def _show(self, picture: DecodedPicture) -> None:

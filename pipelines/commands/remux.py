@@ -6,7 +6,7 @@ from heapq import heappop, heappush
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
+from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, VideoCodec
 from pipelines.recording.matroska import CodedContainer, MatroskaFile
 
 #: Pictures by which decoding order may run ahead of display order, if a sender has B pictures.
@@ -14,14 +14,14 @@ _REORDERED_PICTURES = 4
 
 
 class Remuxer:
-    """One H.264 or Opus stream in a container.
+    """One stream of pictures or sound in a container.
 
     Pictures are written from the first one with an SPS on, because no player can show earlier ones.
     Raises OSError when the container cannot be written.
     """
 
-    def __init__(self, container: CodedContainer) -> None:
-        self._file = container
+    def __init__(self, container: CodedContainer, codec: VideoCodec = "h264") -> None:
+        self._file, self._codec = container, codec
         self._display_order: list[int] = []
         self.begun = False
         self.written = 0
@@ -29,7 +29,7 @@ class Remuxer:
     def add_unit(self, data: bytes, ticks: int, *, keyframe: bool) -> None:
         """Write an access unit (Annex B), shown at `ticks` of 90 kHz."""
         if not self.begun:
-            if not self._file.begin_video(data):
+            if not self._file.begin_video(data, self._codec):
                 return
             self._begin()
         # Sorted display times, delayed by some pictures, serve as decoding times: they never run
@@ -61,14 +61,14 @@ class Remuxer:
 
 
 class MatroskaWriter:
-    """One H.264 or Opus stream in a Matroska file. ConfigError when it cannot be written."""
+    """One stream of pictures or sound in a Matroska file. ConfigError when it cannot be written."""
 
     #: It asks for no picture with which to begin.
     needs_key = False
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, codec: VideoCodec = "h264") -> None:
         try:
-            self._remuxer = Remuxer(MatroskaFile(Path(path)))
+            self._remuxer = Remuxer(MatroskaFile(Path(path)), codec)
         except OSError as error:
             raise ConfigError(f"--save {path!r} cannot be written: {error.strerror}") from None
         self._path = path

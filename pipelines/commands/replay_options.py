@@ -134,6 +134,11 @@ def check_caps(
         if video and recode:
             continue
         units = (session.pictures if video else session.voices).get(stream.name, [])
+        if isinstance(stream, VideoStream) and units and units[0].codec != stream.codec:
+            raise ConfigError(
+                f"{path}: {stream.name} is {units[0].codec}, in a setup that has {stream.codec}: "
+                f'take a setup with codec = "{units[0].codec}", or --recode'
+            )
         recorded_bps = recorded.get(stream.name, 0) or _mean_bps(units)
         needed_bps = cap_needed_bps(
             [(unit.capture_ns, len(unit.data)) for unit in units],

@@ -3,10 +3,11 @@
 import argparse
 
 from kontur_av.clock import MonotonicClock
-from kontur_av.codecs.h264 import DecodedPicture, H264Decoder
+from kontur_av.codecs.decoder import DecodedPicture
+from kontur_av.codecs.h264 import H264Decoder
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.meters import Histogram
-from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.commands.media_reports import latency_ms
 from pipelines.commands.raw_pictures import RawPictures, add_raw_argument

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
-from kontur_av.codecs.h264_settings import SEARCHES
+from kontur_av.codecs.encoder_settings import SEARCHES
 from kontur_av.errors import ConfigError
+from kontur_av.media import VIDEO_CODECS
 from kontur_av.meters import Histogram
 from kontur_av.rtp.sdp import write_sdp
 from kontur_av.sources.page import FILLED_BY_OTHERS
@@ -71,6 +72,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         help=f"renew the whole picture every S seconds (default: {SLOW_REFRESH_S:g} while a "
         f"receiver gives feedback, so that it can ask for a whole picture, else {REFRESH_S:g})",
+    )
+    parser.add_argument(
+        "--codec",
+        choices=VIDEO_CODECS,
+        default="h264",
+        help="of pictures: h265 (HEVC) looks better and computes more (default: h264)",
     )
     parser.add_argument(
         "--search",

@@ -37,6 +37,7 @@ def _pictures(args: argparse.Namespace, clock: MonotonicClock) -> PictureFeed:
         coded_size=None if auto else parse_size(args.coded_size, "--coded-size"),
         refresh_s=args.refresh_s,
         search=args.search,
+        codec=args.codec,
     )
 
 

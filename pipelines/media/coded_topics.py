@@ -2,9 +2,10 @@
 
 from itertools import count
 
-from kontur_av.codecs.h264 import DecodedPicture
+from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.media import AccessUnit, CaptureStamp, Quality
-from kontur_av.rtp.payload_h264 import ReceivedUnit, parameter_sets
+from kontur_av.rtp.nal_formats import parameter_sets_of
+from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.topics.bus import TopicBus, Writer
 from pipelines.session.setup.table import VideoStream
@@ -41,7 +42,7 @@ class ReceivedTopics:
         number, size, shown = next(self._numbers), self._size, self._shown
         self._size = self._shown = None
         # Also without a reader, because one that comes later needs them.
-        self._sets = parameter_sets(unit.data) or self._sets
+        self._sets = parameter_sets_of(unit.data, unit.codec) or self._sets
         if self._coded.has_readers():
             coded, stamp = received_unit(
                 unit,
@@ -68,7 +69,7 @@ class SentTopic:
         """A unit was encoded in `size`, and its packets leave."""
         number = next(self._numbers)
         # Also without a reader, because one that comes later needs them.
-        self._sets = parameter_sets(unit.data) or self._sets
+        self._sets = parameter_sets_of(unit.data, unit.codec) or self._sets
         if self._writer.has_readers():
             coded, stamp = sent_unit(
                 unit, size=size, sequence=number, source=self._source, parameter_sets=self._sets
@@ -111,6 +112,7 @@ def received_unit(
         width=width,
         height=height,
         parameter_sets=parameter_sets,
+        codec=unit.codec,
     )
     return coded, CaptureStamp(
         capture_ns or 0,
@@ -130,6 +132,11 @@ def sent_unit(
     """
     width, height = size
     coded = CodedUnit(
-        data=unit.data, key=unit.keyframe, width=width, height=height, parameter_sets=parameter_sets
+        data=unit.data,
+        key=unit.keyframe,
+        width=width,
+        height=height,
+        parameter_sets=parameter_sets,
+        codec=unit.codec,
     )
     return coded, CaptureStamp(unit.stamp.capture_ns, sequence, source)

@@ -7,8 +7,8 @@ room is no longer there. docs/experiments/haptics.md has the measured gain.
 from fractions import Fraction
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.codecs.choice import settings_of
 from kontur_av.codecs.coding import SLOW_REFRESH_S, Coding
-from kontur_av.codecs.h264_settings import H264Settings
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.session.setup.table import Setup, VideoStream
 from telepresence.link.backlog import Backlog
@@ -122,7 +122,7 @@ def _worthwhile_bps(setup: Setup, stream: VideoStream) -> list[int]:
 
 def _kilobits(stream: VideoStream, gain_bps: int) -> int:
     width, height = stream.coded_size
-    settings = H264Settings(
+    settings = settings_of(stream.codec)(
         width=width,
         height=height,
         rate=Fraction(stream.coded_hz),

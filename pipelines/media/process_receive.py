@@ -2,7 +2,7 @@
 
 import secrets
 
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AudioFrame
 from kontur_av.streams.lipsync import LAG
@@ -23,7 +23,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     receiver = video_receiver(
         stream, ssrc=secrets.randbits(32), wall_offset_ns=clock.wall_offset_ns
     )
-    decoder = H264Decoder()
+    decoder = VideoDecoder(stream.codec)
     # Made before the receiver's series, so that the decoding of a picture is reported first.
     decoded = probe.series(DecodedRow)
 
@@ -44,7 +44,11 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
             receiver.handle_timeout(clock.now_ns())
             while (unit := receiver.next_event()) is not None:
                 note_unit(probe, unit)
-                for picture in decoder.decode(unit.data, unit.timestamp):
+                corrupt = decoder.counts.frames_corrupt
+                pictures = decoder.decode(unit.data, unit.timestamp)
+                if decoder.counts.frames_corrupt > corrupt:
+                    receiver.handle_undecoded()
+                for picture in pictures:
                     stamp = receiver.handle_picture(
                         picture.timestamp,
                         picture.width,

@@ -4,7 +4,7 @@ import secrets
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.choice import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity
@@ -35,7 +35,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
     switch_threads_often()
     clock, probe = context.clock, context.probe
     tip = tip_region(context.setup) if topic is None else None
-    encoder = H264Encoder(
+    encoder = encoder_of(stream.codec)(
         width=stream.width,
         height=stream.height,
         fps=stream.coded_hz,

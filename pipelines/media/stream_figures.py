@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import BLOCK_NS
-from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import PictureCoded, VideoSender
@@ -61,6 +61,7 @@ def video_receiver(stream: VideoStream, *, ssrc: int, wall_offset_ns: int) -> Vi
         ssrc=ssrc,
         name=stream.name,
         wall_offset_ns=wall_offset_ns,
+        codec=stream.codec,
         largest=(stream.width, stream.height),
         report_interval_ns=None,
         reduced_size=True,

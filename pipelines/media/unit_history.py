@@ -18,8 +18,8 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.codecs.black_key import black_key
 from kontur_av.codecs.healing import recovery_pictures
-from kontur_av.media import CaptureStamp, Quality
-from kontur_av.rtp.payload_h264 import parameter_sets
+from kontur_av.media import CaptureStamp, Quality, VideoCodec
+from kontur_av.rtp.nal_formats import parameter_sets_of
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.session.messages import UNKNOWN_US
 
@@ -68,6 +68,7 @@ class UnitHistory:
         self._whole = False
         self._next_sequence: int | None = None
         self._sets = b""
+        self._codec: VideoCodec = "h264"
         self._size = (0, 0)
         #: The running wave: number of its first unit, and how many units are left of it.
         self._wave: tuple[int, int] | None = None
@@ -99,8 +100,8 @@ class UnitHistory:
         if unit.refused:
             self._wave = None
             return None
-        data = unit.data
-        if self._whole and not self._units and not unit.key and not parameter_sets(data):
+        data, sets = unit.data, parameter_sets_of(unit.data, unit.codec)
+        if self._whole and not self._units and not unit.key and not sets:
             # The first one behind a picture that was coded here: see `_begin`.
             data = self._sets + data
         kept = KeptUnit(
@@ -113,7 +114,8 @@ class UnitHistory:
             rtp_timestamp=stamp.rtp_timestamp,
             received_ns=now_ns,
         )
-        self._sets = parameter_sets(unit.data) or unit.parameter_sets or self._sets
+        self._codec = unit.codec
+        self._sets = sets or unit.parameter_sets or self._sets
         if unit.key and not unit.damaged:
             self._clear()
             self._whole = True
@@ -166,7 +168,7 @@ class UnitHistory:
         decoder.
         """
         self._ahead, self._whole = ahead, True
-        if self._units and not parameter_sets(self._units[0].data):
+        if self._units and not parameter_sets_of(self._units[0].data, self._codec):
             first = self._units.popleft()
             self._units.appendleft(first._replace(data=self._sets + first.data))
             self._octets += len(self._sets)
@@ -180,7 +182,7 @@ class UnitHistory:
             self._wave = (first, left - 1) if left > 1 else None
             if left == 1 and not kept.damaged:
                 self._handle_wave(first)
-        pictures = recovery_pictures(unit.data)
+        pictures = recovery_pictures(unit.data, unit.codec)
         if pictures:
             self._wave = kept.sequence, pictures
 
@@ -188,6 +190,8 @@ class UnitHistory:
         """The wave that began with the unit `first` is complete."""
         if (self._whole and self._pixels <= self._most_pixels // 2) or not all(self._size):
             return
+        if self._codec != "h264":
+            return  # no black picture of H.264 goes ahead of HEVC
         self._drop_before(first)
         wave = self._units[0]
         self._begin(wave._replace(data=black_key(*self._size), key=True, capture_us=UNKNOWN_US))

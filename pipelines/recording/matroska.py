@@ -2,6 +2,7 @@
 
 import io
 import os
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 
@@ -9,18 +10,21 @@ import av
 from av.container import InputContainer, OutputContainer
 from av.stream import Stream
 
-from kontur_av.media import AUDIO_CLOCK_HZ
-from kontur_av.rtp.payload_h264 import NAL_SPS, nal_type, split_annex_b
+from kontur_av.media import AUDIO_CLOCK_HZ, VideoCodec
+from kontur_av.rtp.nal_formats import parameter_sets_of
 from pipelines.recording.recording_file import open_alone
 
+#: FFmpeg's names of the byte streams.
+_FORMATS: Mapping[VideoCodec, str] = {"h264": "h264", "h265": "hevc"}
 
-def begins_stream(unit: bytes) -> bool:
+
+def begins_stream(unit: bytes, codec: VideoCodec = "h264") -> bool:
     """Whether a player can begin with an access unit (Annex B): it has an SPS."""
-    return any(nal_type(nal) == NAL_SPS for nal in split_annex_b(unit))
+    return bool(parameter_sets_of(unit, codec))
 
 
 class CodedContainer:
-    """At most one H.264 stream and one Opus stream.
+    """At most one stream of pictures and one Opus stream.
 
     Call `begin_video` or `begin_sound`, or both, before the first `write_...`. Raises OSError when
     the file or connection cannot be written.
@@ -37,14 +41,14 @@ class CodedContainer:
         """Whether `begin_video` was successful."""
         return self._video is not None
 
-    def begin_video(self, unit: bytes) -> bool:
-        """Declare the H.264 stream after an access unit (Annex B); False if it has no SPS."""
-        if not begins_stream(unit):
+    def begin_video(self, unit: bytes, codec: VideoCodec = "h264") -> bool:
+        """Declare the stream of pictures after an access unit (Annex B); False if it has no SPS."""
+        if not begins_stream(unit, codec):
             return False
         # FFmpeg reads size and profile from the SPS when it opens the access unit as a file. They
         # are the template of the Matroska stream.
         try:
-            template = av.open(io.BytesIO(unit), "r", format="h264")
+            template = av.open(io.BytesIO(unit), "r", format=_FORMATS[codec])
             stream = template.streams.video[0]
             if not stream.codec_context.width:
                 return False

@@ -50,7 +50,7 @@ from telepresence.link.figures import (
 )
 from telepresence.tmtc.pus.head import apid_of, is_packet, is_telecommand, message_of
 
-H264, OPUS = "h264", "opus"
+OPUS = "opus"
 
 
 class Recorded:
@@ -71,7 +71,7 @@ class RecordedPicture(Recorded):
     wall_ns: Annotated[WallTime, "instant of capture, wall time"]
     frame_id: Annotated[Text, "camera or stream"]
     data: Annotated[Octets, "an Annex B byte stream with exactly one picture"]
-    format: Annotated[Text, "`h264`"] = H264
+    format: Annotated[Text, "`h264` or `h265`"] = "h264"
 
 
 @record("CompressedAudio", "one packet of sound", package=FOXGLOVE)

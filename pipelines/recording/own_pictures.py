@@ -10,6 +10,8 @@ a key picture of its own ahead of the stream's first unit:
 The first takes time, so it is made beside the recorder: see `KeyPictureWanted`. Meanwhile the
 stream's messages are held.
 
+HEVC needs a key picture of its own stream: no decoder goes on from another one's pictures.
+
 That unit also gets the stream's parameter sets in front, if it has none, because those of the key
 picture differ. Nothing is withheld.
 """
@@ -25,7 +27,7 @@ from kontur_av.codecs.black_key import black_key
 from kontur_av.codecs.colours import i420_encoder
 from kontur_av.codecs.h264 import without_user_data
 from kontur_av.media import I420, CaptureStamp
-from kontur_av.rtp.payload_h264 import parameter_sets
+from kontur_av.rtp.nal_formats import parameter_sets_of
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.media.unit_history import UnitHistory
 
@@ -71,7 +73,7 @@ class StreamStart:
 
         begins: whether anybody does; else None.
         """
-        self._sets = parameter_sets(unit.data) or unit.parameter_sets or self._sets
+        self._sets = parameter_sets_of(unit.data, unit.codec) or unit.parameter_sets or self._sets
         begun = self._begin(unit) if begins else None
         self._history.handle_unit(unit, stamp, now_ns)
         return begun
@@ -79,9 +81,14 @@ class StreamStart:
     def _begin(self, unit: CodedUnit) -> Begun | None:
         if unit.key and not unit.damaged:
             return Begun(None, unit.data)
-        if unit.refused or not self._sets or not (unit.width and unit.height):
+        if (
+            unit.codec != "h264"
+            or unit.refused
+            or not self._sets
+            or not (unit.width and unit.height)
+        ):
             return None
-        data = unit.data if parameter_sets(unit.data) else self._sets + unit.data
+        data = unit.data if parameter_sets_of(unit.data, unit.codec) else self._sets + unit.data
         replay = self._history.replay()
         if replay and sum(each.pixels for each in replay) <= _MOST_PIXELS:
             return Begun(tuple(each.data for each in replay), data)

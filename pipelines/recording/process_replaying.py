@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.fit import Fitter, scaled_aspect
@@ -101,7 +101,8 @@ def run_video_replay(
             while (due := script.poll_due(clock.now_ns())) is not None:
                 number, capture_ns = due
                 stamp = CaptureStamp(capture_ns, number, stream.name)
-                unit = AccessUnit(units[number].data, stamp, units[number].key)
+                came = units[number]
+                unit = AccessUnit(came.data, stamp, came.key, came.codec)
                 sender.handle_coded(unit, clock.now_ns())
                 sent.handle_unit(unit, stream.coded_size)
             outgoing.handle_time(clock.now_ns())
@@ -119,7 +120,8 @@ def run_recoded_camera(
 ) -> None:
     """Be the camera `name`: show the recorded pictures of `stream`, which its sender codes anew."""
     clock, size = context.clock, (stream.width, stream.height)
-    decoder, fitter, capturing = H264Decoder(), Fitter(*size), Capturing(context.probe)
+    decoder = VideoDecoder(units[0].codec if units else "h264")
+    fitter, capturing = Fitter(*size), Capturing(context.probe)
     context.on_flush(capturing.tell)
     script = start.script(context, units, _CAPTURE_NS)
     with context.open_bus() as bus:

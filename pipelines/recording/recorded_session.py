@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.media import BLOCK_NS
+from kontur_av.media import BLOCK_NS, VideoCodec, codec_named
 from kontur_av.sources.instants import RisingInstants
 from kontur_av.streams.budget import Pacer
 from pipelines.recording.channels import RECEIVED, SENT
@@ -49,6 +49,7 @@ class SentUnit(NamedTuple):
     capture_ns: int
     data: bytes
     key: bool = False
+    codec: VideoCodec = "h264"
 
 
 class SentPacket(NamedTuple):
@@ -188,7 +189,8 @@ def _pictures(
         facts[one.part, one.sequence].append(unpack(UnitFacts, one.data))
     kept = []
     for one in found:
-        data = unpack(RecordedPicture, one.data).data
+        picture = unpack(RecordedPicture, one.data)
+        data = picture.data
         fact = None
         if its := facts[one.part, one.sequence]:
             # A key picture that the recorder put ahead has the number of the unit before.
@@ -198,9 +200,9 @@ def _pictures(
             # In front of it are parameter sets for a reader that begins here.
             data = data[-fact.octets :]
         key = fact is not None and fact.key
-        kept.append((one.session_ns, data, key))
+        kept.append((one.session_ns, data, key, codec_named(picture.format, "recording")))
     dated = instants.redate(kept, lambda each: each[0])
-    return [SentUnit(at_ns, data, key) for (_, data, key), at_ns in dated]
+    return [SentUnit(at_ns, data, key, codec) for (_, data, key, codec), at_ns in dated]
 
 
 def _instant_ns(message: JoinedMessage) -> int:

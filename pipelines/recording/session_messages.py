@@ -214,7 +214,9 @@ class SessionMessages:
         """Return an access unit and its facts. data: what takes its place."""
         channel, facts_channel = source.channels
         wall_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns
-        picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=data)
+        picture = RecordedPicture(
+            wall_ns=wall_ns, frame_id=source.name, data=data, format=unit.codec
+        )
         facts = UnitFacts.of(unit, stamp)
         return (
             ChannelMessage(channel, pack(picture), wall_ns, stamp.sequence, at),

@@ -20,9 +20,10 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 import msgspec
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.codecs.h264 import DecoderCounts
+from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.errors import ConfigError
 from kontur_av.figures import Flat, is_flat
+from kontur_av.media import VideoCodec
 from kontur_av.rtp.receiver import ReceiverCounts
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
@@ -427,13 +428,15 @@ class CodingCosts:
 
     capture_ms: from the capture of a picture to its arrival at the encoder: drawing, the stereo
         merge, the selector, and three wake-ups.
-    encode_ms, decode_ms: of one picture, its wake-up included.
+    encode_ms, decode_ms: of one picture, its wake-up included; of HEVC with `h265`.
     voice_encode_ms, voice_decode_ms: of one block of sound.
     """
 
     capture_ms: float = 4.0
     encode_ms: float = 6.0
     decode_ms: float = 3.0
+    encode_h265_ms: float = 13.0
+    decode_h265_ms: float = 3.5
     voice_encode_ms: float = 1.7
     voice_decode_ms: float = 0.3
 
@@ -447,6 +450,10 @@ class CodingCosts:
         """Return the duration `name` in ns, at least 1, so that an effect follows its cause."""
         cost_ms: float = getattr(self, f"{name}_ms")
         return max(1, round(cost_ms * NS_PER_MS))
+
+    def picture_ns(self, name: str, codec: VideoCodec) -> int:
+        """Return the duration `name` of a picture of this codec, as `ns`."""
+        return self.ns(name if codec == "h264" else f"{name}_{codec}")
 
 
 class ReplayedStream(Report, frozen=True, kw_only=True):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from kontur_av.codecs.h264 import DecoderCounts
+from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
-from kontur_av.media import CaptureStamp
+from kontur_av.media import CaptureStamp, VideoCodec
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.recording.own_pictures import MOST_HELD_OCTETS, KeyPictureWanted, StreamStart
 
@@ -26,6 +26,7 @@ class DatedUnit(NamedTuple):
 
     data: bytes
     session_ns: int
+    codec: VideoCodec = "h264"
 
 
 class JoinedStream:
@@ -73,7 +74,7 @@ class JoinedStream:
             self._wanted = KeyPictureWanted(self._number, key, unit.width, unit.height)
             self._told, self._since_ns = False, now_ns
         waits = self._wanted is not None
-        (self._held if waits else self._ready).append(DatedUnit(data, at_ns))
+        (self._held if waits else self._ready).append(DatedUnit(data, at_ns, unit.codec))
         late = now_ns - self._since_ns > _PATIENCE_NS
         if waits and (late or sum(len(one.data) for one in self._held) > MOST_HELD_OCTETS):
             self._release()

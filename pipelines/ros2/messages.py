@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
+from kontur_av.media import VideoCodec
 from pipelines.hand.haptic_trace import DEAD_MAN, axis_columns
 from pipelines.ros2.hand import DEAD_MAN_BUTTON, JoyMessage, Velocity
 from pipelines.ros2.publications import (
@@ -53,14 +54,14 @@ class RosMessages:
         """Return a picture of a camera. jpeg: (octets,)."""
         return self._packed(IMAGE, header=self._header(name, session_ns), format="jpeg", data=jpeg)
 
-    def video(self, unit: bytes, name: str, session_ns: int) -> bytes:
+    def video(self, unit: bytes, name: str, session_ns: int, codec: VideoCodec = "h264") -> bytes:
         """Return an access unit (Annex B) of a stream."""
         return self._packed(
             VIDEO,
             timestamp=self._time(session_ns),
             frame_id=name,
             data=np.frombuffer(unit, np.uint8),
-            format="h264",
+            format=codec,
         )
 
     def text(self, text: str) -> bytes:

@@ -144,7 +144,7 @@ class OutgoingMessages:
 
     def _units(self, source: RosSource, stream: JoinedStream) -> Iterator[Outbound]:
         for unit in stream.poll_transmit():
-            message = self._messages.video(unit.data, source.name, unit.session_ns)
+            message = self._messages.video(unit.data, source.name, unit.session_ns, unit.codec)
             for publication in source.publications:
                 yield Outbound(publication, message)
 

@@ -3,9 +3,9 @@
 import asyncio
 import os
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -26,6 +26,7 @@ from pipelines.hand.hand_topics import (
     unpack_status,
 )
 from pipelines.media.following import Choice
+from pipelines.media.h264_copy import H264Copy
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
@@ -189,6 +190,11 @@ class SeatTopics:
         settle: Callable[[], None],
     ) -> None:
         self._seat, self._keys, self._now_ns, self._settle = seat, keys, now_ns, settle
+        self._serving, self._watched = serving, False
+        #: By stream of HEVC: its copy for browsers, made in a thread, and units on their way there.
+        self._copies: dict[int, H264Copy] = {}
+        self._copying: Counter[int] = Counter()
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="copies")
         fed = list(self._fed())
         feeds = [
             Feed(serving.loop, bus, one.topic, partial(self._take, one), depth=one.depth)
@@ -233,6 +239,7 @@ class SeatTopics:
 
     def watch(self, watching: bool) -> None:
         """Open what pages are shown with the first of them, and close it with the last."""
+        self._watched = watching
         read: list[Feed | TopicState] = [*self._live, *(state for state, _ in self._looked)]
         for feed in read:
             if watching:
@@ -249,6 +256,7 @@ class SeatTopics:
     def close(self) -> None:
         for feed in (*self._always, *self._live):
             feed.close()
+        self._thread.shutdown(wait=False, cancel_futures=True)
 
     def _take(self, one: _Fed, lease: Lease) -> None:
         one.handle(lease)
@@ -256,8 +264,28 @@ class SeatTopics:
 
     def _unit(self, stream: int, lease: Lease) -> None:
         unit = CodedUnit.unpack(lease.octets())
-        self._seat.media.handle_unit(stream, unit, lease.stamp, self._now_ns())
-        self._keys.handle_unit(stream, unit, lease.stamp)
+        if unit.codec == "h264":
+            self._show(stream, unit, lease.stamp)
+            return
+        copy = self._copies.setdefault(stream, H264Copy())
+        # Each unit is decoded; where the thread falls behind, it codes none.
+        wanted = self._watched and self._copying[stream] < _DEPTH
+        self._copying[stream] += 1
+        made = self._thread.submit(copy.copy, unit, wanted=wanted)
+        self._serving.begin(self._copied(stream, made, lease.stamp))
+
+    async def _copied(
+        self, stream: int, made: Future[CodedUnit | None], stamp: CaptureStamp
+    ) -> None:
+        unit = await asyncio.wrap_future(made)
+        self._copying[stream] -= 1
+        if unit is not None:
+            self._show(stream, unit, stamp)
+            self._settle()
+
+    def _show(self, stream: int, unit: CodedUnit, stamp: CaptureStamp) -> None:
+        self._seat.media.handle_unit(stream, unit, stamp, self._now_ns())
+        self._keys.handle_unit(stream, unit, stamp)
 
     def _sound(self, stream: int, lease: Lease) -> None:
         self._seat.media.handle_sound(stream, lease.octets(), lease.stamp)

@@ -90,6 +90,16 @@ def check_h264() -> Finding:
     return Finding("ok", f"PyAV {av.__version__}, libx264 and h264, one picture there and back")
 
 
+def check_h265() -> Finding:
+    import av
+
+    for codec in ("libx265", "hevc"):
+        if codec not in av.codecs_available:
+            mend = 'leave codec = "h265" out, or install PyAV from its wheel'
+            return Finding("advice", f"PyAV {av.__version__} without {codec}", mend)
+    return Finding("ok", "libx265 and hevc")
+
+
 def check_opus() -> Finding:
     from kontur_av.codecs import libopus
     from kontur_av.errors import ConfigError
@@ -283,6 +293,7 @@ def _user() -> str:
 CHECKS: tuple[Check, ...] = (
     ("Python", check_python),
     ("H.264", check_h264),
+    ("HEVC", check_h265),
     ("Opus", check_opus),
     ("RTP", check_rtp),
     ("OpenCV", check_opencv),

@@ -310,7 +310,7 @@ class Media:
         self, stream: VideoStream, watched: tuple[int, int] | None
     ) -> Callable[[], Coder]:
         """What makes the decoder of a stream, in the process of its worker."""
-        return partial(VideoDecoding, watched)
+        return partial(VideoDecoding, watched, codec=stream.codec)
 
     def _receive_voice(self, stream: VoiceStream, pictures: VideoReceiveProcess | None) -> None:
         receiver = VoiceReceiveProcess(self._scene, stream, self._display(stream.name))

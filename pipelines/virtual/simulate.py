@@ -17,7 +17,8 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp
-from kontur_av.rtp.payload_h264 import ReceivedUnit, join_annex_b, split_annex_b
+from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.nal_payload import ReceivedUnit
 from pipelines.hand.replaying import ReplayedEnd, ReplayTime
 from pipelines.media.following import Choice
 from pipelines.recording.messages import SAMPLE
@@ -166,7 +167,7 @@ class ReplayedMedia(Media):
         gateway = scene.sending_gateway(stream.name)
         sender = VideoProcess(scene, stream, self._core(stream), gateway)
         self._add_sender(stream, sender)
-        cost_ns = scene.costs.ns("capture") + scene.costs.ns("encode")
+        cost_ns = scene.costs.ns("capture") + scene.costs.picture_ns("encode", stream.codec)
 
         self._feed(stream.name, units, cost_ns, sender)
 
@@ -194,7 +195,7 @@ class ReplayedMedia(Media):
             stamp = CaptureStamp(capture_ns, number, name)
 
             def go(due_ns: int) -> None:
-                sender.handle_unit(AccessUnit(unit.data, stamp, unit.key), due_ns)
+                sender.handle_unit(AccessUnit(unit.data, stamp, unit.key, unit.codec), due_ns)
                 enter(due_ns)
 
             agenda.at(max(capture_ns + cost_ns, now_ns), go)
@@ -206,8 +207,11 @@ class ReplayedMedia(Media):
     ) -> Callable[[], Coder]:
         core, units = self._core(stream), self._session.pictures.get(stream.name, [])
         dated = [(core.timestamp(self._time.at(unit.capture_ns)), unit.data) for unit in units]
-        originals = Originals(dated, (stream.width, stream.height))
-        return lambda: VideoDecoding(watched, originals)
+        codec = units[0].codec if units and self._recode is None else stream.codec
+        originals = Originals(
+            dated, (stream.width, stream.height), units[0].codec if units else stream.codec
+        )
+        return lambda: VideoDecoding(watched, originals, codec=codec)
 
 
 class _Tally:

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Generic, TypeVar
 
-from kontur_av.codecs.h264 import DecoderCounts
+from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.codecs.region import Region
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import VideoSender
@@ -109,7 +109,8 @@ class VideoSendProcess(VideoProcess):
         studio: Worker,
     ) -> None:
         super().__init__(scene, stream, sender, gateway)
-        self._studio, self._cost_ns = studio, scene.costs.ns("encode")
+        self._studio, self._cost_ns = studio, scene.costs.picture_ns("encode", stream.codec)
+        self._codec = stream.codec
         self._newest: tuple[Picture, CaptureStamp] | None = None
         #: Of a sender that follows the selected camera.
         self.follower: CameraFollower | None = None
@@ -185,7 +186,7 @@ class VideoSendProcess(VideoProcess):
     def _finish(self, job: Job, stamp: CaptureStamp, now_ns: int) -> None:
         data, keyframe = job.result()
         self._read_backlog(now_ns)
-        self._sender.handle_access_unit(AccessUnit(data, stamp, keyframe), now_ns)
+        self._sender.handle_access_unit(AccessUnit(data, stamp, keyframe, self._codec), now_ns)
         self._busy = False
         self._send_due(now_ns)
         self._look(now_ns)
@@ -322,7 +323,7 @@ class VideoReceiveProcess(_ReceiveProcess[VideoReceiver]):
         self.on_unit: Callable[[ReceivedUnit], None] | None = None
         #: PSNR of each picture against its original, where that is known.
         self.quality_db: list[float] = []
-        self._cost_ns = scene.costs.ns("decode")
+        self._cost_ns = scene.costs.picture_ns("decode", stream.codec)
         self._free_ns = 0
         self._decoding: deque[tuple[int, int, int | None]] = deque()
         self._counts = DecoderCounts()

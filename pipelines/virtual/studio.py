@@ -12,12 +12,13 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from kontur_av.clock import NS_PER_S, ManualClock
+from kontur_av.codecs.choice import encoder_of
 from kontur_av.codecs.coding import Coding
-from kontur_av.codecs.h264 import DecodedPicture, DecoderCounts, H264Decoder, H264Encoder
+from kontur_av.codecs.decoder import DecodedPicture, DecoderCounts, VideoDecoder
 from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.codecs.region import Region
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
-from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoFrame, empty_picture
+from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoCodec, VideoFrame, empty_picture
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.sources.stereo import StereoPair
@@ -80,7 +81,7 @@ class VideoStudio:
         self, stream: VideoStream, cameras: dict[str, str], start_ns: int, *, regions: bool = False
     ) -> None:
         self._stream = stream
-        self._encoder = H264Encoder(
+        self._encoder = encoder_of(stream.codec)(
             width=stream.width,
             height=stream.height,
             fps=stream.coded_hz,
@@ -171,13 +172,18 @@ class VideoDecoding:
     - the lights that came on, whose tags are the timestamps of their picture and the one before;
     - the PSNR of each picture against its original, in dB; none without `originals`.
 
+    codec: of the stream.
     watched: (width, height) of the display in which to look for lights; None: do not look.
     """
 
     def __init__(
-        self, watched: tuple[int, int] | None = None, originals: "Originals | None" = None
+        self,
+        watched: tuple[int, int] | None = None,
+        originals: "Originals | None" = None,
+        *,
+        codec: VideoCodec = "h264",
     ) -> None:
-        self._decoder = H264Decoder()
+        self._decoder = VideoDecoder(codec)
         self._originals = originals
         self._shown = None if watched is None else empty_picture(*watched)
         self._eye = LightDetector()
@@ -204,13 +210,18 @@ class Originals:
     """What a stream showed where it was sent: its own access units, decoded without a loss.
 
     units: (RTP timestamp, access unit), in order. size: width and height of the display, in which
-    pictures are compared.
+    pictures are compared. codec: of the stream.
     """
 
-    def __init__(self, units: Sequence[tuple[int, bytes]], size: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        units: Sequence[tuple[int, bytes]],
+        size: tuple[int, int],
+        codec: VideoCodec = "h264",
+    ) -> None:
         self._units = units
         self._places = {timestamp: place for place, (timestamp, _) in enumerate(units)}
-        self._decoder = H264Decoder()
+        self._decoder = VideoDecoder(codec)
         self._next = 0
         self._place = -1
         self._original, self._picture = empty_picture(*size), empty_picture(*size)

@@ -11,14 +11,12 @@ from rtp_packets import PromptSender
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
-from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.payload_h264 import (
-    H264Depacketizer,
-    join_annex_b,
-    packetize,
-    parse_payload,
-    split_annex_b,
-)
+from kontur_av.media import VIDEO_CODECS, AccessUnit, CaptureStamp
+from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.nal_formats import NAL_FORMATS
+from kontur_av.rtp.nal_payload import NalDepacketizer
+from kontur_av.rtp.payload_h264 import packetize, parse_payload
+from kontur_av.rtp.payload_h265 import H265
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import MAX_MISORDER, RtpReceiver
@@ -37,10 +35,20 @@ PICTURE = st.one_of(
 )
 
 
+SLICE_265 = BODY.map(lambda body: b"\x02\x01\x88" + body)
+SETS_265 = st.just([b"\x40\x01\x0c", b"\x42\x01\x01", b"\x44\x01\xc1", b"\x4e\x01\x06"])
+PICTURE_265 = st.one_of(
+    SLICE_265.map(lambda unit: [unit]),
+    st.tuples(SETS_265, SLICE_265).map(lambda both: [*both[0], b"\x26" + both[1][1:]]),
+    st.tuples(SLICE_265, BODY).map(lambda both: [both[0], b"\x02\x01\x22" + both[1]]),
+)
+
+
 class Stream:
     """Send to the depacketizer what `network` makes of the packets."""
 
-    def __init__(self, pictures, first_sequence, offset, max_payload_octets):
+    def __init__(self, codec_pictures, first_sequence, offset, max_payload_octets):
+        codec, pictures = codec_pictures
         sender = PromptSender(
             payload_type=96,
             clock_rate_hz=90_000,
@@ -55,12 +63,12 @@ class Stream:
         for number, units in enumerate(pictures):
             stamp = CaptureStamp(number * 33 * NS_PER_MS, number, "fuzz")
             data = join_annex_b(units)
-            self.packets += sender.video_packets(AccessUnit(data, stamp, False)).packets
+            self.packets += sender.video_packets(AccessUnit(data, stamp, False, codec)).packets
             self.sent[sender.timestamp(stamp.capture_ns)] = data
         self.receiver = RtpReceiver(
             payload_type=96, clock_rate_hz=90_000, reorder_depth_ns=10 * NS_PER_MS
         )
-        self.depacketizer = H264Depacketizer()
+        self.depacketizer = NalDepacketizer(NAL_FORMATS[codec])
 
     def deliver(self, packets):
         now_ns = 0
@@ -82,7 +90,10 @@ class Stream:
 
 STREAM = st.builds(
     Stream,
-    st.lists(PICTURE, min_size=2, max_size=12),
+    st.one_of(
+        st.tuples(st.just("h264"), st.lists(PICTURE, min_size=2, max_size=12)),
+        st.tuples(st.just("h265"), st.lists(PICTURE_265, min_size=2, max_size=12)),
+    ),
     st.integers(0, 65_535),
     st.integers(0, 2**32 - 1),
     st.integers(64, 1400),
@@ -142,7 +153,7 @@ def test_complete_access_units_equal_those_sent(stream, data):
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=80))
 def test_every_parser_refuses_or_accepts_any_octets(octets):
-    for parse in (parse_rtp, parse_rtcp, parse_payload, opus_samples):
+    for parse in (parse_rtp, parse_rtcp, parse_payload, H265.parse_payload, opus_samples):
         with contextlib.suppress(ProtocolError):
             parse(octets)
     for unit in split_annex_b(octets):
@@ -167,6 +178,9 @@ RTP = st.builds(
         st.binary(max_size=40),
         st.binary(max_size=40).map(lambda rest: b"\x7c" + rest),
         st.binary(max_size=40).map(lambda rest: b"\x78" + rest),
+        # Of HEVC: an AP and an FU.
+        st.binary(max_size=40).map(lambda rest: b"\x60\x01" + rest),
+        st.binary(max_size=40).map(lambda rest: b"\x62\x01" + rest),
     ),
 )
 RTCP = st.builds(
@@ -191,10 +205,11 @@ REPORTS = st.one_of(RTCP, SENDER_REPORT, GOODBYE, st.tuples(SENDER_REPORT, GOODB
     st.lists(st.one_of(RTP, st.binary(max_size=30)), max_size=40),
     st.lists(st.one_of(st.none(), REPORTS), max_size=20),
     st.sampled_from([3, 40, 700]),
+    st.sampled_from(list(NAL_FORMATS.values())),
 )
-def test_the_receiver_survives_any_datagrams(datagrams, reports, apart_ms):
+def test_the_receiver_survives_any_datagrams(datagrams, reports, apart_ms, form):
     receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
-    depacketizer, playout = H264Depacketizer(), PlayoutBuffer()
+    depacketizer, playout = NalDepacketizer(form), PlayoutBuffer()
     for index, datagram in enumerate(datagrams):
         now_ns = index * apart_ms * NS_PER_MS
         receiver.handle_packet(datagram, now_ns)
@@ -263,10 +278,12 @@ def test_any_mixture_of_sdp_lines_is_refused_or_understood(lines):
     st.integers(96, 127),
     st.none() | st.integers(1, 65_535),
     st.none() | st.integers(1, 4000).map(lambda k: k * 1000),
+    st.sampled_from(VIDEO_CODECS),
 )
-def test_sdp_round_trip(kind, port, payload_type, rtcp_port, bandwidth_bps):
+def test_sdp_round_trip(kind, port, payload_type, rtcp_port, bandwidth_bps, codec):
     stream = StreamDescription(
         kind=kind,
+        codec=codec if kind == "video" else "h264",
         host="::1" if port % 2 else "10.0.0.1",
         port=port,
         payload_type=payload_type,
@@ -277,6 +294,8 @@ def test_sdp_round_trip(kind, port, payload_type, rtcp_port, bandwidth_bps):
 
 
 @settings(max_examples=100, deadline=None)
-@given(st.lists(BODY.map(lambda b: b"\x41\x88" + b), min_size=1, max_size=6), st.integers(8, 1500))
+@given(st.lists(SLICE_265, min_size=1, max_size=6), st.integers(8, 1500))
 def test_no_payload_is_larger_than_allowed(units, most):
+    # The same octets are NAL units of both codecs.
     assert all(len(payload) <= most for payload in packetize(units, most))
+    assert all(len(payload) <= most for payload in H265.packetize(units, most))

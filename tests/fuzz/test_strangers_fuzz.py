@@ -22,8 +22,8 @@ from rtp_packets import PromptSender
 from kontur_av.clock import NS_PER_MS, ManualClock
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp, empty_picture
+from kontur_av.rtp.annex_b import join_annex_b
 from kontur_av.rtp.feedback import PictureLossListener
-from kontur_av.rtp.payload_h264 import join_annex_b
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.sources.file import FileAudio, FileVideo
 from kontur_av.sources.y4m import Y4mReader

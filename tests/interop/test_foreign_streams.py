@@ -8,7 +8,8 @@ import subprocess
 import pytest
 
 from kontur_av.codecs.h264 import H264Decoder
-from kontur_av.rtp.payload_h264 import nal_type, packetize, split_annex_b
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.payload_h264 import nal_type, packetize
 from kontur_av.streams.video_receiver import VideoReceiver
 
 pytestmark = pytest.mark.interop

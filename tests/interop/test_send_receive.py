@@ -24,7 +24,7 @@ from media_commands import (
 )
 from rtp_packets import PromptSender
 
-from kontur_av.media import CaptureStamp
+from kontur_av.media import VIDEO_CODECS, CaptureStamp
 from kontur_av.rtp.sdp import StreamDescription, write_sdp
 
 pytestmark = pytest.mark.interop
@@ -94,21 +94,33 @@ def tone(tmp_path_factory):
     return path
 
 
-def send_film(film, port, sdp, seconds=6):
+def send_film(film, port, sdp, seconds=6, codec="h264"):
     return ours(
         *("send", "--video", film, "--to", f"127.0.0.1:{port}", "--cap-kbps", 400),
-        *("--size", f"{WIDTH}x{HEIGHT}", "--fps", FPS, "--seconds", seconds, "--sdp", sdp),
+        *(
+            "--size",
+            f"{WIDTH}x{HEIGHT}",
+            "--fps",
+            FPS,
+            "--seconds",
+            seconds,
+            "--sdp",
+            sdp,
+            "--codec",
+            codec,
+        ),
     )
 
 
-def test_gstreamer_shows_what_we_send(film, tmp_path):
-    needs("sdpdemux", "rtph264depay", "avdec_h264")
+@pytest.mark.parametrize("codec", VIDEO_CODECS)
+def test_gstreamer_shows_what_we_send(film, tmp_path, codec):
+    needs("sdpdemux", f"rtp{codec}depay", f"{codec}parse", f"avdec_{codec}")
     port, sdp, raw = free_ports(), tmp_path / "x.sdp", tmp_path / "x.yuv"
-    with send_film(film, port, sdp):
+    with send_film(film, port, sdp, codec=codec):
         wait_for_file(sdp)
         pipeline = (
-            f"filesrc location={sdp} ! sdpdemux latency=50 ! rtph264depay ! avdec_h264 ! "
-            "videoconvert ! video/x-raw,format=I420 ! identity eos-after=45 ! "
+            f"filesrc location={sdp} ! sdpdemux latency=50 ! rtp{codec}depay ! {codec}parse ! "
+            f"avdec_{codec} ! videoconvert ! video/x-raw,format=I420 ! identity eos-after=45 ! "
             f"filesink location={raw}"
         )
         with started("gst-launch-1.0", "-q", *pipeline.split()) as player:
@@ -116,10 +128,11 @@ def test_gstreamer_shows_what_we_send(film, tmp_path):
     assert_is_the_film(raw)
 
 
-def test_ffmpeg_shows_what_we_send(film, tmp_path):
+@pytest.mark.parametrize("codec", VIDEO_CODECS)
+def test_ffmpeg_shows_what_we_send(film, tmp_path, codec):
     needs_ffmpeg()
     port, sdp, raw = free_ports(), tmp_path / "x.sdp", tmp_path / "x.yuv"
-    with send_film(film, port, sdp):
+    with send_film(film, port, sdp, codec=codec):
         wait_for_file(sdp)
         with started(
             *("ffmpeg", "-v", "error", "-protocol_whitelist", "file,udp,rtp", "-i", sdp),
@@ -159,17 +172,18 @@ def receive(tmp_path, port, kind, **description):
     return ours("receive", "--sdp", sdp, "--report", report, "--save", tmp_path / "r.mkv"), report
 
 
+@pytest.mark.parametrize("codec", VIDEO_CODECS)
 @pytest.mark.parametrize("aggregate", ["none", "zero-latency"])
-def test_we_play_what_gstreamer_sends(tmp_path, aggregate):
-    needs("x264enc", "rtph264pay", "rtpbin")
+def test_we_play_what_gstreamer_sends(tmp_path, aggregate, codec):
+    needs(f"x{codec[1:]}enc", f"rtp{codec}pay", "rtpbin")
     port = free_ports()
-    process, report_file = receive(tmp_path, port, "video")
+    process, report_file = receive(tmp_path, port, "video", codec=codec)
     # rtpbin sends reports, so the latency is known.
     pipeline = (
         "rtpbin name=r videotestsrc is-live=true num-buffers=75 pattern=ball ! "
         f"video/x-raw,width={WIDTH},height={HEIGHT},framerate={FPS}/1 ! "
-        "x264enc tune=zerolatency bitrate=300 key-int-max=30 ! "
-        f"rtph264pay pt=96 aggregate-mode={aggregate} ! r.send_rtp_sink_0 "
+        f"x{codec[1:]}enc tune=zerolatency bitrate=300 key-int-max=30 ! "
+        f"rtp{codec}pay pt=96 aggregate-mode={aggregate} ! r.send_rtp_sink_0 "
         f"r.send_rtp_src_0 ! udpsink host=127.0.0.1 port={port} "
         f"r.send_rtcp_src_0 ! udpsink host=127.0.0.1 port={port + 1} sync=false async=false"
     )

@@ -321,6 +321,7 @@ LIBRARIES = {
     "pipelines/seats/seat.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/seats/figures.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/media/key_picture_maker.py": ({"av"}, "codes one picture"),
+    "pipelines/media/h264_copy.py": ({"av"}, "codes pictures"),
     "pipelines/seats/texts.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/session/recorder_requests.py": ({"msgspec"}, "requests and answers as JSON"),
     "pipelines/recording/": (

@@ -11,7 +11,8 @@ from rtp_packets import PromptSender
 from running_part import CLOCK, SETUP, eventually, running, stream_gateway
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.h264 import DecoderCounts, H264Encoder
+from kontur_av.codecs.decoder import DecoderCounts
+from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,

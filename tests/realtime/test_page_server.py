@@ -193,6 +193,33 @@ def test_who_joins_in_the_middle_has_the_same_picture(session):
     visit(session.pages()["space"], deeds)
 
 
+def test_pages_get_streams_of_hevc_as_h264(tmp_path):
+    path = tmp_path / "hevc.toml"
+    path.write_text(
+        'cameras = ["static"]\n[uplink_video]\ncap_kbps = 85\ncodec = "h265"\n'
+        '[downlink_video]\ncap_kbps = 200\nsize = "320x240"\ncodec = "h265"\n'
+    )
+
+    async def deeds(visitor):
+        async with visitor.page() as page:
+            for via in {each["via"] for each in page.hello["streams"]}:
+                stream = stream_of(page, via)
+                begun = await page.units(stream, lambda unit: not unit.replayed)
+                first = begun[-1].sequence
+                begun += await page.units(stream, lambda unit, of=first: unit.sequence > of + 30)
+                assert begun[0].key
+                assert begun[-1].sequence in decoded(begun)
+
+    with RunningSession(str(path), "--page", "8320", directory=tmp_path) as one:
+        one.wait_for_flow()
+        for seat in ("ground", "space"):
+            visit(one.pages()[seat], deeds)
+        code, report = one.interrupt()
+        one.assert_nothing_left()
+        assert code == 0
+        assert report["processes"]["page_space"]["restarts"] == 0
+
+
 def test_a_page_that_never_reads_delays_no_other(session):
     async def deeds(visitor):
         stalled = socket.socket()

@@ -11,7 +11,7 @@ from partners import SENDS, kept, pictures, receiving, send, sending, sounds, un
 from benchmarks.page.footage import coded
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from kontur_av.rtp.payload_h264 import split_annex_b
+from kontur_av.rtp.annex_b import split_annex_b
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import Programme
 from pipelines.partner.samples import SamplePeer

@@ -1,4 +1,4 @@
-"""A camera of 60 Hz over the thin uplink: which of its pictures are coded, and how soon they are."""
+"""A camera of 60 Hz over the thin uplink: which pictures are coded, and how soon."""
 
 from dataclasses import replace
 

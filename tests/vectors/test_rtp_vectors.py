@@ -3,8 +3,11 @@
 import pytest
 from rtp_packets import PromptSender
 
+from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.payload_h264 import packetize, parse_payload, split_annex_b
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.payload_h264 import packetize, parse_payload
+from kontur_av.rtp.payload_h265 import H265
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.rtp.wire import parse_rtp
@@ -145,3 +148,56 @@ def test_sdp_written_by_ffmpeg_is_understood():
     )
     stream = parse_sdp(text)
     assert (stream.port, stream.bandwidth_bps, stream.control_port) == (6000, 200_000, 6001)
+
+
+VPS_265, SPS_265 = bytes.fromhex("40010c01ffff"), bytes.fromhex("420101016090")
+PPS_265, IDR_265 = bytes.fromhex("4401c172b0"), bytes.fromhex("2601af0102030405060708090a")
+
+
+def test_small_nal_units_of_hevc_share_an_aggregation_packet():
+    (payload,) = H265.packetize([VPS_265, SPS_265, PPS_265])
+    # RFC 7798 section 4.4.2: F=0, type 48, layer 0, TID 1; then a length of 16 bits before each
+    assert payload == bytes.fromhex("6001 0006 40010c01ffff 0006 420101016090 0005 4401c172b0")
+    assert H265.parse_payload(payload).nal_units == (VPS_265, SPS_265, PPS_265)
+
+
+def test_an_aggregation_packet_of_hevc_has_the_lowest_layer_and_any_forbidden_bit():
+    # Layer 33 with TID 3, and layer 2 with TID 2 and the forbidden bit.
+    (payload,) = H265.packetize([bytes.fromhex("030b11"), bytes.fromhex("821222")])
+    assert payload[:2] == bytes.fromhex("e012")
+
+
+def test_a_large_nal_unit_of_hevc_is_cut_into_fragmentation_units():
+    payloads = H265.packetize([IDR_265], 8)
+    # Section 4.4.3: the header with type 49, then S, E and the original type 19
+    assert payloads == [
+        bytes.fromhex("6201 93 af0102"),
+        bytes.fromhex("6201 13 03040506"),
+        bytes.fromhex("6201 53 0708090a"),
+    ]
+    first = H265.parse_payload(payloads[0])
+    assert (first.is_part, first.starts, first.ends) == (True, True, False)
+    assert first.nal_units[0][:2] == IDR_265[:2]
+
+
+@pytest.mark.parametrize("octets", ["", "62", "6201", "6401ff", "6001000526", "7e01aa", "2600"])
+def test_payloads_that_are_no_hevc_are_refused(octets):
+    with pytest.raises(ProtocolError):
+        H265.parse_payload(bytes.fromhex(octets))
+
+
+def test_the_sdp_of_hevc():
+    stream = StreamDescription(
+        kind="video",
+        codec="h265",
+        host="192.0.2.7",
+        port=5004,
+        payload_type=96,
+        parameter_sets=(VPS_265, SPS_265, PPS_265),
+    )
+    text = write_sdp(stream)
+    assert "a=rtpmap:96 H265/90000\r\n" in text
+    assert "a=fmtp:96 sprop-vps=QAEMAf//;sprop-sps=QgEBAWCQ;sprop-pps=RAHBcrA=\r\n" in text
+    assert parse_sdp(text) == stream
+    with pytest.raises(ConfigError, match="decoding order"):
+        parse_sdp(text.replace("sprop-vps", "sprop-max-don-diff=2;sprop-vps"))

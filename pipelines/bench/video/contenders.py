@@ -8,10 +8,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from kontur_av.media import VideoCodec
 from kontur_av.rtp.sdp import parse_sdp, write_sdp
 from pipelines.bench.video.targets import OURS
 
@@ -99,7 +101,7 @@ class Process:
         return self._cpu_s is not None
 
 
-def _our_sender(course: Course) -> Process:
+def _our_sender(course: Course, codec: VideoCodec) -> Process:
     options: dict[str, object] = {
         "--video": f"pipe:{course.film}",
         "--to": f"127.0.0.1:{course.entrance}",
@@ -107,6 +109,7 @@ def _our_sender(course: Course) -> Process:
         "--channel-kbps": f"{course.channel_kbps:g}",
         "--size": f"{course.width}x{course.height}",
         "--fps": course.fps,
+        "--codec": codec,
         "--sdp": course.directory / "sent.sdp",
         "--report": course.directory / "sent.json",
     }
@@ -155,8 +158,8 @@ def wait_for_port(port: int, receiver: Process) -> None:
 
 
 @contextmanager
-def _started(course: Course) -> Iterator[tuple[Process, Process]]:
-    sender = _our_sender(course)
+def _started(codec: VideoCodec, course: Course) -> Iterator[tuple[Process, Process]]:
+    sender = _our_sender(course, codec)
     running = [sender]
     try:
         receiver = _our_receiver(course, sender)
@@ -184,7 +187,8 @@ class Contender:
     muxed: bool = False
 
 
-KONTUR_AV = Contender(name=OURS, started=_started)
+KONTUR_AV = Contender(name=OURS, started=partial(_started, "h264"))
+KONTUR_AV_H265 = Contender(name=f"{OURS}-h265", started=partial(_started, "h265"))
 
 
 _TABLES = (Path("/proc/net/udp"), Path("/proc/net/udp6"))

@@ -7,8 +7,9 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.healing import recovery_pictures
 from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES
 from kontur_av.errors import ProtocolError
-from kontur_av.media import AUDIO_CLOCK_HZ
-from kontur_av.rtp.payload_h264 import NAL_IDR, nal_type, split_annex_b
+from kontur_av.media import AUDIO_CLOCK_HZ, VideoCodec
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.sources.instants import RisingInstants
 from pipelines.recording.channels import SENT
 from pipelines.recording.joined import JoinedMessage
@@ -20,6 +21,7 @@ class FilmUnit(NamedTuple):
 
     data: bytes
     session_ns: int
+    codec: VideoCodec = "h264"
 
 
 class FilmUnits:
@@ -35,13 +37,16 @@ class FilmUnits:
     def __init__(self, *, with_facts: bool) -> None:
         self._with_facts = with_facts
         self._held: tuple[JoinedMessage, bytes] | None = None
+        self._codec: VideoCodec = "h264"
         self._newest: int | None = None
         self._bridged = False
 
     def handle_picture(self, message: JoinedMessage) -> Iterator[FilmUnit]:
         """Take a message with a picture. ProtocolError for anything else."""
         yield from self.handle_end()
-        self._held = message, unpack(RecordedPicture, message.data).data
+        picture = unpack(RecordedPicture, message.data)
+        self._held = message, picture.data
+        self._codec = "h265" if picture.format == "h265" else "h264"
         if not self._with_facts:
             yield from self.handle_end()
 
@@ -72,7 +77,7 @@ class FilmUnits:
             return
         (message, data), self._held = self._held, None
         self._newest = message.sequence
-        yield FilmUnit(data, message.session_ns)
+        yield FilmUnit(data, message.session_ns, self._codec)
 
 
 class FilmClock:
@@ -106,7 +111,8 @@ def heard_ns(message: JoinedMessage) -> int:
     return message.session_ns
 
 
-def can_begin(unit: bytes) -> bool:
-    """Whether a player can jump to this access unit: it has an IDR picture, or begins a wave."""
-    idr = any(nal_type(nal) == NAL_IDR for nal in split_annex_b(unit))
-    return idr or recovery_pictures(unit) is not None
+def can_begin(unit: FilmUnit) -> bool:
+    """Whether a player can jump to this access unit: it has a key picture, or begins a wave."""
+    form = NAL_FORMATS[unit.codec]
+    key = any(form.nal_type(nal) in form.keys for nal in split_annex_b(unit.data))
+    return key or recovery_pictures(unit.data, unit.codec) is not None

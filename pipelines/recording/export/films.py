@@ -162,13 +162,13 @@ class Film:
     def _write_picture(self, unit: FilmUnit) -> None:
         assert self._file is not None
         if not self._file.has_video:
-            if not self._file.begin_video(unit.data):
+            if not self._file.begin_video(unit.data, unit.codec):
                 self._early += 1
                 return
             if self.sound is not None:
                 self._file.begin_sound()
         at_ms = self._picture_clock.instant_ms(unit.session_ns)
-        key = can_begin(unit.data)
+        key = can_begin(unit)
         self._file.write_picture(unit.data, at_ms, at_ms, _MS_HZ, keyframe=key)
         self._pictures += 1
         self._write_waiting()

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.codecs.h264 import DecodedPicture, H264Decoder
+from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import I420, empty_picture
 from pipelines.recording.channels import RECEIVED, SENT
@@ -30,7 +30,7 @@ from pipelines.recording.export.episodes import (
     row_instants,
     usual_fps,
 )
-from pipelines.recording.export.film import FilmUnits
+from pipelines.recording.export.film import FilmUnit, FilmUnits
 from pipelines.recording.export.tables import NEAR_NS, TableCollector
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.messages import HAPTIC_SAMPLES, VIDEO
@@ -171,7 +171,7 @@ class _Camera:
         self.size = 0, 0
         self.unreadable = 0
         self._film = FilmUnits(with_facts=with_facts)
-        self._units: list[tuple[bytes, int]] = []
+        self._units: list[FilmUnit] = []
 
     def handle_message(self, message: JoinedMessage) -> None:
         facts = message.topic != self.topic
@@ -194,8 +194,8 @@ class _Camera:
         return (picture for _, picture in self._decoded())
 
     def _decoded(self) -> Iterator[tuple[int, DecodedPicture]]:
-        decoder = H264Decoder()
-        for data, session_ns in self._units:
+        decoder = VideoDecoder(self._units[0].codec if self._units else "h264")
+        for data, session_ns, _ in self._units:
             for picture in decoder.decode(data, 0):
                 yield session_ns, picture
 

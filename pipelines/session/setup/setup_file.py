@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+from kontur_av.codecs.coded_size import preference
 from kontur_av.errors import ConfigError
-from kontur_av.media import parse_size
+from kontur_av.media import codec_named, parse_size
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.setup.table import NO_RADIO, RtcLeg, Setup, VideoStream, VoiceStream
@@ -28,6 +29,7 @@ class _Video:
     cap_kbps: float
     size: str = "640x480"
     coded: str = "auto"
+    codec: str = "h264"
     fps: int = 30
     prefer: str = "quality"
     stale_after_ms: float | None = None
@@ -208,7 +210,8 @@ def _video(name: str, entry: _Video) -> VideoStream:
         width=width,
         height=height,
         fps=entry.fps,
-        prefer=entry.prefer,
+        prefer=preference(entry.prefer, name),
         coded=coded,
+        codec=codec_named(entry.codec, name),
         stale_after_ms=entry.stale_after_ms,
     )

@@ -60,6 +60,7 @@ def _video(stream: VideoStream) -> Iterator[str]:
     yield f'size = "{stream.width}x{stream.height}"'
     if stream.coded is not None:
         yield f'coded = "{stream.coded[0]}x{stream.coded[1]}"'
+    yield f'codec = "{stream.codec}"'
     yield f"fps = {stream.fps}"
     yield f"prefer = {_text(stream.prefer)}"
 

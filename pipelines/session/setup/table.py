@@ -10,15 +10,15 @@ from math import ceil
 from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.h264_settings import (
-    PREFERENCES,
+from kontur_av.codecs.coded_size import (
     Preference,
     coded_rate_for,
     coded_size_for,
+    preference,
 )
 from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.errors import ConfigError
-from kontur_av.media import check_size
+from kontur_av.media import VideoCodec, check_size, codec_named
 from kontur_av.streams.budget import Pacer
 from pipelines.session.setup.segments import Direction
 from telepresence.haptics.axes import AxisName, more_axes, sample_octets
@@ -64,7 +64,7 @@ PORTS = 40
 
 @dataclass(frozen=True, kw_only=True)
 class VideoStream:
-    """An H.264 stream: its hard cap of RTP payload in bit/s, picture size and rate.
+    """A stream of pictures: its hard cap of RTP payload in bit/s, picture size and rate.
 
     fps: pictures a second of its cameras. Of a fast camera, only those are coded that the cap has
         bits for (`coded_hz`).
@@ -72,6 +72,7 @@ class VideoStream:
     stale_after_ms: older pictures are marked as stale; None: the default of `Setup.stale_after_ns`.
     coded: (width, height) in which pictures are coded; None: the largest size that the cap has
         bits for (`coded_size`). They are shown in the stream's size.
+    codec: `h264`, or `h265` for a better picture at more computing.
     """
 
     name: str
@@ -81,6 +82,7 @@ class VideoStream:
     fps: int = 30
     prefer: Preference = "quality"
     coded: tuple[int, int] | None = None
+    codec: VideoCodec = "h264"
     stale_after_ms: float | None = None
 
     def __post_init__(self) -> None:
@@ -90,10 +92,8 @@ class VideoStream:
             )
         if not 1 <= self.fps <= 120:
             raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
-        if self.prefer not in PREFERENCES:
-            raise ConfigError(
-                f"{self.name}: prefer {self.prefer!r}: take one of {', '.join(PREFERENCES)}"
-            )
+        preference(self.prefer, self.name)
+        codec_named(self.codec, self.name)
         _check_stale_after(self)
         check_size(self.width, self.height)
         if self.coded is not None:
@@ -106,7 +106,8 @@ class VideoStream:
 
     @property
     def coded_size(self) -> tuple[int, int]:
-        return self.coded or coded_size_for(self.width, self.height, self.coded_hz, self.cap_bps)
+        size = self.width, self.height
+        return self.coded or coded_size_for(*size, self.coded_hz, self.cap_bps, self.codec)
 
     @property
     def coded_hz(self) -> int:
@@ -278,6 +279,11 @@ class Setup:
             if (chosen := getattr(self, name)) not in choices:
                 raise ConfigError(f"{name} {chosen!r}: take one of {', '.join(choices)}")
         self._check_partner_arm()
+        if self.rtc is not None and self.downlink_video and self.downlink_video.codec != "h264":
+            raise ConfigError(
+                "downlink_video: it goes on to the browsers of a partner, which take H.264: "
+                'take codec = "h264", or leave [rtc] out'
+            )
         self._make_room()
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")

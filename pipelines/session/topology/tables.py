@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.table import VideoStream
 from pipelines.session.topology.rows import Kind, MediaRow, StreamRow
 from pipelines.session.topology.table import Topology
 
@@ -141,7 +142,9 @@ def travels(row: StreamRow, topology: Topology) -> str:
         octets = topology.link(row.direction).profile.insert_octets
         return f"samples of {octets} octets, one a slot, the newest goes first"
     if isinstance(row, MediaRow):
-        codec = "H.264, 90 kHz" if row.kind is Kind.VIDEO else "Opus, 48 kHz"
+        codec = "Opus, 48 kHz"
+        if isinstance(row.stream, VideoStream):
+            codec = "H.264, 90 kHz" if row.stream.codec == "h264" else "HEVC, 90 kHz"
         return f"RTP {codec}; room for {row.stream.cap_bps / 1000:g} kbit/s of payload"
     return {
         Kind.RTCP: "RTCP of that stream",

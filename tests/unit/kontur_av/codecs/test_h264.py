@@ -10,13 +10,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from kontur_av.codecs import h264
+from kontur_av.codecs import encoder_settings
+from kontur_av.codecs.coded_size import coded_rate_for, coded_size_for
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
-from kontur_av.codecs.h264_settings import H264Settings, coded_rate_for, coded_size_for
+from kontur_av.codecs.h264_settings import H264Settings
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
-from kontur_av.rtp.payload_h264 import nal_type, split_annex_b
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.payload_h264 import nal_type
 
 SIZE = (320, 240)
 
@@ -299,9 +301,9 @@ def test_unencodable_input_is_refused(wrong, text):
 
 def test_a_pyav_without_libx264_names_the_mend(monkeypatch):
     def unknown(name, mode):
-        raise h264.av.codec.codec.UnknownCodecError(name)
+        raise encoder_settings.av.codec.codec.UnknownCodecError(name)
 
-    monkeypatch.setattr(h264.av.CodecContext, "create", unknown, raising=False)
+    monkeypatch.setattr(encoder_settings.av.CodecContext, "create", unknown, raising=False)
     with pytest.raises(ConfigError, match="libx264"):
         H264Encoder(width=320, height=240, fps=30, cap_bps=85_000)
 

@@ -9,13 +9,9 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.codecs.healing import Healing, recovery_pictures
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
-from kontur_av.rtp.payload_h264 import (
-    NAL_IDR,
-    ReceivedUnit,
-    join_annex_b,
-    nal_type,
-    split_annex_b,
-)
+from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.payload_h264 import NAL_IDR, nal_type
 
 FPS = 30
 

@@ -3,13 +3,8 @@
 import pytest
 from rtp_packets import received
 
-from kontur_av.rtp.payload_h264 import (
-    H264Depacketizer,
-    join_annex_b,
-    packetize,
-    parse_payload,
-    split_annex_b,
-)
+from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.payload_h264 import H264Depacketizer, packetize, parse_payload
 
 SPS, PPS = b"\x67\x42\xc0\x1e", b"\x68\xce\x3c\x80"
 #: Slices whose first_mb_in_slice is 0, and one that continues a picture.

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.choice import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
@@ -29,8 +29,8 @@ TIMES_MS = (0, 33, 70, 100, 20_100, 20_133)
 LEVELS = (40, 60, 80, 100, 120, 140)
 
 
-def units(levels=LEVELS):
-    encoder = H264Encoder(width=SIZE[0], height=SIZE[1], fps=30, cap_bps=400_000)
+def units(levels=LEVELS, codec="h264"):
+    encoder = encoder_of(codec)(width=SIZE[0], height=SIZE[1], fps=30, cap_bps=400_000)
     for level in levels:
         picture = empty_picture(*SIZE)
         planes(picture)[0][:] = level
@@ -81,16 +81,21 @@ def path(tmp_path):
         {
             "/head": pictures,
             "/voice": spoken,
+            "/h265": [
+                (ms, picture(data, "h265"))
+                for ms, data in zip(TIMES_MS, units(codec="h265"), strict=True)
+            ],
             "/empty": [],
-            "/h265": [(0, picture(b"1", "h265"))],
+            "/av1": [(0, picture(b"1", "av1"))],
         },
     )
     return file
 
 
-def test_a_recorded_camera_keeps_its_intervals_and_loops(path):
+@pytest.mark.parametrize("channel", ["/head", "/h265"])
+def test_a_recorded_camera_keeps_its_intervals_and_loops(path, channel):
     source = open_video(
-        f"mcap:{path}#/head", name="head", width=64, height=48, fps=30, clock=ManualClock(7)
+        f"mcap:{path}#{channel}", name="head", width=64, height=48, fps=30, clock=ManualClock(7)
     )
     into, seen = empty_picture(*SIZE), []
     while len(seen) < 2 * len(TIMES_MS):
@@ -137,11 +142,15 @@ def test_a_coded_size_that_was_rounded_fills_the_picture(tmp_path):
 @pytest.mark.parametrize(
     ("channel", "kind", "told"),
     [
-        ("#/feet", "video", "no channel '/feet' with pictures; .* one of /empty, /h265, /head"),
+        (
+            "#/feet",
+            "video",
+            "no channel '/feet' with pictures; .* one of /av1, /empty, /h265",
+        ),
         ("#/voice", "video", "no channel '/voice' with pictures"),
         ("#/head", "audio", "one of /voice"),
         ("#/empty", "video", "channel /empty of .* is empty"),
-        ("#/h265", "video", "is h265: take one with h264"),
+        ("#/av1", "video", "is av1: take one with h264 or h265"),
     ],
 )
 def test_a_channel_that_cannot_be_played_is_refused(path, channel, kind, told):

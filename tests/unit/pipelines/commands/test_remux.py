@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.codecs.choice import encoder_of
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
-from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
-from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.media import VIDEO_CODECS, CaptureStamp, VideoFrame, empty_picture
+from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.receive_media import TimeLine
@@ -60,6 +61,23 @@ def test_of_two_that_save_into_one_file_the_later_is_refused(tmp_path):
             open_too(path)
     first.close()
     MatroskaWriter(path).close()
+
+
+@pytest.mark.parametrize("codec", VIDEO_CODECS)
+def test_a_saved_stream_has_every_picture_of_its_codec(tmp_path, codec):
+    path = tmp_path / "a.mkv"
+    encoder = encoder_of(codec)(width=64, height=48, fps=30, cap_bps=100_000)
+    grey = empty_picture(64, 48)
+    writer = MatroskaWriter(str(path), codec)
+    for number in range(10):
+        grey.fill(60 + 10 * number)
+        unit = encoder.encode(VideoFrame(grey, CaptureStamp(0, number, "grey")))
+        writer.add_unit(unit.data, 3000 * number, keyframe=unit.keyframe)
+    writer.close()
+    with av.open(str(path)) as saved:
+        assert saved.streams.video[0].codec_context.name == ("hevc" if codec == "h265" else codec)
+        levels = [frame.to_ndarray()[:48, :64].mean() for frame in saved.decode(video=0)]
+    assert np.abs(np.subtract(levels, range(60, 160, 10))).max() < 4
 
 
 def test_what_was_saved_before_the_disk_was_full_can_be_read(tmp_path):

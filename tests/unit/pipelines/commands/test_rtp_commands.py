@@ -15,7 +15,8 @@ from kontur_av.codecs.coding import SLOW_REFRESH_S
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
-from kontur_av.rtp.payload_h264 import NAL_SPS, nal_type, split_annex_b
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.payload_h264 import NAL_SPS, nal_type
 from kontur_av.rtp.sdp import parse_sdp
 from kontur_av.rtp.wire import pack_rtp
 from pipelines.commands import receive, send

@@ -3,7 +3,7 @@
 import pytest
 
 from kontur_av.media import CaptureStamp, Quality
-from kontur_av.rtp.payload_h264 import ReceivedUnit
+from kontur_av.rtp.nal_payload import ReceivedUnit
 from pipelines.media.coded_topics import received_unit
 
 

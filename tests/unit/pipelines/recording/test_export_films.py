@@ -14,7 +14,7 @@ from synthetic_recording import (
     write_recording,
 )
 
-from kontur_av.rtp.payload_h264 import join_annex_b, split_annex_b
+from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from pipelines.bench.course import marks
 from pipelines.cli import main
 from pipelines.recording.export.film import FilmClock, FilmUnits

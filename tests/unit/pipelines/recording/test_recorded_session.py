@@ -29,7 +29,7 @@ def test_all_that_was_sent_comes_back_with_its_instants(written):
     session = session_of(memoryview(written.paths[0].read_bytes()))
     assert session.facts == FACTS_OF_SYNTHETIC
     for name in ("uplink_video", "downlink_video"):
-        coded = [(unit.capture_ns, unit.data, unit.key) for unit in written.units[name]]
+        coded = [(unit.capture_ns, unit.data, unit.key, "h264") for unit in written.units[name]]
         assert session.pictures[name] == coded
     assert len(session.received["uplink_video"]) == len(session.pictures["uplink_video"]) - 1
     assert len(session.voices["uplink_voice"]) == len(written.told["/uplink_voice/sent"])
@@ -63,7 +63,7 @@ def test_several_parts_have_what_one_has(written, tmp_path):
     assert (several.facts, several.parts) == (whole.facts, 3)
     for name, units in several.pictures.items():
         coded = recording.units[name]
-        assert units == [(unit.capture_ns, unit.data, unit.key) for unit in coded]
+        assert units == [(unit.capture_ns, unit.data, unit.key, "h264") for unit in coded]
     assert (several.voices, several.packets) == (whole.voices, whole.packets)
     assert all((several.haptics[key] == rows).all() for key, rows in whole.haptics.items())
     assert several.missing == whole.missing

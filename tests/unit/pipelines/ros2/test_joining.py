@@ -34,7 +34,7 @@ def test_units_wait_for_the_key_picture_of_who_joins():
     stream.handle_key_picture(wanted.number, b"own")
     key, first, second = stream.poll_transmit()
     at_ns = 3 * NS_PER_S // 25
-    assert key == (b"own", at_ns - 1000) and first.session_ns == at_ns
+    assert key == (b"own", at_ns - 1000, "h264") and first.session_ns == at_ns
     assert first.data.endswith(unit(3).data) and second.data == unit(4).data
     assert [one.data for one in fed(stream, (5,))] == [unit(5).data]
     # The way to the subscriber may not have been there: once more, two seconds later.

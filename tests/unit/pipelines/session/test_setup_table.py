@@ -46,6 +46,7 @@ fps = 25
 prefer = "latency"
 stale_after_ms = 250.5
 coded = "160x120"
+codec = "h265"
 
 [uplink_voice]
 cap_kbps = 6.4
@@ -55,6 +56,7 @@ stale_after_ms = 90
 cap_kbps = 300
 size = "800x600"
 fps = 15
+codec = "h264"
 
 [downlink_voice]
 cap_kbps = 24
@@ -100,11 +102,19 @@ def test_every_field_of_a_file_reaches_the_setup(tmp_path):
     assert setup.rtc == RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000)
     assert setup.safety == SafetyLimits(resume_within_s=0.2, slow_m_s=0.05)
     video = {"name": "uplink_video", "cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
-    more = {"prefer": "latency", "stale_after_ms": 250.5, "coded": (160, 120)}
-    assert asdict(setup.uplink_video) == video | more
+    assert asdict(setup.uplink_video) == video | {
+        "prefer": "latency",
+        "stale_after_ms": 250.5,
+        "coded": (160, 120),
+        "codec": "h265",
+    }
     down = {"name": "downlink_video", "cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
-    more = {"prefer": "quality", "stale_after_ms": None, "coded": None}
-    assert asdict(setup.downlink_video) == down | more
+    assert asdict(setup.downlink_video) == down | {
+        "prefer": "quality",
+        "stale_after_ms": None,
+        "coded": None,
+        "codec": "h264",
+    }
     voice = {"name": "uplink_voice", "cap_bps": 6_400, "stale_after_ms": 90}
     assert asdict(setup.uplink_voice) == voice
     down = {"name": "downlink_voice", "cap_bps": 24_000, "stale_after_ms": None}
@@ -145,6 +155,11 @@ def test_a_setup_without_a_name_takes_that_of_its_file(tmp_path):
         ("cap_kbps = 50\ncoded = '800x600'", "coded as 800x600: take no larger size"),
         ("cap_kbps = 50\nstale_after_ms = 2", "uplink_video: stale after 2 ms; take 10 to"),
         ("cap_kbps = 50\nstale_after_ms = '1 s'", "uplink_video.stale_after_ms must be a number"),
+        ('cap_kbps = 50\ncodec = "av1"', "uplink_video: codec 'av1': take one of h264, h265"),
+        (
+            'cap_kbps = 50\n[rtc]\n[downlink_video]\ncap_kbps = 300\ncodec = "h265"',
+            'downlink_video: .* take codec = "h264"',
+        ),
         ('cap_kbps = 50\nsize = "640"', "odd.toml: uplink_video.size '640': write WIDTHxHEIGHT"),
     ],
 )
