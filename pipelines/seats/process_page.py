@@ -40,7 +40,7 @@ def run_page(
 ) -> None:
     """Serve the pages of `segment` on the socket that the launcher has bound.
 
-    tasks: those of the session, for the panel. files: the directories of files here, for the ground.
+    tasks: those of the session, for the panel. files: directories of the ends here, for the ground.
     """
 
     async def serve() -> None:

@@ -22,7 +22,7 @@ class ProcessControl extends HTMLElement {
   /** @param {Seat} seat */
   follow({ connection }) {
     const buttons = DEEDS.map(([words, functions]) => {
-      const button = make("button", { type: "button" }, words);
+      const button = make("button", { type: "button", "data-deed": words.toLowerCase() }, words);
       button.addEventListener("click", () => void this.#send(connection, functions));
       return button;
     });

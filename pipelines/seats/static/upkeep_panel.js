@@ -19,8 +19,8 @@ const ROWS = [
   ["Experiment", experimentSays],
   ["Next", contactSays],
   ["Bandwidth", bandwidthSays],
-  ["Ground to space", (figures) => endsSay(figures, "ground")],
-  ["Space to ground", (figures) => endsSay(figures, "space")],
+  ["Versions, ground", (figures) => endsSay(figures, "ground")],
+  ["Versions, space", (figures) => endsSay(figures, "space")],
 ];
 
 class UpkeepPanel extends HTMLElement {
@@ -68,8 +68,8 @@ function bandwidthSays(figures) {
 function endsSay(figures, end) {
   const state = figures.get(`gateways.${end}.supervision.state`);
   const why = String(figures.get(`gateways.${end}.supervision.why`) ?? "");
-  if (state === "connected") return ["the versions fit together", "good"];
-  if (state === "refused") return [`they do not fit: ${why}`, "bad"];
+  if (state === "connected") return ["fit together", "good"];
+  if (state === "refused") return [`do not fit: ${why}`, "bad"];
   return [state === null ? "not known here" : `not known yet: ${why || String(state)}`, "none"];
 }
 

@@ -376,9 +376,11 @@ def test_a_role_does_what_is_its_own_and_is_told_who_may_the_rest():
         "tasks abort: the experimenter or the supervisor may, not the systems operator",
     ]
     ask(seat, page, "record", action="start")
+    ask(seat, page, "fetch", inbox="joystick")
     ask(seat, page, "command", application="joystick", verb="ping")
-    recording, asked = events(seat)
+    recording, fetched, asked = events(seat)
     assert recording == RecordingAsked(page, 7, begin=True)
+    assert fetched == FetchAsked(page, 7, "joystick")
     assert (asked.application, asked.verb) == ("joystick", "ping")
 
 
