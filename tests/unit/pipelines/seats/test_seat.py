@@ -15,7 +15,7 @@ from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import ExerciseAsked, RecordingAsked, Seat
+from pipelines.seats.seat import ExerciseAsked, FetchAsked, RecordingAsked, Seat
 from pipelines.session.seat_roles import Role
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.built_in import BUILT_IN
