@@ -2,7 +2,6 @@
 
 import asyncio
 import os
-import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -14,6 +13,7 @@ import msgspec
 from kontur_av.clock import NS_PER_S
 from pipelines.seats.seat import Seat
 from pipelines.seats.texts import SoftwareText, TransferText, UpkeepText
+from pipelines.seats.transfers import Transfers
 from pipelines.session.asking import desk_path
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.segments import Segment
@@ -77,40 +77,6 @@ async def fetch(session: str, segment: Segment, inbox: str) -> str:
 
 def files_desk(segment: Segment) -> str:
     return f"files.{segment.value}"
-
-
-#: A line of the list: number, kind, state, octets with the size if it is known, and the name.
-_LINE: Final = re.compile(r"(\d+) +(\w+) +(\w+) +(\d+)(?: of (\d+))?  (.*)")
-
-
-class Transfers:
-    """The files on their way that were asked for here, with the rate since the last look."""
-
-    def __init__(self) -> None:
-        self._before: dict[tuple[Segment, int], tuple[int, int]] = {}
-
-    def handle_list(self, segment: Segment, text: str, now_ns: int) -> list[TransferText]:
-        """text: what `kontur-av file status` prints at an end."""
-        found, before = [], self._before
-        self._before = {key: was for key, was in before.items() if key[0] is not segment}
-        for line in filter(None, map(_LINE.fullmatch, text.splitlines())):
-            number, octets = int(line[1]), int(line[4])
-            was_octets, was_ns = before.get((segment, number), (octets, now_ns - 1))
-            self._before[segment, number] = octets, now_ns
-            rate_bps = max(0, 8 * (octets - was_octets) * NS_PER_S // max(1, now_ns - was_ns))
-            found.append(
-                TransferText(
-                    end=segment.value,
-                    number=number,
-                    what=line[2],
-                    state="queued" if line[3] == "waiting" else line[3],
-                    octets=octets,
-                    size=None if line[5] is None else int(line[5]),
-                    rate_bps=rate_bps,
-                    name=line[6],
-                )
-            )
-        return found
 
 
 def software_in(directory: Path, end: str) -> Iterator[SoftwareText]:

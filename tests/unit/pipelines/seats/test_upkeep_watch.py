@@ -2,13 +2,8 @@
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.files.desk import FileAnswer, FileDesk, FileRequest, desk_name
-from pipelines.seats.upkeep_watch import (
-    FilesAsked,
-    FilesSaid,
-    Transfers,
-    files_desk,
-    software_in,
-)
+from pipelines.seats.transfers import Transfers
+from pipelines.seats.upkeep_watch import FilesAsked, FilesSaid, files_desk, software_in
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminal_lines import pack_line, parse_line
 from telepresence.files.entity import FileEntity
