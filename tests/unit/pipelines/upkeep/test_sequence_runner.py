@@ -1,7 +1,6 @@
 """What `kontur-av maintain` says and logs beside its steps."""
 
 import json
-import sys
 
 from pipelines.session.upkeep_files import Note
 from pipelines.upkeep.sequence import MaintenanceSequence, StepOutcome
@@ -29,26 +28,21 @@ class Watch:
 
 
 def test_announcements_and_milestones_are_said_and_logged(tmp_path):
-    script = "milestone image is up\ntc -c 'print(\"sent\", flush=True); input()'\n"
-    sequence = MaintenanceSequence(script.splitlines(), {"tc"})
+    sequence = MaintenanceSequence(["milestone image is up", "say so far"], {"tc"})
     watch, lines = Watch(), []
     with MaintenanceLog(tmp_path / "log") as log:
-        runner = SequenceRunner(
-            sequence, log, command=[sys.executable, "-E"], say=lines.append, watch=watch
-        )
+        runner = SequenceRunner(sequence, log, command=(), say=lines.append, watch=watch)
         watch.said = ["loss of signal in 60 s", "maintain: tc robot ping: done"]
         assert runner.look() == "contact"
         assert runner.run(sequence.next) is StepOutcome.DONE
+        assert runner.run(sequence.next) is StepOutcome.DONE
         assert watch.notes == [Note("milestone", "image is up")]
-        # Python has no file tc, so this fails; what it says is shown, and the session is told.
-        assert runner.run(sequence.next) is StepOutcome.FAILED
-        assert watch.notes[1].text.endswith(": failed")
         watch.runs_now = "a page has the handle"
         assert "a page has the handle" in runner.obstacle()
     # What this program noted itself comes back, and is not said again.
     assert lines[0] == "* loss of signal in 60 s"
     assert lines[1].endswith("image is up")
-    assert "tc" in lines[2]
+    assert lines[2] == "  so far"
     logged = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]
     kinds = [line["what"] for line in logged]
     assert kinds[:5] == ["announced", "announced", "contact", "step", "milestone"]
