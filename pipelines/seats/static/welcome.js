@@ -72,7 +72,7 @@ const PLACES = [
     end: "ground",
     roles: ["systems"],
     name: "Maintenance",
-    what: "On the ground: watch contacts, bandwidth and processes, move files, know which software runs.",
+    what: "On the ground: watch contacts, bandwidth, processes and files, know which software runs.",
     keys: "1 to 9 open a tab.",
   },
   {
