@@ -52,6 +52,7 @@ SENT: Mapping[type[msgspec.Struct], str] = {
     ExperimentShown: "experiment",
     RobotStatus: "robot",
     Exercises: "exercises",
+    texts.UpkeepText: "upkeep",
 }
 #: What the server of a study sends to its own page.
 OF_STUDIES = (StudyShown, StudyFrame)

@@ -9,7 +9,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.files.desk import RATES_BPS
 from pipelines.files.process_files import FilesPlan
-from pipelines.session.topology import FILES, Segment
+from pipelines.session.topology import FILES, PAGES, Segment
 
 _DEFAULT = ",".join(f"{RATES_BPS[one] / 1000:g}" for one in (Segment.GROUND, Segment.SPACE))
 
@@ -43,7 +43,8 @@ def files_arguments(
     if rates is None or not all(1 <= float(one) <= 10_000 for one in rates.groups()):
         raise ConfigError(f"--files-rate {text}: give two rates, from 1 to 10000 kbit/s")
     by_segment = dict(zip((Segment.GROUND, Segment.SPACE), rates.groups(), strict=True))
-    found = {}
+    found: dict[str, Mapping[str, object]] = {}
+    directories = {}
     for segment in segments:
         directory = args.files / segment.value
         try:
@@ -52,8 +53,9 @@ def files_arguments(
             raise ConfigError(f"--files {directory}: {error.strerror or error}") from None
         if not os.access(directory, os.W_OK | os.X_OK):
             raise ConfigError(f"--files {directory}: cannot be written to; choose another one")
+        directories[segment] = directory.absolute()
         plan = FilesPlan(
-            directory=directory.absolute(), rate_bps=round(float(by_segment[segment]) * 1000)
+            directory=directories[segment], rate_bps=round(float(by_segment[segment]) * 1000)
         )
         found[FILES[segment]] = {"plan": plan}
-    return found
+    return found | {PAGES[Segment.GROUND]: {"files": directories}}

@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -12,14 +13,17 @@ import msgspec
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import output_that_may_fail
 from pipelines.report.collector import Collector
+from pipelines.report.event_log import EventLog
 from pipelines.report.live import LiveView
 from pipelines.report.model import EndTrace, ReplayReport
 from pipelines.report.report_file import save_report
 from pipelines.report.seat_feed import session_report
 from pipelines.report.summary import print_summary
+from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.launcher import Launcher
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Segment
+from pipelines.session.upkeep_files import NotesReader, SessionNow, write_now
 from pipelines.upkeep.program import status_teller
 from telepresence.upkeep.status import status_of
 
@@ -82,18 +86,37 @@ def end_session(
 
 
 def with_status(
-    show: Callable[[Launcher], None], collector: Collector, end: Segment
+    show: Callable[[Launcher], None],
+    collector: Collector,
+    end: Segment,
+    log: EventLog | None = None,
 ) -> Callable[[Launcher], None]:
-    """Return a `show` that also tells how the link is, if this is a version that is watched."""
+    """Return a `show` that also tells how the session is.
+
+    A keeper of versions is told, and of a session with a `log` `kontur-av maintain`, whose notes go
+    into the log. Without a log programs are attached, and their samples say what runs.
+    """
     tell = status_teller()
-    if tell is None:
-        return show
+    attached = ExperimentWatch(collector, attached=True)
     gateway = collector.topology.gateway(end).name
+    notes: NotesReader | None = None
 
     def show_and_tell(launcher: Launcher) -> None:
+        nonlocal notes
+        now_ns = launcher.clock.now_ns()
+        if log is None:
+            experiment = attached.handle_time(now_ns)
+        else:
+            experiment = log.upkeep.experiment
+            notes = notes or NotesReader(launcher.session)
+            for note in notes.read():
+                log.handle_note(note.what, note.text, now_ns)
+            events = [event for event in log.events if event.what == UPKEEP]
+            with suppress(OSError):
+                write_now(launcher.session, SessionNow(experiment=experiment, events=events))
         link = collector.process(gateway).link
-        if link is not None:
-            tell(status_of(link.supervision))
+        if tell is not None and link is not None:
+            tell(replace(status_of(link.supervision), busy=bool(experiment)))
         show(launcher)
 
     return show_and_tell

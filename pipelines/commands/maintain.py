@@ -1,7 +1,9 @@
 """`kontur-av maintain`: run a sequence of commands, each of which is confirmed."""
 
 import argparse
+import select
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -23,6 +25,7 @@ COMMANDS = (
     *("apploader", "devices", "doctor", "export", "file", "info", "joystick", "keys", "owner"),
     *("recover", "report", "robot", "select", "stop", "task", "tc", "topology", "versions"),
 )
+_LOOK_S = 0.5
 _KEYS = "Enter: run it, e: change it, s: skip it, q: end"
 
 
@@ -32,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="SCRIPT",
         help="one command of kontur-av a line, without the word kontur-av; also wait SECONDS, "
-        "wait contact, and say TEXT",
+        "wait contact, say TEXT, and milestone TEXT",
     )
     parser.add_argument("--yes", action="store_true", help="confirm all; end at a failure")
     parser.add_argument(
@@ -44,8 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_session_argument(parser)
     parser.description = (
         "Run the commands of a script one by one. Each is shown, may be changed, and must be "
-        "confirmed. Nothing is run while an experiment of the session runs. Exit code 1 if the "
-        "script did not come to its end."
+        "confirmed. Nothing is run while an experiment of the session runs. What the session "
+        "announces is shown. Exit code 1 if the script did not come to its end."
     )
 
 
@@ -72,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         while (step := sequence.next) is not None:
             contact = runner.look()
             say(f"{sequence.number}/{len(sequence)} {step.text}{contact and f'  [{contact}]'}")
-            answer = "" if args.yes else _asked()
+            answer = "" if args.yes else _asked(runner.look)
             if answer == "q":
                 break
             if answer == "e":
@@ -90,9 +93,13 @@ def run(args: argparse.Namespace) -> int:
     return 0 if sequence.next is None else 1
 
 
-def _asked() -> str:
+def _asked(look: Callable[[], str]) -> str:
+    """Return what a person answers. look: called meanwhile, so that announcements are in time."""
+    print(f"[{_KEYS}] ", end="", flush=True)
+    while not select.select([sys.stdin], [], [], _LOOK_S)[0]:
+        look()
     try:
-        return input(f"[{_KEYS}] ").strip().lower()
+        return input().strip().lower()
     except EOFError:
         return "q"
 

@@ -30,7 +30,7 @@ _PEOPLE = {
     "k2cp": ("space", "k2cp", Role.COSMONAUT),
     "top": ("ground", "top", Role.EXPERIMENTER),
     "k2sv": ("ground", "k2sv", Role.SUPERVISOR),
-    "systems": ("ground", "k2sv", Role.SYSTEMS),
+    "systems": ("ground", "systems", Role.SYSTEMS),
 }
 #: Pages that show nothing in a session without tasks.
 _OF_TASKS = ("panel", "top")

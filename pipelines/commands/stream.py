@@ -232,6 +232,7 @@ def run(args: argparse.Namespace) -> int:
         if wish is not None:
             clear_parts(Path(wish.file))
             write_wish(session, wish)
+        feed = SeatFeed(collector)
         launcher = Launcher(
             session=session,
             topology=topology,
@@ -248,9 +249,9 @@ def run(args: argparse.Namespace) -> int:
             listener=collector,
             snapshots=snapshots,
             seed=args.seed,
-            show=with_status(view.show, collector, plan.segments[0]),
+            show=with_status(view.show, collector, plan.segments[0], feed.log),
             pages={**pages, **partners, **metrics, **foxglove},
-            feed=SeatFeed(collector),
+            feed=feed,
         )
         launcher.run(args.seconds)
     held.close()

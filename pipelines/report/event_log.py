@@ -14,6 +14,7 @@ from pipelines.media.marking import age_words
 from pipelines.mission.figures import ComponentFigures, TaskFigures
 from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
+from pipelines.report.upkeep_now import UPKEEP, UpkeepNow
 from pipelines.session.figures import Event, TrainerFigures
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.task_journal import KEPT, OPEN
@@ -48,6 +49,9 @@ class EventLog:
 
     def __init__(self, collector: Collector) -> None:
         self.events: deque[Event] = deque(maxlen=DEPTH)
+        self.upkeep = UpkeepNow(collector)
+        #: What people noted since the last look.
+        self._notes: list[tuple[int, str, str]] = []
         self._collector = collector
         self._number = 0
         self._running = True
@@ -82,7 +86,9 @@ class EventLog:
             *self._cameras(),
             *self._restarted(processes, now_ns),
             *self._joysticks(now_ns),
+            *self._notes,
         ]
+        self._notes.clear()
         # A stopped session shows nothing and captures nothing, because that was asked for.
         if switch.activity is Activity.RUNNING and not switch.ended:
             found += [*self._staleness(now_ns), *self._inputs(now_ns)]
@@ -90,6 +96,10 @@ class EventLog:
             self._number += 1
             at_us = at_ns // NS_PER_US
             self.events.append(Event(number=self._number, at_us=at_us, what=what, text=text))
+
+    def handle_note(self, what: str, text: str, at_ns: int) -> None:
+        """A person, or `kontur-av maintain`, has noted something; the next look tells it."""
+        self._notes.append((at_ns, what, text))
 
     def after(self, number: int) -> list[Event]:
         """The kept events that come after the one with this number."""
@@ -161,18 +171,21 @@ class EventLog:
                     yield at_ns.get(step.value, now_ns), "session", words
 
     def _passes(self, started_ns: int, now_ns: int) -> Iterator[tuple[int, str, str]]:
-        """Begin and end of the pass, as the orbit predicts them."""
+        """Begin and end of the pass, as the orbit predicts them, and what is announced."""
         first = self._collector.topology.segments[0]
         link = self._collector.process(self._collector.topology.gateway(first).name).link
         channel = None if link is None else link.radio.channel
-        if channel is None or channel.contact is None:
+        contact = None if channel is None else channel.contact
+        for at_ns, text in self.upkeep.handle_look(contact, started_ns, now_ns):
+            yield at_ns, UPKEEP, text
+        if contact is None:
             return
         start_s = self._collector.setup.radio_profile.start_s
         pass_s = start_s + (now_ns - started_ns) / NS_PER_S
         before_s, self._pass_s = self._pass_s, pass_s
         for at_s, text in (
-            (channel.contact.acquisition_s, "radio: the pass begins"),
-            (channel.contact.loss_s, "radio: the pass ends"),
+            (contact.acquisition_s, "radio: the pass begins"),
+            (contact.loss_s, "radio: the pass ends"),
         ):
             if before_s is not None and before_s < at_s <= pass_s:
                 yield started_ns + round((at_s - start_s) * NS_PER_S), "link", text

@@ -8,7 +8,7 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.collector import Collector
-from pipelines.report.event_log import ProcessNow
+from pipelines.report.event_log import EventLog, ProcessNow
 from pipelines.report.model import SessionReport, to_json
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.report.session_report import build_report
@@ -217,6 +217,11 @@ class SeatFeed:
             for child in launcher.children
             if following.get(child.row.name)
         }
+
+    @property
+    def log(self) -> EventLog:
+        """What happened, and what a systems operator must know now."""
+        return self._figures.log
 
     def handle_sent(self, process: str) -> None:
         if process in self._newest:

@@ -12,6 +12,8 @@ These have none there:
 | `rtc.partners`, `rtc_camera.displayed` | a partner's connections, its pictures that were shown |
 | `tmtc.`END`.`COUNT | telecommands, telemetry and K2ACI of an end (`TmtcFigures`) |
 | `contact.since_acquisition_s`, `contact.until_loss_s` | the present instant in the pass |
+| `contact.ahead`, `contact.ahead_s` | what the pass brings next, and in how long |
+| `upkeep.experiment`, `upkeep.short` | what runs; where bandwidth is short; null for nothing |
 """
 
 from collections import deque
@@ -195,6 +197,12 @@ class SeatFigures:
             pass_s = collector.setup.radio_profile.start_s + (now_ns - self._started_ns) / NS_PER_S
             yield "contact.since_acquisition_s", round(pass_s - contact.acquisition_s, 1)
             yield "contact.until_loss_s", round(contact.loss_s - pass_s, 1)
+        upkeep = self.log.upkeep
+        what, left_s = upkeep.next or (None, None)
+        yield "contact.ahead", what
+        yield "contact.ahead_s", None if left_s is None else round(left_s, 1)
+        yield "upkeep.experiment", upkeep.experiment or None
+        yield "upkeep.short", upkeep.short or None
 
     def _seat_processes(self, cpu_s: Mapping[str, float], now_ns: int) -> Iterator[SeatProcess]:
         looks = self._cpu_s

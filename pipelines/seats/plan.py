@@ -22,6 +22,7 @@ from pipelines.seats.texts import (
     SeatText,
     StreamText,
     TaskText,
+    UpkeepText,
     Via,
     WelcomeText,
     WorkspaceText,
@@ -90,7 +91,7 @@ class SeatInput:
     fps: int
 
 
-Shown = PanelShown | ExperimentShown | RobotStatus | Exercises
+Shown = PanelShown | ExperimentShown | RobotStatus | Exercises | UpkeepText
 Unpack = Callable[[bytes], Shown]
 #: Of both ends: what a trainer's exercises are.
 _EXERCISES: tuple[str, Unpack] = (TRAINER_TOPIC, Exercises.unpack)

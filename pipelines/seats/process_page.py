@@ -2,8 +2,10 @@
 
 import asyncio
 import traceback
+from collections.abc import Mapping
 from functools import partial
 from html import escape
+from pathlib import Path
 
 from aiohttp import web
 
@@ -17,6 +19,7 @@ from pipelines.seats.seat import Seat
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
 from pipelines.seats.texts import pack_text
+from pipelines.seats.upkeep_watch import UpkeepWatch
 from pipelines.session.access import AccessError, AccessKind
 from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
@@ -28,15 +31,21 @@ from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 
-def run_page(context: Context, *, segment: Segment, tasks: Catalogue | None = None) -> None:
+def run_page(
+    context: Context,
+    *,
+    segment: Segment,
+    tasks: Catalogue | None = None,
+    files: Mapping[Segment, Path] | None = None,
+) -> None:
     """Serve the pages of `segment` on the socket that the launcher has bound.
 
-    tasks: those of the session, for the panel.
+    tasks: those of the session, for the panel. files: directories of the ends here, for the ground.
     """
 
     async def serve() -> None:
         with context.open_bus() as bus:
-            await PageServer(context, segment, bus, tasks).run()
+            await PageServer(context, segment, bus, tasks, files or {}).run()
 
     asyncio.run(serve())
 
@@ -48,7 +57,7 @@ _MOST_ANSWERS = 16
 #: By end: the pages beside the seat of the same name; "" is where people choose one.
 _OTHERS = {
     Segment.SPACE: ("", "panel", "k2cp", "trainer"),
-    Segment.GROUND: ("", "top", "k2sv", "trainer"),
+    Segment.GROUND: ("", "top", "k2sv", "systems", "trainer"),
 }
 #: In the query of a socket: without pictures, sound and haptics.
 _PLAIN = "plain"
@@ -57,11 +66,16 @@ _PLAIN = "plain"
 class PageServer:
     """Serves the pages of `segment` until `context.stopping`.
 
-    tasks: what people in space know of the session's.
+    tasks: what people in space know of the session's. files: as of `run_page`.
     """
 
     def __init__(
-        self, context: Context, segment: Segment, bus: TopicBus, tasks: Catalogue | None = None
+        self,
+        context: Context,
+        segment: Segment,
+        bus: TopicBus,
+        tasks: Catalogue | None,
+        files: Mapping[Segment, Path],
     ) -> None:
         self._context, self._now_ns = context, context.clock.now_ns
         self._listener = context.pages[PAGES[segment]]
@@ -78,6 +92,7 @@ class PageServer:
             self._seat, self._serving, bus, self._keys, now_ns=self._now_ns, settle=self._settle
         )
         self._deeds = SeatDeeds(self._seat, context, self._serving, bus, self._settle)
+        self._upkeep = UpkeepWatch(context.session, self._seat, self._serving, files, self._now_ns)
 
     async def run(self) -> None:
         """Serve, and close all sockets in the end."""
@@ -101,6 +116,7 @@ class PageServer:
         if self._seat.watching:
             self._topics.look(now_ns)
             self._deeds.look(now_ns)
+            self._upkeep.look(now_ns)
             self._seat.handle_time(now_ns)
             self._settle()
         self._sockets.handle_time(now_ns)

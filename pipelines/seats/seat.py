@@ -24,6 +24,7 @@ from pipelines.seats.texts import (
     ChatRequest,
     CommandRequest,
     ExerciseRequest,
+    FetchRequest,
     HandleRequest,
     JoystickRequest,
     RecordingRequest,
@@ -63,6 +64,14 @@ class ExerciseAsked(NamedTuple):
     wish: TrainerRequest
 
 
+class FetchAsked(NamedTuple):
+    """A file of the other end is to be fetched; pass the answer to `Seat.handle_answered`."""
+
+    page: int
+    request: int
+    inbox: str
+
+
 class StopAsked(NamedTuple):
     """The emergency stop is to hold, or not. by: who asks."""
 
@@ -73,7 +82,14 @@ class StopAsked(NamedTuple):
 #: What to tell: the joystick of the hand or of a command, the launcher of an order; recorder,
 #: trainer and the TM/TC end of this segment of what is asked.
 SeatEvent = (
-    PageInput | HandRequest | Order | RecordingAsked | ExerciseAsked | StopAsked | TmtcRequest
+    PageInput
+    | HandRequest
+    | Order
+    | RecordingAsked
+    | ExerciseAsked
+    | FetchAsked
+    | StopAsked
+    | TmtcRequest
 )
 
 #: Pages that are open at a time: of viewers, and of all who may act.
@@ -102,6 +118,7 @@ _RULES: Mapping[type[SeatRequest], _Rule] = MappingProxyType(
         StopRequest: _Rule("stop"),
         RecordingRequest: _Rule("record", (Segment.GROUND,), "ground control records the session"),
         ExerciseRequest: _Rule("exercise"),
+        FetchRequest: _Rule("fetch", (Segment.GROUND,), "ground control fetches files"),
     }
 )
 
@@ -315,6 +332,8 @@ class Seat:
                     exercise=request.exercise, seconds=request.seconds, camera=request.camera
                 )
                 self._events.append(ExerciseAsked(number, request.request, wish))
+            case FetchRequest():
+                self._events.append(FetchAsked(number, request.request, request.inbox))
         return None
 
     # What topics and the launcher tell
@@ -381,8 +400,10 @@ class Seat:
             self.camera = camera
             self._tell_state(now_ns)
 
-    def handle_answered(self, asked: RecordingAsked | ExerciseAsked, error: str) -> None:
-        """The answer of recorder or trainer. error: "" if it does what was asked."""
+    def handle_answered(
+        self, asked: RecordingAsked | ExerciseAsked | FetchAsked, error: str
+    ) -> None:
+        """The answer of recorder, trainer or file transfer. error: "" if it does what was asked."""
         self._answer(Answered(asked.page, asked.request, error))
 
     def handle_figures(self, text: bytes, now_ns: int) -> None:

@@ -9,9 +9,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
 from kontur_av.media import I420, CaptureStamp
@@ -32,9 +31,9 @@ from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import SeatStream, Unpack
-from pipelines.seats.seat import ExerciseAsked, RecordingAsked, Seat, StopAsked
+from pipelines.seats.seat import ExerciseAsked, FetchAsked, RecordingAsked, Seat, StopAsked
 from pipelines.seats.texts import Via
-from pipelines.session.asking import desk_path
+from pipelines.seats.upkeep_watch import ask_process, fetch
 from pipelines.session.feeds import Feed, TopicState
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
@@ -48,7 +47,6 @@ from pipelines.session.recorder_requests import (
 )
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.session_switch import Order
-from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
@@ -353,7 +351,7 @@ class SeatDeeds:
                         self._orders.stop(event.by)
                     else:
                         self._orders.release()
-                case RecordingAsked() | ExerciseAsked():
+                case RecordingAsked() | ExerciseAsked() | FetchAsked():
                     self._serving.begin(self._ask(event))
                 case _:
                     # One that is not taken now is repeated.
@@ -373,20 +371,17 @@ class SeatDeeds:
         loan.payload[:] = np.frombuffer(given.data, np.uint8)
         loan.publish(given.stamp)
 
-    async def _ask(self, asked: RecordingAsked | ExerciseAsked) -> None:
+    async def _ask(self, asked: RecordingAsked | ExerciseAsked | FetchAsked) -> None:
         session = self._context.session
-        if isinstance(asked, RecordingAsked):
+        if isinstance(asked, FetchAsked):
+            error = await fetch(session, self._seat.plan.segment, asked.inbox)
+        elif isinstance(asked, RecordingAsked):
             error = await ask_recorder(session, begin=asked.begin)
         else:
             said = await ask_process(session, TRAINER_DESK, asked.wish, TrainerAnswer)
             error = said if isinstance(said, str) else "" if said.ok else said.text
         self._seat.handle_answered(asked, error)
         self._settle()
-
-
-#: A recorder that ends writes a slow disk's file to its end first.
-_PATIENCE_S = 15.0
-_Answer = TypeVar("_Answer", bound=msgspec.Struct)
 
 
 async def ask_recorder(session: str, *, begin: bool) -> str:
@@ -403,27 +398,3 @@ async def ask_recorder(session: str, *, begin: bool) -> str:
         request = RecordRequest(record=START, wish=wish)
     said = await ask_process(session, RECORDER_DESK, request, RecordAnswer)
     return said if isinstance(said, str) else "" if said.ok else said.error
-
-
-async def ask_process(
-    session: str, desk: str, request: msgspec.Struct, answer: type[_Answer]
-) -> _Answer | str:
-    """Return the answer of a session's process to a line; in words why there is none.
-
-    desk: the name of its socket. answer: the type.
-    """
-    try:
-        reader, writer = await asyncio.open_unix_connection(
-            os.fspath(desk_path(session, desk)), limit=MAX_LINE_OCTETS
-        )
-    except OSError:
-        return f"the session's {desk} is not running"
-    try:
-        writer.write(pack_line(request))
-        async with asyncio.timeout(_PATIENCE_S):
-            said = parse_line(await reader.readline(), answer)
-    except (OSError, ValueError, TimeoutError):
-        said = None
-    finally:
-        writer.close()
-    return f"the session's {desk} has ended before it answered" if said is None else said

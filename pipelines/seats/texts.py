@@ -377,6 +377,44 @@ class PassText(msgspec.Struct, frozen=True, kw_only=True):
     peak_deg: float
 
 
+class TransferText(msgspec.Struct, frozen=True, kw_only=True):
+    """A file on its way. end: that asked for it. size: None if it is not known."""
+
+    end: str
+    number: int
+    what: str
+    state: str
+    octets: int
+    size: int | None
+    rate_bps: int
+    name: str
+
+
+class SoftwareText(msgspec.Struct, frozen=True, kw_only=True):
+    """What a keeper of versions or copies has told. end: where it runs. inbox: its folder.
+
+    written: when it was told, UTC. The others are those of `InboxTold`.
+    """
+
+    end: str
+    inbox: str
+    written: str
+    runs: str
+    why: str
+    states: dict[str, str]
+    waiting: tuple[str, ...]
+    busy: bool
+    answers: tuple[str, ...]
+
+
+class UpkeepText(msgspec.Struct, frozen=True, kw_only=True):
+    """What the systems operator is shown. files: whether the session carries any."""
+
+    files: bool
+    transfers: tuple[TransferText, ...] = ()
+    software: tuple[SoftwareText, ...] = ()
+
+
 def pack_text(text: msgspec.Struct | dict[str, object]) -> str:
     return _ENCODER.encode(text).decode()
 
@@ -456,6 +494,12 @@ class CommandRequest(_Request, frozen=True, tag="command"):
         return f"{self.application}.{self.name}" if self.verb == "call" else "housekeeping"
 
 
+class FetchRequest(_Request, frozen=True, tag="fetch"):
+    """Fetch from the other end what the keeper with this inbox tells."""
+
+    inbox: _Name
+
+
 class ChatRequest(_Request, frozen=True, tag="chat"):
     """Write a line to the others."""
 
@@ -470,6 +514,7 @@ SeatRequest = (
     | RecordingRequest
     | ExerciseRequest
     | CommandRequest
+    | FetchRequest
     | ChatRequest
 )
 

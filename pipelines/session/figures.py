@@ -54,7 +54,7 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     """One event.
 
     number: from 1 on. at_us: on the session's clock. what: `link`, `process`, `camera`, `stale`,
-    `joystick`, `input` or `session`.
+    `joystick`, `input`, `session`, `upkeep` or `milestone`.
     """
 
     number: int

@@ -64,6 +64,7 @@ _MAY: Mapping[str, tuple[Role, ...]] = MappingProxyType(
         "robot.reset_error": (Role.EXPERIMENTER,),
         "robot.emergency_stop": (*PEOPLE[Segment.SPACE], *PEOPLE[Segment.GROUND]),
         "robot.release_stop": (Role.COSMONAUT, Role.SUPERVISOR),
+        "fetch": (Role.SUPERVISOR, Role.SYSTEMS),
         "exercise": (Role.TRAINER,),
     }
 )

@@ -13,7 +13,7 @@ from typing import Final
 from kontur_av.errors import ConfigError
 
 #: Steps that the sequence itself knows, with what follows them.
-WAIT, SAY = "wait", "say"
+WAIT, SAY, MILESTONE = "wait", "say", "milestone"
 CONTACT: Final = "contact"
 #: Longest wait for a number of seconds.
 MOST_SECONDS: Final = 86_400.0
@@ -21,7 +21,7 @@ MOST_SECONDS: Final = 86_400.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScriptStep:
-    """A line of a sequence: the words of a `kontur-av` command, of `wait` or of `say`."""
+    """A line of a sequence: the words of a `kontur-av` command, or of a step of its own."""
 
     line: int
     text: str
@@ -100,9 +100,12 @@ class MaintenanceSequence:
         name = words[0]
         if name == WAIT:
             _check_wait(line, words)
-        elif name not in self._commands and name != SAY:
+        elif name == MILESTONE and not words[1:]:
+            raise ConfigError(f"line {line}: write {MILESTONE} and what is reached")
+        elif name not in (*self._commands, SAY, MILESTONE):
             raise ConfigError(
-                f"line {line}: {name} is not a command of kontur-av, nor {WAIT} or {SAY}"
+                f"line {line}: {name} is not a command of kontur-av, nor {WAIT}, {SAY} or "
+                f"{MILESTONE}"
             )
         return ScriptStep(line=line, text=text.strip(), words=words)
 

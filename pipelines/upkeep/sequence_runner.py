@@ -1,9 +1,12 @@
 """Runs the confirmed steps of a maintenance sequence beside a session, and keeps its log."""
 
+import os
+import select
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
@@ -19,8 +22,10 @@ from pipelines.session.asking import running_sessions
 from pipelines.session.mission_messages import ExperimentShown, unpack
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import MISSION_GROUND_TOPIC, link_state_topic
+from pipelines.session.upkeep_files import Note, add_note, read_now
 from pipelines.upkeep.sequence import (
     CONTACT,
+    MILESTONE,
     SAY,
     WAIT,
     MaintenanceSequence,
@@ -30,6 +35,8 @@ from pipelines.upkeep.sequence import (
 from telepresence.tasks.experiment import Phase
 
 _LOOK_S = 0.2
+_READ_OCTETS = 4096
+_OWN = "maintain: "
 _PATIENCE_NS = 2_000_000_000
 
 
@@ -53,6 +60,9 @@ class SessionWatch(Closing):
         ]
         self._shown: ExperimentShown | None = None
         self._signal = False
+        now = read_now(name)
+        #: The newest event that was announced.
+        self._announced = now.events[-1].number if now is not None and now.events else 0
 
     def runs(self) -> bool:
         """Whether the session still runs."""
@@ -67,15 +77,31 @@ class SessionWatch(Closing):
         return self._signal
 
     def experiment(self) -> str:
-        """What runs, such as "aiming, run 3"; empty if nothing does."""
+        """What runs, such as "aiming, run 3"; empty if nothing does.
+
+        The session says what keeps versions from updates, too; of a task its topic knows earlier.
+        """
         if self._experiment is not None:
             octets = _newest(self._experiment, wait=self._shown is None)
             if octets is not None:
                 self._shown = unpack(ExperimentShown, octets)
         shown = self._shown
-        if shown is None or shown.phase == Phase.IDLE:
-            return ""
-        return f"{shown.task}, run {shown.run}"
+        if shown is not None and shown.phase != Phase.IDLE:
+            return f"{shown.task}, run {shown.run}"
+        now = read_now(self.name)
+        return "" if now is None else now.experiment
+
+    def announcements(self) -> list[str]:
+        """What the session has announced since the last call."""
+        now = read_now(self.name)
+        fresh = [] if now is None else [one for one in now.events if one.number > self._announced]
+        self._announced = fresh[-1].number if fresh else self._announced
+        return [one.text for one in fresh]
+
+    def note(self, note: Note) -> None:
+        """Let the session have a note; one that has ended has no use for it."""
+        with suppress(OSError):
+            add_note(self.name, note)
 
     def close(self) -> None:
         """Leave the session."""
@@ -93,7 +119,7 @@ def _newest(reader: Reader, *, wait: bool) -> bytes | None:
 class MaintenanceLog:
     """A file of JSON lines, to which each run of a script appends. A context manager.
 
-    Each line has `at` (UTC) and `what`: begin, step, output, contact, end.
+    Each line has `at` (UTC) and `what`: begin, step, output, contact, announced, milestone, end.
     """
 
     def __init__(self, path: Path) -> None:
@@ -144,9 +170,14 @@ class SequenceRunner:
         return f"an experiment runs ({found}): wait for its end, or abort it" if found else ""
 
     def look(self) -> str:
-        """Return "contact" or "no contact", empty without a session; announce a change."""
+        """Return "contact" or "no contact", empty without a session; announce what is news."""
         if self._watch is None:
             return ""
+        for text in self._watch.announcements():
+            self._log.write("announced", text=text)
+            # What this program noted comes back as an event.
+            if not text.startswith(_OWN):
+                self._say(f"* {text}")
         contact = self._watch.contact()
         state = "contact" if contact else "no contact"
         if contact is not self._contact:
@@ -162,12 +193,16 @@ class SequenceRunner:
         if step.words[0] == SAY:
             self._show(" ".join(step.words[1:]))
             code = 0
+        elif step.words[0] == MILESTONE:
+            code = self._reach(" ".join(step.words[1:]))
         elif step.words[0] == WAIT:
             code = self._wait(step)
         else:
             code = self._run_command(step)
         outcome = StepOutcome.FAILED if code else StepOutcome.DONE
         self._log.write("end", outcome=outcome.value, code=code)
+        if self._watch is not None and step.words[0] not in (SAY, WAIT, MILESTONE):
+            self._watch.note(Note("upkeep", f"{_OWN}{step.text}: {outcome.value}"))
         self._sequence.handle_end(outcome)
         return outcome
 
@@ -176,6 +211,13 @@ class SequenceRunner:
         self._log.write("step", line=step.line, text=step.text)
         self._log.write("end", outcome=StepOutcome.SKIPPED.value, code=0)
         self._sequence.handle_end(StepOutcome.SKIPPED)
+
+    def _reach(self, text: str) -> int:
+        self._log.write("milestone", text=text)
+        self._say(f"  {datetime.now(UTC):%H:%M:%S} {text}")
+        if self._watch is not None:
+            self._watch.note(Note("milestone", text))
+        return 0
 
     def _wait(self, step: ScriptStep) -> int:
         until_s = None if step.seconds is None else time.monotonic() + step.seconds
@@ -199,12 +241,21 @@ class SequenceRunner:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
         ) as child:
             assert child.stdout is not None
-            for line in child.stdout:
-                self._show(line.rstrip("\n"))
+            out, rest = child.stdout.fileno(), b""
+            while True:
+                # A long transfer must not hide what is announced meanwhile.
+                if not select.select([out], [], [], _LOOK_S)[0]:
+                    self.look()
+                    continue
+                if not (octets := os.read(out, _READ_OCTETS)):
+                    break
+                *lines, rest = (rest + octets).split(b"\n")
+                for line in lines:
+                    self._show(line.decode(errors="replace"))
+            if rest:
+                self._show(rest.decode(errors="replace"))
         return child.returncode
 
     def _show(self, line: str) -> None:

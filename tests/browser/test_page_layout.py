@@ -19,7 +19,13 @@ from kontur_av.clock import NS_PER_S
 from pipelines.mission.tmtc_messages import Reported
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
-from pipelines.seats.texts import WelcomeText, pack_text
+from pipelines.seats.texts import (
+    SoftwareText,
+    TransferText,
+    UpkeepText,
+    WelcomeText,
+    pack_text,
+)
 from pipelines.session.mission_messages import (
     ExperimentShown,
     PanelShown,
@@ -47,7 +53,7 @@ WIDTHS = (390, 1280, 1920)
 PAGES = {
     None: ("study",),
     Segment.SPACE: ("welcome", "space", "panel", "k2cp", "trainer"),
-    Segment.GROUND: ("ground", "top", "k2sv"),
+    Segment.GROUND: ("ground", "top", "k2sv", "systems"),
 }
 #: What a session's owner is told where people choose a page.
 WELCOME = WelcomeText(
@@ -119,6 +125,73 @@ STUDY = StudyPlan(
 )
 
 
+UPKEEP = UpkeepText(
+    files=True,
+    transfers=tuple(
+        TransferText(
+            end=end,
+            number=4_294_967_295,
+            what="get",
+            state=state,
+            octets=12_345_678,
+            size=size,
+            rate_bps=198_765,
+            name="joystick/a-rather-long-name-of-a-log-2026-11-27T17:00:00Z.txt",
+        )
+        for end, state, size in (("ground", "running", 16_777_216), ("space", "suspended", None))
+    ),
+    software=(
+        SoftwareText(
+            end="space",
+            inbox="joystick",
+            written="2026-11-27 17:00:00",
+            runs="sd/2",
+            why="run",
+            states={"sd/1": "its list of checksums is damaged", "sd/2": "valid"},
+            waiting=("a-rather-long-name-of-an-archive.tar.gz",),
+            busy=True,
+            answers=("broken.tar.gz: refused, no sound archive: its end is missing",),
+        ),
+    ),
+)
+
+
+def figures_of(*, connected):
+    """What the launcher tells a page of contact, bandwidth, processes and events."""
+    state = "connected" if connected else "refused"
+    why = "the peer speaks version 2 of the link, this end 1"
+    events = (
+        ("milestone", "the new application of the joystick runs, and its copy is in backup"),
+        ("upkeep", "maintain: file put joystick/a-rather-long-name-of-an-archive.tar.gz: done"),
+    )
+    supervised = {
+        f"gateways.{end}.supervision.{key}": value
+        for end in ("ground", "space")
+        for key, value in (("state", state), ("why", why))
+    }
+    return {
+        "kind": "figures",
+        "at_us": 100_000_000,
+        "seconds": 100.0,
+        "state": "running",
+        "figures": {
+            **supervised,
+            "contact.since_acquisition_s": 101.0,
+            "contact.until_loss_s": 492.0,
+            "contact.ahead": "end of shadowing of the downlink",
+            "contact.ahead_s": 42.5,
+            "upkeep.experiment": "follow_contour, run 12",
+            "upkeep.short": "downlink video, uplink voice",
+        },
+        "link": {},
+        "processes": [],
+        "events": [
+            {"number": number, "at_us": number, "what": what, "text": text}
+            for number, (what, text) in enumerate(events, 1)
+        ],
+    }
+
+
 def texts_of_study(*, begun):
     """What the page of a study is told on its first screen, and where a trial begins."""
     desk = StudyDesk(STUDY, PageDevice(start_m=(0.0, 0.0)), {})
@@ -150,6 +223,7 @@ def texts_of(segment, *, connected):
         mode = ControlMode.TELEPRESENCE
         robot = RobotStatus(life=1, powered=False, mode=mode, fault=REASON, waiting=True, **place)
         seat.handle_shown("robot", robot)
+        seat.handle_shown("upkeep", UPKEEP)
     else:
         words = "Well held. Now let go of the mouse button, your finger, Space or the trigger."
         at = {
@@ -220,7 +294,9 @@ def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name,
         if name == "study":
             page.run(TELL_STUDY, texts_of_study(begun=connected))
         elif name != "welcome":
-            page.run(TELL, [json.dumps(text) for text in texts_of(segment, connected=connected)])
+            told = texts_of(segment, connected=connected)
+            told += [figures_of(connected=connected)] if name == "systems" else []
+            page.run(TELL, [json.dumps(text) for text in told])
         metrics = {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": False}
         browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
         for tab in page.run(TABS) or [""]:

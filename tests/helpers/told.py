@@ -1,7 +1,7 @@
 """Figures as a process reports them, for tests of their receivers."""
 
 from pipelines.session.probe import Message, Series
-from telepresence.link.figures import GatewayFigures
+from telepresence.link.figures import GatewayFigures, SenderFigures
 
 
 def series(rows, stream=""):
@@ -23,4 +23,5 @@ def message(*figures, rows=(), stream="", **others):
 
 def gateway(*, transmit=None, receive=None, radio=None, supervision=None):
     """The link of one life of a gateway, of which only these parts are known."""
+    transmit = SenderFigures() if transmit is None else transmit
     return GatewayFigures(transmit=transmit, receive=receive, radio=radio, supervision=supervision)

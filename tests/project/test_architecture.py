@@ -93,6 +93,7 @@ SHELLS = {
     "pipelines/study/server.py": "the sockets of a browser",
     "pipelines/report/process_metrics.py": "the sockets of a monitoring system",
     "pipelines/seats/seat_sockets.py": "the sockets of browsers",
+    "pipelines/seats/upkeep_watch.py": "sockets of other processes, and files they keep",
     "pipelines/seats/seat_topics.py": "topics on an event loop, a thread that codes",
     "pipelines/session/recorder_control.py": "the recorder's socket",
     "pipelines/recording/part_files.py": "files and threads",
@@ -143,6 +144,7 @@ SHELL_FOLDERS = ("pipelines/commands/",)
 #: Modules that read or write files. Cores are handed what is in them.
 FILES = {
     "pipelines/session/orders.py",
+    "pipelines/session/upkeep_files.py",
     "kontur_av/sources/file.py",
     "kontur_av/sources/recording.py",
     "pipelines/report/charts.py",
@@ -209,7 +211,7 @@ USERS_OF_SHELLS = {
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
     "kontur_av/sources/page.py": {"FILLED_BY_OTHERS", "PAGE", "TOPIC"},
-    "telepresence/haptics/device/spec.py": {"PAGE", "ROS2_HAND", "SIMULATED"},
+    "telepresence/haptics/device/spec.py": {"PAGE", "ROS2_HAND", "SIMULATED", "is_simulated"},
     "kontur_av/clock.py": {
         "NS_PER_MS",
         "NS_PER_S",

@@ -1,7 +1,7 @@
 /**
  * The page's side of its seat worker: typed events, requests, and the session's clock.
  *
- * @import { AnswerText, ChatText, CommandsText, EventsText, ExercisesText, ExperimentText, FiguresText, HelloText, PanelText, RadioText, Request, RobotText, ServerText, StateText, StreamText, ValuesText } from "./texts.js"
+ * @import { AnswerText, ChatText, CommandsText, EventsText, ExercisesText, ExperimentText, FiguresText, HelloText, PanelText, RadioText, Request, RobotText, ServerText, StateText, StreamText, UpkeepText, ValuesText } from "./texts.js"
  * @import { FrameNote, PageNote, PreviewNote, WorkerNote } from "./worker_messages.js"
  * @import { Hand, Haptics } from "./wire.js"
  */
@@ -34,6 +34,7 @@ const COMMAND_PATIENCE_MS = 40_000;
  * @property {ExperimentText} experiment
  * @property {RobotText} robot
  * @property {ExercisesText} exercises
+ * @property {UpkeepText} upkeep
  * @property {undefined} heard The server is heard again.
  * @property {{why: "closed" | "silent" | "refused", reason: string}} lost The server is not heard.
  * @property {{stream: string, why: string}} fault A decoder closed; a replay opens it anew.
@@ -231,6 +232,9 @@ export class Connection {
         break;
       case "exercises":
         this.#emit("exercises", text);
+        break;
+      case "upkeep":
+        this.#emit("upkeep", text);
         break;
     }
   }

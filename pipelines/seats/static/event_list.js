@@ -10,8 +10,8 @@ import { make } from "./dom.js";
 import { clockText } from "./wording.js";
 
 const KEPT = 200;
-const SPOKEN = new Set(["link", "process", "stale", "session"]);
-const KINDS = ["link", "process", "camera", "stale", "joystick", "input", "session"];
+const SPOKEN = new Set(["link", "process", "stale", "session", "upkeep", "milestone"]);
+const KINDS = ["link", "process", "camera", "stale", "joystick", "input", "session", "upkeep", "milestone"];
 
 class EventList extends HTMLElement {
   #newest = -1;

@@ -16,6 +16,7 @@ const PAGES = {
     ["ground", "Ground"],
     ["top", "TOP-UI"],
     ["k2sv", "K2SV"],
+    ["systems", "Systems"],
   ],
 };
 

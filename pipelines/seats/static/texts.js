@@ -147,7 +147,7 @@
 
 /**
  * One event. number: from 1 on. at_us: on the session's clock. what: `link`, `process`, `camera`,
- * `stale`, `joystick`, `input` or `session`.
+ * `stale`, `joystick`, `input`, `session`, `upkeep` or `milestone`.
  * @typedef {{number: number, at_us: number, what: string, text: string}} EventText
  */
 
@@ -275,6 +275,25 @@
  */
 
 /**
+ * A file on its way. end: that asked for it. size: None if it is not known.
+ * @typedef {{end: string, number: number, what: string, state: string, octets: number, size:
+ *   number | null, rate_bps: number, name: string}} TransferText
+ */
+
+/**
+ * What a keeper of versions or copies has told. end: where it runs. inbox: its folder. written:
+ * when it was told, UTC. The others are those of `InboxTold`.
+ * @typedef {{end: string, inbox: string, written: string, runs: string, why: string, states:
+ *   Record<string, string>, waiting: string[], busy: boolean, answers: string[]}} SoftwareText
+ */
+
+/**
+ * What the systems operator is shown. files: whether the session carries any.
+ * @typedef {{kind: "upkeep", files: boolean, transfers: TransferText[], software: SoftwareText[]}}
+ *   UpkeepText
+ */
+
+/**
  * What the page where people choose a page must know; it stands in that page itself. seat: the end
  * that serves it. ports: by end, of those on this machine. tasks: whether the session has any.
  * people: by role, its token, for the owner to hand out; none for others.
@@ -312,7 +331,8 @@
  *   | PanelText
  *   | ExperimentText
  *   | RobotText
- *   | ExercisesText} ServerText */
+ *   | ExercisesText
+ *   | UpkeepText} ServerText */
 
 /**
  * What a page may ask for.
@@ -323,6 +343,7 @@
  *   | {do: "record", action: "start" | "stop"}
  *   | {do: "exercise", exercise: string, seconds?: number, camera?: string}
  *   | {do: "command", application: string, verb?: Verb, name?: string, arguments?: (boolean | number | string)[]}
+ *   | {do: "fetch", inbox: string}
  *   | {do: "chat", text: string}
  *   | {do: "input", name: string, on: boolean}} Request
  */

@@ -62,9 +62,17 @@ const PLACES = [
   {
     page: "k2sv",
     end: "ground",
-    roles: ["supervisor", "systems"],
+    roles: ["supervisor"],
     name: "All systems (K2SV)",
     what: "On the ground: watch every system and every alarm, command the joystick, know the next contacts.",
+    keys: "1 to 9 open a tab.",
+  },
+  {
+    page: "systems",
+    end: "ground",
+    roles: ["systems"],
+    name: "Maintenance",
+    what: "On the ground: watch contacts, bandwidth, processes and files, know which software runs.",
     keys: "1 to 9 open a tab.",
   },
   {

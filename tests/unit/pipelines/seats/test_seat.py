@@ -15,7 +15,7 @@ from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import ExerciseAsked, RecordingAsked, Seat
+from pipelines.seats.seat import ExerciseAsked, FetchAsked, RecordingAsked, Seat
 from pipelines.session.seat_roles import Role
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.built_in import BUILT_IN
@@ -376,9 +376,11 @@ def test_a_role_does_what_is_its_own_and_is_told_who_may_the_rest():
         "tasks abort: the experimenter or the supervisor may, not the systems operator",
     ]
     ask(seat, page, "record", action="start")
+    ask(seat, page, "fetch", inbox="joystick")
     ask(seat, page, "command", application="joystick", verb="ping")
-    recording, asked = events(seat)
+    recording, fetched, asked = events(seat)
     assert recording == RecordingAsked(page, 7, begin=True)
+    assert fetched == FetchAsked(page, 7, "joystick")
     assert (asked.application, asked.verb) == ("joystick", "ping")
 
 

@@ -18,6 +18,7 @@ from telepresence.tmtc.k2aci import ChatRole
         (Role.SUPERVISOR, "joystick.halt"),
         (Role.SUPERVISOR, "session"),
         (Role.SYSTEMS, "housekeeping"),
+        (Role.SYSTEMS, "fetch"),
     ],
 )
 def test_each_of_the_people_does_what_is_theirs(role, deed):

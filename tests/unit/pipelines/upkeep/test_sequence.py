@@ -61,6 +61,7 @@ def test_a_change_that_is_no_command_leaves_the_step():
         ("", "no command"),
         ("tc robot ping\nstream", "line 2: stream is not a command"),
         ("wait", "write wait contact"),
+        ("milestone", "what is reached"),
         ("wait 1e9", "up to a day"),
         ("tc 'robot", "No closing quotation"),
     ],

@@ -1,0 +1,217 @@
+"""What a systems operator must know at once: experiment, contact ahead, bandwidth. A core."""
+
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
+
+from kontur_av.clock import NS_PER_S
+from pipelines.mission.figures import TaskFigures
+from pipelines.report.collector import Collector
+from pipelines.seats.figures import PageFigures
+from pipelines.session.task_journal import OPEN
+from pipelines.session.topology import JOYSTICK, PAGES, ROBOT, TASKS, Segment
+from telepresence.haptics.device.spec import PAGE, is_simulated
+from telepresence.haptics.device.states import JoystickState
+from telepresence.haptics.envelope import Hold, SafetyFigures
+from telepresence.haptics.figures import JoystickFigures
+from telepresence.link.figures import ContactWindows
+from telepresence.link.radio.profile import RadioProfile
+
+#: An event that was found before it happens, or that lasts.
+UPKEEP: Final = "upkeep"
+#: A person who lets go for a moment has not ended the experiment.
+_REST_NS: Final = 10 * NS_PER_S
+#: What comes is announced so long before.
+LEADS_S: Final = (60, 10)
+#: Bandwidth is short until nothing was dropped for so long.
+_SHORT_NS: Final = 10 * NS_PER_S
+#: Files may wait; they never count.
+_MEDIA: Final = ("tmtc", "voice", "video")
+#: What a gateway drops without contact says nothing of bandwidth.
+_NO_CONTACT: Final = "signal_lost"
+
+
+class Planned(NamedTuple):
+    """What the pass brings. at_s: from acquisition of signal. told: also an event when it comes."""
+
+    at_s: float
+    what: str
+    told: bool
+
+
+def planned_contact(profile: RadioProfile, windows: ContactWindows | None) -> tuple[Planned, ...]:
+    """Return acquisition and loss of signal, drop-outs and shadowing, in order.
+
+    Shadowing is what the profile's blackouts are: its masts and modules are known before.
+    windows: what the orbit predicts; None without an orbit.
+    """
+    found = []
+    if windows is not None:
+        found += [
+            Planned(windows.acquisition_s, "acquisition of signal", told=False),
+            Planned(windows.loss_s, "loss of signal", told=False),
+        ]
+        if windows.usable_from_s is not None and windows.usable_to_s is not None:
+            found += [
+                Planned(windows.usable_from_s, "end of drop-outs", told=True),
+                Planned(windows.usable_to_s, "drop-outs", told=True),
+            ]
+    for each in profile.blackouts:
+        way = "" if each.direction == "both" else f" of the {each.direction}"
+        at_s = profile.start_s + each.start_s
+        found += [
+            Planned(at_s, f"shadowing{way}", told=True),
+            Planned(at_s + each.seconds, f"end of shadowing{way}", told=True),
+        ]
+    return tuple(sorted(found))
+
+
+class ContactAhead:
+    """Announces what comes, once for each of `LEADS_S`, and what has come."""
+
+    def __init__(self, plan: Sequence[Planned]) -> None:
+        self._plan = plan
+        #: How many leads of each were announced.
+        self._told = [0] * len(plan)
+        self._before_s: float | None = None
+
+    def handle_time(self, pass_s: float) -> Iterator[tuple[float, str]]:
+        """Yield instants in the pass and words."""
+        for index, each in enumerate(self._plan):
+            left_s = each.at_s - pass_s
+            leads = sum(left_s <= lead for lead in LEADS_S)
+            if left_s >= 1 and leads > self._told[index]:
+                yield pass_s, f"{each.what} in {round(left_s)} s"
+            self._told[index] = leads
+            came = self._before_s is not None and self._before_s < each.at_s <= pass_s
+            if came and each.told:
+                yield each.at_s, each.what
+        self._before_s = pass_s
+
+    @property
+    def next(self) -> tuple[str, float] | None:
+        """What comes next, and in how many seconds; None if nothing does."""
+        now_s = self._before_s
+        if now_s is None:
+            return None
+        ahead = (each for each in self._plan if each.at_s > now_s)
+        return next(((each.what, each.at_s - now_s) for each in ahead), None)
+
+
+class ExperimentWatch:
+    """Whether an experiment runs, so that nothing may be updated.
+
+    A task does, or a person has the arm. A simulated hand is nobody's. attached: programs of the
+    user are behind the gateways; what they do is known by their haptic samples alone.
+    """
+
+    def __init__(self, collector: Collector, *, attached: bool = False) -> None:
+        self._collector, self._attached = collector, attached
+        self._words, self._seen_ns = "", 0
+        self._samples = 0
+
+    def handle_time(self, now_ns: int) -> str:
+        """Return what runs, in words; "" if nothing does."""
+        words = self._attached_words() if self._attached else self._task() or self._hand()
+        if words:
+            self._words, self._seen_ns = words, now_ns
+        elif now_ns - self._seen_ns >= _REST_NS:
+            self._words = ""
+        return self._words
+
+    def _task(self) -> str:
+        runs = self._collector.process(TASKS).total(TaskFigures).runs
+        row = runs[max(runs)] if runs else None
+        return f"{row.name}, run {row.run}" if row is not None and row.result == OPEN else ""
+
+    def _hand(self) -> str:
+        topology, process = self._collector.topology, self._collector.process
+        spec, here = topology.options.joystick, topology.segments
+        if Segment.SPACE in here and is_simulated(spec):
+            return ""
+        if process(PAGES[Segment.SPACE]).total(PageFigures).holder:
+            return "a page has the handle"
+        robot = process(ROBOT).find(SafetyFigures)
+        if robot is not None and robot.hold is Hold.NONE:
+            return "the robot follows the hand"
+        # A page's joystick is in the application without anybody, and so are others in space alone.
+        joystick = process(JOYSTICK).find(JoystickFigures)
+        driven = joystick is not None and joystick.state == JoystickState.APPLICATION.words
+        return "the joystick drives" if driven and here == (Segment.SPACE,) and spec != PAGE else ""
+
+    def _attached_words(self) -> str:
+        samples = 0
+        for segment in self._collector.topology.segments:
+            link = self._collector.process(self._collector.topology.gateway(segment).name).link
+            if link is not None:
+                sent = link.transmit.haptic_sent + link.transmit.haptic_superseded
+                samples += sent + link.receive.haptic_received
+        before, self._samples = self._samples, samples
+        return "haptic samples pass" if samples > before else ""
+
+
+class BandwidthWatch:
+    """Warns where a gateway drops media for want of bandwidth."""
+
+    def __init__(self, collector: Collector) -> None:
+        self._collector = collector
+        self._drops: dict[tuple[str, str], int] = {}
+        #: By direction and level: when a packet was dropped last.
+        self.short_ns: dict[tuple[str, str], int] = {}
+
+    def handle_time(self, now_ns: int) -> Iterator[str]:
+        """Yield a line where it begins and where it is over."""
+        topology = self._collector.topology
+        for segment in topology.segments:
+            link = self._collector.process(topology.gateway(segment).name).link
+            queues = {} if link is None else link.transmit.queue
+            for level in _MEDIA:
+                key = segment.transmits.value, level
+                counts = queues[level].drops if level in queues else {}
+                drops = sum(count for why, count in counts.items() if why != _NO_CONTACT)
+                before, self._drops[key] = self._drops.get(key, 0), drops
+                if drops > before:
+                    if key not in self.short_ns:
+                        yield f"{key[0]} is short of bandwidth: {level} is dropped"
+                    self.short_ns[key] = now_ns
+                elif now_ns - self.short_ns.get(key, now_ns) >= _SHORT_NS:
+                    del self.short_ns[key]
+                    yield f"{key[0]}: {level} has its bandwidth again"
+
+
+class UpkeepNow:
+    """All three of a session, looked at about twice a second."""
+
+    def __init__(self, collector: Collector) -> None:
+        self._collector = collector
+        self._watch = ExperimentWatch(collector)
+        self._bandwidth = BandwidthWatch(collector)
+        self._ahead: ContactAhead | None = None
+        #: What runs, in words; "" if nothing does.
+        self.experiment = ""
+
+    @property
+    def short(self) -> str:
+        """Where bandwidth is short, in words."""
+        return ", ".join(f"{way} {level}" for way, level in sorted(self._bandwidth.short_ns))
+
+    @property
+    def next(self) -> tuple[str, float] | None:
+        return None if self._ahead is None else self._ahead.next
+
+    def handle_look(
+        self, windows: ContactWindows | None, started_ns: int, now_ns: int
+    ) -> Iterator[tuple[int, str]]:
+        """Yield instants and words of what is news.
+
+        windows: what the orbit predicts, once a gateway has told it. started_ns: when the session
+        began.
+        """
+        self.experiment = self._watch.handle_time(now_ns)
+        profile = self._collector.setup.radio_profile
+        if self._ahead is None and (windows is not None or profile.contact is None):
+            self._ahead = ContactAhead(planned_contact(profile, windows))
+        if self._ahead is not None:
+            pass_s = profile.start_s + (now_ns - started_ns) / NS_PER_S
+            for at_s, words in self._ahead.handle_time(pass_s):
+                yield started_ns + round((at_s - profile.start_s) * NS_PER_S), words
+        yield from ((now_ns, words) for words in self._bandwidth.handle_time(now_ns))

@@ -1,0 +1,147 @@
+"""Asks the session's processes what a seat's pages want, above all of files and of software."""
+
+import asyncio
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final, TypeVar
+
+import msgspec
+
+from kontur_av.clock import NS_PER_S
+from pipelines.seats.seat import Seat
+from pipelines.seats.texts import SoftwareText, TransferText, UpkeepText
+from pipelines.seats.transfers import Transfers
+from pipelines.session.asking import desk_path
+from pipelines.session.serving_loop import ServingLoop
+from pipelines.session.setup.segments import Segment
+from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
+from telepresence.upkeep.inbox import LARGEST_TOLD, TOLD, InboxTold
+
+#: A recorder that ends writes a slow disk's file to its end first.
+_PATIENCE_S: Final = 15.0
+_EVERY_NS: Final = NS_PER_S
+#: Where what was fetched is kept, below the directory of the ground.
+FETCHED: Final = "fetched"
+_MOST_INBOXES: Final = 16
+_Answer = TypeVar("_Answer", bound=msgspec.Struct)
+
+
+class FilesAsked(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What a page needs of the requests to the file transfer (`pipelines.files.desk`)."""
+
+    file: str
+    first: str = ""
+    second: str = ""
+
+
+class FilesSaid(msgspec.Struct, frozen=True, kw_only=True):
+    """What it needs of the answers."""
+
+    ok: bool
+    text: str = ""
+
+
+async def ask_process(
+    session: str, desk: str, request: msgspec.Struct, answer: type[_Answer]
+) -> _Answer | str:
+    """Return the answer of a session's process to a line; in words why there is none.
+
+    desk: the name of its socket. answer: the type.
+    """
+    try:
+        reader, writer = await asyncio.open_unix_connection(
+            os.fspath(desk_path(session, desk)), limit=MAX_LINE_OCTETS
+        )
+    except OSError:
+        return f"the session's {desk} is not running"
+    try:
+        writer.write(pack_line(request))
+        async with asyncio.timeout(_PATIENCE_S):
+            said = parse_line(await reader.readline(), answer)
+    except (OSError, ValueError, TimeoutError):
+        said = None
+    finally:
+        writer.close()
+    return f"the session's {desk} has ended before it answered" if said is None else said
+
+
+async def fetch(session: str, segment: Segment, inbox: str) -> str:
+    """Begin to fetch what a keeper at the other end tells; return "", or why that cannot be."""
+    asked = FilesAsked(file="get", first=f"{inbox}/{TOLD}", second=f"{FETCHED}/{inbox}/{TOLD}")
+    said = await ask_process(session, files_desk(segment), asked, FilesSaid)
+    return said if isinstance(said, str) else "" if said.ok else said.text
+
+
+def files_desk(segment: Segment) -> str:
+    return f"files.{segment.value}"
+
+
+def software_in(directory: Path, end: str) -> Iterator[SoftwareText]:
+    """What keepers have told into their inboxes below a directory, as far as it can be read."""
+    with suppress(OSError):
+        for path in sorted(directory.glob(f"*/{TOLD}"))[:_MOST_INBOXES]:
+            with suppress(OSError, msgspec.MsgspecError):
+                # A link may lead out of the directory.
+                descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+                with os.fdopen(descriptor, "rb") as file:
+                    written_s = os.fstat(descriptor).st_mtime
+                    told = msgspec.json.decode(file.read(LARGEST_TOLD), type=InboxTold)
+                yield SoftwareText(
+                    end=end,
+                    inbox=path.parent.name,
+                    written=f"{datetime.fromtimestamp(written_s, UTC):%Y-%m-%d %H:%M:%S}",
+                    runs=told.runs,
+                    why=told.why,
+                    states=told.states,
+                    waiting=told.waiting,
+                    busy=told.busy,
+                    answers=tuple(
+                        f"{one.file}: {'taken' if one.taken else 'refused'}, {one.text}"
+                        for one in told.answers
+                    ),
+                )
+
+
+class UpkeepWatch:
+    """Asks once a second while somebody watches. directories: of the ends that run here."""
+
+    def __init__(
+        self,
+        session: str,
+        seat: Seat,
+        serving: ServingLoop,
+        directories: Mapping[Segment, Path],
+        now_ns: Callable[[], int],
+    ) -> None:
+        self._session, self._seat, self._serving = session, seat, serving
+        self._directories, self._now_ns = directories, now_ns
+        self._transfers = Transfers()
+        self._due_ns = 0
+        self._asks = False
+        seat.handle_shown("upkeep", UpkeepText(files=bool(directories)))
+
+    def look(self, now_ns: int) -> None:
+        """Begin to ask if it is time to."""
+        if self._directories and not self._asks and now_ns >= self._due_ns:
+            self._due_ns, self._asks = now_ns + _EVERY_NS, True
+            self._serving.begin(self._ask())
+
+    async def _ask(self) -> None:
+        transfers: list[TransferText] = []
+        for segment in self._directories:
+            asked = FilesAsked(file="status")
+            said = await ask_process(self._session, files_desk(segment), asked, FilesSaid)
+            text = said if isinstance(said, str) else said.text
+            transfers += self._transfers.handle_list(segment, text, self._now_ns())
+        shown = UpkeepText(files=True, transfers=tuple(transfers), software=tuple(self._software()))
+        self._seat.handle_shown("upkeep", shown)
+        self._asks = False
+
+    def _software(self) -> Iterator[SoftwareText]:
+        for segment, directory in self._directories.items():
+            yield from software_in(directory, segment.value)
+        if Segment.SPACE not in self._directories:
+            yield from software_in(self._directories[Segment.GROUND] / FETCHED, "space")
