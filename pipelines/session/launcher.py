@@ -290,7 +290,8 @@ class Launcher:
             self._stop = True  # the reader, such as head(1), has ended
         except OSError:
             # A closed terminal, whose signal follows, or a full disk, which must not end a session.
-            self.show = None
+            # `show` also tells a keeper of versions that the session lives, so go on calling it.
+            pass
 
     def _attend(self, timeout_ns: int) -> None:
         for key, _ in self._selector.select(max(0, timeout_ns) / NS_PER_S):
