@@ -47,6 +47,7 @@ from pipelines.commands.rtc_leg import (
     bound_rtc,
     with_rtc,
 )
+from pipelines.commands.services_options import add_services_arguments, bound_services
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.recording.part_files import (
@@ -149,6 +150,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_outlet_arguments(parser)
     add_packets_arguments(parser)
     add_files_arguments(parser)
+    add_services_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -227,6 +229,7 @@ def run(args: argparse.Namespace) -> int:
         announced_metrics(metrics, quiet=args.quiet),
         announced_foxglove(foxglove_wish, session, quiet=args.quiet) as foxglove,
         bound_packets(args, topology) as packets,
+        bound_services(args, plan.segments, files) as maintenance,
         live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         if wish is not None:
@@ -242,7 +245,7 @@ def run(args: argparse.Namespace) -> int:
                 PACKETS: {"plan": packets},
                 FRAMES: {"address": frames},
                 **ros2,
-                **files,
+                **maintenance,
             },
             clock=clock,
             listener=collector,
