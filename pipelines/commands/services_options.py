@@ -5,6 +5,7 @@ import re
 import socket
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import resolve
@@ -25,8 +26,8 @@ def add_services_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=PORT",
-        help="lead TCP connections to PORT of this machine to the other end's service NAME, over "
-        "the channel of --files; repeatable; without --end the ground's programs connect",
+        help="lead TCP connections to PORT of this machine to the other end's service NAME; with "
+        "both ends here, from the ground to space; needs --files; repeatable",
     )
     parser.add_argument(
         _ALLOW,
@@ -37,49 +38,59 @@ def add_services_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-@contextmanager
-def bound_services(
-    args: argparse.Namespace,
-    segments: Sequence[Segment],
-    files: Mapping[str, Mapping[str, object]],
-) -> Iterator[Mapping[str, Mapping[str, object]]]:
-    """Yield the arguments of the processes of files, with the services; ConfigError."""
+class ServicesWish(NamedTuple):
+    """By the names of services. ports: where the programs of the end `here` connect.
+
+    targets: what the end `there` lets the other one connect to.
+    """
+
+    here: Segment
+    there: Segment
+    ports: Mapping[str, int]
+    targets: Mapping[str, Address]
+
+
+def services_wish(args: argparse.Namespace, segments: Sequence[Segment]) -> ServicesWish:
+    """Return what the options ask for; ConfigError."""
     ports = _table(args.service, _LISTEN, r"(\d{1,5})", "NAME=PORT, like ssh=2222")
     allowed = _table(
         args.service_allow, _ALLOW, r"([^:]+):(\d{1,5})", "NAME=HOST:PORT, like ssh=127.0.0.1:22"
     )
-    if not ports and not allowed:
-        yield files
-        return
-    option = _LISTEN if ports else _ALLOW
-    if not files:
-        raise ConfigError(f"{option} is carried beside files: give --files DIR, too")
-    if len(segments) > 1 and ports.keys() != allowed.keys():
-        name = min(ports.keys() ^ allowed.keys())
-        raise ConfigError(
-            f"{option}: both ends are here: give {_LISTEN} {name}=PORT and "
-            f"{_ALLOW} {name}=HOST:PORT"
-        )
-    targets = {name: _target(match) for name, match in allowed.items()}
+    if (ports or allowed) and args.files is None:
+        option = _LISTEN if ports else _ALLOW
+        raise ConfigError(f"{option} is for the channel of --files: give --files DIR, too")
+    for name in sorted(ports.keys() ^ allowed.keys()) if len(segments) > 1 else ():
+        lacking = f"{_ALLOW} {name}=HOST:PORT" if name in ports else f"{_LISTEN} {name}=PORT"
+        raise ConfigError(f"service {name}: both ends are here: give {lacking}, too")
+    return ServicesWish(
+        Segment.GROUND if Segment.GROUND in segments else Segment.SPACE,
+        Segment.SPACE if Segment.SPACE in segments else Segment.GROUND,
+        {name: int(match[1]) for name, match in ports.items()},
+        {
+            name: (resolve(match[1], match.string, _ALLOW, socket.AF_INET), int(match[2]))
+            for name, match in allowed.items()
+        },
+    )
+
+
+@contextmanager
+def bound_services(
+    wish: ServicesWish, files: Mapping[str, Mapping[str, object]]
+) -> Iterator[Mapping[str, Mapping[str, object]]]:
+    """Yield the arguments of the processes of files, with the services; ConfigError."""
     with ExitStack() as stack:
         listeners = {
-            name: stack.enter_context(_listener(name, int(match[1])))
-            for name, match in ports.items()
+            name: stack.enter_context(_listener(name, port)) for name, port in wish.ports.items()
         }
-        plans = (
-            {segments[0]: ServicesPlan(listeners=listeners, targets=targets)}
-            if len(segments) == 1
-            else {
-                Segment.GROUND: ServicesPlan(listeners=listeners),
-                Segment.SPACE: ServicesPlan(targets=targets),
-            }
-        )
         yield {
-            **files,
-            **{
-                FILES[segment]: {**files[FILES[segment]], "services": plan}
-                for segment, plan in plans.items()
-            },
+            name: {
+                **arguments,
+                "services": ServicesPlan(
+                    listeners=listeners if name == FILES[wish.here] else {},
+                    targets=wish.targets if name == FILES[wish.there] else {},
+                ),
+            }
+            for name, arguments in files.items()
         }
 
 
@@ -100,10 +111,6 @@ def _table(options: Sequence[str], option: str, rest: str, fits: str) -> dict[st
     if len(found) > _MOST_SERVICES:
         raise ConfigError(f"{option}: {len(found)} services; give at most {_MOST_SERVICES}")
     return found
-
-
-def _target(match: re.Match[str]) -> Address:
-    return resolve(match[1], match.string, _ALLOW, socket.AF_INET), int(match[2])
 
 
 def _listener(name: str, port: int) -> socket.socket:

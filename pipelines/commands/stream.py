@@ -47,7 +47,11 @@ from pipelines.commands.rtc_leg import (
     bound_rtc,
     with_rtc,
 )
-from pipelines.commands.services_options import add_services_arguments, bound_services
+from pipelines.commands.services_options import (
+    add_services_arguments,
+    bound_services,
+    services_wish,
+)
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.recording.part_files import (
@@ -172,6 +176,7 @@ def run(args: argparse.Namespace) -> int:
     say_unprotected(args.joystick, args.robot)
     ros2 = ros2_arguments(args)
     frames = parse_frames(args.frames)
+    services = services_wish(args, plan.segments)
     files = files_arguments(args, plan.segments)
     components = load_components(args.telemetry, built_in_dictionary())
     tasks = task_wish(args, setup, plan.segments)
@@ -218,6 +223,7 @@ def run(args: argparse.Namespace) -> int:
         say(path_line(one))
     with (
         hold_session(setup.name, end="" if one is None else one.segment.value) as session,
+        bound_services(services, files) as maintenance,
         announced_pages(
             page_wish,
             session,
@@ -229,7 +235,6 @@ def run(args: argparse.Namespace) -> int:
         announced_metrics(metrics, quiet=args.quiet),
         announced_foxglove(foxglove_wish, session, quiet=args.quiet) as foxglove,
         bound_packets(args, topology) as packets,
-        bound_services(args, plan.segments, files) as maintenance,
         live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         if wish is not None:

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 class ServiceFigures:
     """TCP services to and from the other end."""
 
-    #: Streams that were opened, by both ends.
+    #: Streams opened, by both ends.
     service_streams_opened: int = 0
     #: Streams that ended well.
     service_streams_ended: int = 0
-    #: Streams that were cut off: loss of signal, silence, idleness, a broken connection.
+    #: Streams cut off.
     service_streams_reset: int = 0
-    #: Connections and streams that this end refused.
+    #: Connections and streams refused here.
     service_streams_refused: int = 0
-    #: Octets that were sent, each counted once.
+    #: Octets sent, each counted once.
     service_octets_sent: int = 0
-    #: Octets that were sent again.
+    #: Octets sent again.
     service_octets_resent: int = 0
-    #: Octets that came, each counted once.
+    #: Octets received, each counted once.
     service_octets_received: int = 0
-    #: Datagrams that are none of a service.
+    #: Malformed datagrams.
     service_garbage: int = 0
