@@ -62,7 +62,7 @@ def read(link, octets):
 
 def converse(port):
     """A short conversation; whether it went to its end."""
-    with connected(port) as link, contextlib.suppress(ConnectionError):
+    with contextlib.suppress(ConnectionError), connected(port) as link:
         for word in (b"who\n", b"where is it\n"):
             if read(link, 2) != b"> ":
                 return False

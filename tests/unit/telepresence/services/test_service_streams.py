@@ -93,6 +93,7 @@ def test_a_loss_of_signal_closes_all_streams_at_both_ends_and_a_new_one_works() 
     assert [one.reason for one in programs] == [ResetReason.LOSS_OF_SIGNAL] * 4
     assert pair.ground.open(pair.now_ns) is None
     pair.contact = True
+    pair.run(0.1)
     here, there = pair.opened()
     here.write(b"again")
     pair.run(1)
@@ -137,12 +138,12 @@ def test_a_stream_without_data_is_reset_after_ten_minutes() -> None:
 def test_an_end_that_was_started_again_knows_no_stream_and_the_other_one_learns_it() -> None:
     pair = ServicePair()
     here, _ = pair.opened()
-    _, there = pair.opened()
     pair.space.restart(pair.now_ns)
     here.write(b"x")
     pair.run(2)
     assert here.reason == ResetReason.UNKNOWN
     # A quiet stream is found out by asking.
+    _, there = pair.opened()
     pair.ground.restart(pair.now_ns)
     pair.run(120, NS_PER_S)
     assert not pair.space.programs
@@ -150,6 +151,7 @@ def test_an_end_that_was_started_again_knows_no_stream_and_the_other_one_learns_
     # A new life of the opener closes the streams of the one before.
     _, there = pair.opened()
     pair.ground.restart(pair.now_ns)
+    pair.run(0.1)
     pair.opened()
     assert there.reason == ResetReason.RESTARTED
 
