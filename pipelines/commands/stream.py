@@ -122,6 +122,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="heed `kontur-av trainer`; with --end space, the radio of both directions is here",
     )
     parser.add_argument(
+        "--bypass",
+        action="store_true",
+        help="for tests, with both ends here: join the programs directly, past gateways and radio",
+    )
+    parser.add_argument(
         "--joystick",
         default=SIMULATED,
         metavar="SPEC",
@@ -165,6 +170,8 @@ def run(args: argparse.Namespace) -> int:
     one = chosen_end(args, plan)
     plan = replace(plan, segments=tuple(Segment) if one is None else (one.segment,))
     check_own_options(args, plan)
+    if args.bypass and one is not None:
+        raise ConfigError("--bypass: both ends must be here; leave --end out")
     inputs = inputs_here(plan)
     check_sources(setup, inputs)
     _check_page_sources(setup, inputs, pages=not args.no_page)
@@ -204,6 +211,7 @@ def run(args: argparse.Namespace) -> int:
         frames=args.frames is not None,
         ros2=bool(ros2),
         files=bool(files),
+        bypass=args.bypass,
         components=components,
         segments=plan.segments,
     )
