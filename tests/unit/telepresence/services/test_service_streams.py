@@ -156,6 +156,23 @@ def test_an_end_that_was_started_again_knows_no_stream_and_the_other_one_learns_
     assert there.reason == ResetReason.RESTARTED
 
 
+def test_an_overtaken_opening_gives_no_octet_of_another_life_to_the_opener() -> None:
+    pair = ServicePair()
+    here, there = pair.opened()
+    there.write(b"right")
+    pair.run(1)
+    (token,) = pair.ground.programs
+    pair.space.restart(pair.now_ns)
+    pair.run(0.1)
+    pair.space.streams.handle_datagram(pack_service(OpenService(token, 7, "echo")), pair.now_ns)
+    pair.step()
+    wrong = pair.space.programs[token]
+    wrong.write(b"12345wrong")
+    pair.run(2)
+    assert here.read == b"right"
+    assert wrong.reason == ResetReason.UNKNOWN
+
+
 def test_silence_in_contact_resets_a_stream() -> None:
     pair = ServicePair()
     here, _ = pair.opened()
