@@ -1,0 +1,124 @@
+"""A bad link and killed processes: octets arrive as they were sent, or the stream is reset.
+
+Never does a wrong octet come. Who was told that all has come has all of it, and a stream that one
+end still has, the other one has, too. `python tests/fuzz/test_services_fuzz.py 1000` runs that
+many sessions, outside CI.
+"""
+
+import sys
+from random import Random
+
+from mutated_octets import mutate
+from service_pair import LocalProgram, ServicePair
+
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ProtocolError
+from telepresence.services.datagrams import (
+    OpenService,
+    ResetReason,
+    ResetStream,
+    StreamPart,
+    pack_service,
+    parse_service,
+)
+
+DATAGRAMS = [
+    OpenService(5, 6, "echo"),
+    StreamPart(5, 6, 7, 8, 9, gap=3, data=b"abc"),
+    StreamPart(5, 6, 7, 8, 9, data=b"a", last=True),
+    StreamPart(5, 6, 7, 8, 9, ask=True),
+    ResetStream(5, 6, ResetReason.IDLE),
+]
+
+
+def run(seed: int) -> int:
+    """One session; return how many of its streams ended well."""
+    random = Random(seed)
+    pair = ServicePair(
+        seed,
+        loss=random.choice([0.0, 0.05, 0.3]),
+        doubled=random.choice([0.0, 0.1]),
+        overtaken=random.choice([0.0, 0.1]),
+    )
+    ends = (pair.ground, pair.space)
+    streams: dict[int, list[LocalProgram]] = {}
+
+    def look() -> None:
+        """Join the programs of the two ends by their stream, and give new ones what to write."""
+        for end in ends:
+            for token, program in end.programs.items():
+                known = streams.setdefault(token, [])
+                if program not in known:
+                    known.append(program)
+                    size = random.choice([0, 1, 255, 256, 257, 5_000, 20_000])
+                    program.write(random.randbytes(size), ends=random.random() < 0.7)
+
+    def check() -> None:
+        for known in streams.values():
+            for one in known:
+                # After a restart a stream may be opened again, towards nobody.
+                assert any(other.wrote.startswith(one.read) for other in known if other != one) or (
+                    one.read == b""
+                )
+                if one.ended:
+                    assert any(o.wrote == one.read and o.ends for o in known if o is not one)
+
+    for _ in range(40):
+        if random.random() < 0.4:
+            random.choice(ends).open(pair.now_ns)
+        for _ in range(random.randrange(80)):
+            pair.run(0.01)
+            look()
+        check()
+        pair.contact = random.random() < 0.9
+        if random.random() < 0.04:
+            random.choice(ends).restart(pair.now_ns)
+    pair.contact = True
+    for known in streams.values():
+        for one in known:
+            one.ends = True
+    for _ in range(150):
+        pair.run(2, 50 * NS_PER_MS)
+        look()
+        check()
+    well = 0
+    for known in streams.values():
+        assert all(one.closed for one in known)
+        # One end alone may take it for a failure: the last word to it may have come too late.
+        well += len(known) == 2 and all(one.reason is None and one.ended for one in known)
+    for end in ends:
+        assert end.streams.poll_timeout(pair.now_ns) is None
+        assert end.streams.counts.service_garbage == 0
+    return well
+
+
+def test_losses_overtaking_and_killed_processes_make_no_wrong_octet() -> None:
+    assert sum(run(seed) for seed in range(12)) > 20
+
+
+def parse_mutations(mutations: int, seed: int) -> int:
+    """Hand that many mutations to an end with streams; return how many were datagrams."""
+    random, pair, parsed = Random(seed), ServicePair(), 0
+    pair.opened()[0].write(bytes(9_000))
+    for count in range(mutations):
+        live = pair.ground.work(pair.now_ns + count) or [pack_service(random.choice(DATAGRAMS))]
+        octets = mutate(random, live[0])
+        try:
+            parse_service(octets)
+            parsed += 1
+        except ProtocolError:
+            pass
+        for end in (pair.space, pair.ground):
+            end.streams.handle_datagram(octets, pair.now_ns + count)
+        pair.space.work(pair.now_ns + count)
+    return parsed
+
+
+def test_mutated_datagrams_are_refused_or_taken_and_never_end_the_process() -> None:
+    assert parse_mutations(20_000, seed=1) > 1_000
+
+
+if __name__ == "__main__":
+    for seed in range(int(sys.argv[1])):
+        run(seed)
+    print(parse_mutations(100 * int(sys.argv[1]), seed=2))
