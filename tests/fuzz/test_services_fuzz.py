@@ -74,12 +74,11 @@ def run(seed: int) -> int:
         if random.random() < 0.04:
             random.choice(ends).restart(pair.now_ns)
     pair.contact = True
-    for known in streams.values():
-        for one in known:
-            one.ends = True
     for _ in range(150):
         pair.run(2, 50 * NS_PER_MS)
         look()
+        for one in (one for known in streams.values() for one in known):
+            one.ends = True
         check()
     well = 0
     for known in streams.values():
