@@ -24,7 +24,7 @@ class PacketsFigures:
     outside_refused: int = 0
     #: Telecommands beyond the rate.
     outside_excess: int = 0
-    #: What is no telecommand.
+    #: Messages that are not telecommands.
     outside_garbage: int = 0
 
 

@@ -41,7 +41,7 @@ class ArchivedSession(NamedTuple):
 class SessionArchive(Closing):
     """An archive of reports; the file is made if need be.
 
-    Raises ConfigError for a file that is none, or cannot be written.
+    Raises ConfigError for another kind of file, or one that cannot be written.
     """
 
     def __init__(self, path: Path) -> None:

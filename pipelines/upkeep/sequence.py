@@ -49,7 +49,7 @@ class MaintenanceSequence:
     Call `change` to put another line in the place of the next one, and `handle_end` when it ended:
     after a failure the same step is next again, unless it is skipped.
 
-    commands: the known subcommands of `kontur-av`. Raises ConfigError for a line that is none.
+    commands: the known subcommands of `kontur-av`. Raises ConfigError for any other line.
     """
 
     def __init__(self, lines: Iterable[str], commands: Collection[str]) -> None:

@@ -21,7 +21,7 @@ class FileFigures:
     file_transactions_failed: int = 0
     #: What this end refused: names, jobs of its directory, too many at once.
     file_requests_refused: int = 0
-    #: Datagrams that are no PDUs.
+    #: Malformed datagrams.
     file_garbage: int = 0
     #: How long transactions waited for contact.
     file_suspended_ns: int = 0

@@ -274,7 +274,7 @@ def _responses(pdu: Finished) -> list[FileStoreResponseTlv]:
 
 
 def parse_pdu(octets: bytes) -> Pdu:
-    """Return the PDU. ProtocolError if it is none of class 2, or not one that this end knows."""
+    """Return the PDU. ProtocolError for other octets, and for PDUs that this end does not know."""
     try:
         return _parse(octets)
     except _GARBAGE as error:

@@ -73,7 +73,7 @@ class UpdateInbox:
         self._busy = False
 
     def handle_files(self, files: Mapping[str, FileStamp], now_ns: int) -> None:
-        """All files of the folder; those that are nothing for the inbox do not matter."""
+        """All files of the folder; the inbox ignores those that are not for it."""
         before, self._there = self._there, OrderedDict()
         self._done = {name: stamp for name, stamp in self._done.items() if name in files}
         for name, stamp in sorted(files.items(), key=lambda one: (one[1], one[0])):
@@ -95,7 +95,7 @@ class UpdateInbox:
         return next(rested, None)
 
     def order_of(self, octets: bytes) -> str:
-        """Return the order in a file. ConfigError if it is none."""
+        """Return the order in a file. ConfigError for any other text."""
         text = octets[: _LARGEST_ORDER + 1].decode(errors="replace").strip()
         if not text or text.split()[0] not in self._words or len(text) > _LARGEST_ORDER:
             allowed = ", ".join(sorted(self._words))

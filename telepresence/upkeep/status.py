@@ -32,7 +32,7 @@ def pack_status(status: VersionStatus) -> bytes:
 
 
 def parse_status(octets: bytes) -> VersionStatus | None:
-    """Return what a program has told; None if that is none."""
+    """Return what a program has told; None for any other text."""
     try:
         return msgspec.json.decode(octets, type=VersionStatus)
     except msgspec.MsgspecError:

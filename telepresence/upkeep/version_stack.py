@@ -212,7 +212,7 @@ class VersionSwitch:
         before = self.record.current
         self.handle_time(now_ns)
         if self._paused or self.record.current != before:
-            # It was the word of a program that is no more.
+            # The program that said so has ended.
             return
         self._status = status
         self._silence_ns = 0
