@@ -37,8 +37,11 @@ def serving(handler):
     with socketserver.ThreadingTCPServer((HOST, 0), handler) as server:
         server.left = threading.Semaphore(0)
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield server
-        server.shutdown()
+        try:
+            yield server
+        finally:
+            # Else its thread would go on with a descriptor that something else gets next.
+            server.shutdown()
 
 
 def free_tcp_port():
