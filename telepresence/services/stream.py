@@ -60,7 +60,7 @@ class ServiceStream:
     def __init__(
         self, opening: OpenService, *, mine: bool, answer: int, pace: StreamPace, now_ns: int
     ) -> None:
-        self.token, self.service = opening.token, opening.name
+        self.token, self.life, _ = opening
         self.mine, self.answer = mine, answer
         self.ready = bytearray()
         self.sent_octets = self.resent_octets = self.received_octets = 0

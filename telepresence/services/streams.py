@@ -241,7 +241,10 @@ class ServiceStreams:
                 self._answer(self._over[token])
             return
         # Without a signal it would be closed at once; it will be asked again.
-        if life in self._old_lives or not self._heard:
+        if not self._heard:
+            return
+        if life in self._old_lives:
+            self._answer(ResetStream(token, 0, ResetReason.RESTARTED))
             return
         if life != self._peer_life:
             for one in [one for one in self._streams.values() if not one.mine]:
@@ -275,6 +278,9 @@ class ServiceStreams:
             return
         # Either end may not know the other one's number yet.
         if not (stream.answer and reset.answer) or stream.answer == reset.answer:
+            if reset.reason == ResetReason.RESTARTED and stream.life == self._life:
+                # An overtaken opening made the other end take this life for an older one.
+                self._life = self._new_number()
             self._close(stream, reset.reason)
 
     def _follow(self, stream: ServiceStream) -> None:
