@@ -170,7 +170,8 @@ def history(seed: int) -> int:
 
 
 def test_after_any_history_conversations_work_and_no_stream_is_left() -> None:
-    assert sum(history(seed) for seed in range(6)) == 360
+    # In the last one an overtaken opening meets a restarted end.
+    assert sum(history(seed) for seed in (*range(5), 118)) == 360
 
 
 def parse_mutations(mutations: int, seed: int) -> int:
