@@ -99,6 +99,7 @@ class FileEntity:
 
     entity, peer: the ids of this end and of the other one. first_number: above those of earlier
     lives. rate_bps: the most that is sent. delay_ns: the longest delay of the radio, one way.
+    checksum: of files from here, one of `KNOWN_SUMS`.
     """
 
     def __init__(
@@ -113,8 +114,9 @@ class FileEntity:
         repeat_ns: int = 3 * NS_PER_S,
         patience_ns: int = 120 * NS_PER_S,
         delay_ns: int = 0,
+        checksum: int = ChecksumType.CRC_32,
     ) -> None:
-        self._entity, self._peer = entity, peer
+        self._entity, self._peer, self._checksum = entity, peer, checksum
         self._next_number = first_number & 0xFFFFFFFF
         self._pace = TransactionPace(
             segment_octets=segment_octets,
@@ -159,6 +161,7 @@ class FileEntity:
         metadata = Metadata(
             key=key,
             size=len(octets),
+            checksum=self._checksum,
             source=first,
             destination=second,
             sha256=sha256(octets).digest(),
