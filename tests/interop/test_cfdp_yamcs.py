@@ -126,7 +126,7 @@ def test_files_go_both_ways_while_pdus_are_lost(tmp_path):
         up = yamcs.post(path, {**sent, "remotePath": "up.bin", "options": {"reliable": True}})
 
         def transfers():
-            return {one["objectName"]: one for one in yamcs.get(path).get("transfers", [])}
+            return {one.get("objectName"): one for one in yamcs.get(path).get("transfers", [])}
 
         def ended():
             over = down.state in (DONE, FAILED) and "up.bin" in end.files
