@@ -44,6 +44,7 @@ from telepresence.haptics.figures import (
 from telepresence.haptics.ownership import OwnershipFigures
 from telepresence.link.figures import GatewayFigures
 from telepresence.link.peer.figures import PeerFigures
+from telepresence.services.figures import ServiceFigures
 
 #: All records that processes tell.
 TOLD: tuple[type, ...] = (
@@ -76,6 +77,7 @@ TOLD: tuple[type, ...] = (
     PacketsFigures,
     FrameFigures,
     FileFigures,
+    ServiceFigures,
     TaskFigures,
     ComponentFigures,
     TrainerFigures,

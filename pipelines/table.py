@@ -55,6 +55,7 @@ def topology_of(
     frames: bool = False,
     ros2: bool = False,
     files: bool = False,
+    bypass: bool = False,
     components: tuple[Component, ...] = (),
     segments: tuple[Segment, ...] = tuple(Segment),
 ) -> Topology:
@@ -77,6 +78,7 @@ def topology_of(
         frames=frames,
         ros2=ros2,
         files=files,
+        bypass=bypass,
         components=components,
     )
     both = SessionOptions(pages=True, tasks=True, components=components)

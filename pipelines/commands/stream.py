@@ -47,6 +47,11 @@ from pipelines.commands.rtc_leg import (
     bound_rtc,
     with_rtc,
 )
+from pipelines.commands.services_options import (
+    add_services_arguments,
+    bound_services,
+    services_wish,
+)
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.recording.part_files import (
@@ -117,6 +122,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="heed `kontur-av trainer`; with --end space, the radio of both directions is here",
     )
     parser.add_argument(
+        "--bypass",
+        action="store_true",
+        help="for tests, with both ends here: join the programs directly, past gateways and radio",
+    )
+    parser.add_argument(
         "--joystick",
         default=SIMULATED,
         metavar="SPEC",
@@ -149,6 +159,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_outlet_arguments(parser)
     add_packets_arguments(parser)
     add_files_arguments(parser)
+    add_services_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -159,6 +170,8 @@ def run(args: argparse.Namespace) -> int:
     one = chosen_end(args, plan)
     plan = replace(plan, segments=tuple(Segment) if one is None else (one.segment,))
     check_own_options(args, plan)
+    if args.bypass and one is not None:
+        raise ConfigError("--bypass: both ends must be here; leave --end out")
     inputs = inputs_here(plan)
     check_sources(setup, inputs)
     _check_page_sources(setup, inputs, pages=not args.no_page)
@@ -170,6 +183,7 @@ def run(args: argparse.Namespace) -> int:
     say_unprotected(args.joystick, args.robot)
     ros2 = ros2_arguments(args)
     frames = parse_frames(args.frames)
+    services = services_wish(args, plan.segments)
     files = files_arguments(args, plan.segments)
     components = load_components(args.telemetry, built_in_dictionary())
     tasks = task_wish(args, setup, plan.segments)
@@ -197,6 +211,7 @@ def run(args: argparse.Namespace) -> int:
         frames=args.frames is not None,
         ros2=bool(ros2),
         files=bool(files),
+        bypass=args.bypass,
         components=components,
         segments=plan.segments,
     )
@@ -216,6 +231,7 @@ def run(args: argparse.Namespace) -> int:
         say(path_line(one))
     with (
         hold_session(setup.name, end="" if one is None else one.segment.value) as session,
+        bound_services(services, files) as maintenance,
         announced_pages(
             page_wish,
             session,
@@ -243,7 +259,7 @@ def run(args: argparse.Namespace) -> int:
                 PACKETS: {"plan": packets},
                 FRAMES: {"address": frames},
                 **ros2,
-                **files,
+                **maintenance,
             },
             clock=clock,
             listener=collector,

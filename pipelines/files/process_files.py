@@ -1,5 +1,9 @@
-"""The process that carries files. `FileEntity` decides; this module has sockets and directory."""
+"""The process that owns the maintenance channel, for files and services.
 
+`FileEntity` and `ServiceStreams` decide; this module has sockets and directory.
+"""
+
+import os
 import select
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +12,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.session_files import make_session_root
 from pipelines.files.desk import ENTITIES, FileAnswer, FileDesk, FileRequest, desk_name
 from pipelines.files.directory import FencedDirectory
+from pipelines.files.service_sockets import ServiceSockets, ServicesPlan
 from pipelines.session.asking import desk_path
 from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
@@ -17,11 +22,14 @@ from pipelines.session.topology import Segment, maintenance_stream
 from telepresence.files.entity import PUT, FileEntity
 from telepresence.link.backlog import Backlog
 from telepresence.link.frame import MAX_PACKET_OCTETS
+from telepresence.services.datagrams import is_service
+from telepresence.services.streams import ServiceStreams
 
 #: How often the state of the link is looked at while something is to be sent.
 _LOOK_NS = 10 * NS_PER_MS
 #: Numbers of transactions count such units of Unix time, so that no later life has the same.
 _NUMBER_NS = NS_PER_S // 10
+_NO_SERVICES = ServicesPlan()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,19 +40,34 @@ class FilesPlan:
     rate_bps: int
 
 
-def run_files(context: Context, plan: FilesPlan, *, segment: Segment) -> None:
-    """Carry PDUs between the link and the entity, and do what it asks of the directory."""
+def run_files(
+    context: Context,
+    plan: FilesPlan,
+    *,
+    segment: Segment,
+    services: ServicesPlan = _NO_SERVICES,
+) -> None:
+    """Carry datagrams between the link and both cores, and do what these ask for."""
     clock, topology = context.clock, context.topology
     directory = FencedDirectory(plan.directory)
     now_ns = clock.now_ns()
+    delay_ns = context.setup.radio_profile.longest_delay_ns
     entity = FileEntity(
         entity=ENTITIES[segment],
         peer=ENTITIES[segment.peer],
         first_number=(now_ns + clock.wall_offset_ns) // _NUMBER_NS,
         rate_bps=plan.rate_bps,
         now_ns=now_ns,
-        delay_ns=context.setup.radio_profile.longest_delay_ns,
+        delay_ns=delay_ns,
     )
+    streams = ServiceStreams(
+        allowed=services.targets,
+        rate_bps=plan.rate_bps,
+        seed=int.from_bytes(os.urandom(8)),
+        now_ns=now_ns,
+        delay_ns=delay_ns,
+    )
+    links = ServiceSockets(streams, services)
     desk = FileDesk(entity)
 
     def answer(request: FileRequest, now_ns: int) -> FileAnswer:
@@ -55,22 +78,31 @@ def run_files(context: Context, plan: FilesPlan, *, segment: Segment) -> None:
     udp = context.listen_media(topology.exit_port(maintenance_stream(segment.peer.transmits)))
     send = context.sender(topology.entry_port(maintenance_stream(segment.transmits)))
     context.on_flush(lambda: context.probe.tell(entity.report(clock.now_ns())))
+    context.on_flush(lambda: context.probe.tell(streams.report()))
     make_session_root(context.session)
     terminals = TerminalSockets(desk_path(context.session, desk_name(segment)), most=MOST_TERMINALS)
     with context.open_bus() as bus:
         link = bus.reader(topology.link(segment.transmits).backlog_topic)
+        state: Backlog | None = None
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             if (told := link.latest_octets()) is not None:
                 state = Backlog.unpack(told)
-                entity.handle_link(
-                    heard=state.peer_heard,
-                    waiting_octets=state.maintenance_octets,
-                    now_ns=now_ns,
-                )
+            if state is not None:
+                heard, waiting = state.peer_heard, state.maintenance_octets
+                streams.handle_link(heard=heard, waiting_octets=waiting, now_ns=now_ns)
+                waiting += streams.reserved_octets
+                entity.handle_link(heard=heard, waiting_octets=waiting, now_ns=now_ns)
             while (octets := receive(udp, MAX_PACKET_OCTETS + 1)) is not None:
-                entity.handle_pdu(octets, now_ns)
+                if is_service(octets):
+                    streams.handle_datagram(octets, now_ns)
+                else:
+                    entity.handle_pdu(octets, now_ns)
+            while (datagram := streams.poll_transmit(now_ns)) is not None:
+                send(datagram)
+                entity.handle_sent_before(len(datagram), now_ns)
+            links.follow()
             while (job := entity.next_event()) is not None:
                 refusal, found = directory.do(job)
                 entity.handle_done(job, refusal, now_ns, found)
@@ -78,15 +110,18 @@ def run_files(context: Context, plan: FilesPlan, *, segment: Segment) -> None:
                 send(pdu)
             while (reply := lines.next_event()) is not None:
                 terminals.send(reply.terminal, reply.octets, last=reply.last)
-            due_ns = entity.poll_timeout(now_ns)
-            wait_ns = PATIENCE_NS if due_ns is None else max(0, due_ns - clock.now_ns())
-            wait_ns = min(wait_ns, _LOOK_NS if entity.open else PATIENCE_NS)
+            look_ns = _LOOK_NS if entity.open or streams.open else PATIENCE_NS
+            due = [entity.poll_timeout(now_ns), streams.poll_timeout(now_ns), now_ns + look_ns]
+            due_ns = min(one for one in due if one is not None)
+            wait_s = max(0, due_ns - clock.now_ns()) / NS_PER_S
             asking = lines.asking
-            readers = [udp, *terminals.readers(asking)]
-            ready = select.select(readers, [], [], wait_ns / NS_PER_S)[0]
+            readers = [udp, *terminals.readers(asking), *links.readers]
+            ready, writable, _ = select.select(readers, links.writers, [], wait_s)
             now_ns = clock.now_ns()
+            links.handle_ready(ready, writable, now_ns)
             if (terminal := terminals.accept(ready)) is not None:
                 lines.handle_terminal(terminal)
             for terminal, data in terminals.read(ready, asking):
                 lines.handle_octets(terminal, data, now_ns)
+    links.close()
     terminals.close()

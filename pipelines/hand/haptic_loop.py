@@ -29,10 +29,10 @@ Send = Callable[[bytes], None]
 
 
 def session_ports(topology: Topology, process: str) -> tuple[int, int]:
-    """The port of an end's samples, and the gateway's for those that it sends."""
+    """The port of an end's samples, and the one to which it sends its own."""
     (taken,) = (row for row in topology.haptics if row.receiver == process)
     (given,) = (row for row in topology.haptics if row.sender == process)
-    return taken.exit_port, given.entry_port
+    return taken.exit_port, topology.entry_port(given.name)
 
 
 def new_life() -> int:

@@ -1,7 +1,8 @@
 """One end of the file transfer: several transactions at once, at a bounded rate, in contact only.
 
-All timers run on the time in contact, and only while the link has room. So a loss of signal
-suspends every transaction, and afterwards it goes on where it was (CCSDS 727.0-B-5 clause 4.11).
+All timers run on the time in contact, and only while the link has room; the rate has real time. So
+a loss of signal suspends every transaction, and afterwards it goes on where it was (CCSDS
+727.0-B-5 clause 4.11).
 """
 
 from collections import OrderedDict, deque
@@ -98,6 +99,7 @@ class FileEntity:
 
     entity, peer: the ids of this end and of the other one. first_number: above those of earlier
     lives. rate_bps: the most that is sent. delay_ns: the longest delay of the radio, one way.
+    checksum: of files from here, one of `KNOWN_SUMS`.
     """
 
     def __init__(
@@ -112,8 +114,9 @@ class FileEntity:
         repeat_ns: int = 3 * NS_PER_S,
         patience_ns: int = 120 * NS_PER_S,
         delay_ns: int = 0,
+        checksum: int = ChecksumType.CRC_32,
     ) -> None:
-        self._entity, self._peer = entity, peer
+        self._entity, self._peer, self._checksum = entity, peer, checksum
         self._next_number = first_number & 0xFFFFFFFF
         self._pace = TransactionPace(
             segment_octets=segment_octets,
@@ -158,6 +161,7 @@ class FileEntity:
         metadata = Metadata(
             key=key,
             size=len(octets),
+            checksum=self._checksum,
             source=first,
             destination=second,
             sha256=sha256(octets).digest(),
@@ -224,6 +228,10 @@ class FileEntity:
         self._changed_ns = now_ns
         self._heard, self._room = heard, room
 
+    def handle_sent_before(self, octets: int, now_ns: int) -> None:
+        """Others, who go first, have sent so much at the rate of this end."""
+        self._bucket.take(octets, now_ns)
+
     def handle_done(
         self, job: DirectoryJob, refusal: str, now_ns: int, octets: bytes = b""
     ) -> None:
@@ -241,15 +249,15 @@ class FileEntity:
         """Return the next PDU, or None."""
         if not self._running:
             return None
-        at_ns = self._time(now_ns)
-        if not self._bucket.holds(self._most_octets, at_ns):
+        if not self._bucket.holds(self._most_octets, now_ns):
             return None
+        at_ns = self._time(now_ns)
         pdu = self._answers.popleft() if self._answers else self._poll(at_ns)
         self._expire(at_ns)
         if pdu is None:
             return None
         octets = pack_pdu(pdu)
-        self._bucket.take(len(octets), at_ns)
+        self._bucket.take(len(octets), now_ns)
         return octets
 
     def poll_timeout(self, now_ns: int) -> int | None:
@@ -265,9 +273,8 @@ class FileEntity:
             due_ns = 0
         if due_ns is None:
             return None
-        at_ns = self._time(now_ns)
-        due_ns = max(due_ns, self._bucket.holds_ns(self._most_octets, at_ns))
-        return now_ns + max(0, due_ns - at_ns)
+        free_ns = self._bucket.holds_ns(self._most_octets, now_ns)
+        return max(free_ns, now_ns + due_ns - self._time(now_ns))
 
     def next_event(self) -> DirectoryJob | None:
         """Return the next job, or None."""

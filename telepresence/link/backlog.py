@@ -9,6 +9,8 @@ from telepresence.link.gateway import Gateway
 
 #: Shortest interval between two reports, because each one costs both processes time.
 REPORT_NS = 4 * NS_PER_MS
+#: An unchanged state is reported again, for a process that was started after the last change.
+REPEAT_NS = 500 * NS_PER_MS
 #: `Backlog.freed_bps` is rounded down to a multiple of this, so that not every slot is a change.
 FREED_STEP_BPS = 1_000
 
@@ -43,7 +45,7 @@ class Backlog(NamedTuple):
 
 
 class BacklogReporter:
-    """Decides when to report to the sender: only changes, at most once in `REPORT_NS`."""
+    """Decides when to report: changes at most once in `REPORT_NS`, and all in `REPEAT_NS`."""
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway
@@ -52,7 +54,7 @@ class BacklogReporter:
         self._maintenance = gateway.sender.queue(Level.MAINTENANCE)
         self._seen: tuple[int, int, bool, int, int] | None = None
         self._reported: Backlog | None = None
-        self._due_ns = 0
+        self._due_ns = self._repeat_ns = 0
 
     def poll_transmit(self, now_ns: int) -> Backlog | None:
         """Return the report to send now, or None. Call once a slot, at the slot's instant."""
@@ -63,13 +65,14 @@ class BacklogReporter:
         left_octets = self._maintenance.octets
         signal, free_slots = self._supervisor.signal, gateway.free_slots
         seen = waiting_octets, gateway.contacts, signal, free_slots, left_octets
-        if seen == self._seen:
+        again = now_ns >= self._repeat_ns
+        if seen == self._seen and not again:
             return None
         self._seen = seen
         freed_bps = gateway.freed_bps
         backlog = Backlog(*seen[:3], freed_bps - freed_bps % FREED_STEP_BPS, left_octets)
-        if backlog == self._reported:
+        if backlog == self._reported and not again:
             return None
         self._reported = backlog
-        self._due_ns = now_ns + REPORT_NS
+        self._due_ns, self._repeat_ns = now_ns + REPORT_NS, now_ns + REPEAT_NS
         return backlog

@@ -62,6 +62,11 @@ class Yamcs:
                 return found
             more = {"next": page["continuationToken"]}
 
+    def is_there(self):
+        assert self.process.poll() is None, "YAMCS has ended"
+        with contextlib.suppress(OSError):
+            return self.get("instances/kontur_av")["state"] == "RUNNING"
+
     def is_linked(self):
         # Before its instance is there, it knows no links.
         with contextlib.suppress(OSError, KeyError):

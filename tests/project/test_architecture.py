@@ -109,6 +109,7 @@ SHELLS = {
     "kontur_av/streams/ends.py": "threads and sockets",
     "pipelines/mission/joined_session.py": "topics and a Unix socket",
     "pipelines/files/directory.py": "files",
+    "pipelines/files/service_sockets.py": "TCP connections",
     "pipelines/session/sessions.py": "processes, and what they leave",
     "pipelines/virtual/workers.py": "processes",
     "pipelines/commands/live_session.py": "the live commands",

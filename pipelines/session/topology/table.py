@@ -65,6 +65,7 @@ class SessionOptions:
     frames: bool = False
     ros2: bool = False
     files: bool = False
+    bypass: bool = False
     components: tuple[Component, ...] = ()
 
 
@@ -195,8 +196,12 @@ class Topology:
         return self._streams[name]
 
     def entry_port(self, stream: str) -> int:
-        """Return the port of the sending segment's gateway for a stream's datagrams."""
-        return self._streams[stream].entry_port
+        """Return the port to which a stream's sender sends.
+
+        It is the sending segment's gateway's, or past both gateways the receiver's.
+        """
+        row = self._streams[stream]
+        return row.exit_port if self.options.bypass else row.entry_port
 
     def exit_port(self, stream: str) -> int:
         """Return the port on which a stream's receiver listens, in the other segment."""

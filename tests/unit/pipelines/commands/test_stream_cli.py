@@ -60,6 +60,18 @@ SPACE = ["--setup", "spacejustin", "--end", "space", "--peer", "127.0.0.1:27000"
             "there is no module 'nowhere'",
         ),
         (["--setup", "taskboard", "--source", "left"], "NAME=SPEC"),
+        (["--setup", "taskboard", "--service", "ssh=2222"], "give --files DIR, too"),
+        (["--setup", "taskboard", "--service", "ssh"], "NAME=PORT"),
+        (["--setup", "taskboard", "--service", "ssh=70000"], "NAME=PORT"),
+        (["--setup", "taskboard", "--service-allow", "../a=127.0.0.1:22"], "NAME=HOST:PORT"),
+        (
+            ["--setup", "taskboard", "--service", "ssh=2222", "--service", "ssh=2223"],
+            "ssh is given twice",
+        ),
+        (
+            ["--setup", "taskboard", "--files", ".", "--service", "ssh=2222"],
+            "give --service-allow ssh=HOST:PORT, too",
+        ),
         (["--setup", "taskboard", "--source", "=x"], "NAME=SPEC"),
         (["--setup", "taskboard", "--source", "left=missing.mp4"], "missing.mp4"),
         (["--setup", "taskboard", "--source", "left=scene:nosuch"], "choose one of"),

@@ -1,0 +1,144 @@
+"""The TCP connections of services on this machine. `ServiceStreams` decides; these are sockets."""
+
+import socket
+import struct
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from errno import EINPROGRESS
+
+from pipelines.session.datagrams import Address
+from telepresence.services.streams import ServiceStreams, StreamClosed, StreamOpened
+
+#: Close without waiting for anything: the program sees a reset connection (socket(7)).
+_AT_ONCE = struct.pack("ii", 1, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServicesPlan:
+    """By the names of services. listeners: sockets for this end's programs, which never block.
+
+    targets: where the other end's streams are connected to.
+    """
+
+    listeners: Mapping[str, socket.socket] = field(default_factory=dict)
+    targets: Mapping[str, Address] = field(default_factory=dict)
+
+
+class ServiceSockets:
+    """Wait for `readers` and `writers`, then call `handle_ready`; call `follow` after any input."""
+
+    def __init__(self, streams: ServiceStreams, plan: ServicesPlan) -> None:
+        self._streams, self._plan = streams, plan
+        self._links: dict[int, socket.socket] = {}
+        #: Connections that are not made yet.
+        self._joining: set[int] = set()
+
+    @property
+    def readers(self) -> list[socket.socket]:
+        room = self._streams.room_octets
+        links = [
+            link
+            for token, link in self._links.items()
+            if token not in self._joining and room(token)
+        ]
+        return [*self._plan.listeners.values(), *links]
+
+    @property
+    def writers(self) -> list[socket.socket]:
+        received = self._streams.received
+        return [
+            link for token, link in self._links.items() if token in self._joining or received(token)
+        ]
+
+    def handle_ready(
+        self, readable: Collection[object], writable: Collection[object], now_ns: int
+    ) -> None:
+        """Accept, read and write what `select` found ready."""
+        for token, link in list(self._links.items()):
+            try:
+                if link in writable:
+                    self._write(token, link, now_ns)
+                if link in readable:
+                    self._read(token, link, now_ns)
+            except BlockingIOError:
+                continue
+            except OSError:
+                self._streams.handle_broken(token)
+        for service, listener in self._plan.listeners.items():
+            if listener in readable:
+                self._accept(service, listener, now_ns)
+
+    def follow(self) -> None:
+        """Do what the core says of its streams."""
+        while (event := self._streams.next_event()) is not None:
+            if isinstance(event, StreamOpened):
+                self._join(event.token, self._plan.targets[event.service])
+                continue
+            link = self._links.get(event.token)
+            if link is None:
+                continue
+            if not isinstance(event, StreamClosed):
+                with suppress(OSError):
+                    link.shutdown(socket.SHUT_WR)
+                continue
+            del self._links[event.token]
+            self._joining.discard(event.token)
+            if event.reason is not None:
+                _cut(link)
+            link.close()
+
+    def close(self) -> None:
+        """Cut all connections off."""
+        for link in self._links.values():
+            _cut(link)
+            link.close()
+
+    def _accept(self, service: str, listener: socket.socket, now_ns: int) -> None:
+        try:
+            link, _ = listener.accept()
+        except OSError:
+            return
+        token = self._streams.handle_open(service, now_ns)
+        if token is None:
+            _cut(link)
+            link.close()
+            return
+        self._keep(token, link)
+
+    def _join(self, token: int, target: Address) -> None:
+        link = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._keep(token, link)
+        self._joining.add(token)
+        if link.connect_ex(target) not in (0, EINPROGRESS):
+            self._streams.handle_broken(token)
+
+    def _keep(self, token: int, link: socket.socket) -> None:
+        link.setblocking(False)
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._links[token] = link
+
+    def _write(self, token: int, link: socket.socket, now_ns: int) -> None:
+        if token in self._joining:
+            if link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+                self._streams.handle_broken(token)
+                return
+            self._joining.discard(token)
+        octets = self._streams.received(token)
+        if octets:
+            self._streams.handle_taken(token, link.send(octets), now_ns)
+
+    def _read(self, token: int, link: socket.socket, now_ns: int) -> None:
+        room_octets = self._streams.room_octets(token)
+        if not room_octets:
+            return
+        octets = link.recv(room_octets)
+        if octets:
+            self._streams.handle_data(token, octets, now_ns)
+        else:
+            self._streams.handle_end(token)
+
+
+def _cut(link: socket.socket) -> None:
+    with suppress(OSError):
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)

@@ -1,0 +1,1 @@
+"""TCP services across the link: a few ordered octet streams, in contact only."""
