@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.meters import rank_of
 from pipelines.report.sync_figures import (
     LIMITS,
     SyncFigures,
     disagreements,
-    rank,
     skew_summary,
     sync_section,
 )
@@ -139,12 +139,12 @@ def test_bounces_and_touches_beside_a_target_are_distinguished():
 def test_the_last_contact_is_not_missed_because_its_force_has_no_stamp_yet(late_ms):
     soonest_ns, end_ns = min(late_ms, 10) * MS, 20 * NS_PER_S
     for before_end_ms in range(900, 1300, 10):
-        sync = SyncFigures()
+        sync = SyncFigures(soonest_ns=soonest_ns)
         for at_ns in (9 * NS_PER_S, end_ns - before_end_ms * MS):
             sync.handle_series(series([ContactRow(at_ns, 0)]))
             sync.handle_series(series([StepRow(at_ns + late_ms * MS)]))
         sync.handle_time(end_ns, lambda instant_ns: instant_ns)
-        assert sync.report(["force"], soonest_ns=soonest_ns).senses["force"].missed == 0
+        assert sync.report(["force"]).senses["force"].missed == 0
 
 
 def test_a_sense_that_a_setup_lacks_has_no_figures():
@@ -189,6 +189,6 @@ def test_limits_equal_those_in_the_cited_papers():
 @given(st.lists(st.integers(-(10**9), 10**9), min_size=1), st.sampled_from((50, 95, 99)))
 def test_a_percentile_is_the_value_at_the_nearest_rank(values, p):
     ordered = sorted(values)
-    value = rank(ordered, p)
+    value = ordered[rank_of(p, len(ordered)) - 1]
     assert sum(one <= value for one in ordered) * 100 >= p * len(ordered)
     assert sum(one < value for one in ordered) * 100 < p * len(ordered)
