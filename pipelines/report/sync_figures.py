@@ -8,8 +8,7 @@ joined to its contact (`sync_matching`), and judged. From that come latencies an
 from bisect import bisect_left
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Collection, Container, Iterable, Sequence
-from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
 
@@ -62,34 +61,37 @@ class SensedEvent:
         return None if found is None else found.instant_ns - self.instant_ns
 
 
-@dataclass
 class _Tally:
-    """What contacts add up to: how often each duration (ns) came, by sense and by pair."""
+    """What contacts add up to.
 
-    events: int = 0
-    latency: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
-    stamped: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
-    error: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
-    skew: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
+    durations: how often each (ns) came; by `latency`, `stamped` and `error` of a sense, and by
+    `skew` of a pair.
+    """
+
+    def __init__(self, base: "_Tally | None" = None) -> None:
+        self.events = 0 if base is None else base.events
+        self.durations: defaultdict[tuple[str, str], Counter[int]] = defaultdict(Counter)
+        if base is not None:
+            self.durations.update((key, counted.copy()) for key, counted in base.durations.items())
 
     def add(self, events: Sequence[SensedEvent], grain_ns: int = 1) -> None:
         """Count events, with durations to the nearest multiple of `grain_ns`."""
 
-        def count(durations: Counter[int], value_ns: int) -> None:
-            durations[round(value_ns / grain_ns) * grain_ns] += 1
+        def count(what: str, of: str, value_ns: int) -> None:
+            self.durations[what, of][round(value_ns / grain_ns) * grain_ns] += 1
 
         self.events += len(events)
         for event in events:
             for sense, found in event.perceived.items():
                 if found is None:
                     continue
-                count(self.latency[sense], found.instant_ns - event.instant_ns)
+                count("latency", sense, found.instant_ns - event.instant_ns)
                 if found.stamp_ns is not None:
-                    count(self.stamped[sense], found.instant_ns - found.stamp_ns)
-                    count(self.error[sense], found.stamp_ns - event.instant_ns)
+                    count("stamped", sense, found.instant_ns - found.stamp_ns)
+                    count("error", sense, found.stamp_ns - event.instant_ns)
         for pair in PAIRS:
             for skew_ns in skews_ns(pair, events):
-                count(self.skew[pair], skew_ns)
+                count("skew", pair, skew_ns)
 
 
 class SyncFigures:
@@ -191,7 +193,7 @@ class SyncFigures:
         if self._first_ns is None:
             return None
         start_ns = self._first_ns
-        tally = deepcopy(self._settled)
+        tally = _Tally(self._settled)
         tally.add(events)
         contacts, bounces = self._apart()
         return SyncReport(
@@ -203,7 +205,9 @@ class SyncFigures:
                 for sense in SENSES
             },
             skew_ms={
-                pair: skew_summary(pair, tally.skew[pair] if {*both} <= {*senses} else ())
+                pair: skew_summary(
+                    pair, tally.durations["skew", pair] if {*both} <= {*senses} else ()
+                )
                 for pair, both in PAIRS.items()
             },
             listed=[_listed(event, start_ns) for event in events[-_LISTED:]],
@@ -235,14 +239,14 @@ class SyncFigures:
                 if (found := event.perceived[sense]) is not None
             ]
         )
-        perceived = tally.latency[sense].total()
+        perceived = tally.durations["latency", sense].total()
         return SenseReport(
             stream=SENSES[sense],
             perceived=perceived,
             missed=tally.events - perceived,
-            latency_ms=ranks_ms(tally.latency[sense]),
-            stamped_latency_ms=ranks_ms(tally.stamped[sense]),
-            stamp_error_ms=ranks_ms(tally.error[sense]),
+            latency_ms=ranks_ms(tally.durations["latency", sense]),
+            stamped_latency_ms=ranks_ms(tally.durations["stamped", sense]),
+            stamp_error_ms=ranks_ms(tally.durations["error", sense]),
             judged=verdict.judged,
             judged_error_ms=None if verdict.median_ns is None else _ms(verdict.median_ns),
             confident_ms=None if verdict.between_ns is None else _both_ms(verdict.between_ns),
