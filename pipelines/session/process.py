@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 #: The longest sleep of a process before it checks whether to end.
 PATIENCE_NS = 100 * NS_PER_MS
 
+#: Collect garbage with one flush in so many, twice a minute. It takes 0.1 to 0.3 ms, of pages 3.
+_COLLECT_EVERY = 60
+
 #: The longest message of the launcher to a process.
 MAX_FIGURES_OCTETS = 1 << 20
 
@@ -62,6 +65,7 @@ class Context:
     stopping: bool = False
     pages: Mapping[str, PageListener] = field(default_factory=dict)
     _fill: list[Callable[[], None]] = field(default_factory=list)
+    _flushes: int = 0
 
     @property
     def setup(self) -> Setup:
@@ -116,6 +120,10 @@ class Context:
         for fill in self._fill:
             fill()
         self.send_figures(now_ns)
+        self._flushes += 1
+        if self._flushes % _COLLECT_EVERY == 0:
+            # Until then Python keeps up to 2000 freed tuples of each length.
+            gc.collect()
 
     def send_figures(self, now_ns: int) -> None:
         """Send what the probe has collected; what the launcher cannot take stays there."""
