@@ -65,7 +65,6 @@ class Context:
     stopping: bool = False
     pages: Mapping[str, PageListener] = field(default_factory=dict)
     _fill: list[Callable[[], None]] = field(default_factory=list)
-    _flushes: int = 0
 
     @property
     def setup(self) -> Setup:
@@ -120,10 +119,6 @@ class Context:
         for fill in self._fill:
             fill()
         self.send_figures(now_ns)
-        self._flushes += 1
-        if self._flushes % _COLLECT_EVERY == 0:
-            # Until then Python keeps up to 2000 freed tuples of each length.
-            gc.collect()
 
     def send_figures(self, now_ns: int) -> None:
         """Send what the probe has collected; what the launcher cannot take stays there."""
@@ -170,6 +165,19 @@ def become(row: ProcessRow, context: Context) -> None:
         context.probe.message.scheduler = "idle"
     elif row.priority:
         context.probe.message.scheduler = take_realtime(row.priority)
+    context.on_flush(_Collections().handle_flush)
+
+
+class _Collections:
+    """Frees what Python keeps: up to 2000 freed tuples of each length, until a full collection."""
+
+    def __init__(self) -> None:
+        self._flushes = 0
+
+    def handle_flush(self) -> None:
+        self._flushes += 1
+        if self._flushes % _COLLECT_EVERY == 0:
+            gc.collect()
 
 
 def take_realtime(priority: int) -> str:
