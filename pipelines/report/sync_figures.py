@@ -69,7 +69,7 @@ class _Tally:
     """
 
     def __init__(self, base: "_Tally | None" = None) -> None:
-        self.events = 0 if base is None else base.events
+        self.events: int = 0 if base is None else base.events
         self.durations: defaultdict[tuple[str, str], Counter[int]] = defaultdict(Counter)
         if base is not None:
             self.durations.update((key, counted.copy()) for key, counted in base.durations.items())
