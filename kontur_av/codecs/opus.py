@@ -17,15 +17,16 @@ MAX_PACKET_SAMPLES = MAX_OPUS_SAMPLES
 FRAME_SAMPLES = (480, 960, 1920, 2880)
 _LOWEST_BPS, _HIGHEST_BPS = 6_000, 510_000  # RFC 6716 section 2.1.1
 
-#: From this rate on the encoder searches less. Measured on the speech in `samples/`, 20 ms a
-#: packet, as complexity: PESQ wideband, time a packet.
+#: How hard libopus searches: beyond 8 it finds nothing better. Measured on the speech in
+#: `samples/`, 20 ms a packet, as complexity: PESQ wideband, time a packet.
 #: 8 kbit/s: 2: 1.61, 0.24 ms; 5: 1.72, 0.32 ms; 8 and 10: 1.82, 0.63 ms.
-#: 61 kbit/s: 1: 3.60, 0.35 ms; 5: 4.31, 0.69 ms; 10: 4.42, 1.29 ms.
-#:
-#: There are no in-band copies of the packet before (RFC 6716 section 2.1.7). libopus makes none
-#: below 12 kbit/s. At 61 kbit/s they lower PESQ from 4.31 to 3.87 without loss. They would help
-#: from 1 % of loss on (3.30 against 1.83 at 5 %), for 20 ms more delay.
-_AMPLE_BPS = 24_000
+#: 61 kbit/s: 3: 3.79, 0.19 ms; 5: 4.31, 0.21 ms; 8 and 10: 4.42, 0.44 ms.
+_COMPLEXITY = 8
+_SIGNAL_VOICE = 3001  # OPUS_SIGNAL_VOICE in opus_defines.h
+
+# There are no in-band copies of the packet before (RFC 6716 section 2.1.7). libopus makes none
+# below 12 kbit/s. At 61 kbit/s they lower PESQ from 4.31 to 3.87 without loss. They would help
+# from 1 % of loss on (3.30 against 1.83 at 5 %), for 20 ms more delay.
 
 
 def bitrate_under_cap(cap_bps: int, frame_samples: int = BLOCK_SAMPLES) -> int:
@@ -79,13 +80,13 @@ class OpusEncoder:
     bitrate_bps: bits a second of Opus packets, headers left out. With 20 ms a packet, 8000 bit/s
         give 20 octets, 64 000 bit/s 160.
     frame_samples: samples a packet, one of `FRAME_SAMPLES`.
-    complexity: of libopus, 0 to 10. None: 5 from 24 kbit/s on, else 8.
+    complexity: of libopus, 0 to 10.
 
     Raises ConfigError for a rate or frame that Opus does not have, or without a libopus.
     """
 
     def __init__(
-        self, *, bitrate_bps: int, frame_samples: int = BLOCK_SAMPLES, complexity: int | None = None
+        self, *, bitrate_bps: int, frame_samples: int = BLOCK_SAMPLES, complexity: int = _COMPLEXITY
     ) -> None:
         if frame_samples not in FRAME_SAMPLES:
             raise ConfigError(f"Opus frame of {frame_samples} samples: take one of {FRAME_SAMPLES}")
@@ -93,8 +94,6 @@ class OpusEncoder:
             raise ConfigError(
                 f"Opus at {bitrate_bps} bit/s: take a rate from {_LOWEST_BPS} to {_HIGHEST_BPS}"
             )
-        if complexity is None:
-            complexity = 5 if bitrate_bps >= _AMPLE_BPS else 8
         self.frame_samples = frame_samples
         self.packet_octets = bitrate_bps * frame_samples // (8 * AUDIO_CLOCK_HZ)
         self._encoder = libopus.opuslib().Encoder(AUDIO_CLOCK_HZ, 1, "voip")
@@ -103,6 +102,8 @@ class OpusEncoder:
         # The rate of whole octets, because libopus rounds the octets to the nearest.
         self._encoder.bitrate = self.packet_octets * 8 * AUDIO_CLOCK_HZ // frame_samples
         self._encoder.complexity = complexity
+        # Never in the mode for music, whose concealment of a lost packet does not fade.
+        self._encoder.signal = _SIGNAL_VOICE
         self.lookahead_samples: int = self._encoder.lookahead
 
     def encode(self, samples: Pcm) -> bytes:

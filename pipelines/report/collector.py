@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram
 from kontur_av.rtp.receiver import ReceiverCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
@@ -63,7 +63,7 @@ class Collector:
         #: Of the gateway of this machine, if the other one is on another machine.
         self.clock = ClockHistory()
         #: The same by content: contacts, and when each was seen, heard and felt.
-        self.sync = SyncFigures()
+        self.sync = SyncFigures(soonest_ns=round(topology.setup.radio_profile.delay_ms * NS_PER_MS))
         #: The rows for a join, if the other end is on another machine.
         self.trace = None if topology.alone is None else Trace()
 

@@ -4,12 +4,13 @@ from bisect import bisect_right
 from collections import deque
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.meters import Histogram
+from kontur_av.meters import Histogram, rank_of
 from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
 from pipelines.report.model import LipSyncReport, SkewReport
 
-#: This many latencies of a sense are remembered, to be compared with those of another one.
-RECENT_DEPTH = 8192
+#: This many latencies of a sense are remembered, to be compared with those of another one: 20 s of
+#: 50 a second. The messages of all senses about an instant come within seconds.
+RECENT_DEPTH = 1024
 
 
 class Recent:
@@ -61,10 +62,10 @@ class Skew:
     def _percentile(self, p: float) -> float:
         if not self.count:
             return 0.0
-        below = 100 * self._earlier.count / self.count
-        if p <= below:
-            return -self._earlier.percentile(100 * (below - p) / below if below else 0)
-        return self._later.percentile(100 * (p - below) / (100 - below))
+        rank, earlier = rank_of(p, self.count), self._earlier.count
+        if rank <= earlier:
+            return -self._earlier.ranked(earlier + 1 - rank)
+        return self._later.ranked(rank - earlier)
 
 
 class LipSyncShare:

@@ -5,13 +5,15 @@ found again where it is seen, heard and felt (`watching`, `telepresence.haptics.
 joined to its contact (`sync_matching`), and judged. From that come latencies and skews.
 """
 
-from collections import deque
-from collections.abc import Callable, Container, Sequence
+from bisect import bisect_left
+from collections import Counter, defaultdict, deque
+from collections.abc import Callable, Collection, Container, Iterable, Sequence
 from dataclasses import dataclass
-from math import ceil
+from itertools import accumulate
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.meters import rank_of
 from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
 from pipelines.media.watching import WATCHED
 from pipelines.report.model import ContentSkew, ListedContact, Ranks, SenseReport, SyncReport
@@ -37,8 +39,10 @@ PAIRS = {
 _BOUNCE_NS = 300 * NS_PER_MS
 #: A contact in this last part of the known time may not have been perceived yet.
 _PATIENCE_NS = NS_PER_S
-#: Enough for hours of contacts and clicks; then the oldest are dropped.
-_DEPTH = 65_536
+#: With as many contacts or findings of a sense, the older half is settled.
+_DEPTH = 8192
+#: What is settled is rounded to this. So its memory has a bound.
+_GRAIN_NS = NS_PER_MS // 10
 #: At most this many contacts are listed one by one.
 _LISTED = 1000
 
@@ -57,16 +61,62 @@ class SensedEvent:
         return None if found is None else found.instant_ns - self.instant_ns
 
 
-class SyncFigures:
-    """Takes contacts and what detectors found, in any order; `report` joins them."""
+class _Tally:
+    """What contacts add up to.
 
-    def __init__(self) -> None:
+    durations: how often each (ns) came; by `latency`, `stamped` and `error` of a sense, and by
+    `skew` of a pair.
+    """
+
+    def __init__(self, base: "_Tally | None" = None) -> None:
+        self.events: int = 0 if base is None else base.events
+        self.durations: defaultdict[tuple[str, str], Counter[int]] = defaultdict(Counter)
+        if base is not None:
+            self.durations.update((key, counted.copy()) for key, counted in base.durations.items())
+
+    def add(self, events: Sequence[SensedEvent], grain_ns: int = 1) -> None:
+        """Count events, with durations to the nearest multiple of `grain_ns`."""
+
+        def count(what: str, of: str, value_ns: int) -> None:
+            self.durations[what, of][round(value_ns / grain_ns) * grain_ns] += 1
+
+        self.events += len(events)
+        for event in events:
+            for sense, found in event.perceived.items():
+                if found is None:
+                    continue
+                count("latency", sense, found.instant_ns - event.instant_ns)
+                if found.stamp_ns is not None:
+                    count("stamped", sense, found.instant_ns - found.stamp_ns)
+                    count("error", sense, found.stamp_ns - event.instant_ns)
+        for pair in PAIRS:
+            for skew_ns in skews_ns(pair, events):
+                count("skew", pair, skew_ns)
+
+
+class SyncFigures:
+    """Takes contacts and what detectors found, in any order; `report` joins them.
+
+    soonest_ns: the least delay of the radio.
+
+    Of a long session the older contacts are settled: what was perceived of them is counted in steps
+    of 0.1 ms, and they take part in no verdict on stamps.
+    """
+
+    def __init__(self, *, soonest_ns: int = 0) -> None:
+        self._soonest_ns = soonest_ns
         self._contacts: deque[tuple[int, int]] = deque(maxlen=_DEPTH)
         self._found: dict[str, deque[Matched]] = {sense: deque(maxlen=_DEPTH) for sense in SENSES}
+        #: How many were found in all.
+        self._count: Counter[str] = Counter()
         #: Steps of the force whose samples' stamps are not known yet.
         self._steps: deque[int] = deque(maxlen=_DEPTH)
         #: Everything up to this instant is known.
         self._now_ns = -(1 << 62)
+        self._settled = _Tally()
+        self._settled_beside = self._settled_bounces = 0
+        #: The first contact with a target.
+        self._first_ns: int | None = None
 
     def handle_series(self, series: Series[Any]) -> None:
         """Rows of one of `PERCEIVED`, as a process reports them."""
@@ -77,7 +127,7 @@ class SyncFigures:
                 self._steps.append(row.instant_ns)
             elif series.stream == WATCHED[_SENSE_OF[series.kind]]:
                 found = Matched(row.instant_ns, float(row.strength), row.capture_ns, row.slack_ns)
-                self._found[_SENSE_OF[series.kind]].append(found)
+                self._add(_SENSE_OF[series.kind], found)
 
     def handle_time(self, now_ns: int, sent_ns_at: Callable[[int], int | None]) -> None:
         """The time is `now_ns`. sent_ns_at: when the force that was felt at an instant was sent."""
@@ -86,15 +136,39 @@ class SyncFigures:
         # By then both ends of the samples have reported their stamps.
         while steps and steps[0] <= now_ns - _PATIENCE_NS:
             instant_ns = steps.popleft()
-            self._found["force"].append(Matched(instant_ns, stamp_ns=sent_ns_at(instant_ns)))
+            self._add("force", Matched(instant_ns, stamp_ns=sent_ns_at(instant_ns)))
+        if len(self._contacts) == _DEPTH:
+            self._settle(self._contacts[_DEPTH // 2][0])
+        for found in self._found.values():
+            if len(found) == _DEPTH:
+                self._settle(found[_DEPTH // 2].instant_ns)
 
-    def _events(self, senses: Sequence[str], soonest_ns: int) -> list[SensedEvent]:
-        """Every contact with a target, by its instant, without bounces."""
+    def _add(self, sense: str, found: Matched) -> None:
+        self._found[sense].append(found)
+        self._count[sense] += 1
+
+    def _settle(self, until_ns: int) -> None:
+        """Count the contacts before an instant, and forget them with what was found of them."""
+        events, (apart, _) = self._events(SENSES), self._apart()
+        # The first contact that stays must not become a bounce's first.
+        until_ns = min((at_ns for at_ns, _ in apart if at_ns >= until_ns), default=until_ns)
+        self._note_first(events)
+        self._settled.add([one for one in events if one.instant_ns < until_ns], _GRAIN_NS)
+        apart = [one for one in apart if one[0] < until_ns]
+        self._settled_beside += sum(led < 0 for _, led in apart)
+        self._settled_bounces += sum(at_ns < until_ns for at_ns, _ in self._contacts) - len(apart)
+        self._contacts = deque((c for c in self._contacts if c[0] >= until_ns), _DEPTH)
+        for sense, found in self._found.items():
+            late = (one for one in found if one.instant_ns >= until_ns + self._soonest_ns)
+            self._found[sense] = deque(late, _DEPTH)
+
+    def _events(self, senses: Collection[str]) -> list[SensedEvent]:
+        """Every contact with a target that is not settled, by its instant, without bounces."""
         contacts, _ = self._apart()
         instants = [instant_ns for instant_ns, _ in contacts]
         nothing: list[Matched | None] = [None] * len(instants)
         matched = {
-            sense: match(instants, self._sorted(sense), soonest_ns=soonest_ns)
+            sense: match(instants, self._sorted(sense), soonest_ns=self._soonest_ns)
             if sense in senses
             else nothing
             for sense in SENSES
@@ -102,28 +176,40 @@ class SyncFigures:
         return [
             SensedEvent(instant_ns, led, {sense: matched[sense][index] for sense in SENSES})
             for index, (instant_ns, led) in enumerate(contacts)
-            if led >= 0 and instant_ns <= self._now_ns - soonest_ns - _PATIENCE_NS
+            if led >= 0 and instant_ns <= self._now_ns - self._soonest_ns - _PATIENCE_NS
         ]
 
-    def report(self, senses: Sequence[str], *, soonest_ns: int = 0) -> SyncReport | None:
+    def _note_first(self, events: Sequence[SensedEvent]) -> None:
+        if self._first_ns is None and events:
+            self._first_ns = events[0].instant_ns
+
+    def report(self, senses: Sequence[str]) -> SyncReport | None:
         """The section `sync` of a report; None if nothing was touched.
 
         senses: those that contacts reach; findings of other senses are left out.
-        soonest_ns: the least delay of the radio.
         """
-        events = self._events(senses, soonest_ns)
-        if not events:
+        events = self._events(senses)
+        self._note_first(events)
+        if self._first_ns is None:
             return None
+        start_ns = self._first_ns
+        tally = _Tally(self._settled)
+        tally.add(events)
         contacts, bounces = self._apart()
-        start_ns = events[0].instant_ns
         return SyncReport(
-            events=len(events),
-            touches_beside_targets=sum(led < 0 for _, led in contacts),
-            bounces=bounces,
+            events=tally.events,
+            touches_beside_targets=self._settled_beside + sum(led < 0 for _, led in contacts),
+            bounces=self._settled_bounces + bounces,
             senses={
-                sense: self._sense(sense, events) if sense in senses else None for sense in SENSES
+                sense: self._sense(sense, events, tally) if sense in senses else None
+                for sense in SENSES
             },
-            skew_ms={name: skew_summary(name, skews_ns(name, events)) for name in PAIRS},
+            skew_ms={
+                pair: skew_summary(
+                    pair, tally.durations["skew", pair] if {*both} <= {*senses} else ()
+                )
+                for pair, both in PAIRS.items()
+            },
             listed=[_listed(event, start_ns) for event in events[-_LISTED:]],
         )
 
@@ -145,33 +231,28 @@ class SyncFigures:
             found += map(Matched, self._steps)
         return sorted(found, key=lambda one: one.instant_ns)
 
-    def _sense(self, sense: str, events: Sequence[SensedEvent]) -> SenseReport:
-        perceived = [
-            (event.instant_ns, found)
-            for event in events
-            if (found := event.perceived[sense]) is not None
-        ]
-        stamped = [
-            (instant_ns, found, found.stamp_ns)
-            for instant_ns, found in perceived
-            if found.stamp_ns is not None
-        ]
-        verdict = judge(perceived)
+    def _sense(self, sense: str, events: Sequence[SensedEvent], tally: _Tally) -> SenseReport:
+        verdict = judge(
+            [
+                (event.instant_ns, found)
+                for event in events
+                if (found := event.perceived[sense]) is not None
+            ]
+        )
+        perceived = tally.durations["latency", sense].total()
         return SenseReport(
             stream=SENSES[sense],
-            perceived=len(perceived),
-            missed=len(events) - len(perceived),
-            latency_ms=ranks_ms([found.instant_ns - at for at, found in perceived]),
-            stamped_latency_ms=ranks_ms(
-                [found.instant_ns - stamp_ns for _, found, stamp_ns in stamped]
-            ),
-            stamp_error_ms=ranks_ms([stamp_ns - at for at, _, stamp_ns in stamped]),
+            perceived=perceived,
+            missed=tally.events - perceived,
+            latency_ms=ranks_ms(tally.durations["latency", sense]),
+            stamped_latency_ms=ranks_ms(tally.durations["stamped", sense]),
+            stamp_error_ms=ranks_ms(tally.durations["error", sense]),
             judged=verdict.judged,
             judged_error_ms=None if verdict.median_ns is None else _ms(verdict.median_ns),
             confident_ms=None if verdict.between_ns is None else _both_ms(verdict.between_ns),
             allowed_error_ms=_both_ms(verdict.allowed_ns),
             agrees=verdict.agrees,
-            found=len(self._sorted(sense)),
+            found=self._count[sense] + (len(self._steps) if sense == "force" else 0),
         )
 
 
@@ -204,38 +285,38 @@ def skews_ns(pair: str, events: Sequence[SensedEvent]) -> list[int]:
     return [a - b for a, b in both if a is not None and b is not None]
 
 
-def skew_summary(pair: str, values_ns: Sequence[int]) -> ContentSkew | None:
-    """Percentiles of a pair's skews, and the share that goes unnoticed; None without any."""
-    if not values_ns:
+def skew_summary(pair: str, values_ns: Iterable[int]) -> ContentSkew | None:
+    """Percentiles of a pair's skews, and the share that goes unnoticed; None without any.
+
+    values_ns: each of them, or a Counter of how often each came.
+    """
+    counted = Counter(values_ns)
+    if not counted:
         return None
     limit = LIMITS[pair]
-    within = sum(map(limit.holds, values_ns))
+    within = sum(count for value_ns, count in counted.items() if limit.holds(value_ns))
     return ContentSkew(
-        events=len(values_ns),
-        **summary_ms(values_ns),
-        within=round(within / len(values_ns), 4),
+        events=counted.total(),
+        **summary_ms(counted),
+        within=round(within / counted.total(), 4),
         limits_ms=(limit.least_ns / NS_PER_MS, limit.most_ns / NS_PER_MS),
         source=limit.source,
     )
 
 
-def ranks_ms(values_ns: Sequence[int]) -> Ranks:
-    return Ranks(**summary_ms(values_ns))
+def ranks_ms(counted: Counter[int]) -> Ranks:
+    return Ranks(**summary_ms(counted))
 
 
-def summary_ms(values_ns: Sequence[int]) -> dict[str, float]:
+def summary_ms(counted: Counter[int]) -> dict[str, float]:
     """p50, p95, p99 of signed values by nearest rank, and the one farthest from zero, in ms."""
-    if not values_ns:
+    if not counted:
         return {}
-    ordered = sorted(values_ns)
-    figures = {f"p{p}": rank(ordered, p) for p in (50, 95, 99)}
+    ordered = sorted(counted)
+    ends = list(accumulate(counted[value] for value in ordered))
+    figures = {f"p{p}": ordered[bisect_left(ends, rank_of(p, ends[-1]))] for p in (50, 95, 99)}
     figures["max"] = max(ordered, key=abs)
     return {name: _ms(value) for name, value in figures.items()}
-
-
-def rank(ordered: Sequence[int], p: float) -> int:
-    """The smallest of the ascending values that at least `p` percent do not exceed."""
-    return ordered[max(0, ceil(len(ordered) * p / 100) - 1)]
 
 
 def _ms(value_ns: int) -> float:
@@ -299,8 +380,7 @@ def sync_section(setup: Setup, figures: SyncFigures, *, media: bool) -> SyncRepo
         for sense, stream in SENSES.items()
         if stream in carried and _touch_reaches(setup, sense)
     ]
-    soonest_ns = round(setup.radio_profile.delay_ms * NS_PER_MS)
-    return figures.report(senses, soonest_ns=soonest_ns)
+    return figures.report(senses)
 
 
 def _touch_reaches(setup: Setup, sense: str) -> bool:

@@ -28,7 +28,7 @@ from pipelines.session.children import ENDING
 from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
-from pipelines.session.process import Context, become
+from pipelines.session.process import Collections, Context, become
 from pipelines.session.session_switch import (
     NO_ROOM,
     PATIENCE_NS,
@@ -137,6 +137,7 @@ class Launcher:
     started_ns: int = 0
     ended_ns: int = 0
     switch: SessionSwitch = field(default_factory=SessionSwitch)
+    _collections: Collections = field(default_factory=Collections)
     _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector)
     _stop: bool = False
     _ending: bool = False
@@ -214,6 +215,7 @@ class Launcher:
             if now_ns >= show_ns:
                 show_ns += _SHOW_NS * ((now_ns - show_ns) // _SHOW_NS + 1)
                 self._show()
+                self._collections.handle_flush()
             if feed_ns is not None and now_ns >= feed_ns:
                 feed_ns += FEED_NS * ((now_ns - feed_ns) // FEED_NS + 1)
                 self._feed_pages(now_ns)

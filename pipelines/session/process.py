@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 #: The longest sleep of a process before it checks whether to end.
 PATIENCE_NS = 100 * NS_PER_MS
 
+#: Collect garbage with one flush in so many, each half minute. It takes 0.1 to 0.3 ms, of pages 3.
+_COLLECT_EVERY = 60
+
 #: The longest message of the launcher to a process.
 MAX_FIGURES_OCTETS = 1 << 20
 
@@ -162,6 +165,20 @@ def become(row: ProcessRow, context: Context) -> None:
         context.probe.message.scheduler = "idle"
     elif row.priority:
         context.probe.message.scheduler = take_realtime(row.priority)
+    context.on_flush(Collections().handle_flush)
+
+
+class Collections:
+    """Frees what Python keeps: up to 2000 freed tuples of each length, until a full collection."""
+
+    def __init__(self) -> None:
+        self._flushes = 0
+
+    def handle_flush(self) -> None:
+        """Call it once or twice a second."""
+        self._flushes += 1
+        if self._flushes % _COLLECT_EVERY == 0:
+            gc.collect()
 
 
 def take_realtime(priority: int) -> str:

@@ -1,5 +1,6 @@
 """One-way delay of haptic samples: the stamps of both ends, matched by sequence number."""
 
+from array import array
 from collections import deque
 from collections.abc import Iterable
 
@@ -30,7 +31,7 @@ class LatencyMatcher:
     def __init__(self, *, patience_ns: int = 5 * NS_PER_S) -> None:
         self.patience_ns = patience_ns
         self.unmatched = 0
-        self._sent_ns = [_NEVER_NS] * SEQUENCE_MODULUS
+        self._sent_ns = array("q", [_NEVER_NS]) * SEQUENCE_MODULUS
         self._pending: deque[tuple[int, int]] = deque()
         self._matched_ns = _NEVER_NS
 

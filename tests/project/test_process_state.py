@@ -74,7 +74,7 @@ ALLOWED = {
         "load_libraries",
         "keep_memory",
     },
-    "pipelines/session/process.py": {"become", "take_realtime"},
+    "pipelines/session/process.py": {"become", "take_realtime", "Collections.handle_flush"},
     "pipelines/virtual/workers.py": {"Worker.start", "_work"},
     # In a program of its own, before it begins.
     "pipelines/upkeep/program.py": {"_end_with_the_keeper"},

@@ -1,5 +1,6 @@
 """The stages of pictures, and pauses, collected from messages in any order."""
 
+import pickle
 from itertools import permutations
 
 import pytest
@@ -12,6 +13,7 @@ from pipelines.session.rows import (
     DecodedRow,
     RxRow,
     SampleReceivedRow,
+    SampleSentRow,
     ShownRow,
     TxRow,
 )
@@ -92,3 +94,22 @@ def test_pauses_are_kept_with_begin_and_end():
     pauses = [tuple(ns(202, 403)), tuple(ns(404, 900))]
     assert list(collector.haptics["up"].pauses.ended_ns) == pauses
     assert not collector.haptics["down"].pauses.ended_ns
+
+
+def test_the_figures_of_a_longer_session_take_no_more_memory():
+    collector, sizes = Collector(SESSION), {}
+    for second in range(120):
+        begin_ns = second * NS_PER_S
+        sent = [((1000 * second + k) % 65_536, begin_ns + k * NS_PER_MS) for k in range(1000)]
+        felt = [SampleReceivedRow(number, at + 3 * NS_PER_MS) for number, at in sent]
+        shown = [ShownRow(at // NS_PER_MS, at, at + 50 * NS_PER_MS) for _, at in sent[::20]]
+        for process, rows, stream in (
+            ("robot", [SampleSentRow(*row) for row in sent], ""),
+            ("joystick", felt, ""),
+            ("space_display", shown, "uplink_video"),
+        ):
+            told = message(rows=rows, stream=stream)
+            collector.handle_message(process, told, begin_ns + NS_PER_S)
+        sizes[second] = len(pickle.dumps((collector.streams, collector.haptics, collector.skews)))
+    assert collector.haptics["up"].latency.count >= 119_000
+    assert sizes[119] < 1.02 * sizes[59]

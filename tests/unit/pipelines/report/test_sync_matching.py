@@ -1,18 +1,20 @@
 """Findings are assigned to contacts, and figures are computed from them."""
 
+import pickle
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.meters import rank_of
 from pipelines.report.sync_figures import (
     LIMITS,
     SyncFigures,
     disagreements,
-    rank,
     skew_summary,
     sync_section,
 )
@@ -139,12 +141,50 @@ def test_bounces_and_touches_beside_a_target_are_distinguished():
 def test_the_last_contact_is_not_missed_because_its_force_has_no_stamp_yet(late_ms):
     soonest_ns, end_ns = min(late_ms, 10) * MS, 20 * NS_PER_S
     for before_end_ms in range(900, 1300, 10):
-        sync = SyncFigures()
+        sync = SyncFigures(soonest_ns=soonest_ns)
         for at_ns in (9 * NS_PER_S, end_ns - before_end_ms * MS):
             sync.handle_series(series([ContactRow(at_ns, 0)]))
             sync.handle_series(series([StepRow(at_ns + late_ms * MS)]))
         sync.handle_time(end_ns, lambda instant_ns: instant_ns)
-        assert sync.report(["force"], soonest_ns=soonest_ns).senses["force"].missed == 0
+        assert sync.report(["force"]).senses["force"].missed == 0
+
+
+def test_a_session_of_many_contacts_has_bounded_memory_and_percentiles_to_a_tenth_of_a_ms():
+    draw, sync, sizes = np.random.default_rng(3), SyncFigures(), []
+    # 11 hours of contacts with light, click and force.
+    period_ns = 2030 * MS
+    late_ns = draw.uniform([60, 10, 2], [90, 70, 6], (20_000, 3)) * MS
+    for number, delays_ns in enumerate(late_ns.astype(int).tolist()):
+        light_ns, click_ns, force_ns = (at := number * period_ns) + np.array(delays_ns)
+        sync.handle_series(series([ContactRow(at, 1), ContactRow(at + 100 * MS, 1)]))
+        sync.handle_series(series([LightRow(light_ns, at, 33 * MS, 500)], "uplink_video"))
+        sync.handle_series(series([ClickRow(click_ns, at, 0, 5000)], "uplink_voice"))
+        sync.handle_series(series([StepRow(force_ns)]))
+        sync.handle_time(at + NS_PER_S, lambda ns: ns // period_ns * period_ns)
+        if number in (10_000, 19_999):
+            sizes.append(len(pickle.dumps(sync)))
+    assert sizes[1] < 1.2 * sizes[0]
+    sync.handle_time(at + 10 * NS_PER_S, lambda _: at)
+    report = sync.report(["light", "click", "force"])
+    assert (report.events, report.bounces) == (20_000, 20_000)
+    light, click, force = (late_ns / MS).T
+    for sense, exact in zip(report.senses.values(), (light, click, force), strict=True):
+        assert (sense.perceived, sense.found, sense.agrees) == (20_000, 20_000, True)
+        assert within(sense.latency_ms, exact)
+        assert within(sense.stamped_latency_ms, exact)
+        assert abs(sense.stamp_error_ms.max) < 0.1
+    assert within(report.skew_ms["audio_video"], click - light)
+    assert within(report.skew_ms["video_haptic"], light - force)
+    assert report.skew_ms["audio_haptic"].within == pytest.approx(
+        np.mean(click - force <= 24), 0.01
+    )
+
+
+def within(found, exact_ms):
+    """Whether percentiles are exact to 0.1 ms."""
+    exact = [np.percentile(exact_ms, p, method="inverted_cdf") for p in (50, 95, 99)]
+    exact.append(max(exact_ms, key=abs))
+    return [found.p50, found.p95, found.p99, found.max] == pytest.approx(exact, abs=0.1)
 
 
 def test_a_sense_that_a_setup_lacks_has_no_figures():
@@ -189,6 +229,6 @@ def test_limits_equal_those_in_the_cited_papers():
 @given(st.lists(st.integers(-(10**9), 10**9), min_size=1), st.sampled_from((50, 95, 99)))
 def test_a_percentile_is_the_value_at_the_nearest_rank(values, p):
     ordered = sorted(values)
-    value = rank(ordered, p)
+    value = ordered[rank_of(p, len(ordered)) - 1]
     assert sum(one <= value for one in ordered) * 100 >= p * len(ordered)
     assert sum(one < value for one in ordered) * 100 < p * len(ordered)
