@@ -16,14 +16,12 @@ def run_trainer(context: Context) -> None:
     """Take requests, and publish what lasts."""
     trainer = Trainer(context.probe, TrainerReach.of(context.topology))
     context.on_flush(trainer.tell)
-    published = trainer.exercises
     with context.open_bus() as bus:
         writer = NumberedTopic(bus, TRAINER_TOPIC, max_octets=_OCTETS)
 
         def publish(now_ns: int) -> None:
             nonlocal published
             if trainer.exercises is not published:
-                published = trainer.exercises
                 writer.publish_octets(published.pack(), now_ns)
 
         serve_terminals(context, TRAINER_DESK, trainer.desk, publish)

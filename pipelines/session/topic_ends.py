@@ -82,9 +82,14 @@ class MissionReader(Generic[MessageT]):
 def new_exercises(bus: TopicBus) -> Callable[[], Exercises | None]:
     """Return a function that returns the exercises after each change of them, else None."""
     reader = bus.reader(TRAINER_TOPIC)
+    known = Exercises()
 
     def take() -> Exercises | None:
+        nonlocal known
         octets = reader.latest_octets()
-        return None if octets is None else Exercises.unpack(octets)
+        if octets is None or (told := Exercises.unpack(octets)) == known:
+            return None
+        known = told
+        return told
 
     return take

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from types import MappingProxyType
+from typing import Final
 
 import msgspec
 
@@ -41,6 +42,8 @@ EXERCISES: Mapping[str, tuple[str, float]] = MappingProxyType(
 LONGEST_S = 3600.0
 #: How many events are kept for the report.
 _DEPTH = 200
+#: What lasts is published again, for a process that was started after the last change.
+_REPEAT_NS: Final = NS_PER_S
 
 
 class Exercises(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
@@ -137,6 +140,15 @@ class Trainer:
         self._probe, self._reach = probe, reach
         self.desk = LineDesk(TrainerRequest, self._answer)
         self._events: deque[DatedEvent] = deque(maxlen=_DEPTH)
+        self._published = self.exercises
+        self._due_ns = 0
+
+    def poll_exercises(self, now_ns: int) -> Exercises | None:
+        """Return what to publish now, or None: each change, and again for processes that began."""
+        if self.exercises is self._published and now_ns < self._due_ns:
+            return None
+        self._published, self._due_ns = self.exercises, now_ns + _REPEAT_NS
+        return self.exercises
 
     def tell(self) -> None:
         """Put what was done into the probe."""

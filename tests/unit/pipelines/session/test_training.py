@@ -85,6 +85,16 @@ def test_what_is_at_the_other_end_is_asked_for_there(probe):
     assert ask(ground, exercise="camera-lost", seconds=1, camera="head")["ok"]
 
 
+def test_what_lasts_is_published_again_for_a_process_that_began_since(trainer):
+    trainer.poll_exercises(0)
+    ask(trainer, exercise="robot-fault", seconds=20)
+    told = trainer.poll_exercises(1)
+    assert told.robot_ns > 0
+    asked_ns = range(1, 3 * NS_PER_S, NS_PER_S // 10)
+    again = [now_ns for now_ns in asked_ns if trainer.poll_exercises(now_ns) == told]
+    assert again == [1 + NS_PER_S, 1 + 2 * NS_PER_S]
+
+
 @pytest.mark.parametrize("line", [b"\n", b"[[[[\n", b'{"exercise": 7}\n', b"x" * 9000, b""])
 def test_garbage_closes_the_connection(trainer, line):
     trainer.desk.handle_terminal(1)
