@@ -20,8 +20,7 @@ def run_trainer(context: Context) -> None:
         writer = NumberedTopic(bus, TRAINER_TOPIC, max_octets=_OCTETS)
 
         def publish(now_ns: int) -> None:
-            nonlocal published
-            if trainer.exercises is not published:
-                writer.publish_octets(published.pack(), now_ns)
+            if (exercises := trainer.poll_exercises(now_ns)) is not None:
+                writer.publish_octets(exercises.pack(), now_ns)
 
         serve_terminals(context, TRAINER_DESK, trainer.desk, publish)
