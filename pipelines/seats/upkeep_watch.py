@@ -83,8 +83,10 @@ def software_in(directory: Path, end: str) -> Iterator[SoftwareText]:
     """What keepers have told into their inboxes below a directory, as far as it can be read."""
     with suppress(OSError):
         for path in sorted(directory.glob(f"*/{TOLD}"))[:_MOST_INBOXES]:
-            with suppress(OSError, msgspec.MsgspecError):
-                # A link may lead out of the directory.
+            # A link may lead out of the directory.
+            if path.is_symlink() or path.parent.is_symlink() or not path.is_file():
+                continue
+            with suppress(OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
                 descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
                 with os.fdopen(descriptor, "rb") as file:
                     written_s = os.fstat(descriptor).st_mtime

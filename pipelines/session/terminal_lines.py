@@ -23,7 +23,7 @@ def parse_line(line: bytes, kind: type[_Content]) -> _Content | None:
     """Return the request or the answer in a line, or None for anything else."""
     try:
         return msgspec.json.decode(line, type=kind)
-    except (msgspec.DecodeError, RecursionError):
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
 
 

@@ -44,7 +44,7 @@ def read_now(session: str) -> SessionNow | None:
     """Return what a session told last; None before it told anything."""
     try:
         return msgspec.json.decode((session_root(session) / _NOW).read_bytes(), type=SessionNow)
-    except (OSError, msgspec.MsgspecError):
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         return None
 
 
@@ -80,6 +80,6 @@ class NotesReader:
         for line in whole.splitlines():
             try:
                 found.append(msgspec.json.decode(line, type=Note))
-            except msgspec.MsgspecError:
+            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
                 continue
         return found

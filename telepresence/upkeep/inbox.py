@@ -137,5 +137,5 @@ def _answers_of(told: bytes) -> tuple[InboxAnswer, ...]:
     """The answers in what was told before. The other end could have overwritten it."""
     try:
         return msgspec.json.decode(told, type=InboxTold).answers
-    except (msgspec.MsgspecError, ValueError):
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         return ()

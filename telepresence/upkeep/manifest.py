@@ -50,7 +50,7 @@ def signer(octets: bytes) -> tuple[Manifest, MachineIdentity]:
         manifest = msgspec.json.decode(octets, type=Manifest)
         public = Ed25519PublicKey.from_public_bytes(bytes.fromhex(manifest.key))
         public.verify(bytes.fromhex(manifest.signature), _signed(manifest.version, manifest.files))
-    except (ValueError, InvalidSignature, msgspec.MsgspecError):
+    except (ValueError, RecursionError, InvalidSignature, msgspec.MsgspecError):
         raise ValueError("its manifest is damaged, or its signature does not fit") from None
     if RUN not in manifest.files or not all(map(safe_path, manifest.files)):
         raise ValueError("its manifest names paths that are no version's")

@@ -36,7 +36,7 @@ class VersionDirectory:
         """Return the record; without a readable one, all whole versions, with none on trial."""
         try:
             return msgspec.json.decode(self._store.read(STACK), type=StackRecord)
-        except (OSError, msgspec.MsgspecError):
+        except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
             paths = self._store.files("")
             found = sorted({path.split("/")[0] for path in paths if path.count("/") == 1})
             versions = tuple(

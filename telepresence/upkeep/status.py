@@ -35,5 +35,5 @@ def parse_status(octets: bytes) -> VersionStatus | None:
     """Return what a program has told; None for any other text."""
     try:
         return msgspec.json.decode(octets, type=VersionStatus)
-    except msgspec.MsgspecError:
+    except (msgspec.MsgspecError, RecursionError):
         return None

@@ -1,5 +1,7 @@
 """What the systems operator is shown of files on their way, and of the software of both ends."""
 
+import os
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.files.desk import FileAnswer, FileDesk, FileRequest, desk_name
 from pipelines.seats.transfers import Transfers
@@ -47,11 +49,16 @@ def test_the_list_of_files_is_that_of_the_file_transfer():
 def test_what_keepers_told_is_shown_with_where_it_is_from(tmp_path):
     inbox = UpdateInbox(("copy",))
     inbox.handle_done("new.tar", "written to sd/1", "")
-    for name, octets in (("joystick", inbox.told("sd/1", "run", {"sd/1": "valid"})), ("x", b"{")):
+    told = inbox.told("sd/1", "run", {"sd/1": "valid"})
+    garbage = {"x": b"{", "y": b'{"runs": "\xff"}', "z": b'{"more": ' + b"[" * 60_000}
+    for name, octets in {"joystick": told, **garbage}.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / TOLD).write_bytes(octets)
     (tmp_path / "link").mkdir()
     (tmp_path / "link" / TOLD).symlink_to(tmp_path / "joystick" / TOLD)
+    (tmp_path / "way").symlink_to(tmp_path / "joystick")
+    (tmp_path / "pipe").mkdir()
+    os.mkfifo(tmp_path / "pipe" / TOLD)
     (found,) = software_in(tmp_path, "space")
     assert (found.end, found.inbox, found.runs, found.why) == ("space", "joystick", "sd/1", "run")
     assert found.states == {"sd/1": "valid"}

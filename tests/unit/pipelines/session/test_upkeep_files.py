@@ -35,7 +35,8 @@ def test_each_note_comes_once_and_malformed_ones_are_left_out(session, tmp_path)
     add_note(session, Note("milestone", "x" * 500))
     assert reader.read() == [Note("milestone", "x" * 200)]
     with notes.open("ab") as file:
-        file.write(b'{"what": "session", "text": "no kind of a note"}\n{"what": "upkeep", ')
+        file.write(b'{"what": "session", "text": "no kind of a note"}\n')
+        file.write(b'{"what": "upkeep", "text": "\xff"}\n{"what": "upkeep", ')
     assert reader.read() == []
     with notes.open("ab") as file:
         file.write(b'"text": "whole now"}\n')

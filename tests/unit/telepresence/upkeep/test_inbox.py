@@ -99,6 +99,10 @@ def test_answers_outlive_the_keeper_and_are_few():
     told = inbox.told("v1", "power on", {"v1": "new"})
     assert len(told) < 10_000
     assert UpdateInbox({"copy"}, told).told("v1", "power on", {"v1": "new"}) == told
+    # What the other end could have put in its place.
+    empty = UpdateInbox({"copy"}).told("v1", "power on", {"v1": "new"})
+    for garbage in (b'{"runs": "\xff"}', b'{"more": ' + b"[" * 60_000):
+        assert UpdateInbox({"copy"}, garbage).told("v1", "power on", {"v1": "new"}) == empty
 
 
 def test_only_an_allowed_order_is_one():

@@ -179,7 +179,8 @@ def test_the_elementary_and_the_current_version_are_not_removed(name):
 
 def test_a_status_is_read_as_written_and_garbage_is_none():
     assert parse_status(pack_status(REFUSED)) == REFUSED
-    for octets in (b"", b"{}", b'{"contact": 1, "passed": true, "stuck": true}', b"\xff"):
+    deep = b'{"more": ' + b"[" * 60_000
+    for octets in (b"", b"{}", b'{"contact": 1, "passed": true, "stuck": true}', b"\xff", deep):
         assert parse_status(octets) is None
 
 
