@@ -6,8 +6,16 @@ import time
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on, add_session_argument
-from pipelines.files.desk import CANCEL, STATE, STATUS, FileAnswer, FileRequest, desk_name
 from pipelines.session.asking import ask_desk, running_sessions
+from pipelines.session.file_requests import (
+    CANCEL,
+    STATE,
+    STATUS,
+    FileAnswer,
+    FileRequest,
+    TransferNow,
+    desk_name,
+)
 from pipelines.session.setup.segments import Segment
 from telepresence.files.entity import DONE, FAILED
 
@@ -80,6 +88,9 @@ def _follow(request: FileRequest, segment: Segment, session: str) -> int:
                 print(f"kontur-av: failed: {answer.text}", file=sys.stderr)
                 return 1
             now_s = time.monotonic()
+            if request.file == STATUS:
+                print(_listing(answer))
+                return 0
             if answer.state == DONE:
                 done = f"done, {_progress(answer)} in {now_s - began_s:.1f} s"
                 print(answer.text.rstrip() or done)
@@ -102,4 +113,19 @@ def _follow(request: FileRequest, segment: Segment, session: str) -> int:
 
 
 def _progress(answer: FileAnswer) -> str:
-    return f"{answer.octets}{f' of {answer.size}' if answer.size >= 0 else ''} octets"
+    return f"{_octets(answer)} octets"
+
+
+def _octets(one: FileAnswer | TransferNow) -> str:
+    return f"{one.octets}{f' of {one.size}' if one.size >= 0 else ''}"
+
+
+def _listing(answer: FileAnswer) -> str:
+    """A line for each transfer under way."""
+    if not answer.transfers:
+        return "nothing is under way"
+    lines = [f"{'number':<11} {'what':<7} {'state':<9} {'octets':>16}  name"]
+    for one in answer.transfers:
+        octets = _octets(one)
+        lines.append(f"{one.number:<11} {one.kind:<7} {one.state:<9} {octets:>16}  {one.first}")
+    return "\n".join([*lines, *([f"and {answer.more} more"] if answer.more else [])])

@@ -1,53 +1,26 @@
-"""What terminals ask of the file transfer, and the answers, as lines of JSON. A core.
-
-Request: `{"file": "put", "first": "a.bin"}`; likewise get, list, rename and remove. The answer has
-the number of the transfer, with which `state` asks how far it is, and `cancel` gives it up.
-`status` lists all that are under way.
-"""
-
-import msgspec
+"""What terminals ask of the file transfer, and the answers. A core."""
 
 from kontur_av.errors import ConfigError
+from pipelines.session.file_requests import (
+    CANCEL,
+    STATE,
+    STATUS,
+    FileAnswer,
+    FileRequest,
+    TransferNow,
+)
 from pipelines.session.setup.segments import Segment
 from telepresence.files.entity import DONE, FAILED, PUT, FileEntity, Transfer
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
 
-STATE, CANCEL, STATUS = "state", "cancel", "status"
 SILENT = "the other end does not answer: is --files given there?"
 KINDS = (PUT, GET, LIST, RENAME, REMOVE)
 #: The entities' ids.
 ENTITIES = {Segment.GROUND: 1, Segment.SPACE: 2}
 #: What a segment may send at most, by default.
 RATES_BPS = {Segment.GROUND: 8_000, Segment.SPACE: 200_000}
-
-
-def desk_name(segment: Segment) -> str:
-    """The name of the Unix socket."""
-    return f"files.{segment.value}"
-
-
-class FileRequest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A request. first, second: names in the directories. number: of a transfer."""
-
-    file: str
-    first: str = ""
-    second: str = ""
-    number: int = -1
-
-
-class FileAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """An answer. mistake: the request itself was wrong, and text says why.
-
-    octets, size: as far as they came or went; size is -1 if it is not known.
-    """
-
-    ok: bool
-    text: str = ""
-    mistake: bool = False
-    number: int = -1
-    state: str = ""
-    octets: int = 0
-    size: int = -1
+#: So many fit into one answer, whatever their names are.
+_MOST_LISTED = 12
 
 
 class FileDesk:
@@ -67,7 +40,7 @@ class FileDesk:
                 return FileAnswer(ok=False, text="the session does not know this transfer any more")
             return self._answer(transfer, now_ns)
         if request.file == STATUS:
-            return FileAnswer(ok=True, text=self._listing(), state=DONE)
+            return self._listing()
         if request.file not in (*KINDS, CANCEL):
             known = ", ".join((*KINDS, STATE, CANCEL, STATUS))
             text = f"no request {request.file}: take one of {known}"
@@ -86,15 +59,24 @@ class FileDesk:
         except ConfigError as error:
             return FileAnswer(ok=False, text=str(error), mistake=True)
 
-    def _listing(self) -> str:
-        """A line for each transfer that was asked for here and is under way."""
-        lines = [f"{'number':<11} {'what':<7} {'state':<9} {'octets':>16}  name"]
-        for one in self._entity.transfers.values():
-            if one.state not in (DONE, FAILED):
-                octets = f"{one.octets}{f' of {one.size}' if one.size >= 0 else ''}"
-                state = self._entity.state_of(one)
-                lines.append(f"{one.number:<11} {one.kind:<7} {state:<9} {octets:>16}  {one.first}")
-        return "\n".join(lines) if lines[1:] else "nothing is under way"
+    def _listing(self) -> FileAnswer:
+        """The transfers that were asked for here and are under way."""
+        open_yet = [
+            one for one in self._entity.transfers.values() if one.state not in (DONE, FAILED)
+        ]
+        listed = tuple(
+            TransferNow(
+                number=one.number,
+                kind=one.kind,
+                state=self._entity.state_of(one),
+                octets=one.octets,
+                size=one.size,
+                first=one.first,
+            )
+            for one in open_yet[:_MOST_LISTED]
+        )
+        more = len(open_yet) - len(listed)
+        return FileAnswer(ok=True, state=DONE, transfers=listed, more=more)
 
     def _answer(self, transfer: Transfer, now_ns: int) -> FileAnswer:
         silent = SILENT if self._entity.unanswered(transfer, now_ns) else ""

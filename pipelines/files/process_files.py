@@ -10,11 +10,12 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.session_files import make_session_root
-from pipelines.files.desk import ENTITIES, FileAnswer, FileDesk, FileRequest, desk_name
+from pipelines.files.desk import ENTITIES, FileDesk
 from pipelines.files.directory import FencedDirectory
 from pipelines.files.service_sockets import ServiceSockets, ServicesPlan
 from pipelines.session.asking import desk_path
 from pipelines.session.datagrams import receive
+from pipelines.session.file_requests import FileAnswer, FileRequest, desk_name
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.terminal_lines import MOST_TERMINALS, LineDesk
 from pipelines.session.terminals import TerminalSockets

@@ -15,9 +15,11 @@ from pipelines.seats.seat import Seat
 from pipelines.seats.texts import SoftwareText, TransferText, UpkeepText
 from pipelines.seats.transfers import Transfers
 from pipelines.session.asking import desk_path
+from pipelines.session.file_requests import STATUS, FileAnswer, FileRequest, desk_name
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
+from telepresence.files.pdus import GET
 from telepresence.upkeep.inbox import LARGEST_TOLD, TOLD, InboxTold
 
 #: A recorder that ends writes a slow disk's file to its end first.
@@ -27,21 +29,6 @@ _EVERY_NS: Final = NS_PER_S
 FETCHED: Final = "fetched"
 _MOST_INBOXES: Final = 16
 _Answer = TypeVar("_Answer", bound=msgspec.Struct)
-
-
-class FilesAsked(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What a page needs of the requests to the file transfer (`pipelines.files.desk`)."""
-
-    file: str
-    first: str = ""
-    second: str = ""
-
-
-class FilesSaid(msgspec.Struct, frozen=True, kw_only=True):
-    """What it needs of the answers."""
-
-    ok: bool
-    text: str = ""
 
 
 async def ask_process(
@@ -70,13 +57,9 @@ async def ask_process(
 
 async def fetch(session: str, segment: Segment, inbox: str) -> str:
     """Begin to fetch what a keeper at the other end tells; return "", or why that cannot be."""
-    asked = FilesAsked(file="get", first=f"{inbox}/{TOLD}", second=f"{FETCHED}/{inbox}/{TOLD}")
-    said = await ask_process(session, files_desk(segment), asked, FilesSaid)
+    asked = FileRequest(file=GET, first=f"{inbox}/{TOLD}", second=f"{FETCHED}/{inbox}/{TOLD}")
+    said = await ask_process(session, desk_name(segment), asked, FileAnswer)
     return said if isinstance(said, str) else "" if said.ok else said.text
-
-
-def files_desk(segment: Segment) -> str:
-    return f"files.{segment.value}"
 
 
 def software_in(directory: Path, end: str) -> Iterator[SoftwareText]:
@@ -134,10 +117,10 @@ class UpkeepWatch:
     async def _ask(self) -> None:
         transfers: list[TransferText] = []
         for segment in self._directories:
-            asked = FilesAsked(file="status")
-            said = await ask_process(self._session, files_desk(segment), asked, FilesSaid)
-            text = said if isinstance(said, str) else said.text
-            transfers += self._transfers.handle_list(segment, text, self._now_ns())
+            asked = FileRequest(file=STATUS)
+            said = await ask_process(self._session, desk_name(segment), asked, FileAnswer)
+            listed = () if isinstance(said, str) else said.transfers
+            transfers += self._transfers.handle_list(segment, listed, self._now_ns())
         shown = UpkeepText(files=True, transfers=tuple(transfers), software=tuple(self._software()))
         self._seat.handle_shown("upkeep", shown)
         self._asks = False

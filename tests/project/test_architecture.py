@@ -327,11 +327,11 @@ LIBRARIES = {
     "pipelines/media/h264_copy.py": ({"av"}, "codes pictures"),
     "pipelines/seats/texts.py": ({"msgspec"}, "texts as JSON"),
     "pipelines/session/recorder_requests.py": ({"msgspec"}, "requests and answers as JSON"),
+    "pipelines/session/file_requests.py": ({"msgspec"}, "requests and answers as JSON"),
     "pipelines/recording/": (
         {"av", "google", "io", "mcap", "msgspec", "zstandard"},
         "protobuf, MCAP and H.264: octets only; requests as JSON",
     ),
-    "pipelines/files/desk.py": ({"msgspec"}, "requests and answers as JSON"),
     "pipelines/foxglove/": ({"msgspec", "tomllib"}, "messages as JSON, and the setup as a table"),
     "pipelines/report/": ({"msgspec", "rich"}, "the report as JSON and as text"),
     "pipelines/report/account.py": ({"html"}, "the report as a page"),

@@ -3,12 +3,13 @@
 import os
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.files.desk import FileAnswer, FileDesk, FileRequest, desk_name
+from pipelines.files.desk import FileDesk
 from pipelines.seats.transfers import Transfers
-from pipelines.seats.upkeep_watch import FilesAsked, FilesSaid, files_desk, software_in
+from pipelines.seats.upkeep_watch import software_in
+from pipelines.session.file_requests import STATUS, FileAnswer, FileRequest
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminal_lines import pack_line, parse_line
-from telepresence.files.entity import FileEntity
+from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
+from telepresence.files.entity import FileEntity, Transfer
 from telepresence.upkeep.inbox import TOLD, UpdateInbox
 
 GROUND = Segment.GROUND
@@ -19,13 +20,10 @@ def test_the_list_of_files_is_that_of_the_file_transfer():
     desk, transfers = FileDesk(entity), Transfers()
 
     def status(now_ns):
-        asked = parse_line(pack_line(FilesAsked(file="status")), FileRequest)
-        answer = desk.handle_request(asked, b"", "", now_ns)
-        assert isinstance(answer, FileAnswer)
-        said = parse_line(pack_line(answer), FilesSaid)
-        return transfers.handle_list(GROUND, said.text, now_ns)
+        answer = desk.handle_request(FileRequest(file=STATUS), b"", "", now_ns)
+        said = parse_line(pack_line(answer), FileAnswer)
+        return transfers.handle_list(GROUND, said.transfers, now_ns)
 
-    assert files_desk(GROUND) == desk_name(GROUND)
     assert status(0) == []
     entity.put("a name.bin", "", bytes(40_000), 0)
     entity.ask("get", "log", "", 0)
@@ -44,6 +42,17 @@ def test_the_list_of_files_is_that_of_the_file_transfer():
     assert put.state == "running"
     assert 0 < put.octets < put.size
     assert 50_000 < put.rate_bps < 70_000
+
+
+def test_a_list_of_many_files_fits_into_one_answer():
+    entity = FileEntity(entity=1, peer=2, first_number=7, rate_bps=64_000, now_ns=0)
+    for number in range(1 << 31, (1 << 31) + 40):
+        # Where JSON needs the most octets for a name that is allowed.
+        transfer = Transfer(number=number, kind="rename", first='"' * 200, second="")
+        entity.transfers[number] = transfer
+    answer = FileDesk(entity).handle_request(FileRequest(file=STATUS), b"", "", 0)
+    assert len(answer.transfers) + answer.more == 40
+    assert len(pack_line(answer)) < MAX_LINE_OCTETS
 
 
 def test_what_keepers_told_is_shown_with_where_it_is_from(tmp_path):

@@ -196,3 +196,10 @@ def test_a_version_of_a_stranger_is_refused():
     versions = VersionDirectory(FailingDisk(), {MachineKey.from_seed(bytes([1] * 32)).identity})
     with pytest.raises(ConfigError, match="not trusted"):
         versions.add("v1", signed(Random(1), "v1"))
+
+
+def test_a_manifest_nested_without_end_is_refused():
+    files = signed(Random(1), "v1")
+    files[MANIFEST] = StoredFile(b'{"more": ' + b"[" * 60_000, executable=False)
+    with pytest.raises(ConfigError, match="manifest is damaged"):
+        versions_of(FailingDisk()).add("v1", files)

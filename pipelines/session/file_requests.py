@@ -1,0 +1,55 @@
+"""Requests to the file transfer of an end and its answers, as lines of JSON. A core.
+
+Request: `{"file": "put", "first": "a.bin"}`; likewise get, list, rename and remove. The answer has
+the number of the transfer, with which `state` asks how far it is, and `cancel` gives it up.
+`status` lists all that are under way.
+"""
+
+import msgspec
+
+from pipelines.session.setup.segments import Segment
+
+STATE, CANCEL, STATUS = "state", "cancel", "status"
+
+
+def desk_name(segment: Segment) -> str:
+    """The name of the Unix socket."""
+    return f"files.{segment.value}"
+
+
+class FileRequest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A request. first, second: names in the directories. number: of a transfer."""
+
+    file: str
+    first: str = ""
+    second: str = ""
+    number: int = -1
+
+
+class TransferNow(msgspec.Struct, frozen=True, kw_only=True):
+    """A transfer under way. octets, size: as of `FileAnswer`. first: the name of its file."""
+
+    number: int
+    kind: str
+    state: str
+    octets: int
+    size: int
+    first: str
+
+
+class FileAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """An answer. mistake: the request itself was wrong, and text says why.
+
+    octets, size: as far as they came or went; size is -1 if it is not known. transfers: those under
+    way that were asked for at this end, the oldest first. more: how many are left out of them.
+    """
+
+    ok: bool
+    text: str = ""
+    mistake: bool = False
+    number: int = -1
+    state: str = ""
+    octets: int = 0
+    size: int = -1
+    transfers: tuple[TransferNow, ...] = ()
+    more: int = 0
