@@ -31,8 +31,9 @@ class ServiceSockets:
     def __init__(self, streams: ServiceStreams, plan: ServicesPlan) -> None:
         self._streams, self._plan = streams, plan
         self._links: dict[int, socket.socket] = {}
-        #: Connections that are not made yet.
+        #: Connections that are not made yet, and those of them that then get an end at once.
         self._joining: set[int] = set()
+        self._ended: set[int] = set()
 
     @property
     def readers(self) -> list[socket.socket]:
@@ -79,11 +80,15 @@ class ServiceSockets:
             if link is None:
                 continue
             if not isinstance(event, StreamClosed):
-                with suppress(OSError):
-                    link.shutdown(socket.SHUT_WR)
+                # The end of a connection that is not made yet would give it up.
+                if event.token in self._joining:
+                    self._ended.add(event.token)
+                else:
+                    _end(link)
                 continue
             del self._links[event.token]
             self._joining.discard(event.token)
+            self._ended.discard(event.token)
             if event.reason is not None:
                 _cut(link)
             link.close()
@@ -124,6 +129,8 @@ class ServiceSockets:
                 self._streams.handle_broken(token)
                 return
             self._joining.discard(token)
+            if token in self._ended:
+                _end(link)
         octets = self._streams.received(token)
         if octets:
             self._streams.handle_taken(token, link.send(octets), now_ns)
@@ -137,6 +144,11 @@ class ServiceSockets:
             self._streams.handle_data(token, octets, now_ns)
         else:
             self._streams.handle_end(token)
+
+
+def _end(link: socket.socket) -> None:
+    with suppress(OSError):
+        link.shutdown(socket.SHUT_WR)
 
 
 def _cut(link: socket.socket) -> None:

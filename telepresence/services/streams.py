@@ -215,7 +215,7 @@ class ServiceStreams:
         return self._contact_ns + (now_ns - self._changed_ns if self._heard else 0)
 
     def _new_number(self) -> int:
-        """A number that no stream has here, never 0."""
+        """A random number, never 0: no other stream or life will have it."""
         return self._random.randrange(1, _TOKENS)
 
     def _count(self, *, mine: bool) -> int:

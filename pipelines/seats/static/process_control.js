@@ -37,6 +37,8 @@ class ProcessControl extends HTMLElement {
 
   /** @param {Seat["connection"]} connection @param {string[]} functions */
   async #send(connection, functions) {
+    // Before the first connection nothing is to choose.
+    if (this.#process.value === "") return;
     const [application, process] = this.#process.value.split(" ");
     for (const name of functions) {
       const words = `${name} ${nameText(process)}`;
