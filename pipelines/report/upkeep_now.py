@@ -6,6 +6,7 @@ from typing import Final, NamedTuple
 from kontur_av.clock import NS_PER_S
 from pipelines.mission.figures import TaskFigures
 from pipelines.report.collector import Collector
+from pipelines.report.process_figures import ProcessFigures
 from pipelines.seats.figures import PageFigures
 from pipelines.session.task_journal import OPEN
 from pipelines.session.topology import JOYSTICK, PAGES, ROBOT, TASKS, Segment
@@ -111,30 +112,38 @@ class ExperimentWatch:
 
     def handle_time(self, now_ns: int) -> str:
         """Return what runs, in words; "" if nothing does."""
-        words = self._attached_words() if self._attached else self._task() or self._hand()
+        if self._attached:
+            words = self._attached_words()
+        else:
+            words = self._task(now_ns) or self._hand(now_ns)
         if words:
             self._words, self._seen_ns = words, now_ns
         elif now_ns - self._seen_ns >= _REST_NS:
             self._words = ""
         return self._words
 
-    def _task(self) -> str:
-        runs = self._collector.process(TASKS).total(TaskFigures).runs
+    def _telling(self, name: str, now_ns: int) -> ProcessFigures:
+        """What a process has told; nothing of one that was stopped, whose figures stay."""
+        process = self._collector.process(name)
+        return process if now_ns - process.told_ns < _REST_NS else ProcessFigures()
+
+    def _task(self, now_ns: int) -> str:
+        runs = self._telling(TASKS, now_ns).total(TaskFigures).runs
         row = runs[max(runs)] if runs else None
         return f"{row.name}, run {row.run}" if row is not None and row.result == OPEN else ""
 
-    def _hand(self) -> str:
-        topology, process = self._collector.topology, self._collector.process
+    def _hand(self, now_ns: int) -> str:
+        topology = self._collector.topology
         spec, here = topology.options.joystick, topology.segments
         if Segment.SPACE in here and is_simulated(spec):
             return ""
-        if process(PAGES[Segment.SPACE]).total(PageFigures).holder:
+        if self._telling(PAGES[Segment.SPACE], now_ns).total(PageFigures).holder:
             return "a page has the handle"
-        robot = process(ROBOT).find(SafetyFigures)
+        robot = self._telling(ROBOT, now_ns).find(SafetyFigures)
         if robot is not None and robot.hold is Hold.NONE:
             return "the robot follows the hand"
         # A page's joystick is in the application without anybody, and so are others in space alone.
-        joystick = process(JOYSTICK).find(JoystickFigures)
+        joystick = self._telling(JOYSTICK, now_ns).find(JoystickFigures)
         driven = joystick is not None and joystick.state == JoystickState.APPLICATION.words
         return "the joystick drives" if driven and here == (Segment.SPACE,) and spec != PAGE else ""
 

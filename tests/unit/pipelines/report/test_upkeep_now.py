@@ -32,8 +32,8 @@ def collector(*, segments=tuple(Segment), joystick="evdev"):
     return Collector(topology_of(SETUP, segments=segments, joystick=joystick, pages=True))
 
 
-def tell(found, process, *figures):
-    found.handle_message(process, message(*figures), 0)
+def tell(found, process, *figures, at_s=0):
+    found.handle_message(process, message(*figures), at_s * NS_PER_S)
 
 
 def test_signal_drop_outs_and_shadowing_are_announced_with_the_time_left():
@@ -120,11 +120,20 @@ def test_an_experiment_runs_while_a_task_does_or_a_person_has_the_arm(
 def test_a_hand_that_lets_go_for_a_moment_has_not_ended_it():
     found = collector()
     watch = ExperimentWatch(found)
-    tell(found, "robot", robot(Hold.NONE))
+    tell(found, "robot", robot(Hold.NONE), at_s=20)
     assert watch.handle_time(20 * NS_PER_S)
-    tell(found, "robot", robot(Hold.RELEASED))
+    tell(found, "robot", robot(Hold.RELEASED), at_s=29)
     assert watch.handle_time(29 * NS_PER_S)
     assert not watch.handle_time(30 * NS_PER_S)
+
+
+def test_a_process_that_was_stopped_holds_no_update_back():
+    found = collector()
+    watch = ExperimentWatch(found)
+    tell(found, "robot", robot(Hold.NONE), at_s=20)
+    assert watch.handle_time(29 * NS_PER_S)
+    assert watch.handle_time(38 * NS_PER_S)
+    assert not watch.handle_time(39 * NS_PER_S)
 
 
 def test_of_attached_programs_their_samples_say_it():
