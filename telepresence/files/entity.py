@@ -391,7 +391,9 @@ class FileEntity:
         key, request = receiver.key, metadata.request
         try:
             if transfer is not None and transfer.kind == LIST:
-                transfer.text = receiver.octets[:LARGEST_LISTING].decode(errors="replace")
+                text = receiver.octets[:LARGEST_LISTING].decode(errors="replace")
+                # It goes to a terminal.
+                transfer.text = "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
                 receiver.handle_stored("", at_ns)
                 self._tell_origin(receiver)
             elif metadata.destination:
@@ -422,6 +424,7 @@ class FileEntity:
         metadata = Metadata(
             key=key,
             size=len(octets),
+            checksum=self._checksum,
             source=job.first or ".",
             destination=job.second or "listing",
             sha256=sha256(octets).digest(),

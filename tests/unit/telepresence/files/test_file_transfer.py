@@ -115,6 +115,14 @@ def test_what_is_asked_of_the_other_directory() -> None:
     assert pair.space.files.keys() == {"a"}
 
 
+def test_a_listing_has_no_control_characters() -> None:
+    pair = FilePair()
+    pair.space.files = {"a\x1b[2J": b"", "b": b"b"}
+    listed = pair.ground.entity.ask(LIST, "", "", 0)
+    pair.run(10)
+    assert listed.text == "a?[2J\nb"
+
+
 def test_a_killed_receiver_gets_the_file_again_and_a_killed_sender_leaves_nothing() -> None:
     pair = FilePair(patience_ns=60 * NS_PER_S)
     pair.ground.files["f"] = OCTETS
