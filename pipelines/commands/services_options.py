@@ -77,20 +77,24 @@ def services_wish(args: argparse.Namespace, segments: Sequence[Segment]) -> Serv
 def bound_services(
     wish: ServicesWish, files: Mapping[str, Mapping[str, object]]
 ) -> Iterator[Mapping[str, Mapping[str, object]]]:
-    """Yield the arguments of the processes of files, with the services; ConfigError."""
+    """Yield the arguments by process, those of files with the services; ConfigError."""
     with ExitStack() as stack:
         listeners = {
             name: stack.enter_context(_listener(name, port)) for name, port in wish.ports.items()
         }
         yield {
-            name: {
-                **arguments,
-                "services": ServicesPlan(
-                    listeners=listeners if name == FILES[wish.here] else {},
-                    targets=wish.targets if name == FILES[wish.there] else {},
-                ),
-            }
-            for name, arguments in files.items()
+            **files,
+            **{
+                name: {
+                    **files[name],
+                    "services": ServicesPlan(
+                        listeners=listeners if name == FILES[wish.here] else {},
+                        targets=wish.targets if name == FILES[wish.there] else {},
+                    ),
+                }
+                for name in FILES.values()
+                if name in files
+            },
         }
 
 
