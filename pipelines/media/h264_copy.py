@@ -31,8 +31,9 @@ class H264Copy:
 
         The first one after a pause, or of another size, is a key picture.
         """
-        pictures = [] if unit.refused else self._decoder.decode(unit.data, 0)
-        if not pictures or not wanted:
+        # Refused ones, too: the receiver refuses a wave, and goes on from its last picture.
+        pictures = self._decoder.decode(unit.data, 0)
+        if not pictures or unit.refused or not wanted:
             self._codec = self._codec if wanted else None
             return None
         picture = pictures[-1]
