@@ -132,7 +132,7 @@ class VideoDecoder:
         """
         if not data:
             return []
-        if self._without_picture and self._name == "h265" and H265.parameter_sets(data):
+        if self._name == "h265" and self._is_stuck and H265.parameter_sets(data):
             # After a loss, FFmpeg passes over recovery points; a new decoder begins at one.
             self._codec = _open_decoder(self._name)
         packet = av.Packet(data)
@@ -141,6 +141,7 @@ class VideoDecoder:
             frames = self._codec.decode(packet)
         except (av.FFmpegError, ValueError):
             # FFmpeg has many errors for garbage, and goes on with the next unit after each.
+            self._without_picture += 1
             self._count_undecoded()
             return []
         if frames:
@@ -148,12 +149,18 @@ class VideoDecoder:
         elif self._name == "h265":
             # Without a reference, FFmpeg leaves HEVC pictures out and says nothing.
             self._without_picture += 1
-            if self._without_picture > (_MOST_REORDERED if self._reordered else 0):
+            if self._is_stuck:
                 self._count_undecoded()
         if not self._reordered and any(frame.pts != timestamp for frame in frames):
             self._codec = _open_decoder(self._name)
             self.counts.decoder_restarts += 1
         return self._pictures(frames)
+
+    @property
+    def _is_stuck(self) -> bool:
+        """Whether more units brought no picture than a decoder of HEVC holds back."""
+        holds = self._reordered and self._codec.has_b_frames
+        return self._without_picture > (_MOST_REORDERED if holds else 0)
 
     def _count_undecoded(self) -> None:
         if self.counts.frames_decoded:

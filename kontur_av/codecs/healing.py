@@ -20,6 +20,11 @@ class Healing:
         self._damaged = False
         self._left: int | None = None
 
+    @property
+    def in_wave(self) -> bool:
+        """Whether a refresh wave heals the pictures now."""
+        return self._left is not None
+
     def handle_damage(self) -> None:
         """The decoder found damage in a picture: its octets are wrong, and none is missing."""
         self._damaged = True

@@ -292,15 +292,15 @@ class RecordedVideo(LoopedVideo):
         super().__init__(name, width, height, fps, clock, path)
 
     def _pass(self) -> Iterator[PlayedPicture]:
-        decoder = VideoDecoder()
-        codec: VideoCodec | None = None
+        codec: VideoCodec = "h264"
+        decoder = VideoDecoder(codec)
         first_ns: int | None = None
         reordered = False
         instants = RisingInstants(self._period_ns)
         for unit in read_units(self._path, self._channel, instants):
-            if unit.format != codec:
-                codec = "h265" if unit.format == "h265" else "h264"
-                decoder = VideoDecoder(codec)
+            now: VideoCodec = "h265" if unit.format == "h265" else "h264"
+            if now != codec:
+                codec, decoder = now, VideoDecoder(now)
             corrupt = decoder.counts.frames_corrupt
             for picture in decoder.decode(unit.data, 0):
                 first_ns = unit.log_ns if first_ns is None else first_ns

@@ -20,11 +20,11 @@ class CodedUnit:
     """One access unit as a sample of a topic. The sample's stamp says when it was captured.
 
     data: a byte stream (ITU-T H.264 or H.265, Annex B), of at most `MOST_UNIT_OCTETS`.
-    key: it holds an IDR picture, at which any decoder can start.
+    key: it holds a picture at which any decoder can start: IDR, or any IRAP of HEVC.
     damaged: packets of it are missing. The stamp's quality is DAMAGED also where the picture shows
         the loss of an earlier one.
     refused: the decoder returned no picture for it, or one larger than its stream permits. A reader
-        does not decode it.
+        shows nothing of it. A decoder of HEVC needs it, if it is part of a wave; others may close.
     dated: the stamp's `capture_ns` is known. False before the first sender report of a received
         stream; `capture_ns` is 0 then.
     width, height: size of its picture in pixels; 0 if it is refused.

@@ -143,8 +143,13 @@ class EncodeScheduler:
         if self._counted < (_COUNTED_FASTER if faster else _COUNTED):
             return
         # A slow camera is regular; an overloaded machine is not.
-        slower = hz * _OTHER_RATE < self._told_hz and self._longest_ns < 3 * mean_ns // 2
+        regular = self._longest_ns < 3 * mean_ns // 2
+        slower = regular and hz * _OTHER_RATE < self._told_hz
         self._counted_since_ns, self._counted, self._longest_ns = capture_ns, 0, 0
         if faster or slower:
             self._told_hz = self._new_hz = round(hz, 1)
+        # Between the encoder's rate and the camera's, only the period changes.
+        periods = self._period_ns * camera_hz / NS_PER_S
+        other = not 1 / _OTHER_RATE < periods < _OTHER_RATE
+        if faster or slower or (regular and other):
             self._period_ns = round(NS_PER_S / camera_hz)

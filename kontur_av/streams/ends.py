@@ -36,6 +36,7 @@ from kontur_av.media import (
     CaptureStamp,
     Quality,
     VideoCodec,
+    codec_named,
 )
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
@@ -237,7 +238,7 @@ class PictureSender(_Sender[Picture]):
         if not 1 <= fps <= 120:
             raise ConfigError(f"fps {fps}: take 1 to 120")
         super().__init__(to, cap_bps, sdp, NS_PER_S // fps)
-        self._fps, self._codec = fps, codec
+        self._fps, self._codec = fps, codec_named(codec, "PictureSender")
         self._source = _Pictures(1)
         self._shape: tuple[int, ...] = ()
 

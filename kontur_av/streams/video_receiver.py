@@ -98,7 +98,7 @@ class VideoReceiver(ReportingReceiver):
             ssrc=ssrc, interval_ns=report_interval_ns, bandwidth_bps=bandwidth_bps
         )
         super().__init__(receiver, reports)
-        self._name = name
+        self._name, self._codec = name, codec
         self._most_pixels = None if largest is None else largest[0] * largest[1]
         self._depacketizer = NalDepacketizer(NAL_FORMATS[codec], parameter_sets, marked=marked)
         self._healing = Healing()
@@ -169,7 +169,9 @@ class VideoReceiver(ReportingReceiver):
 
     def handle_undecoded(self) -> None:
         """The decoder could not decode a unit: ask for a key picture with the next one."""
-        self._healing.handle_damage()
+        # Of an HEVC wave that heals, FFmpeg returns no picture before its end.
+        if not (self._codec == "h265" and self._healing.in_wave):
+            self._healing.handle_damage()
 
     def handle_new_viewer(self) -> None:
         """Ask for a key picture with the next unit: who begins to watch needs one."""

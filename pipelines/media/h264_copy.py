@@ -31,8 +31,10 @@ class H264Copy:
 
         The first one after a pause, or of another size, is a key picture.
         """
-        pictures = [] if unit.refused else self._decoder.decode(unit.data, 0)
-        if not pictures or not wanted:
+        # Refused ones, too: the receiver refuses a wave, and goes on from its last picture.
+        self._count += 1
+        pictures = self._decoder.decode(unit.data, self._count)
+        if not pictures or unit.refused or not wanted:
             self._codec = self._codec if wanted else None
             return None
         picture = pictures[-1]
@@ -41,7 +43,6 @@ class H264Copy:
             self._codec = i420_encoder(*size, _RATE_HZ, _OPTIONS)
         frame = av.VideoFrame.from_ndarray(picture.to_i420(), "yuv420p")
         frame.pts, frame.pict_type = self._count, PictureType.NONE
-        self._count += 1
         (packet,) = self._codec.encode(frame)
         data, key = without_user_data(bytes(packet)), bool(packet.is_keyframe)
         self._sets = parameter_sets(data) or self._sets

@@ -30,6 +30,8 @@ class PageFigures:
     garbage: int = 0
     #: Units that a page was too slow for.
     units_left_out: int = 0
+    #: HEVC units of which no copy was made for pages, because copying was behind.
+    copies_left_out: int = 0
     #: Web sockets closed by the server: garbage, or a stalled page.
     sockets_closed: int = 0
     #: Open pages.

@@ -250,6 +250,7 @@ class PageServer:
                 faults=self._faults,
                 garbage=sockets.garbage,
                 units_left_out=self._seat.left_out,
+                copies_left_out=self._topics.copies_left_out,
                 sockets_closed=sockets.closed,
             )
         )

@@ -61,6 +61,9 @@ from telepresence.link.backlog import Backlog
 
 #: Unread samples of a topic that are kept.
 _DEPTH = 8
+#: HEVC units of a stream that wait for their copy, two seconds of 30 Hz. Newer ones are left out,
+#: and copies come again with the next key picture or wave.
+_MOST_COPYING = 60
 #: Pictures that are kept until the unit of one comes: a sender may wait for its channel.
 _FILMED = 8
 
@@ -192,6 +195,8 @@ class SeatTopics:
         #: By stream of HEVC: its copy for browsers, made in a thread, and units on their way there.
         self._copies: dict[int, H264Copy] = {}
         self._copying: Counter[int] = Counter()
+        #: HEVC units of which no copy was made, because copying was behind.
+        self.copies_left_out = 0
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="copies")
         fed = list(self._fed())
         feeds = [
@@ -265,11 +270,16 @@ class SeatTopics:
         if unit.codec == "h264":
             self._show(stream, unit, lease.stamp)
             return
-        copy = self._copies.setdefault(stream, H264Copy())
         # Each unit is decoded; where the thread falls behind, it codes none.
-        wanted = self._watched and self._copying[stream] < _DEPTH
+        behind = self._copying[stream] >= _DEPTH
+        self.copies_left_out += behind
+        if self._copying[stream] >= _MOST_COPYING:
+            return
+        if stream not in self._copies:
+            self._copies[stream] = H264Copy()
         self._copying[stream] += 1
-        made = self._thread.submit(copy.copy, unit, wanted=wanted)
+        copy = self._copies[stream].copy
+        made = self._thread.submit(copy, unit, wanted=self._watched and not behind)
         self._serving.begin(self._copied(stream, made, lease.stamp))
 
     async def _copied(

@@ -43,6 +43,8 @@ def test_what_is_no_picture_or_no_block_is_refused():
 def test_what_cannot_work_is_refused_in_one_line(tmp_path):
     with pytest.raises(av.ConfigError, match="fps 0"):
         av.PictureSender("127.0.0.1:9", cap_bps=85_000, fps=0)
+    with pytest.raises(av.ConfigError, match="codec 'hevc'"):
+        av.PictureSender("127.0.0.1:9", cap_bps=85_000, codec="hevc")
     with pytest.raises(av.ConfigError, match="cannot be written"):
         av.SoundSender("127.0.0.1:9", cap_bps=24_000, sdp=tmp_path / "none" / "s.sdp")
 

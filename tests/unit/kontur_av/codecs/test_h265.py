@@ -6,6 +6,7 @@ from fractions import Fraction
 import av
 import numpy as np
 import pytest
+from av.video.frame import PictureType
 
 from kontur_av.codecs import encoder_settings
 from kontur_av.codecs.coding import Coding
@@ -114,6 +115,26 @@ def test_without_feedback_a_wave_brings_the_picture_back_after_any_loss():
             shown[number] = picture.to_i420()
     assert list(shown) == [*range(40), *range(89, 140)]
     assert psnr_db(shown[125], exact[125]) > 45
+
+
+def test_a_decoder_that_holds_key_pictures_back_returns_all_of_them():
+    coder = av.CodecContext.create("libx265", "w")
+    coder.width, coder.height, coder.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+    coder.framerate, coder.time_base = Fraction(FPS), Fraction(1, FPS)
+    parameters = "bframes=2:repeat-headers=1:annexb=1:log-level=error"
+    coder.options = {"preset": "ultrafast", "forced-idr": "1", "x265-params": parameters}
+    packets = []
+    for number in range(8):
+        picture = av.VideoFrame.from_ndarray(scene(number).data, "yuv420p")
+        picture.pts, picture.pict_type = number, PictureType.I
+        packets += coder.encode(picture)
+    packets += coder.encode(None)
+    decoder = VideoDecoder("h265", reordered=True)
+    pictures = []
+    for number, packet in enumerate(packets):
+        pictures += decoder.decode(bytes(packet), number)
+    pictures += decoder.drain()
+    assert [picture.timestamp for picture in pictures] == list(range(8))
 
 
 @pytest.mark.parametrize("pictures", [0, 1, 2, 29, 1799])

@@ -149,6 +149,16 @@ def test_of_a_faster_camera_only_fresh_pictures_are_encoded():
     assert clock.next_rate_hz() is None
 
 
+def test_a_faster_camera_that_slows_down_is_awaited_for_its_new_period():
+    clock = EncodeScheduler(Pacer(cap_bps=80_000), fps=30, camera_hz=60)
+    for came_ns in range(0, 50 * 25 * MS, 25 * MS):
+        clock.handle_picture(came_ns, came_ns)
+    assert clock.next_rate_hz() is None
+    # The channel is busy for 13 ms: the picture would be too old.
+    clock.handle_channel(13, 8_000, came_ns)
+    assert clock.poll_timeout() == came_ns + 25 * MS + 25 * MS // 8
+
+
 def test_a_channel_that_is_behind_is_looked_at_again_after_2_ms():
     clock = clock_with()
     share = 80_000 // 8 // 30

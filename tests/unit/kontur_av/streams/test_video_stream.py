@@ -4,7 +4,9 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
+from kontur_av.codecs.h265 import recovery_point
 from kontur_av.media import AccessUnit, CaptureStamp, Quality
+from kontur_av.rtp.annex_b import join_annex_b
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.paced_sender import EVENTS_KEPT, UnitSent
 from kontur_av.streams.video_receiver import VideoReceiver
@@ -114,6 +116,33 @@ def test_without_a_key_picture_damage_is_shown_200_ms_after_a_pause():
         stream.step(number)
     damaged = [stamp and stamp.quality is Quality.DAMAGED for stamp in stream.stamps]
     assert damaged == [False] * 4 + [None] * 7 + [True] * 2
+
+
+def test_a_wave_of_hevc_heals_though_its_pictures_cannot_be_decoded():
+    sender, receiver = make_sender(), make_receiver(codec="h265")
+    came = iter([number for number in range(14) if number != 4])
+    qualities = []
+    for number in range(14):
+        now_ns = number * PERIOD_NS
+        there_ns = now_ns + AHEAD_NS + NS_PER_MS
+        nals = [(b"\x02\x01\x88" if number else b"\x26\x01\x88") + bytes([7]) * 300]
+        if number == 6:
+            nals.insert(0, recovery_point(3))
+        stamp = CaptureStamp(now_ns, number, "camera")
+        sender.handle_coded(AccessUnit(join_annex_b(nals), stamp, number == 0, "h265"), now_ns)
+        while (packet := sender.poll_transmit(now_ns)) is not None:
+            if number != 4:
+                receiver.handle_packet(packet, there_ns)
+        if (report := sender.poll_report(now_ns)) is not None:
+            receiver.handle_report(report, there_ns)
+        receiver.handle_timeout(there_ns + 20 * NS_PER_MS)
+        while (unit := receiver.next_event()) is not None:
+            if next(came) in range(5, 9):
+                receiver.handle_undecoded()
+                continue
+            dated_ns = receiver.capture_ns(unit.timestamp)
+            qualities.append(receiver.handle_picture(unit.timestamp, 64, 48, dated_ns).quality)
+    assert qualities == [Quality.FRESH] * 9
 
 
 def test_damage_that_was_known_and_healed_hurts_no_later_picture():

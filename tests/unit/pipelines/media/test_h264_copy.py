@@ -37,3 +37,20 @@ def test_after_a_missed_unit_copies_come_again_with_the_next_key_picture():
     copies = H264Copy()
     made = [copies.copy(unit, wanted=True) for at, unit in enumerate(units()) if at != 4]
     assert [one is not None for one in made] == [True] * 4 + [False] * 3 + [True] * 4
+
+
+def test_after_a_loss_copies_come_again_with_the_receivers_pictures():
+    coder = H265Encoder(width=160, height=128, fps=30, cap_bps=200_000, refresh_s=0.5)
+    ramp = np.add.outer(np.arange(192), np.arange(160)).astype(np.uint8)
+    receivers, copies = VideoDecoder("h265"), H264Copy()
+    shown, copied = [], []
+    for number in range(40):
+        unit = coder.encode(VideoFrame(np.roll(ramp, number), CaptureStamp(0, number, "test")))
+        if number == 4:
+            continue
+        shown.append(bool(receivers.decode(unit.data, 0)))
+        sent = CodedUnit(data=unit.data, key=unit.keyframe, refused=not shown[-1], codec="h265")
+        copied.append(copies.copy(sent, wanted=True) is not None)
+    assert not all(shown)
+    assert shown[-1]
+    assert copied == shown
