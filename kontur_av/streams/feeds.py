@@ -5,6 +5,7 @@ from typing import Literal
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.codecs.choice import encoder_of
+from kontur_av.codecs.coded_size import coded_rate_for
 from kontur_av.codecs.coding import REFRESH_S
 from kontur_av.codecs.encoder import VideoEncoder
 from kontur_av.codecs.encoder_settings import Search
@@ -68,12 +69,13 @@ class PictureFeed:
         codec: VideoCodec = "h264",
     ) -> None:
         width, height = size
+        coded_hz = coded_rate_for(fps, cap_bps)
 
         def make(coded: tuple[int, int] | None) -> VideoEncoder:
             return encoder_of(codec)(
                 width=width,
                 height=height,
-                fps=fps,
+                fps=coded_hz,
                 cap_bps=cap_bps,
                 coded_size=coded,
                 refresh_s=REFRESH_S if refresh_s is None else refresh_s,
@@ -85,7 +87,8 @@ class PictureFeed:
         self.sender = VideoSender(
             cap_bps=cap_bps,
             channel_bps=channel_bps,
-            fps=fps,
+            fps=coded_hz,
+            camera_hz=fps,
             identity=RtpIdentity.draw(secrets.randbits),
             cname=_cname(),
             wall_offset_ns=clock.wall_offset_ns,
