@@ -131,13 +131,13 @@ def run_robot(context: Context) -> None:
             )
         before: Cycle = desk.step
         route = None
-        if ownership is not None:
+        if board is not None:
+            before = both(serve_board(context, end, board), desk.step)
+        elif ownership is not None:
             seldom.append(follow_owner(bus, ownership, end))
             take_partner, to_partner = open_partner(context, end)
             before = both(take_partner, desk.step)
             route = route_to_owner(ownership, to_partner)
-        elif board is not None:
-            before = both(serve_board(context, end, board), desk.step)
         run_loop(
             context,
             end,
