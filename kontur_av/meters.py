@@ -19,7 +19,7 @@ _FINE_NS = 1 << _FINE_BITS
 _COARSE = _WIDEST * _SUB + (_FINE_NS >> _WIDEST)
 _EXTRA = _COARSE - (_FINE_BITS - _SUB_BITS + 1) * _SUB
 _LARGEST = (1 << 63) - 1
-#: Memory grows by so many buckets at once.
+#: Memory grows by this many buckets at once.
 _STEP = 1024
 
 
@@ -66,7 +66,7 @@ class Histogram:
         self._max = max(self._max, value)
 
     def _reach(self, index: int) -> None:
-        """Have a bucket of this index."""
+        """Grow the memory until it has this bucket."""
         missing = index + 1 - len(self._counts)
         if missing > 0:
             self._counts = np.pad(self._counts, (0, -(-missing // _STEP) * _STEP))
@@ -149,7 +149,7 @@ class Histogram:
 
 
 def rank_of(p: float, count: int) -> int:
-    """Return the rank (from 1) of a percentile of so many values: the nearest rank.
+    """Return the rank (from 1) of a percentile of `count` values: the nearest rank.
 
     p: from 0 to 100, else ValueError.
     """

@@ -12,14 +12,14 @@ from kontur_av.media import VideoCodec, check_size
 
 MACROBLOCK = 16 * 16
 
-#: What a thin channel's pictures are to be: soon there, or good.
+#: What to prefer on a thin channel: pictures that arrive sooner, or better ones.
 Preference = Literal["latency", "quality"]
 PREFERENCES: tuple[Preference, ...] = get_args(Preference)
 
-#: What each picture gets of the cap where a faster camera's pictures are left out. Of whole kbit,
-#: because the encoders' buffers are.
+#: Bits of the cap for each coded picture where a fast camera has more than can be coded. The
+#: encoders' buffers hold whole kbit, so smaller shares would leave much of the cap unused.
 _PICTURE_BITS = {"latency": 2000, "quality": 2800}
-#: This many pictures a second are coded whatever they get.
+#: Up to this rate every picture is coded, however small its share.
 _ALWAYS_HZ = 30
 
 #: With fewer bits for each macroblock, x264 leaves most blocks unchanged.
@@ -46,7 +46,7 @@ def preference(text: str, what: str) -> Preference:
 
 
 def coded_rate_for(fps: int, cap_bps: int, prefer: Preference = "quality") -> int:
-    """Return how many pictures a second to code, of a camera's `fps`."""
+    """Return the pictures a second to code. fps: pictures a second of the camera."""
     return min(fps, max(_ALWAYS_HZ, cap_bps // _PICTURE_BITS[prefer]))
 
 

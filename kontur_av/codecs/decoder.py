@@ -158,7 +158,7 @@ class VideoDecoder:
 
     @property
     def _is_stuck(self) -> bool:
-        """Whether more units brought no picture than a decoder of HEVC holds back."""
+        """Whether more units in a row gave no picture than an HEVC decoder can hold back."""
         holds = self._reordered and self._codec.has_b_frames
         return self._without_picture > (_MOST_REORDERED if holds else 0)
 

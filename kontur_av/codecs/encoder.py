@@ -65,7 +65,7 @@ class VideoEncoder:
         each column of macroblocks, or all of this time if that is less. A decoder that joins
         without a key picture has a whole picture at the end of the next wave.
     search: "thorough" takes twice the time for pictures of 640x480, and gains 1 dB.
-    preset: the library's, for the options that the settings leave open; None: the usual one.
+    preset: of the library, for options that the settings do not set; None: the usual one.
     regions: allow a `Region` for each picture. Without one, the pictures are then the same to
         within 0.1 dB.
 

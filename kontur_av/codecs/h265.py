@@ -11,7 +11,7 @@ from kontur_av.media import VideoCodec
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from kontur_av.rtp.payload_h265 import H265, NAL_PREFIX_SEI
 
-#: The mean squared error of the luma, per quantiser step. Measured: half to twice of it.
+#: The mean squared error of the luma, per quantiser step. Measured: from half of it to twice.
 _LOSS_PER_STEP = 0.4
 
 
@@ -27,7 +27,7 @@ class H265Encoder(VideoEncoder):
         kinds = [H265.nal_type(nal) for nal in nals]
         keyframe = not H265.keys.isdisjoint(kinds)
         if H265.sps in kinds and not keyframe:
-            # x265 begins a wave with parameter sets, but does not name its length.
+            # x265 begins a wave with parameter sets, but does not tell its length.
             slices = next(at for at, kind in enumerate(kinds) if kind in H265.slices)
             nals.insert(slices, recovery_point(self.refresh_pictures - 1))
         return join_annex_b(nals), keyframe
@@ -35,7 +35,7 @@ class H265Encoder(VideoEncoder):
     def _quantiser_and_loss(self, packet: Any) -> tuple[float, float]:
         (quality,) = unpack_from("=I", packet.get_sidedata("quality_stats"))
         quantiser = quality / LAMBDA
-        # x265 tells no errors.
+        # x265 does not report the error, so estimate it from the quantiser.
         return quantiser, _LOSS_PER_STEP * 2 ** ((quantiser - 4) / 6)
 
 

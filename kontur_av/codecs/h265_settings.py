@@ -9,14 +9,15 @@ from typing import ClassVar
 from kontur_av.codecs.coded_size import BITS_PER_MACROBLOCK, MACROBLOCK
 from kontur_av.codecs.encoder_settings import EncoderSettings
 
-#: No pictures in advance and one thread. No psy, no adaptive quantisation, no weights: as of x264.
+#: As with x264: no lookahead, one thread, no psychovisual options, no adaptive quantisation and no
+#: weighted prediction.
 _ALWAYS = (
     "bframes=0:rc-lookahead=0:frame-threads=1:pools=none:wpp=0:scenecut=0:ctu=32"
     ":psy-rd=0:psy-rdoq=0:weightp=0:cutree=0:info=0:annexb=1:repeat-headers=1:log-level=error"
 )
 #: x265 takes regions only with adaptive quantisation; at this strength it does nothing else.
 _NO_REGIONS, _REGIONS = ":aq-mode=0", ":aq-mode=1:aq-strength=0.001"
-#: With these a wave is exact: nothing right of it is predicted from what is not renewed yet. They
+#: With these a wave is exact: no renewed part is predicted from one that is not renewed yet. They
 #: cost 0.3 to 0.8 dB, so slow refreshes are key pictures.
 _WAVES = ":intra-refresh=1:temporal-mvp=0:constrained-intra=1"
 _WAVES_BELOW_S = 3.0
@@ -26,8 +27,8 @@ _THIN = "fast", ":ref=3:rd=3:subme=2:qpstep=8"
 _WIDE = "ultrafast", ""
 _WIDE_THOROUGH = "superfast", ""
 _THIN_UP_TO = 20_000
-#: The fill rate of the buffer model over the cap. It holds each picture to its share. From 1.1 to
-#: 1, pictures gain 0.1 dB; below, 1 dB is lost.
+#: The fill rate of the buffer model over the cap. It holds each picture to its share. Going
+#: from 1.1 to 1 gains 0.1 dB; below 1, 1 dB is lost.
 _RATE_OVER_CAP, _WIDE_RATE = Fraction(1), Fraction(102, 100)
 _BUFFER_OVER_SHARE = Fraction(106, 100)
 #: The largest quantiser, and where no picture may be late; as of x264.
@@ -43,7 +44,7 @@ class H265Settings(EncoderSettings):
 
     @property
     def has_waves(self) -> bool:
-        """Whether a wave renews the picture, not a key picture."""
+        """Whether waves renew the picture; if not, key pictures do."""
         return self.refresh_s < _WAVES_BELOW_S
 
     def options(self) -> dict[str, str]:
@@ -53,7 +54,7 @@ class H265Settings(EncoderSettings):
         wide = _WIDE_THOROUGH if self.search == "thorough" else _WIDE
         preset, search = _THIN if thin else wide
         over_cap = _RATE_OVER_CAP if thin else _WIDE_RATE
-        # x265 takes whole kbit, and no buffer for 0.
+        # x265 takes whole kbit, and 0 would mean no buffer.
         fill = max(int(self.cap_bps * over_cap) // 1000, 1) * 1000
         buffer = max(int(self.cap_bps * _BUFFER_OVER_SHARE / self.rate) // 1000, 1) * 1000
         coarsest = _PUNCTUAL if self.punctual or not thin else _COARSEST

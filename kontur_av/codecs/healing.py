@@ -51,7 +51,8 @@ def recovery_pictures(access_unit: bytes, codec: VideoCodec = "h264") -> int | N
     """Return recovery_frame_cnt of the recovery point SEI in an access unit (ITU-T H.264 D.2.8).
 
     access_unit: an Annex B byte stream. None if there is no such SEI, or it is malformed.
-    HEVC counts pictures in the order of display (ITU-T H.265 clause D.3.8): the same without B.
+    HEVC counts pictures in display order (ITU-T H.265 clause D.3.8), which is the same without B
+    pictures.
     """
     form = NAL_FORMATS[codec]
     for nal in split_annex_b(access_unit):

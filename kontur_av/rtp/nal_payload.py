@@ -24,7 +24,7 @@ DEFAULT_MAX_PAYLOAD_OCTETS = 1200
 _FU_START, _FU_END = 0x80, 0x40
 _START_CODE = b"\x00\x00\x00\x01"
 
-#: Found by an expression, because it takes a third of the time of `in`.
+#: A regular expression finds it in a third of the time of `in`.
 _CODE = re.compile(b"\x00\x00\x01")
 #: How long the first marked picture waits for a sign that it goes on behind its marker.
 _MARKER_TRIED_NS = 40 * NS_PER_MS
@@ -95,7 +95,7 @@ class NalFormat:
         raise NotImplementedError
 
     def nal_header(self, payload_header: bytes, kind: int) -> bytes:
-        """Return the header of a NAL unit of this type, of whose fragment `payload_header` is."""
+        """Return the header of a NAL unit of type `kind` from its fragment's payload header."""
         raise NotImplementedError
 
     def parameter_sets(self, access_unit: bytes) -> bytes:
@@ -271,7 +271,7 @@ class NalDepacketizer:
     An access unit ends where the next one begins: before a first slice, or before what goes ahead
     of one (ITU-T H.264 clause 7.4.1.2.3, H.265 clause 7.4.2.4.4). After a loss it ends where the
     timestamp changes. The marker ends it sooner, once the first picture has shown that no more of
-    it follows. A sender that marks each slice is so found out. Parameter sets and SEI without a
+    it follows; so a sender that marks each slice is recognised. Parameter sets and SEI without a
     picture go with the next one.
 
     form: of the payloads.
@@ -412,14 +412,14 @@ class NalDepacketizer:
             self._has_first |= not goes_on
 
     def _finish_before(self, lost: int) -> None:
-        """The next access unit begins. lost: packets directly before it."""
+        """Handle the start of the next access unit. lost: packets lost directly before it."""
         if self._markers is None and self._has_picture and (self._marked or not lost):
             self._markers = self._marked
         self._finish(complete=self._marked or not lost)
 
     def _join_parts(self) -> None:
         if self._parts:
-            # Start codes of Annex B may have come along, and so more than one.
+            # Start codes of Annex B inside the parts divide them into several NAL units.
             units = self._form.without_start_codes(b"".join(self._parts))
             self._parts.clear()
             self._nal_units += units

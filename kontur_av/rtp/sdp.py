@@ -45,12 +45,12 @@ class StreamDescription:
 
     kind: "video" or "audio", which is Opus.
     codec: of "video": H.264 in packetization-mode 1 or 0, or HEVC without decoding order numbers.
-    Of mode 2 the payloads of the other modes are taken, which is all that some mean.
+    Of mode 2 only the payloads of modes 0 and 1 are taken; some senders name 2 but use no others.
     host: the IP address to which the stream is sent.
     port: of RTP, from 1 to 65534.
     payload_type: of RTP, from 0 to 127.
     rtcp_port: of RTCP; None: port + 1. It may be `port` (RFC 5761).
-    bandwidth_bps: what the stream takes at most in bit/s, with the headers of IP, UDP and RTP
+    bandwidth_bps: the most that the stream takes, in bit/s with headers of IP, UDP and RTP
     (`session_bandwidth_bps`), or None.
     parameter_sets: VPS (HEVC), SPS and PPS NAL units, if known (video).
     profile_level_id: of H.264, three octets as hexadecimal digits (RFC 6184 section 8.1). "": that
@@ -174,8 +174,8 @@ def _h265_parameters(stream: StreamDescription) -> str:
 def parse_sdp(text: str) -> StreamDescription:
     """Return the first H.264, HEVC or Opus stream that the SDP describes.
 
-    What is malformed and not needed is ignored, as FFmpeg does. Raises ConfigError if no stream of
-    RTP without encryption can be received by it.
+    Malformed lines that are not needed are ignored, as by FFmpeg. Raises ConfigError if it
+    describes no unencrypted stream of RTP that can be received.
     """
     begin = _BEGIN.search(text.removeprefix("\ufeff").replace("\r", "\n"))
     if begin is None:

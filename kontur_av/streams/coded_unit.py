@@ -24,7 +24,7 @@ class CodedUnit:
     damaged: packets of it are missing. The stamp's quality is DAMAGED also where the picture shows
         the loss of an earlier one.
     refused: the decoder returned no picture for it, or one larger than its stream permits. A reader
-        shows nothing of it. A decoder of HEVC needs it, if it is part of a wave; others may close.
+        shows nothing of it. An HEVC decoder needs it if it is part of a wave; others may close.
     dated: the stamp's `capture_ns` is known. False before the first sender report of a received
         stream; `capture_ns` is 0 then.
     width, height: size of its picture in pixels; 0 if it is refused.

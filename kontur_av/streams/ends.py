@@ -223,7 +223,7 @@ class PictureSender(_Sender[Picture]):
     to: HOST:PORT, an IP address; RTCP goes to the next port.
     cap_bps: of RTP payload, in any second. fps: pictures a second, at most.
     sdp: a file for the receiver, written before the first packet. codec: `h264` or `h265`.
-    Raises ConfigError for what cannot work.
+    Raises ConfigError for arguments that cannot work.
     """
 
     def __init__(

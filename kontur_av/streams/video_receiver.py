@@ -169,7 +169,7 @@ class VideoReceiver(ReportingReceiver):
 
     def handle_undecoded(self) -> None:
         """The decoder could not decode a unit: ask for a key picture with the next one."""
-        # Of an HEVC wave that heals, FFmpeg returns no picture before its end.
+        # FFmpeg returns no picture of a healing HEVC wave before its end.
         if not (self._codec == "h265" and self._healing.in_wave):
             self._healing.handle_damage()
 

@@ -91,10 +91,10 @@ def with_status(
     end: Segment,
     log: EventLog | None = None,
 ) -> Callable[[Launcher], None]:
-    """Return a `show` that also tells how the session is.
+    """Return a `show` that also tells a keeper of versions how the session is.
 
-    A keeper of versions is told, and of a session with a `log` `kontur-av maintain`, whose notes go
-    into the log. Without a log programs are attached, and their samples say what runs.
+    With a `log` it tells `kontur-av maintain`, too, and takes its notes into the log. Without a log
+    the user's programs are attached, and their haptic samples tell whether an experiment runs.
     """
     tell = status_teller()
     attached = ExperimentWatch(collector, attached=True)

@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _asked(look: Callable[[], str]) -> str:
-    """Return what a person answers. look: called meanwhile, so that announcements are in time."""
+    """Return a person's answer. look: called while waiting, so that announcements are in time."""
     print(f"[{_KEYS}] ", end="", flush=True)
     while not select.select([sys.stdin], [], [], _LOOK_S)[0]:
         look()

@@ -78,7 +78,7 @@ def _serve(args: argparse.Namespace) -> int:
             nonlocal most_m, most_n
             command = side.link.latest(now_ns)
             if envelope.stopped and command is not None and not command.stop:
-                # The session in space keeps its stop, and its samples no longer tell of one.
+                # Samples without a stop mean that the session in space has released it.
                 envelope.handle_stop_released(now_ns)
             watch(now_ns)
             recover(now_ns)

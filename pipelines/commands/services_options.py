@@ -39,9 +39,9 @@ def add_services_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class ServicesWish(NamedTuple):
-    """By the names of services. ports: where the programs of the end `here` connect.
+    """The services asked for, by name. ports: those to which programs at the end `here` connect.
 
-    targets: what the end `there` lets the other one connect to.
+    targets: the addresses at the end `there` to which streams are connected.
     """
 
     here: Segment
@@ -51,7 +51,7 @@ class ServicesWish(NamedTuple):
 
 
 def services_wish(args: argparse.Namespace, segments: Sequence[Segment]) -> ServicesWish:
-    """Return what the options ask for; ConfigError."""
+    """Return the services of the options. Raises ConfigError for values that do not fit."""
     ports = _table(args.service, _LISTEN, r"(\d{1,5})", "NAME=PORT, like ssh=2222")
     allowed = _table(
         args.service_allow, _ALLOW, r"([^:]+):(\d{1,5})", "NAME=HOST:PORT, like ssh=127.0.0.1:22"
@@ -77,7 +77,7 @@ def services_wish(args: argparse.Namespace, segments: Sequence[Segment]) -> Serv
 def bound_services(
     wish: ServicesWish, files: Mapping[str, Mapping[str, object]]
 ) -> Iterator[Mapping[str, Mapping[str, object]]]:
-    """Yield the arguments by process, those of files with the services; ConfigError."""
+    """Yield the arguments by process, with `services` added. ConfigError if a port is taken."""
     with ExitStack() as stack:
         listeners = {
             name: stack.enter_context(_listener(name, port)) for name, port in wish.ports.items()

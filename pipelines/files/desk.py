@@ -19,7 +19,7 @@ KINDS = (PUT, GET, LIST, RENAME, REMOVE)
 ENTITIES = {Segment.GROUND: 1, Segment.SPACE: 2}
 #: What a segment may send at most, by default.
 RATES_BPS = {Segment.GROUND: 8_000, Segment.SPACE: 200_000}
-#: So many fit into one answer, whatever their names are.
+#: This many fit into one answer, however long their names are.
 _MOST_LISTED = 12
 
 

@@ -16,9 +16,9 @@ _AT_ONCE = struct.pack("ii", 1, 0)
 
 @dataclass(frozen=True, kw_only=True)
 class ServicesPlan:
-    """By the names of services. listeners: sockets for this end's programs, which never block.
+    """By service name. listeners: sockets for this end's programs, in non-blocking mode.
 
-    targets: where the other end's streams are connected to.
+    targets: addresses to which streams of the other end are connected.
     """
 
     listeners: Mapping[str, socket.socket] = field(default_factory=dict)
@@ -31,7 +31,7 @@ class ServiceSockets:
     def __init__(self, streams: ServiceStreams, plan: ServicesPlan) -> None:
         self._streams, self._plan = streams, plan
         self._links: dict[int, socket.socket] = {}
-        #: Connections that are not made yet, and those of them that then get an end at once.
+        #: Connections that are not made yet, and those of them to shut down as soon as they are.
         self._joining: set[int] = set()
         self._ended: set[int] = set()
 
@@ -71,7 +71,7 @@ class ServiceSockets:
                 self._accept(service, listener, now_ns)
 
     def follow(self) -> None:
-        """Do what the core says of its streams."""
+        """Carry out the events of the core."""
         while (event := self._streams.next_event()) is not None:
             if isinstance(event, StreamOpened):
                 self._join(event.token, self._plan.targets[event.service])
@@ -80,7 +80,7 @@ class ServiceSockets:
             if link is None:
                 continue
             if not isinstance(event, StreamClosed):
-                # The end of a connection that is not made yet would give it up.
+                # A shutdown before the connection is made would abort it.
                 if event.token in self._joining:
                     self._ended.add(event.token)
                 else:

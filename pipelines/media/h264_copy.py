@@ -18,7 +18,7 @@ _RATE_HZ = 30
 
 
 class H264Copy:
-    """One stream. Hand it each unit, so that its decoder can go on."""
+    """The copy of one stream. Hand it every unit, because its decoder needs each."""
 
     def __init__(self) -> None:
         self._decoder = VideoDecoder("h265")
@@ -31,7 +31,7 @@ class H264Copy:
 
         The first one after a pause, or of another size, is a key picture.
         """
-        # Refused ones, too: the receiver refuses a wave, and goes on from its last picture.
+        # Decode refused units, too: a wave is refused until its last picture, which needs them.
         self._count += 1
         pictures = self._decoder.decode(unit.data, self._count)
         if not pictures or unit.refused or not wanted:

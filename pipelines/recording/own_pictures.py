@@ -10,7 +10,7 @@ a key picture of its own ahead of the stream's first unit:
 The first takes time, so it is made beside the recorder: see `KeyPictureWanted`. Meanwhile the
 stream's messages are held.
 
-HEVC needs a key picture of its own stream: no decoder goes on from another one's pictures.
+A part in HEVC waits for a key picture of its stream: no decoder goes on from other pictures.
 
 That unit also gets the stream's parameter sets in front, if it has none, because those of the key
 picture differ. Nothing is withheld.

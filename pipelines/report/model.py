@@ -429,7 +429,7 @@ class CodingCosts:
     capture_ms: from the capture of a picture to its arrival at the encoder: drawing, the stereo
         merge, the selector, and three wake-ups.
     encode_ms, decode_ms: of one picture, its wake-up included.
-    encode_h265_ms, decode_h265_ms: of HEVC; estimated, H.264's and what the codec takes more.
+    encode_h265_ms, decode_h265_ms: of HEVC; estimated from H.264's and the codec's extra time.
     voice_encode_ms, voice_decode_ms: of one block of sound.
     """
 

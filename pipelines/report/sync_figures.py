@@ -39,9 +39,9 @@ PAIRS = {
 _BOUNCE_NS = 300 * NS_PER_MS
 #: A contact in this last part of the known time may not have been perceived yet.
 _PATIENCE_NS = NS_PER_S
-#: With as many contacts or findings of a sense, the older half is settled.
+#: At this many contacts, or detections of a sense, the older half is settled.
 _DEPTH = 8192
-#: What is settled is rounded to this. So its memory has a bound.
+#: Settled durations are rounded to this, which bounds their memory.
 _GRAIN_NS = NS_PER_MS // 10
 #: At most this many contacts are listed one by one.
 _LISTED = 1000
@@ -62,7 +62,7 @@ class SensedEvent:
 
 
 class _Tally:
-    """What contacts add up to.
+    """Sums over contacts.
 
     durations: how often each (ns) came; by `latency`, `stamped` and `error` of a sense, and by
     `skew` of a pair.
@@ -95,19 +95,19 @@ class _Tally:
 
 
 class SyncFigures:
-    """Takes contacts and what detectors found, in any order; `report` joins them.
+    """Takes contacts and detections, in any order; `report` joins them.
 
     soonest_ns: the least delay of the radio.
 
-    Of a long session the older contacts are settled: what was perceived of them is counted in steps
-    of 0.1 ms, and they take part in no verdict on stamps.
+    In a long session older contacts are settled: their perceptions are counted in steps of 0.1 ms,
+    and no verdict on stamps uses them.
     """
 
     def __init__(self, *, soonest_ns: int = 0) -> None:
         self._soonest_ns = soonest_ns
         self._contacts: deque[tuple[int, int]] = deque(maxlen=_DEPTH)
         self._found: dict[str, deque[Matched]] = {sense: deque(maxlen=_DEPTH) for sense in SENSES}
-        #: How many were found in all.
+        #: Detections in all, by sense.
         self._count: Counter[str] = Counter()
         #: Steps of the force whose samples' stamps are not known yet.
         self._steps: deque[int] = deque(maxlen=_DEPTH)
@@ -148,9 +148,9 @@ class SyncFigures:
         self._count[sense] += 1
 
     def _settle(self, until_ns: int) -> None:
-        """Count the contacts before an instant, and forget them with what was found of them."""
+        """Count the contacts before an instant, and forget them and their detections."""
         events, (apart, _) = self._events(SENSES), self._apart()
-        # The first contact that stays must not become a bounce's first.
+        # Cut before a contact that is no bounce: the first one that stays begins a group.
         until_ns = min((at_ns for at_ns, _ in apart if at_ns >= until_ns), default=until_ns)
         self._note_first(events)
         self._settled.add([one for one in events if one.instant_ns < until_ns], _GRAIN_NS)
@@ -288,7 +288,7 @@ def skews_ns(pair: str, events: Sequence[SensedEvent]) -> list[int]:
 def skew_summary(pair: str, values_ns: Iterable[int]) -> ContentSkew | None:
     """Percentiles of a pair's skews, and the share that goes unnoticed; None without any.
 
-    values_ns: each of them, or a Counter of how often each came.
+    values_ns: the skews, or a Counter of how often each came.
     """
     counted = Counter(values_ns)
     if not counted:

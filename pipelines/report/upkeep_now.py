@@ -21,18 +21,18 @@ from telepresence.link.radio.profile import RadioProfile
 UPKEEP: Final = "upkeep"
 #: A person who lets go for a moment has not ended the experiment.
 _REST_NS: Final = 10 * NS_PER_S
-#: What comes is announced so long before.
+#: A coming event is announced this long before.
 LEADS_S: Final = (60, 10)
-#: Bandwidth is short until nothing was dropped for so long.
+#: Bandwidth is short until nothing was dropped for this long.
 _SHORT_NS: Final = 10 * NS_PER_S
 #: Files may wait; they never count.
 _MEDIA: Final = ("tmtc", "voice", "video")
-#: What a gateway drops without contact says nothing of bandwidth.
+#: Drops without contact say nothing about bandwidth.
 _NO_CONTACT: Final = "signal_lost"
 
 
 class Planned(NamedTuple):
-    """What the pass brings. at_s: from acquisition of signal. told: also an event when it comes."""
+    """An event of the pass. at_s: from acquisition of signal. told: it is announced itself, too."""
 
     at_s: float
     what: str
@@ -42,7 +42,7 @@ class Planned(NamedTuple):
 def planned_contact(profile: RadioProfile, windows: ContactWindows | None) -> tuple[Planned, ...]:
     """Return acquisition and loss of signal, drop-outs and shadowing, in order.
 
-    Shadowing is what the profile's blackouts are: its masts and modules are known before.
+    Blackouts of a profile are shadowing: the masts and modules that cause them are known before.
     windows: what the orbit predicts; None without an orbit.
     """
     found = []
@@ -67,16 +67,16 @@ def planned_contact(profile: RadioProfile, windows: ContactWindows | None) -> tu
 
 
 class ContactAhead:
-    """Announces what comes, once for each of `LEADS_S`, and what has come."""
+    """Announces each event of the pass, at each of `LEADS_S` before it and when it comes."""
 
     def __init__(self, plan: Sequence[Planned]) -> None:
         self._plan = plan
-        #: How many leads of each were announced.
+        #: By event: how many leads were announced.
         self._told = [0] * len(plan)
         self._before_s: float | None = None
 
     def handle_time(self, pass_s: float) -> Iterator[tuple[float, str]]:
-        """Yield instants in the pass and words."""
+        """Yield announcements: the instant in the pass, and words."""
         for index, each in enumerate(self._plan):
             left_s = each.at_s - pass_s
             leads = sum(left_s <= lead for lead in LEADS_S)
@@ -99,10 +99,10 @@ class ContactAhead:
 
 
 class ExperimentWatch:
-    """Whether an experiment runs, so that nothing may be updated.
+    """Tells whether an experiment runs, during which nothing may be updated.
 
-    A task does, or a person has the arm. A simulated hand is nobody's. attached: programs of the
-    user are behind the gateways; what they do is known by their haptic samples alone.
+    It runs while a task runs, or a person has the arm; a simulated hand is no person. attached: the
+    user's programs are behind the gateways; only their haptic samples tell what they do.
     """
 
     def __init__(self, collector: Collector, *, attached: bool = False) -> None:
@@ -123,7 +123,7 @@ class ExperimentWatch:
         return self._words
 
     def _telling(self, name: str, now_ns: int) -> ProcessFigures:
-        """What a process has told; nothing of one that was stopped, whose figures stay."""
+        """Return the figures of a process; none if it was stopped, because its last ones stay."""
         process = self._collector.process(name)
         return process if now_ns - process.told_ns < _REST_NS else ProcessFigures()
 
@@ -142,7 +142,7 @@ class ExperimentWatch:
         robot = self._telling(ROBOT, now_ns).find(SafetyFigures)
         if robot is not None and robot.hold is Hold.NONE:
             return "the robot follows the hand"
-        # A page's joystick is in the application without anybody, and so are others in space alone.
+        # A page's joystick is in APPLICATION without a person, too, so it does not count here.
         joystick = self._telling(JOYSTICK, now_ns).find(JoystickFigures)
         driven = joystick is not None and joystick.state == JoystickState.APPLICATION.words
         return "the joystick drives" if driven and here == (Segment.SPACE,) and spec != PAGE else ""
@@ -168,7 +168,7 @@ class BandwidthWatch:
         self.short_ns: dict[tuple[str, str], int] = {}
 
     def handle_time(self, now_ns: int) -> Iterator[str]:
-        """Yield a line where it begins and where it is over."""
+        """Yield a line when a shortage begins, and when it is over."""
         topology = self._collector.topology
         for segment in topology.segments:
             link = self._collector.process(topology.gateway(segment).name).link
@@ -188,7 +188,7 @@ class BandwidthWatch:
 
 
 class UpkeepNow:
-    """All three of a session, looked at about twice a second."""
+    """The three of a session. Call `handle_look` about twice a second."""
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
@@ -210,7 +210,7 @@ class UpkeepNow:
     def handle_look(
         self, windows: ContactWindows | None, started_ns: int, now_ns: int
     ) -> Iterator[tuple[int, str]]:
-        """Yield instants and words of what is news.
+        """Yield what is new: its instant, and words.
 
         windows: what the orbit predicts, once a gateway has told it. started_ns: when the session
         began.

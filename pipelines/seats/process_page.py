@@ -40,7 +40,8 @@ def run_page(
 ) -> None:
     """Serve the pages of `segment` on the socket that the launcher has bound.
 
-    tasks: those of the session, for the panel. files: directories of the ends here, for the ground.
+    tasks: those of the session, for the panel. files: directories of the ends of this machine, for
+        the pages of the ground.
     """
 
     async def serve() -> None:
@@ -66,7 +67,7 @@ _PLAIN = "plain"
 class PageServer:
     """Serves the pages of `segment` until `context.stopping`.
 
-    tasks: what people in space know of the session's. files: as of `run_page`.
+    tasks, files: as of `run_page`.
     """
 
     def __init__(

@@ -270,7 +270,7 @@ class SeatTopics:
         if unit.codec == "h264":
             self._show(stream, unit, lease.stamp)
             return
-        # Each unit is decoded; where the thread falls behind, it codes none.
+        # The thread decodes every unit; while it is behind, it codes none.
         behind = self._copying[stream] >= _DEPTH
         self.copies_left_out += behind
         if self._copying[stream] >= _MOST_COPYING:

@@ -378,7 +378,7 @@ class PassText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TransferText(msgspec.Struct, frozen=True, kw_only=True):
-    """A file on its way. end: that asked for it. size: None if it is not known."""
+    """A file on its way. end: which asked for it. size: None if it is not known."""
 
     end: str
     number: int
@@ -495,7 +495,7 @@ class CommandRequest(_Request, frozen=True, tag="command"):
 
 
 class FetchRequest(_Request, frozen=True, tag="fetch"):
-    """Fetch from the other end what the keeper with this inbox tells."""
+    """Fetch the status of the keeper with this inbox from the other end."""
 
     inbox: _Name
 

@@ -18,7 +18,7 @@ class Transfers:
     def handle_list(
         self, segment: Segment, listed: Iterable[TransferNow], now_ns: int
     ) -> list[TransferText]:
-        """listed: what the file transfer of an end has told."""
+        """Return the rows for the page. listed: the transfers of an end, as it answered."""
         found, before = [], self._before
         self._before = {key: was for key, was in before.items() if key[0] is not segment}
         for one in listed:

@@ -1,4 +1,4 @@
-"""Asks the session's processes what a seat's pages want, above all of files and of software."""
+"""Asks the session's processes for what the systems operator's page shows: files and software."""
 
 import asyncio
 import os
@@ -22,10 +22,10 @@ from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_l
 from telepresence.files.pdus import GET
 from telepresence.upkeep.inbox import LARGEST_TOLD, TOLD, InboxTold
 
-#: A recorder that ends writes a slow disk's file to its end first.
+#: A recorder answers once its file is written, which takes long on a slow disk.
 _PATIENCE_S: Final = 15.0
 _EVERY_NS: Final = NS_PER_S
-#: Where what was fetched is kept, below the directory of the ground.
+#: The folder of fetched files, below the directory of the ground.
 FETCHED: Final = "fetched"
 _MOST_INBOXES: Final = 16
 _Answer = TypeVar("_Answer", bound=msgspec.Struct)
@@ -34,7 +34,7 @@ _Answer = TypeVar("_Answer", bound=msgspec.Struct)
 async def ask_process(
     session: str, desk: str, request: msgspec.Struct, answer: type[_Answer]
 ) -> _Answer | str:
-    """Return the answer of a session's process to a line; in words why there is none.
+    """Return the answer of a session's process to a request, or in words why there is none.
 
     desk: the name of its socket. answer: the type.
     """
@@ -56,14 +56,14 @@ async def ask_process(
 
 
 async def fetch(session: str, segment: Segment, inbox: str) -> str:
-    """Begin to fetch what a keeper at the other end tells; return "", or why that cannot be."""
+    """Begin to fetch the status of a keeper at the other end; return "", or why that fails."""
     asked = FileRequest(file=GET, first=f"{inbox}/{TOLD}", second=f"{FETCHED}/{inbox}/{TOLD}")
     said = await ask_process(session, desk_name(segment), asked, FileAnswer)
     return said if isinstance(said, str) else "" if said.ok else said.text
 
 
 def software_in(directory: Path, end: str) -> Iterator[SoftwareText]:
-    """What keepers have told into their inboxes below a directory, as far as it can be read."""
+    """Yield the status of each keeper with an inbox below a directory, if it can be read."""
     with suppress(OSError):
         for path in sorted(directory.glob(f"*/{TOLD}"))[:_MOST_INBOXES]:
             # A link may lead out of the directory.
@@ -109,7 +109,7 @@ class UpkeepWatch:
         seat.handle_shown("upkeep", UpkeepText(files=bool(directories)))
 
     def look(self, now_ns: int) -> None:
-        """Begin to ask if it is time to."""
+        """Begin to ask, if the last time was a second ago."""
         if self._directories and not self._asks and now_ns >= self._due_ns:
             self._due_ns, self._asks = now_ns + _EVERY_NS, True
             self._serving.begin(self._ask())

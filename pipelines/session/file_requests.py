@@ -40,8 +40,8 @@ class TransferNow(msgspec.Struct, frozen=True, kw_only=True):
 class FileAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """An answer. mistake: the request itself was wrong, and text says why.
 
-    octets, size: as far as they came or went; size is -1 if it is not known. transfers: those under
-    way that were asked for at this end, the oldest first. more: how many are left out of them.
+    octets: transferred so far. size: of the file; -1 if it is not known. transfers: those under way
+    that were asked for at this end, the oldest first. more: how many of them are left out.
     """
 
     ok: bool

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 #: The longest sleep of a process before it checks whether to end.
 PATIENCE_NS = 100 * NS_PER_MS
 
-#: Collect garbage with one flush in so many, each half minute. It takes 0.1 to 0.3 ms, of pages 3.
+#: Collect garbage once in this many flushes, twice a minute. It takes 0.1 to 0.3 ms, for pages 3.
 _COLLECT_EVERY = 60
 
 #: The longest message of the launcher to a process.

@@ -42,7 +42,7 @@ EXERCISES: Mapping[str, tuple[str, float]] = MappingProxyType(
 LONGEST_S = 3600.0
 #: How many events are kept for the report.
 _DEPTH = 200
-#: What lasts is published again, for a process that was started after the last change.
+#: A lasting state is published again, for a process that was started after the last change.
 _REPEAT_NS: Final = NS_PER_S
 
 

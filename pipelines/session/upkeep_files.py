@@ -18,7 +18,7 @@ from pipelines.session.reception import replace_file
 _NOW: Final = "now.json"
 _NOTES: Final = "notes"
 _MOST_CHARACTERS: Final = 200
-#: What is read of the notes at a time.
+#: Octets of the notes to read at a time.
 _READ_OCTETS: Final = 16 << 10
 
 
@@ -41,7 +41,7 @@ def write_now(session: str, now: SessionNow) -> None:
 
 
 def read_now(session: str) -> SessionNow | None:
-    """Return what a session told last; None before it told anything."""
+    """Return the newest state that a session has told; None before the first."""
     try:
         return msgspec.json.decode((session_root(session) / _NOW).read_bytes(), type=SessionNow)
     except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
@@ -49,7 +49,7 @@ def read_now(session: str) -> SessionNow | None:
 
 
 def add_note(session: str, note: Note) -> None:
-    """Let a session have a note among its events. OSError if it has ended."""
+    """Add a note to the events of a session. OSError if it has ended."""
     text = msgspec.structs.replace(note, text=note.text[:_MOST_CHARACTERS])
     path = session_root(session) / _NOTES
     descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -67,7 +67,7 @@ class NotesReader:
         self._at = 0
 
     def read(self) -> list[Note]:
-        """Return those that came since the last call; what is no note is left out."""
+        """Return the notes since the last call; malformed lines are left out."""
         try:
             with self._path.open("rb") as file:
                 file.seek(self._at)

@@ -79,7 +79,7 @@ class SessionWatch(Closing):
     def experiment(self) -> str:
         """What runs, such as "aiming, run 3"; empty if nothing does.
 
-        The session says what keeps versions from updates, too; of a task its topic knows earlier.
+        The session tells it as it tells keepers of versions; a task's topic tells it earlier.
         """
         if self._experiment is not None:
             octets = _newest(self._experiment, wait=self._shown is None)
@@ -99,7 +99,7 @@ class SessionWatch(Closing):
         return [one.text for one in fresh]
 
     def note(self, note: Note) -> None:
-        """Let the session have a note; one that has ended has no use for it."""
+        """Add a note to the events of the session; ignored if the session has ended."""
         with suppress(OSError):
             add_note(self.name, note)
 
@@ -175,7 +175,7 @@ class SequenceRunner:
             return ""
         for text in self._watch.announcements():
             self._log.write("announced", text=text)
-            # What this program noted comes back as an event.
+            # This program's own notes come back as events.
             if not text.startswith(_OWN):
                 self._say(f"* {text}")
         contact = self._watch.contact()

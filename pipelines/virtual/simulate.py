@@ -207,7 +207,7 @@ class ReplayedMedia(Media):
     ) -> Callable[[], Coder]:
         core, units = self._core(stream), self._session.pictures.get(stream.name, [])
         dated = [(core.timestamp(self._time.at(unit.capture_ns)), unit.data) for unit in units]
-        # Recoded ones may have another codec than the stream.
+        # Recoded units may have another codec than the stream.
         codec = units[0].codec if units else stream.codec
         originals = Originals(dated, (stream.width, stream.height), codec)
         return lambda: VideoDecoding(watched, originals, codec=stream.codec)

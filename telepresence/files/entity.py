@@ -1,6 +1,6 @@
 """One end of the file transfer: several transactions at once, at a bounded rate, in contact only.
 
-All timers run on the time in contact, and only while the link has room; the rate has real time. So
+All timers run on the time in contact, and only while the link has room; the rate uses real time. So
 a loss of signal suspends every transaction, and afterwards it goes on where it was (CCSDS
 727.0-B-5 clause 4.11).
 """
@@ -229,7 +229,7 @@ class FileEntity:
         self._heard, self._room = heard, room
 
     def handle_sent_before(self, octets: int, now_ns: int) -> None:
-        """Others, who go first, have sent so much at the rate of this end."""
+        """Services, which go first, have used up `octets` of this end's rate."""
         self._bucket.take(octets, now_ns)
 
     def handle_done(

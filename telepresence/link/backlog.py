@@ -45,7 +45,7 @@ class Backlog(NamedTuple):
 
 
 class BacklogReporter:
-    """Decides when to report: changes at most once in `REPORT_NS`, and all in `REPEAT_NS`."""
+    """Decides when to report: a change after `REPORT_NS` at the soonest, all every `REPEAT_NS`."""
 
     def __init__(self, gateway: Gateway) -> None:
         self._gateway = gateway

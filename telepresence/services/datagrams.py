@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from kontur_av.errors import ProtocolError
 
-#: Of a stream in one datagram.
+#: The most octets of a stream in one datagram.
 PART_OCTETS = 256
 MOST_NAME_OCTETS = 32
 #: Offsets travel modulo this.
@@ -37,7 +37,7 @@ class ResetReason(IntEnum):
 
 
 class OpenService(NamedTuple):
-    """Open a stream. token: its number by the opener; life: of the opener; name: of the service."""
+    """Open a stream. token: the opener's number for it. life: the opener's. name: the service's."""
 
     token: int
     life: int
@@ -45,12 +45,12 @@ class OpenService(NamedTuple):
 
 
 class StreamPart(NamedTuple):
-    """Octets of a stream, and what has come of the other direction.
+    """Octets of a stream, and the acknowledgement of the other direction.
 
     token, answer: the stream's numbers by the opener and by the other end. offset: of the data.
-    ack: what has come whole; window: octets that may follow it. gap: octets missing behind `ack`,
-    if later ones have come, else 0. last: nothing follows, which itself counts as one octet.
-    ask: wants an answer though it may be empty.
+    ack: everything before this offset has come. window: octets that may follow it. gap: octets
+    missing behind `ack`, if later ones have come, else 0. last: nothing follows; the end itself
+    counts as one octet. ask: an answer is wanted, even one without data.
     """
 
     token: int
@@ -98,7 +98,7 @@ def pack_service(datagram: ServiceDatagram) -> bytes:
 
 
 def parse_service(octets: bytes) -> ServiceDatagram:
-    """Parse a datagram; ProtocolError."""
+    """Parse a datagram. Raises ProtocolError if it is malformed."""
     kind = octets[0] if octets else 0
     try:
         if kind == _OPEN:

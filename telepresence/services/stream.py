@@ -1,4 +1,4 @@
-"""One end of one stream: reliable, in order, with credit. All instants are of the time in contact.
+"""One end of one stream: reliable, in order, with credit. All instants are in contact time.
 
 The timer of repetitions is that of RFC 6298. The receiver also tells the first gap: datagrams stay
 in order on the link, so what is missing before later octets is sent again at once.
@@ -17,22 +17,22 @@ from telepresence.services.datagrams import (
     StreamPart,
 )
 
-#: Octets that are kept of each direction, and may be on their way.
+#: The most octets kept for each direction, and on their way in it.
 WINDOW_OCTETS = 4096
 _MOST_EARLY = 64
 _LEAST_REPEAT_NS, _MOST_REPEAT_NS = 300 * NS_PER_MS, 8 * NS_PER_S
 _MOST_DOUBLINGS = 3
-#: An acknowledgement waits so long for data to go with.
+#: An acknowledgement waits this long for data to travel with.
 _ACK_NS = 40 * NS_PER_MS
-#: Without a word so long, the other end is asked for one: of room for more, of life.
+#: After this silence the other end is asked for an answer: for room, or for a sign of life.
 _ASK_ROOM_NS, _ASK_LIFE_NS = 5 * NS_PER_S, 60 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamPace:
-    """repeat_ns: until the first repetition, before the round trip is known.
+    """Times of a stream. repeat_ns: to the first repetition, before the round trip is known.
 
-    silent_ns: without an answer so long, the stream is reset; idle_ns: without data.
+    silent_ns: after this time without an answer the stream is reset; idle_ns: without data.
     """
 
     repeat_ns: int = NS_PER_S
@@ -42,7 +42,7 @@ class StreamPace:
 
 @dataclass(slots=True)
 class _Flight:
-    """A part on its way. end: one more than its data's if it is the last one."""
+    """A part on its way. end: the offset behind its data, and one more if it is the last part."""
 
     begin: int
     end: int
@@ -52,8 +52,9 @@ class _Flight:
 
 
 class ServiceStream:
-    """token, answer: the stream's numbers by its opener and by the other end; 0: not yet known.
+    """One end of a stream. A core.
 
+    token, answer: the stream's numbers by its opener and by the other end; 0: not yet known.
     mine: this end has opened it. ready: octets that came and were not taken yet.
     """
 
@@ -67,10 +68,10 @@ class ServiceStream:
         #: Whether the shell was told that nothing follows.
         self.end_told = False
         self._opening, self._pace = opening, pace
-        #: What was not acknowledged yet: `_out` begins at the offset `_base`.
+        #: Octets that are not acknowledged yet: `_out` begins at the offset `_base`.
         self._out, self._base, self._ended = bytearray(), 0, False
         self._sent = self._acked = 0
-        #: As far as the other end has room.
+        #: The offset up to which the other end has room.
         self._edge = WINDOW_OCTETS
         self._flights: deque[_Flight] = deque()
         self._smoothed_ns, self._variation_ns = 0, 0
@@ -82,12 +83,12 @@ class ServiceStream:
         self._ack_ns = None if mine else now_ns
         self._told_edge = WINDOW_OCTETS
         self._asked_ns = self._moved_ns = now_ns
-        #: Since when an answer is awaited, without any word; None if none is.
+        #: Since when an answer is awaited in silence; None if none is awaited.
         self._waiting_ns: int | None = None
 
     @property
     def room_octets(self) -> int:
-        """How much `handle_data` may get now."""
+        """Octets that `handle_data` may get now."""
         return 0 if self._ended else WINDOW_OCTETS - len(self._out)
 
     @property
@@ -102,7 +103,7 @@ class ServiceStream:
 
     @property
     def deadline_ns(self) -> int:
-        """When `failure` must be asked."""
+        """When to call `failure`."""
         idle_ns = self._moved_ns + self._pace.idle_ns
         if self._waiting_ns is None:
             return idle_ns
@@ -128,7 +129,7 @@ class ServiceStream:
         self._ack_ns = now_ns
 
     def handle_taken(self, octets: int, now_ns: int) -> None:
-        """So many of the `ready` octets were taken."""
+        """The first `octets` of `ready` were taken."""
         del self.ready[:octets]
         self._taken += octets
         self._moved_ns = now_ns
@@ -200,7 +201,7 @@ class ServiceStream:
 
     @property
     def _more(self) -> bool:
-        """Whether something may be sent that was not sent yet."""
+        """Whether something new may be sent."""
         end = self._data_end
         return self._sent < min(end, self._edge) or (self._ended and self._sent == end)
 
@@ -272,7 +273,7 @@ class ServiceStream:
         if newest is not None:
             self._moved_ns = now_ns
             if once:
-                # Which of two was answered is not known (Karn's algorithm).
+                # After a repetition it is unknown which of the two was answered (Karn's algorithm).
                 self._measure(now_ns - newest.sent_ns)
         if flights and flights[0].begin < ack:
             flights[0].begin = ack
@@ -316,6 +317,6 @@ class ServiceStream:
 
 
 def _near(offset: int, known: int) -> int:
-    """The offset nearest to a known one that has this value on the way."""
+    """Return the full offset nearest to `known` that travels as `offset`."""
     half = OFFSETS // 2
     return known + (offset - known + half) % OFFSETS - half

@@ -27,12 +27,12 @@ from telepresence.services.stream import ServiceStream, StreamPace
 
 #: The most streams at once that this end opened, and that the other end opened.
 MOST_STREAMS = 4
-#: An interruption so long is a loss of signal.
+#: An interruption of this length is a loss of signal.
 LOSS_NS = NS_PER_S
-#: The next datagram goes when less waits in the link than this, or than what the rate gives in a
-#: while as long as two looks at the link.
+#: Send the next datagram while fewer octets wait in the link than these, or than the rate gives in
+#: `_ROOM_NS`, which is two looks at the link.
 _ROOM_OCTETS, _ROOM_NS = 256, 20 * NS_PER_MS
-#: What files leave free while streams are open: a key that is pressed waits for little else.
+#: Octets that files leave free while streams are open, so that a pressed key waits for little.
 _RESERVED_OCTETS = 768
 _REMEMBERED = 64
 _MOST_ANSWERS = 32
@@ -63,9 +63,9 @@ StreamEvent = StreamOpened | StreamEnded | StreamClosed
 
 
 class ServiceStreams:
-    """Hand over datagrams, the state of the link and what local connections say.
+    """The services of one end. Hand over datagrams, state of the link and input of connections.
 
-    After each input send the datagrams of `poll_transmit` until None, then heed `next_event` until
+    After each input send the datagrams of `poll_transmit` until None, then drain `next_event` until
     None. Do both again at `poll_timeout`. A stream is known by its token.
 
     allowed: names of the services that the other end may open. rate_bps: the most that is sent.
@@ -92,7 +92,7 @@ class ServiceStreams:
         #: Lives of the other end that are over.
         self._old_lives: deque[int] = deque(maxlen=_REMEMBERED)
         self._streams: OrderedDict[int, ServiceStream] = OrderedDict()
-        #: Those that are over, with what the other end is told that has missed it.
+        #: Streams that are over, with the answer to datagrams that still come for them.
         self._over: OrderedDict[int, ServiceDatagram] = OrderedDict()
         self._answers: deque[ServiceDatagram] = deque()
         self._events: deque[StreamEvent] = deque()
@@ -103,16 +103,16 @@ class ServiceStreams:
 
     @property
     def open(self) -> bool:
-        """Whether there is a stream, or something to say of one."""
+        """Whether there is a stream, or an answer to send."""
         return bool(self._streams or self._answers)
 
     @property
     def reserved_octets(self) -> int:
-        """How much of their room in the link others leave free now."""
+        """Octets of room in the link that files leave free now."""
         return _RESERVED_OCTETS if self._streams else 0
 
     def handle_open(self, service: str, now_ns: int) -> int | None:
-        """Open a stream to the other end's service; its token, or None if that cannot be now."""
+        """Open a stream to a service of the other end; return its token, or None if refused now."""
         if not self._heard or self._count(mine=True) >= MOST_STREAMS:
             self.counts.service_streams_refused += 1
             return None
@@ -121,7 +121,7 @@ class ServiceStreams:
         return opening.token
 
     def room_octets(self, token: int) -> int:
-        """How much `handle_data` may get now."""
+        """Octets that `handle_data` may get now."""
         stream = self._streams.get(token)
         return 0 if stream is None else stream.room_octets
 
@@ -146,7 +146,7 @@ class ServiceStreams:
         return b"" if stream is None else bytes(stream.ready)
 
     def handle_taken(self, token: int, octets: int, now_ns: int) -> None:
-        """The local connection took so many of the `received` octets."""
+        """The local connection took the first `octets` of `received`."""
         if token in self._streams:
             self._streams[token].handle_taken(octets, self._time(now_ns))
             self._follow(self._streams[token])
@@ -284,7 +284,7 @@ class ServiceStreams:
             self._close(stream, reset.reason)
 
     def _follow(self, stream: ServiceStream) -> None:
-        """Tell what has ended by the last input."""
+        """Tell the shell what the last input has ended."""
         if stream.came_whole and not stream.end_told:
             stream.end_told = True
             self._events.append(StreamEnded(stream.token))
@@ -314,12 +314,12 @@ class ServiceStreams:
         self._events.append(StreamClosed(stream.token, reason))
 
     def _answer(self, datagram: ServiceDatagram) -> None:
-        """Beyond a few, what comes again is answered later."""
+        """Queue an answer. If the queue is full, the datagram is answered when it comes again."""
         if len(self._answers) < _MOST_ANSWERS:
             self._answers.append(datagram)
 
     def _supervise(self, now_ns: int) -> None:
-        """Cut off what has lost its signal, its other end or its use."""
+        """Cut streams off after a loss of signal, without an answer, or without data."""
         lost = not self._heard and now_ns - self._changed_ns >= LOSS_NS
         at_ns = self._time(now_ns)
         for stream in list(self._streams.values()):

@@ -37,7 +37,7 @@ class ProcessControl extends HTMLElement {
 
   /** @param {Seat["connection"]} connection @param {string[]} functions */
   async #send(connection, functions) {
-    // Before the first connection nothing is to choose.
+    // Before the first connection the list is empty.
     if (this.#process.value === "") return;
     const [application, process] = this.#process.value.split(" ");
     for (const name of functions) {

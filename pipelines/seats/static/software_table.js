@@ -1,6 +1,6 @@
 /**
- * `<software-table>`: which version or copy runs at each end, as its keeper has told into its
- * inbox, and a way to fetch what the other end's tells.
+ * `<software-table>`: which version or copy runs at each end, by the status in its keeper's inbox.
+ * A button fetches the status from the other end.
  *
  * @import { Seat } from "./seat.js"
  * @import { SoftwareText } from "./texts.js"

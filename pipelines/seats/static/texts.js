@@ -275,7 +275,7 @@
  */
 
 /**
- * A file on its way. end: that asked for it. size: None if it is not known.
+ * A file on its way. end: which asked for it. size: None if it is not known.
  * @typedef {{end: string, number: number, what: string, state: string, octets: number, size:
  *   number | null, rate_bps: number, name: string}} TransferText
  */

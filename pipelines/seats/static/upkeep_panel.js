@@ -9,7 +9,7 @@
 import { make, setAttribute, setText } from "./dom.js";
 import { clockText, nameText } from "./wording.js";
 
-/** From then on what comes is marked; in seconds. */
+/** What comes within this many seconds is marked. */
 const SOON_S = 60;
 
 /** @typedef {[string, Level]} Said */

@@ -66,8 +66,8 @@ PORTS = 40
 class VideoStream:
     """A stream of pictures: its hard cap of RTP payload in bit/s, picture size and rate.
 
-    fps: pictures a second of its cameras. Of a fast camera, only those are coded that the cap has
-        bits for (`coded_hz`).
+    fps: pictures a second of its cameras. Of a fast camera's pictures only as many are coded as the
+        cap has bits for (`coded_hz`).
     prefer: "latency" codes more and smaller pictures of a fast camera.
     stale_after_ms: older pictures are marked as stale; None: the default of `Setup.stale_after_ns`.
     coded: (width, height) in which pictures are coded; None: the largest size that the cap has

@@ -198,7 +198,7 @@ class Topology:
     def entry_port(self, stream: str) -> int:
         """Return the port to which a stream's sender sends.
 
-        It is the sending segment's gateway's, or past both gateways the receiver's.
+        It is the port of the sending segment's gateway, or with `bypass` that of the receiver.
         """
         row = self._streams[stream]
         return row.exit_port if self.options.bypass else row.entry_port
