@@ -1,9 +1,9 @@
 """Is HEVC worth its computing on a thin channel? Offline: both codecs of the project side by side.
 
-python docs/experiments/hevc.py [--seconds 10] [--cost-ms 6] [NAME]...
+python docs/experiments/hevc.py [--seconds 10] [--cost-ms 7] [NAME]...
 
-Both code the clips of `python -m benchmarks video`, each of which that needs a download was fetched
-by it. The pictures then pass a queue of 88 kbit/s on virtual time, with RTP headers. A picture is
+Both code the clips of `python -m benchmarks video`; run it first, as it downloads what they need.
+The pictures then pass a queue of 88 kbit/s on virtual time, with RTP headers. A picture is
 left out while more than 0.22 of a period would wait, as the project's scheduler does. Latency is
 coding (a fixed time, so that other programs do not count), channel and 1 ms of decoding; CPU is the
 encoder's, measured.

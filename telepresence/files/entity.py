@@ -46,11 +46,11 @@ WAITING, RUNNING, SUSPENDED, DONE, FAILED = "waiting", "running", "suspended", "
 MOST_SENDING = MOST_RECEIVING = 8
 #: How many that are over are remembered: their last PDUs may come again.
 _REMEMBERED = 64
-#: The next PDU goes when less waits in the link than this, or than what the rate gives in a while
-#: as long as two looks at the link: neither may the link run dry, nor much be lost with the signal.
+#: Send the next PDU while fewer octets wait in the link than these, or than the rate gives in
+#: `_ROOM_NS`, two looks at the link. So the link does not run dry, and a lost signal loses little.
 _ROOM_OCTETS, _ROOM_NS = 1024, 20 * NS_PER_MS
 _MOST_ANSWERS = 16
-#: After so long in contact without a word of the other end, its user is told.
+#: After this time in contact without an answer from the other end, the user is told.
 _NOTICE_NS = 10 * NS_PER_S
 _HEADER_OCTETS = 16
 #: A listing goes into one answer to a terminal.
