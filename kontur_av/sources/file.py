@@ -315,7 +315,7 @@ class FileAudio(LoopedAudio):
 
 
 def _silence(samples: int, least: int = _LEAST_GAP) -> Iterator[Pcm]:
-    """Yield so much silence, if it is at least `least`."""
+    """Yield this much silence, if it is at least `least`."""
     while samples >= least:
         piece = min(samples, AUDIO_CLOCK_HZ)
         yield np.zeros(piece, np.int16)

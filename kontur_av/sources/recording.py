@@ -49,7 +49,7 @@ _SCHEMAS = {
     "audio": ("foxglove.CompressedAudio", ("opus",), "sound"),
 }
 _NOT_PROTOBUF = ", which is not read"
-#: Missing sound is concealed for so many blocks. Then there is silence.
+#: Missing sound is concealed for this many blocks. Then there is silence.
 _CONCEALED = 3
 #: Sound that is later than this, as a share of a block, has lost a block before it.
 _LATE = Fraction(1, 2)

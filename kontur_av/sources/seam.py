@@ -19,7 +19,7 @@ _STEADY = 0.1
 #: A seam off the middle tries to return after this many pictures: to the middle, or to a place that
 #: is nearer by this share of the width. Each change of the seam costs bits.
 _RETURN, _NEARER = 15, 0.15
-#: It moves by so many blocks a picture: a jump would change so much at once that pictures are late.
+#: It moves by this many blocks a picture. A jump would change too much at once: pictures are late.
 _STEP = 2
 
 

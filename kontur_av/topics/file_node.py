@@ -41,7 +41,7 @@ _ENTRY = struct.Struct("=QQQQ")
 _ENTRIES = 64
 _INDEX_OCTETS = _STATE.size + _ENTRIES * _ENTRY.size
 _NAME_AT, _RING_AT = 3072, 4096
-#: A ring holds so many of the largest records, and more of them while they need less than this.
+#: A ring holds this many of the largest records, and more while they need less than this.
 _FEW, _MANY, _SMALL_OCTETS = 5, 35, 1 << 20
 #: Type, whence, start, length and process of a lock (fcntl(2)).
 _LOCK = struct.Struct("@hhqqi4x")

@@ -19,7 +19,7 @@ from telepresence.world import WorldState
 
 #: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
 _PHASE = 0.5
-#: In so many cycles a loop looks once for what is rare; two of them are a block of a trace.
+#: A loop looks once in this many cycles for what is rare; two of them are a block of a trace.
 _SELDOM = BLOCK_ROWS // 2
 
 #: What a loop calls, with the instant of the cycle.

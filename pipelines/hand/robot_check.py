@@ -24,7 +24,7 @@ from telepresence.haptics.robot_device import RobotDevice, RobotReading
 
 #: After an order to stop it comes to rest within this.
 _STOP_NS = 200 * NS_PER_MS
-#: A robot that runs alone stops after so long without a cycle.
+#: A robot that runs alone stops after this long without a cycle.
 _ALONE_NS = 50 * NS_PER_MS
 #: The call of `deactivate` may take this long; the loop waits for it.
 _MOST_CALL_MS = 1.0

@@ -20,9 +20,9 @@ from pipelines.session.topology import Topology, gateway_topic, link_state_topic
 from telepresence.link.figures import GatewayFigures
 from telepresence.link.gateway import Gateway
 
-#: Frames of so long are one sample.
+#: Frames of this time are one sample.
 _BATCH_NS: Final = 20 * NS_PER_MS
-#: Figures are made, and readers looked for, in every so many batches.
+#: Figures are made, and readers looked for, once in this many batches.
 _SELDOM: Final = 5
 #: Room for most samples; a topic makes more for a larger one.
 _FIGURES_OCTETS, _FRAMES_OCTETS = 4 << 10, 16 << 10

@@ -33,7 +33,7 @@ from telepresence.tmtc.telemetry_source import FunctionCall, TelemetrySource
 
 #: How often the component is read.
 READ_NS = 500 * NS_PER_MS
-#: Events, and calls after events: so many at once, then one a second.
+#: Events, and calls after events: this many at once, then one a second.
 MOST_AT_ONCE = 8
 #: Values in one request, so that it fits a datagram.
 _VALUES = 16

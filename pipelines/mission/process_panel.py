@@ -21,7 +21,7 @@ from telepresence.haptics.device.states import JoystickState
 from telepresence.tasks.panel import MissionPanel
 
 _TICK_NS = 50 * NS_PER_MS
-#: Every so many ticks the panel's parameters are told.
+#: The panel's parameters are told once in this many ticks.
 _TELL_EVERY = 20
 _STATES = 8
 

@@ -33,7 +33,7 @@ _INTERVAL_S = 10.0
 _SILENT_S = 3.0
 #: Of one core. A process has one thread that works. Chosen.
 _BUSY_PERCENT = 95.0
-#: Limits are for what lasts: so many looks in a row, one a second.
+#: A limit must be broken in this many looks in a row, one a second.
 _REPEAT = 3
 
 

@@ -32,7 +32,7 @@ _OFF_NOMINAL = (
     JoystickState.FATAL,
 )
 _MOST_ASKED = 16
-#: The dictionary has parameters for so many.
+#: The dictionary has parameters for this many.
 MOST_JOINTS = 7
 
 

@@ -35,7 +35,7 @@ from telepresence.tmtc.pus.verification import (
     verification_of,
 )
 
-#: So many telecommands at once, then so many a second.
+#: This many telecommands may come at once, and then this many a second.
 COMMANDS_AT_ONCE, COMMANDS_PER_S = 8, 4
 #: Telecommands that wait for the end of TM/TC, or for its answer.
 _WAITING_DEPTH, _ASKED_DEPTH = 16, 64

@@ -12,9 +12,9 @@ from pipelines.session.access import is_token
 
 _FIRST_NS = 500 * NS_PER_MS
 _LONGEST_NS = 30 * NS_PER_S
-#: A connection that lasted so long was good: the next attempt comes soon.
+#: A connection that lasted this long was good: the next attempt comes soon.
 _GOOD_NS = 10 * NS_PER_S
-#: A restart of ICE that brings nothing for so long is given up for a new connection.
+#: A restart of ICE that brings nothing for this long is given up for a new connection.
 _RESTART_NS = 8 * NS_PER_S
 
 

@@ -19,7 +19,7 @@ _LEAST_RTP_OCTETS = 12
 #: Longer packets are no RTP of a network with the usual limit.
 _MOST_OCTETS = 2048
 _REPORT_NS = NS_PER_S
-#: Nothing from the partner for so long: the way to it is broken. Reports come every second.
+#: Nothing from the partner for this long: the way to it is broken. Reports come every second.
 SILENCE_NS = 4 * NS_PER_S
 _LONGEST_NS = 100 * NS_PER_MS
 

@@ -20,7 +20,7 @@ from pipelines.session.terminal_lines import (
     parse_line,
 )
 
-#: A held recording goes on for so long without its terminal: that may come back.
+#: A held recording goes on for this long without its terminal: that may come back.
 HOLD_NS = 5 * NS_PER_S
 
 

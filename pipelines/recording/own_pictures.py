@@ -33,7 +33,7 @@ from pipelines.media.unit_history import UnitHistory
 
 #: What is decoded at most for a key picture: about 0.2 s of work, at each new part.
 _MOST_PIXELS = 50_000_000
-#: Messages of a stream wait for a key picture at most so long, and at most so many octets of them.
+#: How long messages of a stream wait for a key picture at most, and how many octets of them.
 #: Then a black key picture is written instead, so that none is dropped.
 KEY_PATIENCE_NS: Final = 5 * NS_PER_S
 MOST_HELD_OCTETS: Final = 1 << 20

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _SYNC_S = 1.0
 _MOST_PARTS = 100_000
 _TRIAL = ".trial"
-#: A recording without a known end has room for so long at its beginning.
+#: A recording without a known end has room for this long at its beginning.
 LEAST_RECORDED_S = 60.0
 #: Of a camera that is recorded whole: the most that three clips of real footage took.
 _OCTETS_PER_PIXEL = 0.021

@@ -48,7 +48,7 @@ from pipelines.recording.messages import (
 from pipelines.session.mission_messages import ExperimentShown, LedsShown, unpack
 from telepresence.link.figures import GatewayFigures
 
-#: A contact has ended when the tip was free for so long; shorter breaks are the tip's bounces.
+#: A contact has ended when the tip was free for this long; shorter breaks are the tip's bounces.
 _FREE_NS = 50 * NS_PER_MS
 
 

@@ -142,7 +142,7 @@ class ExperimentWatch:
         robot = self._telling(ROBOT, now_ns).find(SafetyFigures)
         if robot is not None and robot.hold is Hold.NONE:
             return "the robot follows the hand"
-        # A page's joystick is in APPLICATION without a person, too, so it does not count here.
+        # Only with the robot elsewhere; a page's joystick is in APPLICATION without a person, too.
         joystick = self._telling(JOYSTICK, now_ns).find(JoystickFigures)
         driven = joystick is not None and joystick.state == JoystickState.APPLICATION.words
         return "the joystick drives" if driven and here == (Segment.SPACE,) and spec != PAGE else ""

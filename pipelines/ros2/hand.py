@@ -16,7 +16,7 @@ from telepresence.haptics.device.page import FACTS, PageHandModel, PageInput
 
 #: The left shoulder, as `joy_node` of ROS 2 numbers the buttons of the usual controllers.
 DEAD_MAN_BUTTON: Final = 4
-#: A hand that was not heard for so long is gone, and another node may take its place.
+#: A hand that was not heard for this long is gone, and another node may take its place.
 _FRESH_NS = PageHandModel().fresh_ns
 #: Nodes that steer send ten times a second or more often.
 _VELOCITY_FRESH_NS = 200 * NS_PER_MS

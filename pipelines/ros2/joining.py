@@ -1,7 +1,7 @@
 """A stream of pictures for those who subscribe in its middle. A core.
 
-A stream has an IDR picture at its beginning and after a loss only, so whoever subscribes later gets
-a key picture that is coded here, as a part of a recording does (`StreamStart`).
+A stream has an IDR picture at its beginning and after a loss only, so a later subscriber gets a key
+picture that is coded here, as a part of a recording does (`StreamStart`).
 """
 
 from collections.abc import Iterator
@@ -14,8 +14,8 @@ from pipelines.recording.own_pictures import MOST_HELD_OCTETS, KeyPictureWanted,
 
 #: Units wait no longer for a key picture; then they go out without one.
 _PATIENCE_NS: Final = NS_PER_S
-#: The way to a subscriber may be there a little later than the subscriber: so long after the first
-#: key picture comes a second one.
+#: A second key picture follows the first one after this time, because the way to a subscriber may
+#: be there a little later than the subscriber.
 _AGAIN_NS: Final = 2 * NS_PER_S
 #: A key picture that is coded here comes this long before its unit.
 _AHEAD_NS: Final = NS_PER_US

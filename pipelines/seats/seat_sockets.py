@@ -13,10 +13,10 @@ from pipelines.session.access import AccessError
 
 #: The kernel's buffer for one page: a stalled page keeps less than a second, and gets the newest.
 _SEND_OCTETS = 64 << 10
-#: A page that takes nothing for so long is closed.
+#: A page that takes nothing for this long is closed.
 _STALLED_NS = 30 * NS_PER_S
 _CLOSE_S = 0.5
-#: After so many messages to one page the others have their turn.
+#: After this many messages to one page the others have their turn.
 _TURN = 16
 _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
 

@@ -19,7 +19,7 @@ from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickState
 
-#: The dot is at the start within this distance, and rests there for so long. Chosen.
+#: The dot is at the start within this distance, and rests there for this long. Chosen.
 START_M = 0.005
 _REST_NS = 700 * NS_PER_MS
 #: After a longer pause of this program the trial is void: the handle stood still.

@@ -21,7 +21,7 @@ from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut, Skill
 _SKILL, _SKILL_SPREAD, _LEARNED, _LEARNING_TRIALS = 0.5, 0.12, 0.3, 20.0
 #: Standard deviation of the logarithm of the grip's stiffness.
 _GRIP_SPREAD = 0.2
-#: A hand waits so long at each screen.
+#: A hand waits this long at each screen.
 _READING_NS = NS_PER_S
 #: A hand that is nearer than this to the middle of a circle corrects no more.
 _CONTENT_M = 0.002

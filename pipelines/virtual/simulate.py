@@ -38,7 +38,7 @@ from telepresence.tasks.plan import SessionPlan
 
 #: The link begins this and two round trips before the first instant, so that it is connected then.
 _LEAD_NS = 300 * NS_PER_MS
-#: It ends so long after the last instant and the radio's delay: coding, queueing and playout. A
+#: It ends this long after the last instant and the radio's delay: coding, queueing and playout. A
 #: longer time would count as a frozen picture.
 _TAIL_NS = 150 * NS_PER_MS
 

@@ -37,14 +37,14 @@ class Segments:
         return self.octets - before
 
     def take(self, most: int) -> Range:
-        """Remove and return at most so many octets from the beginning."""
+        """Remove and return at most `most` octets from the beginning."""
         start, end = self._ranges[0]
         cut = min(end, start + most)
         self._ranges[:1] = [(cut, end)] if cut < end else []
         return start, cut
 
     def missing(self, size: int, most: int) -> list[Range]:
-        """Return at most so many ranges below `size` that are not there."""
+        """Return at most `most` ranges below `size` that are not there."""
         gaps, at = [], 0
         for start, end in [*self._ranges, (size, size)]:
             if at < min(start, size):

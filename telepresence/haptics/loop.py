@@ -49,7 +49,7 @@ _WINDOW_MASK = (1 << _WINDOW) - 1
 
 #: How far a number may run ahead of the time that passed, because paths deliver in bursts.
 _SLACK = 1000
-#: Numbers out of that range that follow each other for so long, with none in it, are the peer's
+#: Numbers out of that range that follow each other for this long, with none in it, are the peer's
 #: present ones: this end, or its path, has stalled.
 _REANCHOR_NS = 50 * NS_PER_MS
 

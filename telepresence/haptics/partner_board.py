@@ -14,7 +14,7 @@ from kontur_av.errors import ProtocolError
 from telepresence.haptics.ownership import HapticOwnership, Owner
 from telepresence.haptics.sample import FLAG_FEEDBACK, SAMPLE_OCTETS, is_greeting, read_greeting
 
-#: Without a sample for so long, the partner's robot is not there.
+#: Without a sample for this long, the partner's robot is not there.
 _SILENT_NS = 500 * NS_PER_MS
 
 

@@ -19,7 +19,7 @@ from telepresence.private_file import read_private
 UDP = "udp"
 #: How long a controller may take for a handshake and its first reading.
 _PATIENCE_NS = 2 * NS_PER_S
-#: At most so many datagrams are read in a cycle. A flood of them ends the session by its silence.
+#: At most this many datagrams are read in a cycle. A flood of them ends the session by its silence.
 _MOST_A_CYCLE = 16
 #: The last command is repeated, because one may be lost.
 _GOODBYES = 3

@@ -30,7 +30,7 @@ DOOR = PartDoor("component", "module:Class", "kontur_av.telemetry")
 _APIDS = range(0x140, 0x148)
 #: What the housekeeping of all components may take: a quarter of what PUS may.
 MOST_HOUSEKEEPING_BPS = 1_000
-#: Values that were not told anew for so long are reported no more.
+#: Values that were not told anew for this long are reported no more.
 FRESH_S = 5.0
 #: After an event of a limit, a value must come back by this share of its range.
 _HYSTERESIS = 0.05

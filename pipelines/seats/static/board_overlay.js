@@ -16,7 +16,7 @@ import { drawGoal } from "./workspace_map.js";
 
 /** From this round trip on the tip is predicted. */
 const LONG_MS = 500;
-/** After a change of the camera its first picture may take so much longer than the picture's age. */
+/** After a change of the camera its first picture may take this much longer than the picture's age. */
 const SWITCH_MS = 300;
 /** What the robot tells of itself, its unit in metres, and the names of x and y. */
 const TOLD = /** @type {const} */ ([

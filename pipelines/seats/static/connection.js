@@ -9,7 +9,7 @@ import { hindranceOf } from "./conditions.js";
 import { pageMs } from "./page_clock.js";
 import { readHaptics } from "./wire.js";
 
-/** Without an answer for so long, a request counts as failed. */
+/** Without an answer for this long, a request counts as failed. */
 const ANSWER_PATIENCE_MS = 10_000;
 /** A telecommand is repeated until it is acknowledged. */
 const COMMAND_PATIENCE_MS = 40_000;

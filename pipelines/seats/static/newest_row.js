@@ -5,7 +5,7 @@
  */
 import { HapticFlag, litLed } from "./wire.js";
 
-/** Without a newer row for so long, nothing is known of place and force. */
+/** Without a newer row for this long, nothing is known of place and force. */
 const FRESH_MS = 300;
 /** Smaller changes of place and force are not shown. */
 const STEP_M = 0.0002;

@@ -8,7 +8,7 @@
 import { make, setAttribute, setText } from "./dom.js";
 import { nameText } from "./wording.js";
 
-/** Without a picture for so long, an input counts as silent. They come five times a second. */
+/** Without a picture for this long, an input counts as silent. They come five times a second. */
 const SILENT_MS = 1500;
 
 /**

@@ -9,7 +9,7 @@ import { make, setText } from "./dom.js";
 import { MODE_WORDS } from "./mission_words.js";
 
 const MM_PER_M = 1000;
-/** A status comes 20 times a second; without one for so long, the controller is not heard. */
+/** A status comes 20 times a second; without one for this long, the controller is not heard. */
 const FRESH_MS = 1000;
 
 /** Name of the function, and what stands on its button. @type {[string, string][]} */

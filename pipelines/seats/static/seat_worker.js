@@ -30,7 +30,7 @@ const REFUSED = 403;
 const SILENCE_MS = 250;
 const WATCH_MS = 25;
 const HAND_MS = 4;
-/** Wait so long for a replay after a decoder's fault, then connect anew, which brings one. */
+/** Wait this long for a replay after a decoder's fault, then connect anew, which brings one. */
 const REPLAY_PATIENCE_MS = 1500;
 /** More octets than this in the socket mean that nothing is sent; the hand must not queue. */
 const MOST_UNSENT_OCTETS = 4096;

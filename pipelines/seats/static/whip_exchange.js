@@ -6,7 +6,7 @@
 
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 15_000;
-/** A way that stays broken for so long gets a restart of ICE; a restart, a new connection. */
+/** A way that stays broken for this long gets a restart of ICE; a restart, a new connection. */
 const BROKEN_MS = 3_000;
 const GATHER_MS = 3_000;
 

@@ -37,7 +37,7 @@ MOST_DRIFT = 500e-6
 WANDER = 5e-6
 #: Added to each bound, for stamps in whole microseconds.
 RESOLUTION_NS = 1_000
-#: The tightest bound of each window is kept, for so many windows.
+#: The tightest bound of each window is kept, for this many windows.
 WINDOW_NS = 2 * NS_PER_S
 WINDOWS = 30
 

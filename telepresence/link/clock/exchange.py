@@ -25,7 +25,7 @@ INTERVAL_NS = 2 * NS_PER_S
 FIRST_INTERVAL_NS = 250 * NS_PER_MS
 #: How many are sent at the shorter interval.
 FIRST_MESSAGES = 20
-#: After so long without a message, what is above its stamp may have changed more than once.
+#: After this long without a message, what is above its stamp may have changed more than once.
 _FORGET_NS = 30 * 60 * NS_PER_S
 #: Marks repeat after 16.8 s; a message older than this is not known by its mark any more.
 _OLDEST_NS = 16 * NS_PER_S

@@ -15,7 +15,7 @@ from telepresence.link.flows import PacketReceived
 #: Sender report: its RTCP packet type; where its NTP timestamp is.
 _SENDER_REPORT = 200
 _NTP_AT = slice(8, 16)
-#: Reports are held back for so long if the peer's clock is not known.
+#: Reports are held back for this long if the peer's clock is not known.
 PATIENCE_NS = 3 * NS_PER_S
 #: Enough for the streams of a session.
 _MOST_HELD = 8

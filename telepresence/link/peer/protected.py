@@ -32,7 +32,7 @@ STEP_NS = 600 * NS_PER_US
 _MOST_PUT_OFF = 50
 #: The channel's own deadlines are asked for this often.
 _LOOK_NS = 50 * NS_PER_MS
-#: An end that has sent no frame for so long sends a record without one. A radio that has lost its
+#: An end that has sent no frame for this long sends a record without one. A radio that has lost its
 #: signal sends none, and neither the peer nor an address translator shall take the end for gone.
 KEEP_ALIVE_NS = 500 * NS_PER_MS
 

@@ -56,7 +56,7 @@ from telepresence.link.supervision.record import SupervisionRecord
 _NO_CONTEXTS = (0, 0, 0, 0)
 #: For a gateway that does not fetch events; beyond that the oldest are dropped.
 _EVENTS_DEPTH = 256
-#: A stranger that hears nobody cannot prove itself. It is followed unproven after so many frames,
+#: A stranger that hears nobody cannot prove itself. It is followed unproven after this many frames,
 #: over this time, if no peer was ever met.
 _DEAF_FRAMES = 8
 _DEAF_NS = 20 * NS_PER_MS
