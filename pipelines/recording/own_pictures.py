@@ -71,7 +71,7 @@ class StreamStart:
     ) -> Begun | None:
         """Take a unit. Return how a reader begins with it; None if no decoder can.
 
-        begins: whether anybody does; else None.
+        begins: whether a reader begins here; if not, None is returned.
         """
         self._sets = parameter_sets_of(unit.data, unit.codec) or unit.parameter_sets or self._sets
         begun = self._begin(unit) if begins else None
