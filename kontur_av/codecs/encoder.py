@@ -122,7 +122,7 @@ class VideoEncoder:
             rate=rate,
             cap_bps=cap_bps,
             refresh_s=refresh_s,
-            preset=preset or self._settings_of.preset,
+            preset=preset,
             search=search,
             regions=regions,
         )

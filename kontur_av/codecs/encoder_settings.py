@@ -33,7 +33,7 @@ class EncoderSettings:
     rate: Fraction
     cap_bps: int
     refresh_s: float
-    preset: str = "superfast"
+    preset: str | None = None
     search: Search = "quick"
     punctual: bool = False
     regions: bool = False
@@ -61,13 +61,13 @@ class EncoderSettings:
         tell_bt601(codec)
         codec.thread_count = 1
         codec.flags |= Flags.psnr  # for `VideoEncoder._quantiser_and_loss`
-        codec.options = self.options()
+        codec.options = options = self.options()
         try:
             codec.open()
         except av.FFmpegError as error:
             raise ConfigError(
                 f"{self.library} refuses {self.width}x{self.height} at {float(self.rate):g} Hz, "
-                f"preset {self.preset!r}: {error}"
+                f"preset {options['preset']!r}: {error}"
             ) from error
         opened: VideoCodecContext = codec
         return opened

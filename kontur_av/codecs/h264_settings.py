@@ -97,7 +97,7 @@ class H264Settings(EncoderSettings):
             buffer -= 1000
         fill = str(min(max(rate, min(least, most)), max(self._most_fill_bps(buffer), 1000)))
         return {
-            "preset": self.preset,
+            "preset": self.preset or "superfast",
             "tune": "zerolatency",
             "intra-refresh": "1",
             **({"b": fill} if effort.crf is None else {"crf": str(effort.crf)}),

@@ -39,8 +39,6 @@ class H265Settings(EncoderSettings):
     """Settings of x265 for pictures of this coded size and rate under this cap."""
 
     library: ClassVar[str] = "libx265"
-    #: Chosen by size and rate.
-    preset = ""
 
     @property
     def has_waves(self) -> bool:

@@ -128,7 +128,6 @@ def _kilobits(stream: VideoStream, gain_bps: int) -> int:
         rate=Fraction(stream.coded_hz),
         cap_bps=stream.cap_bps + gain_bps,
         refresh_s=SLOW_REFRESH_S,
-        preset="superfast",
     )
     return int(settings.options()["bufsize"]) // _KILOBIT
 
