@@ -150,7 +150,7 @@ class SyncFigures:
     def _settle(self, until_ns: int) -> None:
         """Count the contacts before an instant, and forget them and their detections."""
         events, (apart, _) = self._events(SENSES), self._apart()
-        # Cut before a contact that is no bounce: the first one that stays begins a group.
+        # Cut between two groups of bounces, so that no bounce is counted as a contact.
         until_ns = min((at_ns for at_ns, _ in apart if at_ns >= until_ns), default=until_ns)
         self._note_first(events)
         self._settled.add([one for one in events if one.instant_ns < until_ns], _GRAIN_NS)

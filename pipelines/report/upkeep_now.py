@@ -32,11 +32,14 @@ _NO_CONTACT: Final = "signal_lost"
 
 
 class Planned(NamedTuple):
-    """An event of the pass. at_s: from acquisition of signal. told: it is announced itself, too."""
+    """An event of the pass. at_s: from acquisition of signal.
+
+    on_time: it is announced when it comes, too. A gateway tells the others itself.
+    """
 
     at_s: float
     what: str
-    told: bool
+    on_time: bool
 
 
 def planned_contact(profile: RadioProfile, windows: ContactWindows | None) -> tuple[Planned, ...]:
@@ -48,20 +51,20 @@ def planned_contact(profile: RadioProfile, windows: ContactWindows | None) -> tu
     found = []
     if windows is not None:
         found += [
-            Planned(windows.acquisition_s, "acquisition of signal", told=False),
-            Planned(windows.loss_s, "loss of signal", told=False),
+            Planned(windows.acquisition_s, "acquisition of signal", on_time=False),
+            Planned(windows.loss_s, "loss of signal", on_time=False),
         ]
         if windows.usable_from_s is not None and windows.usable_to_s is not None:
             found += [
-                Planned(windows.usable_from_s, "end of drop-outs", told=True),
-                Planned(windows.usable_to_s, "drop-outs", told=True),
+                Planned(windows.usable_from_s, "end of drop-outs", on_time=True),
+                Planned(windows.usable_to_s, "drop-outs", on_time=True),
             ]
     for each in profile.blackouts:
         way = "" if each.direction == "both" else f" of the {each.direction}"
         at_s = profile.start_s + each.start_s
         found += [
-            Planned(at_s, f"shadowing{way}", told=True),
-            Planned(at_s + each.seconds, f"end of shadowing{way}", told=True),
+            Planned(at_s, f"shadowing{way}", on_time=True),
+            Planned(at_s + each.seconds, f"end of shadowing{way}", on_time=True),
         ]
     return tuple(sorted(found))
 
@@ -84,7 +87,7 @@ class ContactAhead:
                 yield pass_s, f"{each.what} in {round(left_s)} s"
             self._told[index] = leads
             came = self._before_s is not None and self._before_s < each.at_s <= pass_s
-            if came and each.told:
+            if came and each.on_time:
                 yield each.at_s, each.what
         self._before_s = pass_s
 
@@ -188,7 +191,7 @@ class BandwidthWatch:
 
 
 class UpkeepNow:
-    """The three of a session. Call `handle_look` about twice a second."""
+    """Experiment, contact ahead and bandwidth of a session. Call `handle_look` twice a second."""
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
