@@ -1,5 +1,10 @@
 """Error classes, one for each party that can be at fault."""
 
+from collections.abc import Sequence
+from typing import TypeVar
+
+_Choice = TypeVar("_Choice", bound=str)
+
 
 class ConfigError(Exception):
     """The user's mistake. Its message is one line that names the mend; commands exit with 2."""
@@ -7,3 +12,11 @@ class ConfigError(Exception):
 
 class ProtocolError(Exception):
     """Garbage from the peer. Its receiver counts and drops it, and goes on."""
+
+
+def one_of(text: str, choices: Sequence[_Choice], what: str) -> _Choice:
+    """Return the choice that `text` names; ConfigError, which begins with `what`, if none is."""
+    for choice in choices:
+        if choice == text:
+            return choice
+    raise ConfigError(f"{what} {text!r}: take one of {', '.join(choices)}")

@@ -137,14 +137,6 @@ def check_size(width: int, height: int) -> None:
         )
 
 
-def codec_named(name: str, where: str) -> VideoCodec:
-    """Return the codec of this name; ConfigError, which names `where`, if there is none."""
-    for codec in VIDEO_CODECS:
-        if codec == name:
-            return codec
-    raise ConfigError(f"{where}: codec {name!r}: take one of {', '.join(VIDEO_CODECS)}")
-
-
 def parse_size(text: str, name: str = "--size") -> tuple[int, int]:
     """Return width and height of a text WxH. Raises ConfigError, which names `name`."""
     match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Literal, get_args
 
-from kontur_av.errors import ConfigError
 from kontur_av.media import VideoCodec, check_size
 
 MACROBLOCK = 16 * 16
@@ -35,14 +34,6 @@ _SHARES: Mapping[VideoCodec, tuple[Fraction, ...]] = {
 _NARROWEST = 160
 #: While cuts come too fast: the share of the usual coded size.
 _RESTLESS_SHARE = Fraction(2, 3)
-
-
-def preference(text: str, what: str) -> Preference:
-    """Return the preference of this name. Raises ConfigError that names `what`."""
-    for known in PREFERENCES:
-        if text == known:
-            return known
-    raise ConfigError(f"{what}: prefer {text!r}: take one of {', '.join(PREFERENCES)}")
 
 
 def coded_rate_for(fps: int, cap_bps: int, prefer: Preference = "quality") -> int:

@@ -27,16 +27,16 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.closing import Closing
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, one_of
 from kontur_av.media import (
     BLOCK_NS,
     BLOCK_SAMPLES,
     I420,
+    VIDEO_CODECS,
     AudioFrame,
     CaptureStamp,
     Quality,
     VideoCodec,
-    codec_named,
 )
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
@@ -238,7 +238,7 @@ class PictureSender(_Sender[Picture]):
         if not 1 <= fps <= 120:
             raise ConfigError(f"fps {fps}: take 1 to 120")
         super().__init__(to, cap_bps, sdp, NS_PER_S // fps)
-        self._fps, self._codec = fps, codec_named(codec, "PictureSender")
+        self._fps, self._codec = fps, one_of(codec, VIDEO_CODECS, "codec")
         self._source = _Pictures(1)
         self._shape: tuple[int, ...] = ()
 

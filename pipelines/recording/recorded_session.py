@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.errors import ProtocolError
-from kontur_av.media import BLOCK_NS, VideoCodec, codec_named
+from kontur_av.errors import ProtocolError, one_of
+from kontur_av.media import BLOCK_NS, VIDEO_CODECS, VideoCodec
 from kontur_av.sources.instants import RisingInstants
 from kontur_av.streams.budget import Pacer
 from pipelines.recording.channels import RECEIVED, SENT
@@ -200,7 +200,8 @@ def _pictures(
             # In front of it are parameter sets for a reader that begins here.
             data = data[-fact.octets :]
         key = fact is not None and fact.key
-        kept.append((one.session_ns, data, key, codec_named(picture.format, "recording")))
+        codec = one_of(picture.format, VIDEO_CODECS, "recording: codec")
+        kept.append((one.session_ns, data, key, codec))
     dated = instants.redate(kept, lambda each: each[0])
     return [SentUnit(at_ns, data, key, codec) for (_, data, key, codec), at_ns in dated]
 

@@ -25,7 +25,7 @@ from math import isfinite
 from typing import Final, Literal, NamedTuple, Protocol
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ConfigError, ProtocolError, one_of
 from telepresence.haptics.sample import FORCE_N, POSITION_M, SAMPLE_OCTETS
 
 #: Octets of one axis in a sample.
@@ -74,8 +74,7 @@ class AxisFacts:
     speed: float
 
     def __post_init__(self) -> None:
-        if self.name not in AXIS_NAMES:
-            raise ConfigError(f"axis {self.name!r}: take one of {', '.join(AXIS_NAMES)}")
+        one_of(self.name, AXIS_NAMES, "axis")
         for field in ("half_range", "force_limit", "speed"):
             value = getattr(self, field)
             if not 0.0 < value < 1000.0:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from kontur_av.codecs.coded_size import preference
-from kontur_av.errors import ConfigError
-from kontur_av.media import codec_named, parse_size
+from kontur_av.codecs.coded_size import PREFERENCES
+from kontur_av.errors import ConfigError, one_of
+from kontur_av.media import VIDEO_CODECS, parse_size
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.setup.table import NO_RADIO, RtcLeg, Setup, VideoStream, VoiceStream
@@ -210,8 +210,8 @@ def _video(name: str, entry: _Video) -> VideoStream:
         width=width,
         height=height,
         fps=entry.fps,
-        prefer=preference(entry.prefer, name),
+        prefer=one_of(entry.prefer, PREFERENCES, f"{name}: prefer"),
         coded=coded,
-        codec=codec_named(entry.codec, name),
+        codec=one_of(entry.codec, VIDEO_CODECS, f"{name}: codec"),
         stale_after_ms=entry.stale_after_ms,
     )

@@ -11,14 +11,14 @@ from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coded_size import (
+    PREFERENCES,
     Preference,
     coded_rate_for,
     coded_size_for,
-    preference,
 )
 from kontur_av.codecs.opus import bitrate_under_cap
-from kontur_av.errors import ConfigError
-from kontur_av.media import VideoCodec, check_size, codec_named
+from kontur_av.errors import ConfigError, one_of
+from kontur_av.media import VIDEO_CODECS, VideoCodec, check_size
 from kontur_av.streams.budget import Pacer
 from pipelines.session.setup.segments import Direction
 from telepresence.haptics.axes import AxisName, more_axes, sample_octets
@@ -92,8 +92,8 @@ class VideoStream:
             )
         if not 1 <= self.fps <= 120:
             raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
-        preference(self.prefer, self.name)
-        codec_named(self.codec, self.name)
+        one_of(self.prefer, PREFERENCES, f"{self.name}: prefer")
+        one_of(self.codec, VIDEO_CODECS, f"{self.name}: codec")
         _check_stale_after(self)
         check_size(self.width, self.height)
         if self.coded is not None:
@@ -276,8 +276,7 @@ class Setup:
                     f"setup {self.name}: camera {camera} has the name of another input; rename it"
                 )
         for name, choices in _CHOICES.items():
-            if (chosen := getattr(self, name)) not in choices:
-                raise ConfigError(f"{name} {chosen!r}: take one of {', '.join(choices)}")
+            one_of(getattr(self, name), choices, name)
         self._check_partner_arm()
         if self.rtc is not None and self.downlink_video and self.downlink_video.codec != "h264":
             raise ConfigError(
