@@ -12,6 +12,7 @@ import msgspec
 
 from kontur_av.errors import ProtocolError
 from pipelines.recording.channels import ChannelRow
+from telepresence.malformed import MALFORMED
 
 #: Both have the messages that are used here.
 SUBPROTOCOLS: Final = ("foxglove.websocket.v1", "foxglove.sdk.v1")
@@ -120,7 +121,7 @@ def parse_text(text: str) -> ClientText:
     try:
         request: ClientText = _TEXTS.decode(text)
         return request
-    except (msgspec.MsgspecError, UnicodeEncodeError, RecursionError) as error:
+    except MALFORMED as error:
         raise ProtocolError(f"no request of a client: {error}") from None
 
 
@@ -141,7 +142,7 @@ def parse_fields(row: ServiceRow, call: ServiceCall) -> Mapping[str, str]:
         raise ProtocolError(f"{row.name} takes {JSON}, not {call.encoding[:20]!r}")
     try:
         given = msgspec.json.decode(call.data or b"{}", type=dict[_Name, _Name])
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except MALFORMED as error:
         raise ProtocolError(f"{row.name}: {error}") from None
     if set(given) != set(row.fields):
         needs = ", ".join(row.fields) or "nothing"

@@ -16,6 +16,7 @@ import msgspec
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import REQUESTS, ExperimentName, JoystickEvent
+from telepresence.malformed import MALFORMED
 
 _INPUT = struct.Struct("<?ddIIq")
 _SHARE_OCTETS = 8
@@ -151,7 +152,7 @@ def unpack_status(data: bytes) -> JoystickStatus | None:
     """Return what `pack_status` packed, or None for anything else."""
     try:
         return _DECODER.decode(data)
-    except (msgspec.MsgspecError, UnicodeDecodeError):  # text that is not UTF-8
+    except MALFORMED:
         return None
 
 

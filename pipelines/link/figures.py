@@ -7,6 +7,7 @@ import msgspec
 
 from kontur_av.figures import Newest
 from telepresence.link.figures import GatewayFigures, PathFigures
+from telepresence.malformed import MALFORMED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,5 +60,5 @@ def unpack_link(octets: bytes) -> LinkValues:
     """Return what `pack_link` packed; empty for anything else."""
     try:
         return dict(_DECODER.decode(octets))
-    except msgspec.MsgspecError:
+    except MALFORMED:
         return {}

@@ -53,6 +53,7 @@ from pipelines.session.topology import (
     link_state_topic,
 )
 from pipelines.session.training import Exercises
+from telepresence.malformed import MALFORMED
 from telepresence.tasks.definitions import Catalogue, ControlMode
 from telepresence.tasks.kernel import TICK_NS, ChooseCamera, OtherHand, Record
 from telepresence.tasks.panel_picture import ACKNOWLEDGEMENT_OCTETS
@@ -229,7 +230,7 @@ class _Tasks:
 def _read(path: Path) -> MissionMemory | None:
     try:
         return msgspec.json.decode(path.read_bytes(), type=MissionMemory)
-    except (OSError, msgspec.MsgspecError):
+    except (OSError, *MALFORMED):
         return None
 
 

@@ -12,6 +12,7 @@ from types import MappingProxyType
 import msgspec
 
 from kontur_av.errors import ConfigError
+from telepresence.malformed import MALFORMED
 from telepresence.tmtc.k2aci import CLASSES, K2aciMessage
 from telepresence.tmtc.pus.dictionary import Application
 from telepresence.tmtc.pus.user import SUPERSEDED
@@ -193,7 +194,7 @@ def unpack_request(octets: bytes) -> TmtcRequest | None:
         return None
     try:
         return _REQUESTS.decode(octets)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+    except MALFORMED:
         return None
 
 
@@ -206,7 +207,7 @@ def unpack_news(octets: bytes) -> TmtcNews | None:
     """Return what `pack_news` packed, or None for anything else."""
     try:
         return _NEWS.decode(octets)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+    except MALFORMED:
         return None
 
 

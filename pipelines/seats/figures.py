@@ -9,6 +9,7 @@ import msgspec
 
 from kontur_av.errors import ProtocolError
 from kontur_av.figures import Newest
+from telepresence.malformed import MALFORMED
 
 #: Name of the figure that tells ground control which page holds the handle.
 HOLDER = "hand.holder"
@@ -65,7 +66,7 @@ class FiguresLog:
         try:
             told = msgspec.json.decode(text, type=_Figures)
             self._newest = msgspec.json.decode(text, type=dict[str, msgspec.Raw])
-        except msgspec.MsgspecError as error:
+        except MALFORMED as error:
             raise ProtocolError(f"no figures: {error}") from None
         # Copied, because they would keep the whole message.
         self._events.extend(event.copy() for event in told.events)

@@ -12,6 +12,7 @@ import msgspec
 from kontur_av.errors import ProtocolError
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.segments import Segment
+from telepresence.malformed import MALFORMED
 
 Level = Literal["good", "warn", "bad", "none"]
 
@@ -536,5 +537,5 @@ def parse_media_request(text: str) -> InputRequest:
 def _parsed(decoder: msgspec.json.Decoder[_Asked], text: str) -> _Asked:
     try:
         return decoder.decode(text)
-    except (msgspec.MsgspecError, RecursionError, UnicodeEncodeError) as error:
+    except MALFORMED as error:
         raise ProtocolError(f"no request: {error}") from None

@@ -20,6 +20,7 @@ from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
 from telepresence.files.pdus import GET
+from telepresence.malformed import MALFORMED
 from telepresence.upkeep.inbox import LARGEST_TOLD, TOLD, InboxTold
 
 #: A recorder answers once its file is written, which takes long on a slow disk.
@@ -69,7 +70,7 @@ def software_in(directory: Path, end: str) -> Iterator[SoftwareText]:
             # A link may lead out of the directory.
             if path.is_symlink() or path.parent.is_symlink() or not path.is_file():
                 continue
-            with suppress(OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            with suppress(OSError, *MALFORMED):
                 descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
                 with os.fdopen(descriptor, "rb") as file:
                     written_s = os.fstat(descriptor).st_mtime

@@ -16,6 +16,7 @@ from typing import Annotated, Literal, TypeVar
 import msgspec
 
 from kontur_av.errors import ProtocolError
+from telepresence.malformed import MALFORMED
 from telepresence.tasks.definitions import ControlMode, Pattern
 from telepresence.tasks.panel_picture import PanelPicture
 
@@ -201,5 +202,5 @@ def unpack(kind: type[MessageT], octets: bytes) -> MessageT:
     try:
         return msgspec.msgpack.decode(octets, type=kind)
     # text that is not UTF-8; lists in lists in the place of a field that nobody knows.
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except MALFORMED as error:
         raise ProtocolError(f"{kind.__name__}: {error}") from None

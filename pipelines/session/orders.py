@@ -17,6 +17,7 @@ import msgspec
 
 from kontur_av.topics.session_files import session_root
 from pipelines.session.reception import replace_file
+from telepresence.malformed import MALFORMED
 
 T = TypeVar("T", bound=msgspec.Struct)
 #: Of the words that say who stopped it.
@@ -67,7 +68,7 @@ class KeptOrders:
             return msgspec.json.decode(self._path(name).read_bytes(), type=type(first))
         except FileNotFoundError:
             return first if self._root.is_dir() else unknown
-        except (OSError, msgspec.MsgspecError):
+        except (OSError, *MALFORMED):
             return unknown
 
     def keep(self, name: str, orders: msgspec.Struct) -> None:

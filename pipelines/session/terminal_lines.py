@@ -6,6 +6,8 @@ from typing import Generic, NamedTuple, TypeVar
 
 import msgspec
 
+from telepresence.malformed import MALFORMED
+
 #: A longer line is cut, and so no request.
 MAX_LINE_OCTETS = 8192
 #: The most terminals that may ask at once; others are refused.
@@ -23,7 +25,7 @@ def parse_line(line: bytes, kind: type[_Content]) -> _Content | None:
     """Return the request or the answer in a line, or None for anything else."""
     try:
         return msgspec.json.decode(line, type=kind)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+    except MALFORMED:
         return None
 
 

@@ -14,6 +14,7 @@ import msgspec
 from kontur_av.topics.session_files import session_root
 from pipelines.session.figures import Event
 from pipelines.session.reception import replace_file
+from telepresence.malformed import MALFORMED
 
 _NOW: Final = "now.json"
 _NOTES: Final = "notes"
@@ -44,7 +45,7 @@ def read_now(session: str) -> SessionNow | None:
     """Return the newest state that a session has told; None before the first."""
     try:
         return msgspec.json.decode((session_root(session) / _NOW).read_bytes(), type=SessionNow)
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+    except (OSError, *MALFORMED):
         return None
 
 
@@ -80,6 +81,6 @@ class NotesReader:
         for line in whole.splitlines():
             try:
                 found.append(msgspec.json.decode(line, type=Note))
-            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+            except MALFORMED:
                 continue
         return found

@@ -11,6 +11,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from telepresence.malformed import MALFORMED
 
 #: How long a file must lie still. By then its sender knows that it has arrived, though the update
 #: may end the link.
@@ -137,5 +138,5 @@ def _answers_of(told: bytes) -> tuple[InboxAnswer, ...]:
     """The answers in what was told before. The other end could have overwritten it."""
     try:
         return msgspec.json.decode(told, type=InboxTold).answers
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+    except MALFORMED:
         return ()

@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from kontur_av.errors import ConfigError
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
+from telepresence.malformed import MALFORMED
 from telepresence.upkeep.file_store import StoredFile, safe_path
 
 #: The manifest's file in a version's folder, and the program that starts it.
@@ -50,7 +51,7 @@ def signer(octets: bytes) -> tuple[Manifest, MachineIdentity]:
         manifest = msgspec.json.decode(octets, type=Manifest)
         public = Ed25519PublicKey.from_public_bytes(bytes.fromhex(manifest.key))
         public.verify(bytes.fromhex(manifest.signature), _signed(manifest.version, manifest.files))
-    except (ValueError, RecursionError, InvalidSignature, msgspec.MsgspecError):
+    except (ValueError, InvalidSignature, *MALFORMED):
         raise ValueError("its manifest is damaged, or its signature does not fit") from None
     if RUN not in manifest.files or not all(map(safe_path, manifest.files)):
         raise ValueError("its manifest names paths that are no version's")

@@ -11,6 +11,7 @@ import msgspec
 
 from kontur_av.errors import ConfigError
 from telepresence.link.protection.identity import MachineIdentity
+from telepresence.malformed import MALFORMED
 from telepresence.upkeep.file_store import (
     UNFINISHED,
     FileStore,
@@ -36,7 +37,7 @@ class VersionDirectory:
         """Return the record; without a readable one, all whole versions, with none on trial."""
         try:
             return msgspec.json.decode(self._store.read(STACK), type=StackRecord)
-        except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        except (OSError, *MALFORMED):
             paths = self._store.files("")
             found = sorted({path.split("/")[0] for path in paths if path.count("/") == 1})
             versions = tuple(

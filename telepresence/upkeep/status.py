@@ -8,6 +8,7 @@ import msgspec
 
 from telepresence.link.figures import SupervisionFigures
 from telepresence.link.supervision.message import LinkState
+from telepresence.malformed import MALFORMED
 from telepresence.upkeep.version_stack import VersionStatus
 
 VARIABLE = "KONTUR_AV_STATUS"
@@ -35,5 +36,5 @@ def parse_status(octets: bytes) -> VersionStatus | None:
     """Return what a program has told; None for any other text."""
     try:
         return msgspec.json.decode(octets, type=VersionStatus)
-    except (msgspec.MsgspecError, RecursionError):
+    except MALFORMED:
         return None

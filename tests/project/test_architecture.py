@@ -294,6 +294,7 @@ LIBRARIES = {
     "telepresence/tmtc/pus/xtce": ({"xml"}, "writes XML as text"),
     "telepresence/tasks/reader.py": ({"xml"}, "parses octets; no document types"),
     "telepresence/tasks/task_files.py": ({"pathlib"}, "a file"),
+    "telepresence/malformed.py": ({"msgspec"}, "its errors alone"),
     "telepresence/toml_file.py": ({"msgspec", "pathlib", "tomllib"}, "a file"),
     "telepresence/upkeep/inbox.py": ({"msgspec"}, "what it tells, as JSON"),
     "telepresence/upkeep/manifest.py": ({"cryptography", "msgspec"}, "signatures and JSON: octets"),
