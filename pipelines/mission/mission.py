@@ -16,8 +16,7 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.task_journal import LinkMeanwhile, TaskJournal, TaskRow
 from telepresence.tasks.definitions import Catalogue
-from telepresence.tasks.experiment import Experiment, Logged, Phase, TaskRun
-from telepresence.tasks.kernel import (
+from telepresence.tasks.end_conditions import (
     ChooseCamera,
     ControlRobot,
     MoveRobot,
@@ -28,6 +27,7 @@ from telepresence.tasks.kernel import (
     ShowPicture,
     View,
 )
+from telepresence.tasks.experiment import Experiment, Logged, Phase, TaskRun
 from telepresence.tasks.panel_picture import DARK, PanelSender
 from telepresence.tasks.plan import NEEDS_TWO_HANDS, PlanFollower, SessionPlan
 from telepresence.tmtc.k2aci import K2aciMessage, TaskFinished, TaskResult

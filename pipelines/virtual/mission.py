@@ -35,7 +35,8 @@ from telepresence.haptics.sample import STATE_HALTED
 from telepresence.link.supervision.message import LinkState
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut
 from telepresence.tasks.definitions import Catalogue
-from telepresence.tasks.kernel import TICK_NS, ChooseCamera, Record
+from telepresence.tasks.end_conditions import ChooseCamera, Record
+from telepresence.tasks.kernel import TICK_NS
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.panel_picture import LedPanel, PanelPicture
 from telepresence.tasks.plan import SessionPlan

@@ -12,129 +12,29 @@ to be done, and looks at what is.
 
 from collections import deque
 from dataclasses import dataclass, replace
-from math import hypot
-from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.board import LIGHTS_M
 from telepresence.tasks.definitions import (
-    ControlMode,
-    Curve,
     Elemop,
-    Follow,
-    Hands,
-    HoldBall,
-    Meet,
-    MoveTo,
     Operation,
     Pattern,
-    Pull,
     Pursue,
-    Reach,
-    SelectCamera,
-    SetMode,
     SetPower,
     Show,
-    StartLog,
     StopLog,
-    Wait,
 )
-from telepresence.tasks.panel_picture import PanelPicture
-from telepresence.tasks.places import curve_points, spot_at
-from telepresence.tmtc.k2aci import TaskGoal, TaskProgress, TaskResult
+from telepresence.tasks.end_conditions import (
+    BY_COSMONAUT,
+    CHECKS,
+    EndCondition,
+    Order,
+    View,
+)
+from telepresence.tmtc.k2aci import TaskProgress, TaskResult
 
 TICK_NS = 100 * NS_PER_MS
 #: What is not done yet is asked for again after this time: its process may have been killed.
 _AGAIN_NS = NS_PER_S
-#: Between two ticks the tip's way is checked at steps of this length (m).
-_STEP_M = 0.002
-
-
-@dataclass(frozen=True, slots=True)
-class PowerRobot:
-    """Switch the robot on or off."""
-
-    on: bool
-
-
-@dataclass(frozen=True, slots=True)
-class ControlRobot:
-    """Choose the control mode of the next power on."""
-
-    mode: ControlMode
-
-
-@dataclass(frozen=True, slots=True)
-class MoveRobot:
-    """Move the tip to (x_m, y_m)."""
-
-    x_m: float
-    y_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class ChooseCamera:
-    """Select the camera of the uplink video."""
-
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
-class ShowPicture:
-    """Show this on the LED panel."""
-
-    picture: PanelPicture
-
-
-@dataclass(frozen=True, slots=True)
-class Record:
-    """Start or stop the record."""
-
-    on: bool
-
-
-Order = PowerRobot | ControlRobot | MoveRobot | ChooseCamera | ShowPicture | Record
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class OtherHand:
-    """The hand of the partner's arm. push_n: the force on it. holds: it holds a ball."""
-
-    x_m: float
-    y_m: float
-    push_n: float
-    holds: bool
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class View:
-    """What the kernel sees at a tick.
-
-    goal_m: where the robot rests after its last move, None while it moves. push_n: the board's
-    force on the tip. holds: the hand holds a ball. other: that of the partner's arm, None without.
-    shown: the panel has acknowledged its newest picture. signal: the link is up.
-    halted: the joystick is halted or has an error.
-    """
-
-    powered: bool = False
-    mode: ControlMode = ControlMode.POSITION
-    x_m: float = 0.0
-    y_m: float = 0.0
-    push_n: float = 0.0
-    holds: bool = False
-    other: OtherHand | None = None
-    goal_m: tuple[float, float] | None = None
-    fault: str = ""
-    camera: str = ""
-    shown: bool = False
-    recording: bool = False
-    signal: bool = True
-    halted: bool = False
-
-    @property
-    def telepresent(self) -> bool:
-        """Whether the cosmonaut's hand leads the robot."""
-        return self.powered and self.mode is ControlMode.TELEPRESENCE
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +89,7 @@ class TopKernel:
         self._late_ns = late_ns
         self._operation: Operation | None = None
         self._steps: deque[Elemop] = deque()
-        self._check: _Check | None = None
+        self._check: EndCondition | None = None
         self._began_ns = self._asked_ns = 0
         self._tick_ns: int | None = None
         self._ending: tuple[TaskResult, str] | None = None
@@ -212,8 +112,8 @@ class TopKernel:
         told = self._check.progress(now_ns)
         if told is None:
             return None
-        steps = sum(isinstance(one, _GOALS) for one in self._operation.elemops)
-        later = sum(isinstance(one, _GOALS) for one in self._steps)
+        steps = sum(isinstance(one, BY_COSMONAUT) for one in self._operation.elemops)
+        later = sum(isinstance(one, BY_COSMONAUT) for one in self._steps)
         left_ns = round(self._check.lasts_s * NS_PER_S) - (now_ns - self._began_ns)
         return replace(
             told, run=run, step=steps - later, steps=steps, left_ms=max(0, left_ns) // NS_PER_MS
@@ -305,7 +205,7 @@ class TopKernel:
             self._events.append(OperationEnded(now_ns, operation.name, result, reason))
             return
         elemop = self._steps.popleft()
-        self._check = _CHECKS[type(elemop)](elemop, now_ns)
+        self._check = CHECKS[type(elemop)](elemop, now_ns)
         self._began_ns = now_ns
         self._events.append(ElemopBegun(now_ns, operation.name, elemop.name))
         self._ask(now_ns, also_again=True)
@@ -317,280 +217,3 @@ class TopKernel:
         if order is not None and (also_again or isinstance(self._check.elemop, Pursue)):
             self._orders.append(order)
             self._asked_ns = now_ns
-
-
-class _Check:
-    """The end condition of one Elemop that has begun, and its order."""
-
-    def __init__(self, elemop: Elemop, now_ns: int) -> None:
-        self.elemop = elemop
-        self.began_ns = now_ns
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        raise NotImplementedError
-
-    def order(self, now_ns: int) -> Order | None:
-        return None
-
-    @property
-    def lasts_s(self) -> float:
-        """The longest that it takes (s)."""
-        return self.elemop.timeout_s
-
-    def progress(self, now_ns: int) -> TaskProgress | None:
-        """What a cosmonaut has to do now; None of what the robot does."""
-        return None
-
-
-class _PowerCheck(_Check):
-    elemop: SetPower
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.powered is self.elemop.on
-
-    def order(self, now_ns: int) -> Order | None:
-        return PowerRobot(self.elemop.on)
-
-
-class _ModeCheck(_Check):
-    elemop: SetMode
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.mode is self.elemop.mode
-
-    def order(self, now_ns: int) -> Order | None:
-        return ControlRobot(self.elemop.mode)
-
-
-class _CameraCheck(_Check):
-    elemop: SelectCamera
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.camera == self.elemop.camera
-
-    def order(self, now_ns: int) -> Order | None:
-        return ChooseCamera(self.elemop.camera)
-
-
-class _ShowCheck(_Check):
-    elemop: Show
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.shown
-
-    def order(self, now_ns: int) -> Order | None:
-        mask = sum(1 << led for led in set(self.elemop.leds))
-        picture = PanelPicture(self.elemop.pattern, mask)
-        if self.elemop.pattern is Pattern.SPOT:
-            picture = replace(picture, spot_m=LIGHTS_M[0])
-        if self.elemop.pattern is Pattern.DARK:
-            picture = replace(picture, colour=(0, 0, 0))
-        return ShowPicture(picture)
-
-
-class _MoveCheck(_Check):
-    elemop: MoveTo
-
-    def _goal(self) -> tuple[float, float]:
-        return self.elemop.x_mm / 1e3, self.elemop.y_mm / 1e3
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.goal_m == self._goal()
-
-    def order(self, now_ns: int) -> Order | None:
-        return MoveRobot(*self._goal())
-
-
-class _RecordCheck(_Check):
-    def _on(self) -> bool:
-        return isinstance(self.elemop, StartLog)
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.recording is self._on()
-
-    def order(self, now_ns: int) -> Order | None:
-        return Record(self._on())
-
-
-class _Held:
-    """Whether a condition has held for a time without a break."""
-
-    def __init__(self, hold_s: float) -> None:
-        self._hold_ns = round(hold_s * NS_PER_S)
-        self._since_ns: int | None = None
-
-    def handle(self, holds: bool, now_ns: int) -> bool:
-        if not holds:
-            self._since_ns = None
-            return False
-        if self._since_ns is None:
-            self._since_ns = now_ns
-        return now_ns - self._since_ns >= self._hold_ns
-
-    def progress(self, told: TaskProgress, now_ns: int) -> TaskProgress:
-        """Return `told` with how long the condition must hold, and has."""
-        held_ms = 0 if self._since_ns is None else max(1, (now_ns - self._since_ns) // NS_PER_MS)
-        return replace(told, hold_ms=self._hold_ns // NS_PER_MS, held_ms=held_ms)
-
-
-class _ReachCheck(_Check):
-    elemop: Reach
-
-    def __init__(self, elemop: Reach, now_ns: int) -> None:
-        super().__init__(elemop, now_ns)
-        self._held = _Held(elemop.hold_s)
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        x, y = LIGHTS_M[self.elemop.led]
-        near = hypot(view.x_m - x, view.y_m - y) <= self.elemop.within_mm / 1e3
-        return self._held.handle(near, now_ns)
-
-    def progress(self, now_ns: int) -> TaskProgress:
-        place_um = _um(LIGHTS_M[self.elemop.led])
-        return self._held.progress(_told(TaskGoal.REACH, place_um=place_um), now_ns)
-
-
-class _PursueCheck(_Check):
-    elemop: Pursue
-
-    def _spot(self, now_ns: int) -> tuple[float, float]:
-        return spot_at(self.elemop.path, (now_ns - self.began_ns) / NS_PER_S / self.elemop.turn_s)
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return now_ns - self.began_ns >= round(self.elemop.seconds * NS_PER_S)
-
-    def order(self, now_ns: int) -> Order | None:
-        return ShowPicture(PanelPicture(Pattern.SPOT, spot_m=self._spot(now_ns)))
-
-    @property
-    def lasts_s(self) -> float:
-        return self.elemop.seconds
-
-    def progress(self, now_ns: int) -> TaskProgress:
-        return _told(TaskGoal(self.elemop.path), turn_ms=round(self.elemop.turn_s * 1e3))
-
-
-class _FollowCheck(_Check):
-    elemop: Follow
-
-    def __init__(self, elemop: Follow, now_ns: int) -> None:
-        super().__init__(elemop, now_ns)
-        self._left = curve_points(elemop.curve)
-        self._most_left = len(self._left) * (1 - elemop.share) + 1e-9
-        self._last: tuple[float, float] | None = None
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        x0, y0 = self._last or (view.x_m, view.y_m)
-        dx, dy = view.x_m - x0, view.y_m - y0
-        steps = max(1, round(hypot(dx, dy) / _STEP_M))
-        way = [(x0 + dx * k / steps, y0 + dy * k / steps) for k in range(1, steps + 1)]
-        reach_m = self.elemop.within_mm / 1e3
-        self._left = [
-            point
-            for point in self._left
-            if all(hypot(point[0] - x, point[1] - y) > reach_m for x, y in way)
-        ]
-        self._last = view.x_m, view.y_m
-        return len(self._left) <= self._most_left
-
-    def progress(self, now_ns: int) -> TaskProgress:
-        points = len(curve_points(self.elemop.curve))
-        share = (points - len(self._left)) / (points - self._most_left)
-        goal = TaskGoal.CONTOUR if self.elemop.curve is Curve.CONTOUR else TaskGoal.LINE
-        # In steps, because each is a message.
-        return _told(goal, percent=min(100, int(20 * share) * 5))
-
-
-class _PullCheck(_Check):
-    elemop: Pull
-
-    def __init__(self, elemop: Pull, now_ns: int) -> None:
-        super().__init__(elemop, now_ns)
-        self._held = _Held(elemop.hold_s)
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        right = abs(view.push_n - self.elemop.force_n) <= self.elemop.within_n
-        return self._held.handle(right, now_ns)
-
-    def progress(self, now_ns: int) -> TaskProgress:
-        told = _told(TaskGoal.SPRING, force_mn=round(self.elemop.force_n * 1e3))
-        return self._held.progress(told, now_ns)
-
-
-class _MeetCheck(_Check):
-    elemop: Meet
-
-    def __init__(self, elemop: Meet, now_ns: int) -> None:
-        super().__init__(elemop, now_ns)
-        self._held = _Held(elemop.hold_s)
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        other, elemop = view.other, self.elemop
-        pushed = (
-            other is not None
-            and min(view.push_n, other.push_n) >= elemop.force_n
-            and hypot(view.x_m - other.x_m, view.y_m - other.y_m) <= elemop.within_mm / 1e3
-        )
-        return self._held.handle(pushed, now_ns)
-
-    def progress(self, now_ns: int) -> TaskProgress:
-        told = _told(TaskGoal.HANDS, force_mn=round(self.elemop.force_n * 1e3))
-        return self._held.progress(told, now_ns)
-
-
-class _HoldBallCheck(_Check):
-    elemop: HoldBall
-
-    def __init__(self, elemop: HoldBall, now_ns: int) -> None:
-        super().__init__(elemop, now_ns)
-        self._held = _Held(elemop.hold_s)
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        hands = view.holds, view.other is not None and view.other.holds
-        wanted = (True, False) if self.elemop.hand is Hands.ROBOT else (False, True)
-        return self._held.handle(hands == wanted, now_ns)
-
-    def progress(self, now_ns: int) -> TaskProgress:
-        return self._held.progress(_told(TaskGoal.BALL), now_ns)
-
-
-class _WaitCheck(_Check):
-    elemop: Wait
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return now_ns - self.began_ns >= round(self.elemop.seconds * NS_PER_S)
-
-    @property
-    def lasts_s(self) -> float:
-        return self.elemop.seconds
-
-    def progress(self, now_ns: int) -> TaskProgress:
-        return _told(TaskGoal.FREE)
-
-
-def _told(goal: TaskGoal, **values: Any) -> TaskProgress:
-    return TaskProgress(run=0, goal=goal, **values)
-
-
-def _um(place_m: tuple[float, float]) -> tuple[int, int]:
-    return round(place_m[0] * 1e6), round(place_m[1] * 1e6)
-
-
-#: Elemops that the cosmonaut carries out.
-_GOALS = (Reach, Pursue, Follow, Pull, Meet, HoldBall, Wait)
-_CHECKS: dict[type[Elemop], type[_Check]] = {
-    SetPower: _PowerCheck,
-    SetMode: _ModeCheck,
-    SelectCamera: _CameraCheck,
-    Show: _ShowCheck,
-    MoveTo: _MoveCheck,
-    StartLog: _RecordCheck,
-    StopLog: _RecordCheck,
-    Reach: _ReachCheck,
-    Pursue: _PursueCheck,
-    Follow: _FollowCheck,
-    Pull: _PullCheck,
-    Meet: _MeetCheck,
-    HoldBall: _HoldBallCheck,
-    Wait: _WaitCheck,
-}

@@ -17,7 +17,13 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.task_journal import LinkMeanwhile
 from telepresence.tasks.definitions import ControlMode
-from telepresence.tasks.kernel import ChooseCamera, ControlRobot, MoveRobot, PowerRobot, Record
+from telepresence.tasks.end_conditions import (
+    ChooseCamera,
+    ControlRobot,
+    MoveRobot,
+    PowerRobot,
+    Record,
+)
 from telepresence.tasks.panel_picture import DARK, pack_acknowledgement, parse_picture
 from telepresence.tasks.plan import PlannedTask, SessionPlan
 from telepresence.tasks.task_files import built_in_tasks
