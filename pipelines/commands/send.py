@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--codec",
         choices=VIDEO_CODECS,
         default="h264",
-        help="of pictures: h265 (HEVC) looks better and computes more (default: h264)",
+        help="of pictures: h265 (HEVC) computes more, and often looks better (default: h264)",
     )
     parser.add_argument(
         "--search",
