@@ -77,10 +77,12 @@ class SessionWatch(Closing):
         return self._signal
 
     def experiment(self) -> str:
-        """What runs, such as "aiming, run 3"; empty if nothing does.
+        """What runs, such as "aiming, run 3"; empty if nothing does, or the session has ended.
 
         The session tells it as it tells keepers of versions; a task's topic tells it earlier.
         """
+        if not self.runs():
+            return ""
         if self._experiment is not None:
             octets = _newest(self._experiment, wait=self._shown is None)
             if octets is not None:
