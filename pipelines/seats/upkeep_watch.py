@@ -122,7 +122,9 @@ class UpkeepWatch:
             said = await ask_process(self._session, desk_name(segment), asked, FileAnswer)
             listed = () if isinstance(said, str) else said.transfers
             transfers += self._transfers.handle_list(segment, listed, self._now_ns())
-        shown = UpkeepText(files=True, transfers=tuple(transfers), software=tuple(self._software()))
+        # A slow disk must not hold up what other pages are sent.
+        software = await asyncio.to_thread(lambda: tuple(self._software()))
+        shown = UpkeepText(files=True, transfers=tuple(transfers), software=software)
         self._seat.handle_shown("upkeep", shown)
         self._asks = False
 

@@ -36,6 +36,8 @@ from telepresence.tasks.experiment import Phase
 
 _LOOK_S = 0.2
 _READ_OCTETS = 4096
+#: A longer line of a command is shown in parts.
+_LINE_OCTETS = 65_536
 _OWN = "maintain: "
 _PATIENCE_NS = 2_000_000_000
 
@@ -254,6 +256,8 @@ class SequenceRunner:
                 if not (octets := os.read(out, _READ_OCTETS)):
                     break
                 *lines, rest = (rest + octets).split(b"\n")
+                if len(rest) >= _LINE_OCTETS:
+                    lines, rest = [*lines, rest], b""
                 for line in lines:
                     self._show(line.decode(errors="replace"))
             if rest:

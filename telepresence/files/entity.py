@@ -314,7 +314,7 @@ class FileEntity:
         return self._contact_ns + passed_ns
 
     def _new_key(self) -> Key:
-        if len(self._senders) >= MOST_SENDING:
+        if len(self._senders.keys() | self._expected.keys()) >= MOST_SENDING:
             raise ConfigError(f"{MOST_SENDING} transfers at once: wait until one has ended")
         number = self._next_number
         self._next_number = (number + 1) & 0xFFFFFFFF
@@ -329,8 +329,9 @@ class FileEntity:
         )
         if kind == PUT:
             transfer.size = len(octets)
-        while len(self.transfers) >= _REMEMBERED:
-            self.transfers.popitem(last=False)
+        if len(self.transfers) >= _REMEMBERED:
+            ended = (key for key, one in self.transfers.items() if one.state in (DONE, FAILED))
+            del self.transfers[next(ended)]
         self.transfers[key.number] = transfer
         if kind in (GET, LIST):
             self._expected[key] = transfer

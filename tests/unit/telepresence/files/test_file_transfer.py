@@ -321,6 +321,29 @@ def test_too_many_or_too_large_is_refused() -> None:
         entity.put("a", "", b"", 0)
 
 
+def test_what_was_asked_for_and_has_not_come_yet_is_under_way() -> None:
+    pair = FilePair(rate_bps=64_000)
+    pair.space.files["a"] = OCTETS
+    ask, asked = pair.ground.entity.ask, []
+    for number in range(MOST_SENDING):
+        asked.append(ask(GET, "a", f"{number}", pair.now_ns))
+        pair.run(0.5)
+    with pytest.raises(ConfigError, match="at once"):
+        ask(GET, "a", "b", pair.now_ns)
+    pair.run(200)
+    assert {one.state for one in asked} == {DONE}
+
+
+def test_a_long_transfer_is_remembered_while_many_short_ones_end() -> None:
+    pair = FilePair(rate_bps=64_000)
+    pair.ground.files["f"] = OCTETS
+    transfer = pair.ground.put("f")
+    for _ in range(70):
+        pair.ground.entity.ask(REMOVE, "none", "", pair.now_ns)
+        pair.run(0.1)
+    assert pair.ground.entity.transfers[transfer.number] is transfer
+
+
 def test_checksums_of_the_standard() -> None:
     """CRC-32 of the check string, and annex F's modular sum of words."""
     assert file_sum(ChecksumType.CRC_32, b"123456789").hex() == "cbf43926"
