@@ -87,3 +87,11 @@ def test_an_echo_counts_only_as_long_as_a_round_trip_takes():
     near.run(2 * near.supervisor.timing.round_trip_ns // MS + 1)
     near.receive(echo=number, signal=True)
     assert near.asked().number
+
+
+def test_questions_without_end_are_answered_a_hundred_times_a_second():
+    near, sent = Near(), []
+    for number in range(1, 201):
+        near.receive(number=number)
+        sent += near.run(1)
+    assert len(sent) in (20, 21)
