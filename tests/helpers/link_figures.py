@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from random import Random
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.bench.link.live import COMMANDS, FILE, FLOWS, VIDEO, VOICE, Talker
+from pipelines.bench.link import COMMANDS, FILE, FLOWS, VIDEO, VOICE, Talker
 from telepresence.link.flows import HapticReceived, Level, PacketReceived
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import LinkProfile

@@ -61,8 +61,8 @@ SHELLS = {
     "pipelines/upkeep/sequence_runner.py": "runs commands beside a session, and a log",
     "pipelines/session/children.py": "ends processes",
     "pipelines/session/front_door.py": "the sockets of visitors",
-    "pipelines/bench/latency/command.py": "tries the clock",
-    "pipelines/bench/link/live.py": "runs commands",
+    "pipelines/bench/latency.py": "tries the clock",
+    "pipelines/bench/link.py": "runs commands",
     "pipelines/bench/session.py": "runs commands",
     "pipelines/bench/video/clips.py": "shared memory",
     "pipelines/bench/video/contenders.py": "runs commands",
@@ -150,7 +150,7 @@ FILES = {
     "kontur_av/sources/recording.py",
     "pipelines/report/charts.py",
     "pipelines/bench/video/contenders.py",
-    "pipelines/bench/sync/footage.py",
+    "pipelines/bench/sync.py",
     "pipelines/virtual/campaign/sweep_file.py",
     "pipelines/recording/export/csv_files.py",
     "pipelines/recording/export/films.py",
@@ -182,7 +182,7 @@ USERS_OF_SHELLS = {
     "pipelines/session/setup/sources.py": "tries sources, and compares paths",
     "pipelines/virtual/simulate.py": "starts workers",
     "pipelines/report/charts.py": "draws charts",
-    "pipelines/bench/link/live.py": "measures CPU time",
+    "pipelines/bench/link.py": "measures CPU time",
     "pipelines/session/web_site.py": "the files of pages, and TLS",
     "pipelines/report/live.py": "the terminal, and the launcher's processes",
     "pipelines/report/seat_feed.py": "the launcher's processes",
@@ -364,7 +364,7 @@ def library(module: str) -> set[str]:
 def is_command(module: str) -> bool:
     """Whether a module is the command of a bench, or says what a folder of them exports."""
     of_bench = module.startswith("pipelines/bench/")
-    return of_bench and module.endswith(("/command.py", "/__init__.py"))
+    return of_bench and (module.count("/") == 2 or module.endswith(("/command.py", "/__init__.py")))
 
 
 def is_shell(module: str) -> bool:
