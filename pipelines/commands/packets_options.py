@@ -10,7 +10,7 @@ from typing import NamedTuple
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import resolve, say
 from pipelines.mission.session_dictionary import session_dictionary
-from pipelines.packets.allowed import allowed_commands
+from pipelines.packets.bridge import allowed_commands
 from pipelines.packets.process_packets import PacketsPlan
 from pipelines.session.datagrams import Address, is_loopback
 from pipelines.session.topology import Topology
