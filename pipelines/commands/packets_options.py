@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import resolve, say
-from pipelines.mission.session_dictionary import session_dictionary
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.packets.bridge import allowed_commands
 from pipelines.packets.process_packets import PacketsPlan
 from pipelines.session.datagrams import Address, is_loopback

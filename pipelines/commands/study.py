@@ -15,9 +15,8 @@ from pipelines.commands.rtc_running import driven
 from pipelines.report.report_file import words_console
 from pipelines.session.page_certificate import certificate_for
 from pipelines.session.page_sockets import bind_pages, listeners
-from pipelines.study.account import HEADINGS, effect_words, summary_of
 from pipelines.study.desk import StudyDesk
-from pipelines.study.effects import study_report
+from pipelines.study.effects import HEADINGS, effect_words, study_report, summary_of
 from pipelines.study.hands import simulate_person
 from pipelines.study.plan import StudyPlan
 from pipelines.study.results import StudyFolder, check_scipy, load_study, write_tables

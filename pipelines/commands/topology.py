@@ -7,8 +7,7 @@ from dataclasses import replace
 from pipelines.session.options import add_setup_argument, port_changes
 from pipelines.session.output import print_data
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology.graph import dot
-from pipelines.session.topology.tables import processes_table, streams_table, topics_table
+from pipelines.session.topology.tables import dot, processes_table, streams_table, topics_table
 from pipelines.table import topology_of
 
 

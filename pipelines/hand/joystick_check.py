@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
-from pipelines.hand.axis_views import JoystickAxis
 from pipelines.hand.device_check import (
     GENTLE,
     SPELL_NS,
@@ -12,6 +11,7 @@ from pipelines.hand.device_check import (
     STILL_M_S,
     Check,
     DeviceCheck,
+    JoystickAxis,
     Order,
     along,
     more_axes_of,

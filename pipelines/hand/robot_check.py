@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from typing import cast
 
 from kontur_av.clock import NS_PER_MS, Clock
-from pipelines.hand.axis_views import RobotAxis
 from pipelines.hand.device_check import (
     GENTLE,
     SPELL_NS,
@@ -13,6 +12,7 @@ from pipelines.hand.device_check import (
     Check,
     DeviceCheck,
     Order,
+    RobotAxis,
     along,
     more_axes_of,
     speed,

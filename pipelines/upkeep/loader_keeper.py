@@ -12,10 +12,9 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.desk import answer_order, give_order, kept
+from pipelines.upkeep.desk import InboxFolder, answer_order, give_order, kept
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.ftp_client import fetch_copies
-from pipelines.upkeep.inbox_folder import InboxFolder
 from pipelines.upkeep.program import Program
 from telepresence.upkeep.app_loader import (
     AppLoader,

@@ -75,7 +75,11 @@ def fenced(name: str, *, directory: bool = False) -> tuple[str, ...]:
         return ()
     parts = tuple(name.split("/"))
     printable = name.isprintable() and len(name.encode(errors="replace")) <= _MOST_NAME_OCTETS
-    if not printable or len(parts) > _MOST_NAME_PARTS or any(part[:1] in ("", ".") for part in parts):
+    if (
+        not printable
+        or len(parts) > _MOST_NAME_PARTS
+        or any(part[:1] in ("", ".") for part in parts)
+    ):
         raise ConfigError(
             f"file name {name[:80]!r}: give at most {_MOST_NAME_OCTETS} printable octets and "
             f"{_MOST_NAME_PARTS} parts, none empty or with a dot in front"
