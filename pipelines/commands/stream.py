@@ -17,7 +17,13 @@ from pipelines.commands.end_options import (
     inputs_here,
     path_line,
 )
-from pipelines.commands.files_options import add_files_arguments, files_arguments
+from pipelines.commands.files_options import (
+    add_files_arguments,
+    add_services_arguments,
+    bound_services,
+    files_arguments,
+    services_wish,
+)
 from pipelines.commands.live_session import (
     add_live_arguments,
     end_session,
@@ -46,11 +52,6 @@ from pipelines.commands.rtc_leg import (
     announced_rtc,
     bound_rtc,
     with_rtc,
-)
-from pipelines.commands.services_options import (
-    add_services_arguments,
-    bound_services,
-    services_wish,
 )
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
 from pipelines.link.peer_socket import PeerPlan

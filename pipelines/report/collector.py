@@ -29,7 +29,7 @@ from pipelines.session.rows import (
     ShownRow,
 )
 from pipelines.session.topology import RTC_CAMERA, RTC_DISPLAY, RTC_VOICE, SECOND_ROBOT, Topology
-from telepresence.link.clock.history import ClockHistory
+from telepresence.link.clock.estimator import ClockHistory
 
 #: Rows with stamps that travelled from the other end.
 _DATED = frozenset({ShownRow, LightRow, ClickRow})

@@ -14,8 +14,15 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.upkeep.disk_store import DiskStore
 from telepresence.upkeep.file_store import StoredFile, replace_file
-from telepresence.upkeep.inbox import LARGEST_TOLD, TOLD, FileStamp, UpdateInbox, version_of
-from telepresence.upkeep.update_archive import MOST_ARCHIVE_OCTETS, read_archive
+from telepresence.upkeep.inbox import (
+    LARGEST_TOLD,
+    MOST_ARCHIVE_OCTETS,
+    TOLD,
+    FileStamp,
+    UpdateInbox,
+    read_archive,
+    version_of,
+)
 
 _LOCK, _ORDER, _ANSWER = ".lock", ".order", ".answer"
 _PATIENCE_S = 20.0

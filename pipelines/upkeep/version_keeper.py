@@ -13,7 +13,6 @@ from pipelines.upkeep.program import Program
 from telepresence.link.protection.identity import MachineIdentity
 from telepresence.upkeep.file_store import StoredFile, read_folder
 from telepresence.upkeep.stack_directory import VersionDirectory
-from telepresence.upkeep.status import parse_status
 from telepresence.upkeep.version_stack import (
     ELEMENTARY,
     StackRecord,
@@ -22,6 +21,7 @@ from telepresence.upkeep.version_stack import (
     StoreRecord,
     VersionLimits,
     VersionSwitch,
+    parse_status,
 )
 
 _POLL_NS = 200 * NS_PER_MS
