@@ -32,7 +32,6 @@ from pipelines.session.options import (
     add_deadband_argument,
     add_radio_argument,
     add_setup_argument,
-    deadband_changes,
     radio_change,
 )
 from pipelines.session.setup.built_in import BUILT_IN
@@ -257,7 +256,9 @@ def _setups(args: argparse.Namespace) -> list[Setup]:
     """The chosen setup first, then the other built-in ones, all with the chosen radio."""
     chosen = load_setup(args.setup)
     others = [setup for name, setup in BUILT_IN.items() if name != chosen.name]
-    changes = {**radio_change(args.radio), **deadband_changes(args)}
+    changes = radio_change(args.radio)
+    if args.deadband is not None:
+        changes["deadband"] = args.deadband
     # Check the port of the live run before anything is measured.
     first = replace(chosen, base_port=args.base_port, **changes)
     check_virtual_sources(first)

@@ -35,8 +35,7 @@ from pipelines.session.launcher import Launcher, hold_port, launcher_cpu_s
 from pipelines.session.options import (
     add_radio_arguments,
     add_setup_argument,
-    port_changes,
-    radio_changes,
+    setup_changes,
 )
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import Segment, Topology
@@ -64,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the link until it is told to end; 1 if its report names a failure."""
     setup = load_setup(
         args.setup,
-        changes={**radio_changes(args), **port_changes(args)},
+        changes=setup_changes(args),
         radio_start_s=args.radio_start,
     )
     check_options(args)
