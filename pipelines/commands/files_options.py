@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import resolve
+from pipelines.commands.common import bound_socket, resolve
 from pipelines.files.desk import RATES_BPS
 from pipelines.files.process_files import FilesPlan
 from pipelines.files.service_sockets import ServicesPlan
@@ -71,7 +71,6 @@ def files_arguments(
 _LISTEN, _ALLOW = "--service", "--service-allow"
 _MOST_SERVICES = 8
 _LAST_PORT = 65_535
-_WAITING = 4
 
 
 def add_services_arguments(parser: argparse.ArgumentParser) -> None:
@@ -172,14 +171,4 @@ def _table(options: Sequence[str], option: str, rest: str, fits: str) -> dict[st
 
 
 def _listener(name: str, port: int) -> socket.socket:
-    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    # A session that ended a moment ago must not take the port from the next one.
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((LOOPBACK, port))
-        listener.listen(_WAITING)
-    except OSError as error:
-        listener.close()
-        raise ConfigError(f"{_LISTEN} {name}={port}: {error.strerror}") from None
-    listener.setblocking(False)
-    return listener
+    return bound_socket(socket.SOCK_STREAM, (LOOPBACK, port), f"{_LISTEN} {name}={port}:")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import check_options, resolve, say
+from pipelines.commands.common import add_seconds_argument, check_options, resolve, say
 from pipelines.commands.end_options import (
     add_end_arguments,
     check_one_machine,
@@ -46,9 +46,7 @@ from pipelines.table import topology_of
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_setup_argument(parser)
     add_radio_arguments(parser, delay=False)
-    parser.add_argument(
-        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
-    )
+    add_seconds_argument(parser)
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
     add_end_arguments(parser)

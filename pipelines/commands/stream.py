@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import check_options, say, say_unprotected
+from pipelines.commands.common import add_seconds_argument, check_options, say, say_unprotected
 from pipelines.commands.end_options import (
     add_end_arguments,
     check_own_options,
@@ -93,9 +93,7 @@ from telepresence.tmtc.telemetry_source import load_components
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
     add_setup_argument(parser)
-    parser.add_argument(
-        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
-    )
+    add_seconds_argument(parser)
     parser.add_argument(
         "--source",
         action="append",

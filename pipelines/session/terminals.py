@@ -12,14 +12,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, make_session_root, session_root
-from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.sessions import is_alive
 from pipelines.session.terminal_lines import (
     MAX_LINE_OCTETS,
@@ -28,6 +27,9 @@ from pipelines.session.terminal_lines import (
     pack_line,
     parse_line,
 )
+
+if TYPE_CHECKING:
+    from pipelines.session.process import Context
 
 #: Octets that are read at once.
 _READ_OCTETS = 8192
@@ -92,13 +94,16 @@ class TerminalSockets:
 
 
 def serve_terminals(
-    context: Context, name: str, desk: LineDesk[Any], follow: Callable[[int], None]
+    context: "Context", name: str, desk: LineDesk[Any], follow: Callable[[int], None]
 ) -> None:
     """Carry lines between terminals and the desk until the process is to end.
 
     name: of the socket. follow: called after each input, with the instant, and at least every
     `PATIENCE_NS`.
     """
+    # A terminal that only asks does not load it.
+    from pipelines.session.process import PATIENCE_NS
+
     clock = context.clock
     make_session_root(context.session)
     terminals = TerminalSockets(desk_path(context.session, name), most=MOST_TERMINALS)
