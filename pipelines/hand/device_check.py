@@ -19,8 +19,8 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from telepresence.haptics.axes import AxisFacts, AxisReading, MoreAxis
-from telepresence.haptics.device.check import CheckResult, Figure
 from telepresence.haptics.device.device import JoystickFacts, JoystickReading
+from telepresence.haptics.device.script import CheckResult, Figure
 from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.robot_device import RobotReading
 

@@ -18,7 +18,6 @@ from pipelines.hand.device_check import (
     speed,
 )
 from telepresence.haptics.axes import MoreAxes
-from telepresence.haptics.device.check import Figure
 from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.device import (
     KEEPS_FORCE_NS,
@@ -26,6 +25,7 @@ from telepresence.haptics.device.device import (
     JoystickFacts,
     JoystickReading,
 )
+from telepresence.haptics.device.script import Figure
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.schedule import PeriodicSchedule

@@ -18,7 +18,7 @@ from pipelines.hand.device_check import (
     speed,
 )
 from telepresence.haptics.axes import MoreAxes
-from telepresence.haptics.device.check import Figure
+from telepresence.haptics.device.script import Figure
 from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.robot_device import RobotDevice, RobotReading
 

@@ -20,19 +20,24 @@ from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import INPUT_OCTETS, pack_input
 from pipelines.media.key_picture_maker import KeyPictureMaker
-from pipelines.ros2.conventions import KEPT, Attachment, Endpoint, Node, RosQuality, gid_of
 from pipelines.ros2.hand import Ros2Hand
 from pipelines.ros2.messages import MOST_OCTETS, RosMessages
 from pipelines.ros2.outgoing import Outbound, OutgoingMessages
 from pipelines.ros2.publications import (
     DIAGNOSTICS_TOPIC,
     JOY_TOPIC,
+    KEPT,
     NAMESPACE,
     SETUP_TOPIC,
     VELOCITY_TOPIC,
+    Attachment,
+    Endpoint,
+    Node,
     Publication,
     RosContent,
+    RosQuality,
     RosSource,
+    gid_of,
     publications_of,
     sources_of,
 )

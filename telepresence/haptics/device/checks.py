@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_S
-from telepresence.haptics.device.check import CheckResult, CheckScript
 from telepresence.haptics.device.device import JoystickDevice, JoystickFacts
 from telepresence.haptics.device.functional_checks import (
     BUTTONS,
@@ -21,7 +20,7 @@ from telepresence.haptics.device.functional_checks import (
     workspace_check,
 )
 from telepresence.haptics.device.operation import JoystickOperation
-from telepresence.haptics.device.script import Output, ScriptRun
+from telepresence.haptics.device.script import CheckResult, CheckScript, Output, ScriptRun
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
 

@@ -21,12 +21,14 @@ LEDs together ask for a press.
 from math import pi
 
 from kontur_av.clock import NS_PER_S
-from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
 from telepresence.haptics.device.device import JoystickFacts
 from telepresence.haptics.device.script import (
     IDLE,
     SERVO,
+    CheckResult,
+    CheckScript,
     Cycle,
+    Figure,
     Output,
     Script,
     push_to_stop,
