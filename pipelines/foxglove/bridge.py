@@ -11,7 +11,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.foxglove.client import Client, KeyAsked, LiveVideo
+from pipelines.foxglove.client import Client
 from pipelines.foxglove.protocol import (
     FollowParameters,
     GetParameters,
@@ -30,6 +30,7 @@ from pipelines.foxglove.protocol import (
     status,
 )
 from pipelines.foxglove.services import Services
+from pipelines.foxglove.video import KeyAsked, LiveVideo
 from pipelines.recording.channels import (
     EVENTS,
     LOG_LINES,
