@@ -31,7 +31,7 @@ from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.model import keys_of
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import LoopFigures, ProbeFigures, TrainerFigures
-from telepresence.files.figures import FileFigures
+from telepresence.files.entity import FileFigures
 from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import (
     JoystickFigures,
@@ -44,7 +44,7 @@ from telepresence.haptics.figures import (
 from telepresence.haptics.ownership import OwnershipFigures
 from telepresence.link.figures import GatewayFigures
 from telepresence.link.peer.figures import PeerFigures
-from telepresence.services.figures import ServiceFigures
+from telepresence.services.streams import ServiceFigures
 
 #: All records that processes tell.
 TOLD: tuple[type, ...] = (

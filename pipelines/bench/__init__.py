@@ -1,6 +1,7 @@
 """`kontur-av bench`: figures of the user's own machine and link.
 
-A bench is a folder of its name whose `command.py` has `add_arguments(parser)` and `run(args)`.
+A bench is a module of its name with `add_arguments(parser)` and `run(args)`; that of `video`, in a
+folder, is `command.py`.
 A bench that ran exits with 0, also if a target of latency or quality is missed: it shows the miss.
 It exits with 1 if a claim of correctness does not hold or a session failed. Comparisons with peers
 are no part of the package: `benchmarks/` in the repository has them.
@@ -8,6 +9,7 @@ are no part of the package: `benchmarks/` in the repository has them.
 
 import argparse
 from importlib import import_module
+from types import ModuleType
 
 #: What can be measured, and what it is about.
 BENCHES = {
@@ -19,13 +21,17 @@ BENCHES = {
 }
 
 
+def _module(bench: str) -> ModuleType:
+    return import_module(f"pipelines.bench.{'video.command' if bench == 'video' else bench}")
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     benches = parser.add_subparsers(dest="bench", required=True, metavar="BENCH")
     for name, text in BENCHES.items():
         command = benches.add_parser(name, help=text, description=text)
-        import_module(f"pipelines.bench.{name}.command").add_arguments(command)
+        _module(name).add_arguments(command)
 
 
 def run(args: argparse.Namespace) -> int:
-    result: int = import_module(f"pipelines.bench.{args.bench}.command").run(args)
+    result: int = _module(args.bench).run(args)
     return result

@@ -11,8 +11,7 @@ from pipelines.commands.common import (
 )
 from pipelines.session.datagrams import LOOPBACK
 from pipelines.upkeep.disk_store import DiskStore
-from pipelines.upkeep.ftp_client import check_ftp_url
-from pipelines.upkeep.ftp_server import serve_ftp
+from pipelines.upkeep.ftp import check_ftp_url, serve_ftp
 from pipelines.upkeep.loader_keeper import LoaderKeeper, list_lines
 from telepresence.upkeep.app_loader import BootDevice, Copy
 from telepresence.upkeep.file_store import read_folder, replace_file

@@ -10,7 +10,7 @@ from rich.text import Text
 from pipelines.report.model import CheckReport, FigureReport
 from pipelines.session.setup.setup_file import load_setup
 from telepresence.haptics.axes import AxisName
-from telepresence.haptics.device.check import CheckResult
+from telepresence.haptics.device.script import CheckResult
 
 
 def add_setup_argument(parser: argparse.ArgumentParser) -> None:

@@ -16,6 +16,9 @@ from pipelines.session.output import discard_output
 from pipelines.session.sessions import started_here
 from telepresence.haptics.udp_line import unprotected
 
+#: Connections that wait for the session to take them.
+_WAITING = 8
+
 
 def check_options(args: argparse.Namespace, *options: str) -> None:
     """Raise ConfigError for numbers that are not above 0: `--seconds`, and those of `options`."""
@@ -52,6 +55,26 @@ def resolve(
             f"{option} {text!r}: no {version}host is known by the name {host!r}"
         ) from None
     return str(found[0][4][0])
+
+
+def bound_socket(kind: socket.SocketKind, address: tuple[str, int], said: str) -> socket.socket:
+    """Return a socket at an address of this machine; one of a stream listens.
+
+    said: what stands before the reason in the ConfigError, if it cannot be had.
+    """
+    bound = socket.socket(socket.AF_INET, kind)
+    try:
+        if kind is socket.SOCK_STREAM:
+            # A session that ended a moment ago must not take the port from the next one.
+            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind(address)
+        if kind is socket.SOCK_STREAM:
+            bound.listen(_WAITING)
+    except OSError as error:
+        bound.close()
+        raise ConfigError(f"{said} {error.strerror}") from None
+    bound.setblocking(False)
+    return bound
 
 
 def check_reachable(address: tuple[str, int]) -> None:
@@ -97,9 +120,24 @@ def say_unprotected(*specs: str) -> None:
         print(f"kontur-av: {line}", file=sys.stderr)
 
 
+def add_seconds_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
+    )
+
+
 def add_session_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
+    )
+
+
+def add_key_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--key",
+        type=Path,
+        metavar="FILE",
+        help="the private key; default: kontur-av/key.pem in the configuration directory",
     )
 
 

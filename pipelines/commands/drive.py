@@ -12,7 +12,7 @@ from pathlib import Path
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import sessions
-from pipelines.commands.common import say_unprotected, stopped_by_signals
+from pipelines.commands.common import add_seconds_argument, say_unprotected, stopped_by_signals
 from pipelines.commands.drive_far import Far
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
@@ -67,9 +67,7 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_token_arguments(parser)
     add_ice_arguments(parser)
-    parser.add_argument(
-        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
-    )
+    add_seconds_argument(parser)
 
 
 def drive(args: argparse.Namespace) -> int:

@@ -6,7 +6,6 @@ import time
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on, add_session_argument
-from pipelines.session.asking import ask_desk, running_sessions
 from pipelines.session.file_requests import (
     CANCEL,
     STATE,
@@ -17,6 +16,7 @@ from pipelines.session.file_requests import (
     desk_name,
 )
 from pipelines.session.setup.segments import Segment
+from pipelines.session.terminals import ask_desk, running_sessions
 from telepresence.files.entity import DONE, FAILED
 
 _LOOK_S, _TELL_S = 0.2, 2.0

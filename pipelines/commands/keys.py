@@ -1,9 +1,9 @@
 """`kontur-av keys`: this machine's key, its identity, and the identities that it trusts."""
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 
+from pipelines.commands.common import add_key_argument
 from pipelines.link.key_files import (
     default_key_path,
     forget,
@@ -31,36 +31,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         if name in ("trust", "forget"):
             # The groups may stand apart, as one copies them from a note.
             action.add_argument("identity", nargs="+", metavar="IDENTITY")
-        action.add_argument(
-            "--key",
-            type=Path,
-            metavar="FILE",
-            help="the private key; default: kontur-av/key.pem in the configuration directory",
-        )
+        add_key_argument(action)
 
 
 def run(args: argparse.Namespace) -> int:
     path: Path = default_key_path() if args.key is None else args.key
     if args.action == "new":
         identity = make_key(path).identity
-        _print(
-            [f"{path} is this machine's key. Its identity, for the other machine:", f"{identity}"]
-        )
+        print(f"{path} is this machine's key. Its identity, for the other machine:\n{identity}")
     elif args.action == "show":
-        _print([str(read_key(path).identity)])
+        print(read_key(path).identity)
     elif args.action == "list":
-        _print([str(identity) for identity in trusted_identities(path)])
+        for identity in trusted_identities(path):
+            print(identity)
     else:
         identity = MachineIdentity.parse(" ".join(args.identity))
         if args.action == "trust":
             new = trust(path, identity)
-            _print([f"{identity} is trusted" if new else f"{identity} was trusted already"])
+            print(f"{identity} is trusted" if new else f"{identity} was trusted already")
         else:
             forget(path, identity)
-            _print([f"{identity} is trusted no more"])
+            print(f"{identity} is trusted no more")
     return 0
-
-
-def _print(lines: Sequence[str]) -> None:
-    for line in lines:
-        print(line)

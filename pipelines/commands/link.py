@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import check_options, resolve, say
+from pipelines.commands.common import add_seconds_argument, check_options, resolve, say
 from pipelines.commands.end_options import (
     add_end_arguments,
     check_one_machine,
@@ -35,8 +35,7 @@ from pipelines.session.launcher import Launcher, hold_port, launcher_cpu_s
 from pipelines.session.options import (
     add_radio_arguments,
     add_setup_argument,
-    port_changes,
-    radio_changes,
+    setup_changes,
 )
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import Segment, Topology
@@ -47,9 +46,7 @@ from pipelines.table import topology_of
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_setup_argument(parser)
     add_radio_arguments(parser, delay=False)
-    parser.add_argument(
-        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
-    )
+    add_seconds_argument(parser)
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
     add_end_arguments(parser)
@@ -64,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the link until it is told to end; 1 if its report names a failure."""
     setup = load_setup(
         args.setup,
-        changes={**radio_changes(args), **port_changes(args)},
+        changes=setup_changes(args),
         radio_start_s=args.radio_start,
     )
     check_options(args)

@@ -25,7 +25,7 @@ from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Segment
 from pipelines.session.upkeep_files import NotesReader, SessionNow, write_now
 from pipelines.upkeep.program import status_teller
-from telepresence.upkeep.status import status_of
+from telepresence.upkeep.version_stack import status_of
 
 
 def add_live_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on, add_session_argument, say
 from pipelines.mission.tmtc_socket import tmtc_socket_name
-from pipelines.session.asking import running_sessions
 from pipelines.session.setup.segments import Segment
+from pipelines.session.terminals import running_sessions
 from pipelines.upkeep.sequence import MaintenanceSequence, StepOutcome
 from pipelines.upkeep.sequence_runner import (
     MaintenanceLog,

@@ -7,7 +7,7 @@ import time
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.hand.arm_owner import DESK, OWNERS, OwnerAnswer, OwnerRequest
-from pipelines.session.asking import ask_desk, running_sessions
+from pipelines.session.terminals import ask_desk, running_sessions
 
 #: How long a hand-over may take: the robot comes to rest first.
 _PATIENCE_S = 5.0

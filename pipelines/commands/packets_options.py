@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import resolve, say
-from pipelines.mission.session_dictionary import session_dictionary
-from pipelines.packets.allowed import allowed_commands
+from pipelines.commands.common import bound_socket, resolve, say
+from pipelines.mission.supervisor import session_dictionary
+from pipelines.packets.bridge import allowed_commands
 from pipelines.packets.process_packets import PacketsPlan
 from pipelines.session.datagrams import Address, is_loopback
 from pipelines.session.topology import Topology
@@ -18,7 +18,6 @@ from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 _OPTION, _FRAMES = "--packets", "--frames"
 _TCP, _UDP = r"tcp:(?:([^:]+):)?(\d{1,5})", r"udp:([^:]+):(\d{1,5})"
-_WAITING = 8
 #: The one after it must be a port, too.
 _LAST_PORT = 65_534
 #: In the instance of YAMCS that `kontur-av yamcs new` writes.
@@ -62,13 +61,13 @@ def bound_packets(args: argparse.Namespace, topology: Topology) -> Iterator[Pack
     host, port = wish.address
     if wish.udp:
         local = "127.0.0.1" if is_loopback(host) else ""
-        bound = _bind(socket.SOCK_DGRAM, (local, port + 1))
+        kind, address = socket.SOCK_DGRAM, (local, port + 1)
         said = f"packets udp to {host}:{port}, telecommands at port {port + 1}"
     else:
-        bound = _bind(socket.SOCK_STREAM, wish.address)
-        bound.listen(_WAITING)
+        kind, address = socket.SOCK_STREAM, wish.address
         said = f"packets tcp {host}:{port}"
-    with bound:
+    where = f"{_OPTION}: port {address[1]} of {address[0] or 'this machine'}:"
+    with bound_socket(kind, address, where) as bound:
         if not args.quiet:
             say(said)
         peer = wish.address if wish.udp else None
@@ -100,18 +99,3 @@ def _address(text: str, option: str, pattern: str, fits: str) -> Address:
         raise ConfigError(f"{option} {text!r}: write {fits}")
     host = resolve(match[1] or "127.0.0.1", text, option, socket.AF_INET)
     return host, int(match[2])
-
-
-def _bind(kind: socket.SocketKind, address: tuple[str, int]) -> socket.socket:
-    bound = socket.socket(socket.AF_INET, kind)
-    if kind is socket.SOCK_STREAM:
-        # A session that ended a moment ago must not take the port from the next one.
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        bound.bind(address)
-    except OSError as error:
-        bound.close()
-        where = address[0] or "this machine"
-        raise ConfigError(f"{_OPTION}: port {address[1]} of {where}: {error.strerror}") from None
-    bound.setblocking(False)
-    return bound

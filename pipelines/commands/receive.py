@@ -30,7 +30,7 @@ from pipelines.commands.media_reports import (
 )
 from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.receive_media import PictureOutput, SoundOutput
-from pipelines.commands.remux import MatroskaWriter
+from pipelines.recording.matroska import MatroskaWriter
 from pipelines.report.report_file import check_writable, end_with
 from pipelines.session.output import reader_gone
 

@@ -14,7 +14,7 @@ from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
 from pipelines.commands.live_output import LiveWriter
 from pipelines.commands.media_reports import OutputReport
 from pipelines.commands.raw_pictures import RawPictures
-from pipelines.commands.remux import MatroskaWriter
+from pipelines.recording.matroska import MatroskaWriter
 
 #: What a picture's timestamp may run ahead of its arrival, or behind it, and a sound's of its play.
 _PICTURE_S, _SOUND_S = 10.0, 0.25

@@ -11,6 +11,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import (
     acting_on,
+    add_seconds_argument,
     add_session_argument,
     check_options,
     stopped_by_signals,
@@ -84,9 +85,7 @@ _RETURN_S = 4.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("record", type=Path, metavar="FILE.mcap", help="what to write")
     add_session_argument(parser)
-    parser.add_argument(
-        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
-    )
+    add_seconds_argument(parser)
     add_recording_arguments(parser)
     parser.description = (
         "Record a running session until Ctrl-C, or until it ends. The session goes on. "

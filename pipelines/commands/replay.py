@@ -20,7 +20,6 @@ from pipelines.commands.replay_options import (
     load_recording,
     replay_setup,
 )
-from pipelines.commands.stream import check_room
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.process_replaying import ReplayStart
 from pipelines.recording.recorded_session import RecordedSession
@@ -31,6 +30,7 @@ from pipelines.report.report_file import check_writable
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.options import add_radio_arguments, add_setup_argument
 from pipelines.session.sessions import clear_dead_sessions, hold_session
+from pipelines.session.setup.sources import check_room
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Topology
 from pipelines.table import topology_of

@@ -15,7 +15,7 @@ from pipelines.recording.recorded_session import (
     cap_needed_bps,
     read_session,
 )
-from pipelines.session.options import port_changes, radio_changes
+from pipelines.session.options import setup_changes
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.table import (
     GROUND_MIC,
@@ -71,9 +71,7 @@ def replay_setup(
     At another speed it has no voices: a packet of sound lasts 20 ms.
     Raises ConfigError if it cannot work, or does not carry what was recorded.
     """
-    changes = radio_changes(args)
-    if hasattr(args, "base_port"):
-        changes |= port_changes(args)
+    changes = setup_changes(args)
     if args.setup is not None:
         start_s = _start_s(args.radio_start, session, changes)
         setup = load_setup(args.setup, changes=changes, radio_start_s=start_s)

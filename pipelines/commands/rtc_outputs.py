@@ -12,9 +12,9 @@ from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.commands.media_reports import latency_ms
 from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.receive_media import TimeLine
-from pipelines.commands.remux import MatroskaWriter
 from pipelines.commands.rtc_running import ReceivedKind
 from pipelines.partner.media import PictureCame, SoundCame
+from pipelines.recording.matroska import MatroskaWriter
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:

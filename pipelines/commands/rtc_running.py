@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, Clock
-from pipelines.commands.common import say
+from pipelines.commands.common import add_seconds_argument, say
 from pipelines.commands.media_reports import Latency
 from pipelines.commands.rtc_options import ice_servers_of, token_of
 from pipelines.partner.description import Kind
@@ -102,9 +102,7 @@ _LOOK_S = 0.2
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--seconds", metavar="S", type=float, help="end after S seconds (default: on Ctrl-C)"
-    )
+    add_seconds_argument(parser)
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
 
 

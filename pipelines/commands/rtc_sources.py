@@ -18,7 +18,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import AccessUnit, CaptureStamp, VideoFrame, empty_picture, parse_size
 from kontur_av.meters import RateMeter
 from kontur_av.sources.page import FILLED_BY_OTHERS
-from pipelines.commands.send_media import add_picture_arguments, open_pictures, open_sound
+from pipelines.commands.send import add_picture_arguments, open_pictures, open_sound
 from pipelines.partner.decisions import LEAST_BPS, PicturePlan, RateFollower
 from pipelines.partner.description import Kind
 

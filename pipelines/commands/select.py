@@ -7,8 +7,8 @@ from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.mission.joined_session import JoinedSession
 from pipelines.mission.tmtc_messages import selection_error
 from pipelines.mission.tmtc_socket import tmtc_socket_name
-from pipelines.session.asking import running_sessions
 from pipelines.session.setup.segments import Segment
+from pipelines.session.terminals import running_sessions
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,14 +9,17 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
 from kontur_av.codecs.encoder_settings import SEARCHES
 from kontur_av.errors import ConfigError
-from kontur_av.media import VIDEO_CODECS
+from kontur_av.media import VIDEO_CODECS, parse_size
 from kontur_av.meters import Histogram
 from kontur_av.rtp.sdp import write_sdp
+from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
 from kontur_av.sources.page import FILLED_BY_OTHERS
+from kontur_av.streams.encoding_thread import switch_threads_often
 from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
 from kontur_av.streams.paced_sender import UnitSent
 from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import (
+    add_seconds_argument,
     check_options,
     check_reachable,
     parse_address,
@@ -30,11 +33,76 @@ from pipelines.commands.media_reports import (
     SourceReport,
     latency_ms,
 )
-from pipelines.commands.send_media import add_picture_arguments, open_feed
 from pipelines.report.report_file import check_writable, end_with, write_text
 from pipelines.session.output import reader_gone
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
+
+
+def _pictures(args: argparse.Namespace, clock: MonotonicClock) -> PictureFeed:
+    switch_threads_often()
+    if args.refresh_s is not None and not 0.1 <= args.refresh_s <= 600:
+        raise ConfigError(f"--refresh-s {args.refresh_s:g}: take 0.1 to 600 seconds")
+    auto = args.coded_size == "auto"
+    return PictureFeed(
+        open_pictures(args, clock),
+        clock,
+        size=parse_size(args.size),
+        fps=args.fps,
+        cap_bps=_bps(args.cap_kbps),
+        channel_bps=None if args.channel_kbps is None else _bps(args.channel_kbps),
+        coded_size=None if auto else parse_size(args.coded_size, "--coded-size"),
+        refresh_s=args.refresh_s,
+        search=args.search,
+        codec=args.codec,
+    )
+
+
+def _sound(args: argparse.Namespace, clock: MonotonicClock) -> SoundFeed:
+    return SoundFeed(
+        open_sound(args, clock),
+        clock,
+        cap_bps=_bps(args.cap_kbps),
+        channel_bps=None if args.channel_kbps is None else _bps(args.channel_kbps),
+    )
+
+
+def _bps(kbps: float) -> int:
+    return round(kbps * 1000)
+
+
+def add_picture_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
+    parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
+
+
+def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSource:
+    """The source of `--video`, of `--size` and `--fps`. ConfigError."""
+    scenes = None
+    if args.video.startswith("scene:"):
+        from telepresence.world import video_scenes
+
+        scenes = video_scenes()
+    width, height = parse_size(args.size)
+    return open_video(
+        args.video,
+        name="video",
+        width=width,
+        height=height,
+        fps=args.fps,
+        clock=clock,
+        scenes=scenes,
+    )
+
+
+def open_sound(args: argparse.Namespace, clock: MonotonicClock) -> AudioSource:
+    """The source of `--audio`. ConfigError."""
+    scenes = None
+    if args.audio.startswith("scene:"):
+        from telepresence.world import audio_scenes
+
+        scenes = audio_scenes()
+    return open_audio(args.audio, name="audio", clock=clock, scenes=scenes)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -86,9 +154,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="for the best way to code pictures that are not coded small: quick takes half the "
         "time and loses 1 dB (default: thorough)",
     )
-    parser.add_argument(
-        "--seconds", metavar="S", type=float, help="end after S seconds (default: on Ctrl-C)"
-    )
+    add_seconds_argument(parser)
     parser.add_argument(
         "--sdp", type=Path, metavar="FILE", help="write what receivers need to know"
     )
@@ -109,7 +175,8 @@ def run(args: argparse.Namespace) -> int:
         )
     address = parse_address(args.to)
     clock = MonotonicClock()
-    with open_feed(args, clock) as feed:
+    open_feed = _sound if args.video is None else _pictures
+    with closing(open_feed(args, clock)) as feed:
         stream = describe(feed, *address)
         if args.sdp:
             check_writable(args.sdp, "--sdp")

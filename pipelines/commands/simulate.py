@@ -15,7 +15,6 @@ from pipelines.commands.replay_options import (
     load_recording,
     replay_setup,
 )
-from pipelines.commands.stream import parse_sources
 from pipelines.report.model import CodingCosts, SessionReport
 from pipelines.report.report_file import check_writable, save_report
 from pipelines.report.summary import print_summary
@@ -24,11 +23,10 @@ from pipelines.session.options import (
     add_hand_argument,
     add_radio_arguments,
     add_setup_argument,
-    deadband_changes,
-    hand_changes,
-    radio_changes,
+    setup_changes,
 )
 from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.sources import parse_sources
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import Selection
@@ -128,11 +126,10 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
     for option in ("recode", "cap_kbps"):
         if getattr(args, option):
             raise ConfigError(f"--{option.replace('_', '-')} changes a replay: give --replay, too")
-    changes = {**radio_changes(args), **deadband_changes(args), **hand_changes(args)}
     setup = load_setup(
         args.setup,
         sources=parse_sources(args.source),
-        changes=changes,
+        changes=setup_changes(args),
         radio_start_s=args.radio_start,
     )
     check_virtual_sources(setup)

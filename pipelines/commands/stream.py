@@ -1,14 +1,13 @@
 """`kontur-av stream`: a whole telepresence session on this machine, and its report."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from kontur_av.sources.page import PAGE
-from pipelines.commands.common import check_options, say, say_unprotected
+from pipelines.commands.common import add_seconds_argument, check_options, say, say_unprotected
 from pipelines.commands.end_options import (
     add_end_arguments,
     check_own_options,
@@ -17,7 +16,13 @@ from pipelines.commands.end_options import (
     inputs_here,
     path_line,
 )
-from pipelines.commands.files_options import add_files_arguments, files_arguments
+from pipelines.commands.files_options import (
+    add_files_arguments,
+    add_services_arguments,
+    bound_services,
+    files_arguments,
+    services_wish,
+)
 from pipelines.commands.live_session import (
     add_live_arguments,
     end_session,
@@ -47,11 +52,6 @@ from pipelines.commands.rtc_leg import (
     bound_rtc,
     with_rtc,
 )
-from pipelines.commands.services_options import (
-    add_services_arguments,
-    bound_services,
-    services_wish,
-)
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.recording.part_files import (
@@ -64,27 +64,23 @@ from pipelines.report.collector import Collector
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
-from pipelines.session.machine_checks import (
-    NEEDED_SHM_OCTETS,
-    check_descriptors,
-    check_shared_memory,
-    take_descriptors,
-)
 from pipelines.session.options import (
     add_deadband_argument,
     add_hand_argument,
     add_radio_arguments,
     add_setup_argument,
-    deadband_changes,
-    hand_changes,
-    port_changes,
-    radio_changes,
+    setup_changes,
 )
 from pipelines.session.recorder_control import write_wish
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.setup.sources import check_sources
-from pipelines.session.setup.table import STEREO, Setup, VideoStream
+from pipelines.session.setup.sources import (
+    check_room,
+    check_sources,
+    draw_backgrounds,
+    parse_sources,
+)
+from pipelines.session.setup.table import Setup
 from pipelines.session.topology import FRAMES, PACKETS, RECORDER, RTC, Segment, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED, check_joystick
@@ -92,15 +88,12 @@ from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.robot_spec import check_robot, facts_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.telemetry_source import load_components
-from telepresence.world import audio_scenes, video_scenes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
     add_setup_argument(parser)
-    parser.add_argument(
-        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
-    )
+    add_seconds_argument(parser)
     parser.add_argument(
         "--source",
         action="append",
@@ -173,8 +166,7 @@ def run(args: argparse.Namespace) -> int:
     if args.bypass and one is not None:
         raise ConfigError("--bypass: both ends must be here; leave --end out")
     inputs = inputs_here(plan)
-    check_sources(setup, inputs)
-    _check_page_sources(setup, inputs, pages=not args.no_page)
+    check_sources(setup, inputs, pages=not args.no_page)
     if Segment.SPACE in plan.segments:
         check_joystick(args.joystick, setup.more_axes)
     if Segment.GROUND in plan.segments:
@@ -294,13 +286,7 @@ def chosen_setup(args: argparse.Namespace) -> Setup:
 
     A user's robot brings its own sources for inputs of the setup.
     """
-    changes = {
-        **radio_changes(args),
-        **port_changes(args),
-        **deadband_changes(args),
-        **hand_changes(args),
-    }
-    given = parse_sources(args.source)
+    given, changes = parse_sources(args.source), setup_changes(args)
     setup = load_setup(args.setup, sources=given, changes=changes, radio_start_s=args.radio_start)
     if args.second_robot != SIMULATED_ROBOT and setup.partner_arm != "second":
         raise ConfigError(
@@ -313,61 +299,3 @@ def chosen_setup(args: argparse.Namespace) -> Setup:
     inputs = {row.name for row in topology_of(setup).inputs}
     own = {name: spec for name, spec in facts.sources.items() if name in inputs}
     return replace(setup, sources={**own, **setup.sources})
-
-
-def parse_sources(options: Sequence[str]) -> Mapping[str, str]:
-    """NAME=SPEC options as a table; the last one of each name counts."""
-    sources = {}
-    for option in options:
-        name, equals, spec = option.partition("=")
-        if not (name and equals and spec):
-            raise ConfigError(f"--source {option}: write NAME=SPEC, like head=clip.mp4")
-        sources[name] = spec
-    return sources
-
-
-def _check_page_sources(setup: Setup, inputs: Sequence[str], *, pages: bool) -> None:
-    for name in inputs:
-        if setup.source(name) == PAGE and not pages:
-            raise ConfigError(
-                f"input {name}: source {PAGE} needs the pages: leave --no-page out, "
-                "or give it another source"
-            )
-
-
-def check_room(setup: Setup, inputs: Sequence[str], *, pages: bool = False) -> None:
-    """ConfigError when shared memory has no room for the session's pictures.
-
-    Measured: a topic of pictures holds two or three. Five leave room for the successor of a killed
-    process. inputs: those that are captured here. pages: a page joins with decoded pictures, and
-    gives its own for a camera.
-    """
-    cameras = [setup.stream_of(name) for name in inputs if setup.kind_of(name) == "video"]
-    # The stereo merge has the uplink's size. Received pictures count twice: they are also shown.
-    relays = [setup.uplink_video] * (STEREO in setup.cameras)
-    received = [stream for stream in setup.streams if isinstance(stream, VideoStream)]
-    streams = [*cameras, *relays, *received * (4 if pages else 2)]
-    pictures = sum(stream.width * stream.height * 3 // 2 for stream in streams)
-    needed = max(NEEDED_SHM_OCTETS, NEEDED_SHM_OCTETS // 2 + 5 * pictures)
-    take_descriptors()
-    for verdict in (check_descriptors(), check_shared_memory(needed_octets=needed)):
-        if verdict.state == "missing":
-            raise ConfigError(f"{verdict.found}: {verdict.mend}")
-
-
-def draw_backgrounds(setup: Setup, inputs: Sequence[str], clock: MonotonicClock) -> None:
-    """Draw what the built-in scenes share before the fork, so that no camera draws it again.
-
-    inputs: those that are captured here.
-    """
-    pictures, sounds = video_scenes(), audio_scenes()
-    for name in inputs:
-        kind, _, scene = setup.source(name).partition(":")
-        if kind != "scene":
-            continue
-        if setup.kind_of(name) == "audio":
-            sounds[scene](name, clock).close()
-        else:
-            stream = setup.stream_of(name)
-            source = pictures[scene](name, stream.width, stream.height, stream.fps, clock)
-            source.close()

@@ -10,14 +10,12 @@ from rich.table import Table
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import output_that_may_fail, say
-from pipelines.commands.page_options import parse_page
+from pipelines.commands.page_options import ServerWish, parse_page, served
 from pipelines.commands.rtc_running import driven
 from pipelines.report.report_file import words_console
-from pipelines.session.page_certificate import certificate_for
-from pipelines.session.page_sockets import bind_pages, listeners
-from pipelines.study.account import HEADINGS, effect_words, summary_of
+from pipelines.session.page_sockets import bind_pages
 from pipelines.study.desk import StudyDesk
-from pipelines.study.effects import study_report
+from pipelines.study.effects import HEADINGS, effect_words, study_report, summary_of
 from pipelines.study.hands import simulate_person
 from pipelines.study.plan import StudyPlan
 from pipelines.study.results import StudyFolder, check_scipy, load_study, write_tables
@@ -99,10 +97,9 @@ def _report(folder: Path, plan: StudyPlan, trials: StudyFolder) -> None:
 
 async def _serve(args: argparse.Namespace, plan: StudyPlan, trials: StudyFolder) -> None:
     host, port = parse_page(args.page)
-    with TemporaryDirectory() as place:
-        sockets = bind_pages(host, port, [_PAGE])
-        certificate, made = certificate_for(host, None, Path(place) / "page.pem")
-        listener = listeners(sockets, host, certificate)[_PAGE]
+    wish = ServerWish(host=host, sockets=bind_pages(host, port, [_PAGE]))
+    with TemporaryDirectory() as place, served(wish, Path(place), "page") as (found, made):
+        listener = found[_PAGE]
         device = PageDevice(start_m=(0.0, 0.0))
         desk = StudyDesk(plan, device, trials.finished)
         server = StudyServer(desk, device, listener, trials.add)
@@ -116,4 +113,3 @@ async def _serve(args: argparse.Namespace, plan: StudyPlan, trials: StudyFolder)
         finally:
             running.cancel()
             await asyncio.gather(running, return_exceptions=True)
-            listener.socket.close()

@@ -9,9 +9,9 @@ from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.commands.tc import follow
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import Sending, tmtc_socket_name
-from pipelines.session.asking import running_sessions
 from pipelines.session.mission_messages import ExperimentShown, unpack
 from pipelines.session.setup.segments import Segment
+from pipelines.session.terminals import running_sessions
 from pipelines.session.topology import MISSION_GROUND_TOPIC, TASKS, TMTC_TOPICS
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 

@@ -15,9 +15,9 @@ from pipelines.mission.tmtc_messages import (
     update_words,
 )
 from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
-from pipelines.session.asking import running_sessions
 from pipelines.session.output import print_data
 from pipelines.session.setup.segments import Segment
+from pipelines.session.terminals import running_sessions
 from pipelines.session.topology import TMTC_TOPICS
 from telepresence.tmtc.pus.dictionary import Application
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary

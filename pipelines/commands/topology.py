@@ -4,11 +4,10 @@ import argparse
 import shutil
 from dataclasses import replace
 
-from pipelines.session.options import add_setup_argument, port_changes
+from pipelines.session.options import add_setup_argument, setup_changes
 from pipelines.session.output import print_data
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology.graph import dot
-from pipelines.session.topology.tables import processes_table, streams_table, topics_table
+from pipelines.session.topology.tables import dot, processes_table, streams_table, topics_table
 from pipelines.table import topology_of
 
 
@@ -19,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    topology = topology_of(replace(load_setup(args.setup), **port_changes(args)), pages=True)
+    topology = topology_of(replace(load_setup(args.setup), **setup_changes(args)), pages=True)
     if args.dot:
         text = dot(topology)
     else:

@@ -5,7 +5,7 @@ import sys
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on, add_session_argument
-from pipelines.session.asking import ask_desk, running_sessions
+from pipelines.session.terminals import ask_desk, running_sessions
 from pipelines.session.training import (
     CAMERA,
     END,

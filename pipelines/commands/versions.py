@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
-from pipelines.commands.common import add_inbox_argument, say, stopped_by_signals
+from pipelines.commands.common import add_inbox_argument, add_key_argument, say, stopped_by_signals
 from pipelines.link.key_files import default_key_path, read_key, trusted_identities
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.version_keeper import VersionKeeper
@@ -51,12 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             action.add_argument("arguments", nargs="*", metavar="ARGUMENT", help="after --: of run")
             add_inbox_argument(action)
         if name in ("sign", "add", "run"):
-            action.add_argument(
-                "--key",
-                type=Path,
-                metavar="FILE",
-                help="the private key; default: kontur-av/key.pem in the configuration directory",
-            )
+            add_key_argument(action)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.packets_options import DEFAULT_PACKETS, parse_frames, parse_packets
-from pipelines.mission.session_dictionary import session_dictionary
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.packets.yamcs import instance_files
 from pipelines.session.options import add_setup_argument
 from pipelines.session.output import print_data

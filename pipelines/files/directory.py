@@ -4,8 +4,7 @@ import os
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from telepresence.files.entity import LARGEST_LISTING, STORE, DirectoryJob
-from telepresence.files.names import fenced
+from telepresence.files.entity import LARGEST_LISTING, STORE, DirectoryJob, fenced
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
 from telepresence.files.receiver import MAX_FILE_OCTETS
 

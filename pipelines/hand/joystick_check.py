@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
-from pipelines.hand.axis_views import JoystickAxis
 from pipelines.hand.device_check import (
     GENTLE,
     SPELL_NS,
@@ -12,13 +11,13 @@ from pipelines.hand.device_check import (
     STILL_M_S,
     Check,
     DeviceCheck,
+    JoystickAxis,
     Order,
     along,
     more_axes_of,
     speed,
 )
 from telepresence.haptics.axes import MoreAxes
-from telepresence.haptics.device.check import Figure
 from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.device import (
     KEEPS_FORCE_NS,
@@ -26,6 +25,7 @@ from telepresence.haptics.device.device import (
     JoystickFacts,
     JoystickReading,
 )
+from telepresence.haptics.device.script import Figure
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.schedule import PeriodicSchedule

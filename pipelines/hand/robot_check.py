@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from typing import cast
 
 from kontur_av.clock import NS_PER_MS, Clock
-from pipelines.hand.axis_views import RobotAxis
 from pipelines.hand.device_check import (
     GENTLE,
     SPELL_NS,
@@ -13,12 +12,13 @@ from pipelines.hand.device_check import (
     Check,
     DeviceCheck,
     Order,
+    RobotAxis,
     along,
     more_axes_of,
     speed,
 )
 from telepresence.haptics.axes import MoreAxes
-from telepresence.haptics.device.check import Figure
+from telepresence.haptics.device.script import Figure
 from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.robot_device import RobotDevice, RobotReading
 

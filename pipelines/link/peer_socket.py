@@ -10,8 +10,7 @@ from telepresence.link.peer.figures import PeerFigures
 from telepresence.link.profile import LinkProfile
 
 if TYPE_CHECKING:
-    from telepresence.link.peer.open import OpenPath
-    from telepresence.link.peer.protected import ProtectedPath
+    from telepresence.link.peer.path import OpenPath, ProtectedPath
     from telepresence.link.protection.identity import MachineIdentity, MachineKey
 
     PeerPath = OpenPath | ProtectedPath
@@ -46,10 +45,10 @@ def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> "PeerPath":
     """Return the core of the path. receive: the profile of the way in."""
     protection = plan.protection
     if protection is None:
-        from telepresence.link.peer.open import OpenPath
+        from telepresence.link.peer.path import OpenPath
 
         return OpenPath(receive, address=plan.peer, now_ns=now_ns)
-    from telepresence.link.peer.protected import ProtectedPath
+    from telepresence.link.peer.path import ProtectedPath
 
     return ProtectedPath(
         protection.key,

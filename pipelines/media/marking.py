@@ -1,4 +1,4 @@
-"""The mark on a stale picture, or on the stale half of a merged one."""
+"""The mark on a stale picture, or on the stale half of one that is merged of two cameras'."""
 
 from typing import Literal
 
@@ -6,7 +6,8 @@ import cv2
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, VideoFrame, planes
-from kontur_av.sources.stereo import StereoPair
+from kontur_av.sources.seam import SeamFinder
+from kontur_av.sources.stereo import StereoPair, merge
 from kontur_av.streams.staleness import FUTURE_NS
 
 _WHITE_LUMA = 235  # ITU-R BT.601, narrow range
@@ -68,3 +69,20 @@ def mark_halves(picture: I420, pair: StereoPair, now_ns: int) -> None:
 
 def _columns(side: Side, middle: int) -> slice:
     return slice(middle if side == "right" else 0, middle if side == "left" else None)
+
+
+class StereoMerger:
+    """Merges one pair after the other. A core."""
+
+    def __init__(self) -> None:
+        self._finder = SeamFinder()
+
+    def handle_pair(self, pair: StereoPair, into: I420, now_ns: int) -> None:
+        """Write the merged picture of a pair into `into`. ConfigError as of `merge`."""
+        left = None if pair.left is None else pair.left.data
+        right = None if pair.right is None else pair.right.data
+        # Of a stale camera its whole half stays in the picture, and is marked there.
+        stale = pair.left_stale or pair.right_stale
+        seam = self._finder.handle_pictures(left, None if stale else right)
+        merge(left, right, into, seam)
+        mark_halves(into, pair, now_ns)

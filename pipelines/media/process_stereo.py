@@ -4,7 +4,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.sources.stereo import HALF, StereoPairer
 from kontur_av.topics.bus import Lease
 from pipelines.media.figures import StereoFigures
-from pipelines.media.merging import StereoMerger
+from pipelines.media.marking import StereoMerger
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
 from pipelines.session.topology import HALVES_TOPIC

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.mission.choosing import CAMERA
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, RaiseEvent, SetValues
 from pipelines.mission.tmtc_messages import Values as TmtcValues
 from pipelines.session.figures import LEFT_OUT_SHARE, LoopFigures, ProcessState
@@ -25,7 +26,7 @@ from telepresence.tmtc.pus.dictionary import (
 )
 from telepresence.tmtc.pus.packets import MAX_REPORT_OCTETS
 from telepresence.tmtc.pus.values import Parameter
-from telepresence.tmtc.telemetry_source import FRESH_S
+from telepresence.tmtc.telemetry_source import FRESH_S, with_components
 
 START, STOP, PROCESS = "start", "stop", "process"
 _INTERVAL_S = 10.0
@@ -293,3 +294,22 @@ class ProcessSupervisor:
             "left_out": left_out,
         }
         return {f"{name}_{each.name}": found[each.name] for each in _gauges(row)}
+
+
+def session_dictionary(dictionary: Dictionary, topology: Topology) -> Dictionary:
+    """Return `dictionary` with a session's cameras, components and processes; ConfigError."""
+    known = supervised(with_components(dictionary, topology.options.components), topology)
+    return Dictionary(
+        applications=tuple(
+            replace(
+                one,
+                parameters=tuple(
+                    replace(each, choices=topology.setup.cameras) if each.name == CAMERA else each
+                    for each in one.parameters
+                ),
+            )
+            if one.name == CAMERA
+            else one
+            for one in known.applications
+        )
+    )

@@ -14,8 +14,7 @@ from kontur_av.topics.bus import Reader, TopicBus
 from kontur_av.topics.session_files import make_session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
 from pipelines.link.figures import unpack_link
-from pipelines.mission.session_dictionary import session_dictionary
-from pipelines.mission.supervisor import ProcessSupervisor
+from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, FunctionAsked, pack_news
 from pipelines.mission.tmtc_socket import TmtcSocket, write_dictionary

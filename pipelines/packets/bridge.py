@@ -1,13 +1,15 @@
-"""Another ground system between its sockets and an end of TM/TC. A core."""
+"""Another ground system between its sockets and an end of TM/TC. A core.
 
-from collections import deque
-from dataclasses import replace
+Which telecommands it may send, and which are new though their counts are known.
+"""
 
-from kontur_av.clock import NS_PER_MS
-from kontur_av.errors import ProtocolError
+from collections import OrderedDict, deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.mission.tmtc_messages import CommandUpdate, ForwardCommand, TmtcNews
-from pipelines.packets.allowed import AllowedCommands
-from pipelines.packets.editions import CommandEditions
 from pipelines.packets.figures import PacketsFigures
 from pipelines.session.probe import Probe
 from telepresence.link.bucket import TokenBucket
@@ -29,11 +31,122 @@ from telepresence.tmtc.pus.user import EDITIONS
 from telepresence.tmtc.pus.verification import (
     SERVICE,
     Failure,
+    Verification,
     VerificationStage,
     pack_refusal,
     parse_verification,
     verification_of,
 )
+
+#: Questions, which change nothing: are you alive, one report, values of parameters.
+_QUESTIONS = {(17, 1), (3, 27), (20, 1)}
+_ALL = "all"
+
+
+@dataclass(frozen=True, slots=True)
+class AllowedCommands:
+    """applications: by APID, all of whose telecommands are allowed. functions: APID and number."""
+
+    applications: frozenset[int] = frozenset()
+    functions: frozenset[tuple[int, int]] = frozenset()
+
+    def allows(self, command: Telecommand) -> bool:
+        """Whether `command` may be passed on. Questions always may."""
+        message = (command.service, command.subtype)
+        if message in _QUESTIONS or command.apid in self.applications:
+            return True
+        return message == (8, 1) and (command.apid, *command.data[:1]) in self.functions
+
+
+def allowed_commands(words: Iterable[str], dictionary: Dictionary) -> AllowedCommands:
+    """Return what APPLICATION, APPLICATION.FUNCTION or "all" allow; ConfigError."""
+    applications: set[int] = set()
+    functions: set[tuple[int, int]] = set()
+    for word in words:
+        name, dot, function = word.partition(".")
+        if word == _ALL:
+            applications.update(dictionary.by_apid)
+            continue
+        table = dictionary.application(name)
+        if not dot:
+            applications.add(table.apid)
+            continue
+        numbers = {one.name: one.number for one in table.functions}
+        if function not in numbers:
+            known = ", ".join(numbers) or "none"
+            raise ConfigError(f"{name} has no function {function!r}: choose one of {known}")
+        functions.add((table.apid, numbers[function]))
+    return AllowedCommands(frozenset(applications), frozenset(functions))
+
+
+#: An application knows a telecommand for 60 s, after up to 30 s on the way.
+_KEPT_NS = 120 * NS_PER_S
+_KEPT_DEPTH = 512
+
+
+@dataclass(slots=True)
+class _Passed:
+    """senders: connections that sent it. unheard: those of them that may not know of its end.
+
+    ended: the report of the end of the newest copy was handed to all connections.
+    """
+
+    edition: int
+    at_ns: int
+    senders: set[int] = field(default_factory=set)
+    unheard: set[int] = field(default_factory=set)
+    ended: bool = False
+
+
+class CommandEditions:
+    """Tells a telecommand that is repeated from an equal one of a system that began anew.
+
+    A ground system that was started again counts anew, so its telecommands may equal those of its
+    last life. One is repeated as long as its sender may not know what became of it. So it is new if
+    each connection that sent it has the report of its end, and another one sends it. The new one
+    gets the next number, its edition. By it the application tells the two apart.
+
+    Ask `edition_of` for each telecommand that is passed on. Say with `handle_end` which report is
+    handed to the connections, and with `handle_heard` which of them has all that was handed to it.
+    """
+
+    def __init__(self) -> None:
+        self._passed: OrderedDict[Telecommand, _Passed] = OrderedDict()
+
+    def edition_of(self, command: Telecommand, connection: int, now_ns: int) -> int:
+        """Return 0 to `EDITIONS` - 1; that of the last equal one for a repetition."""
+        while self._passed and now_ns - next(iter(self._passed.values())).at_ns > _KEPT_NS:
+            self._passed.popitem(last=False)
+        key = replace(command, source=0, flags=0)
+        passed = self._passed.get(key)
+        if passed is None:
+            passed = _Passed(0, now_ns)
+        elif not passed.unheard and connection not in passed.senders:
+            passed = _Passed((passed.edition + 1) % EDITIONS, now_ns)
+        passed.at_ns = now_ns
+        # Each copy is verified, and the earlier report may have missed this connection.
+        passed.ended = False
+        passed.senders.add(connection)
+        passed.unheard.add(connection)
+        self._passed[key] = passed
+        self._passed.move_to_end(key)
+        if len(self._passed) > _KEPT_DEPTH:
+            self._passed.popitem(last=False)
+        return passed.edition
+
+    def handle_end(self, report: Verification, edition: int) -> None:
+        """A report of an end goes to all connections."""
+        about = (report.apid, report.count, edition)
+        for command, passed in self._passed.items():
+            if (command.apid, command.count, passed.edition) == about:
+                passed.ended = True
+
+    def handle_heard(self, connection: int) -> None:
+        """The other side has acknowledged all octets that were put before."""
+        for passed in self._passed.values():
+            if passed.ended:
+                passed.unheard.discard(connection)
+
 
 #: This many telecommands may come at once, and then this many a second.
 COMMANDS_AT_ONCE, COMMANDS_PER_S = 8, 4

@@ -11,8 +11,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import Reader
 from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
-from pipelines.packets.allowed import AllowedCommands
-from pipelines.packets.bridge import PacketBridge, PacketSplitter, PeerQueue
+from pipelines.packets.bridge import AllowedCommands, PacketBridge, PacketSplitter, PeerQueue
 from pipelines.session.datagrams import Address
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.topology import PACKETS, TELEMETRY_KIND, TMTC_TOPICS, packet_topics

@@ -23,10 +23,9 @@ from pipelines.partner.peer import Programme, RtcPeer
 from pipelines.partner.samples import SamplePorts
 from pipelines.partner.server import RtcServer
 from pipelines.partner.tally import ConnectionSeen, SampleTally, Tally
-from pipelines.session.feeds import Feed
 from pipelines.session.messages import UNKNOWN_US
 from pipelines.session.process import Context
-from pipelines.session.serving_loop import ServingLoop
+from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
 from pipelines.session.topic_ends import NumberedTopic, SampleTopic
 from pipelines.session.topology import (

@@ -34,14 +34,13 @@ from pipelines.recording.part_files import (
     clear_parts,
 )
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
-from pipelines.session.asking import desk_path
 from pipelines.session.figures import SessionEvents
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.recorder_control import RECORDER_DESK, read_wish, remove_wish, write_wish
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.terminal_lines import MOST_TERMINALS, Reply
-from pipelines.session.terminals import TerminalSockets
+from pipelines.session.terminals import TerminalSockets, desk_path
 from pipelines.session.topology import SELECTED_TOPIC
 
 #: How often topics are read.

@@ -20,7 +20,7 @@ from pipelines.media.gain import LinkedVideoSender, gain_of
 from pipelines.media.stream_figures import tell_sender, to_gateway, video_sender, voice_sender
 from pipelines.media.taking_over import Capturing
 from pipelines.mission.choosing import CameraChoice
-from pipelines.mission.session_dictionary import session_dictionary
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.recording.recorded_session import SentPacket, SentUnit

@@ -13,9 +13,8 @@ from kontur_av.rtp.receiver import ReceiverCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.media.figures import DisplayFigures
-from pipelines.report.journeys import HapticFigures, StreamFigures
+from pipelines.report.journeys import HapticFigures, LipSyncShare, Skew, StreamFigures
 from pipelines.report.process_figures import ProcessFigures
-from pipelines.report.skew import LipSyncShare, Skew
 from pipelines.report.sync_figures import PERCEIVED, SyncFigures
 from pipelines.report.trace import Trace
 from pipelines.session.probe import Message, Series
@@ -30,7 +29,7 @@ from pipelines.session.rows import (
     ShownRow,
 )
 from pipelines.session.topology import RTC_CAMERA, RTC_DISPLAY, RTC_VOICE, SECOND_ROBOT, Topology
-from telepresence.link.clock.history import ClockHistory
+from telepresence.link.clock.estimator import ClockHistory
 
 #: Rows with stamps that travelled from the other end.
 _DATED = frozenset({ShownRow, LightRow, ClickRow})

@@ -41,7 +41,7 @@ from pipelines.session.probe import FLUSH_NS, Message, Series
 from pipelines.session.rows import INSTANTS, ClockRow, Row
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
-from telepresence.link.clock.history import ClockHistory
+from telepresence.link.clock.estimator import ClockHistory
 
 #: A session lasts no longer.
 _LONGEST_NS = 7 * 24 * 3600 * NS_PER_S

@@ -6,37 +6,65 @@ are read only while something of them has a subscriber, so no picture is coded f
 
 import json
 from collections import deque
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
 
 import zenoh
 from zenoh.ext import CacheConfig, MissDetectionConfig, declare_advanced_publisher
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
+from kontur_av.figures import Newest
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import INPUT_OCTETS, pack_input
 from pipelines.media.key_picture_maker import KeyPictureMaker
-from pipelines.ros2.conventions import KEPT, Attachment, Endpoint, Node, RosQuality, gid_of
-from pipelines.ros2.figures import Ros2Figures
 from pipelines.ros2.hand import Ros2Hand
 from pipelines.ros2.messages import MOST_OCTETS, RosMessages
 from pipelines.ros2.outgoing import Outbound, OutgoingMessages
 from pipelines.ros2.publications import (
     DIAGNOSTICS_TOPIC,
     JOY_TOPIC,
+    KEPT,
     NAMESPACE,
     SETUP_TOPIC,
     VELOCITY_TOPIC,
+    Attachment,
+    Endpoint,
+    Node,
     Publication,
     RosContent,
+    RosQuality,
     RosSource,
+    gid_of,
     publications_of,
     sources_of,
 )
 from pipelines.session.process import Context
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import ROS2, ROS2_HAND_TOPIC, Topology
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ros2Figures:
+    """The node of a ROS 2 system. What zenoh drops for a slow subscriber it does not say."""
+
+    #: Whether a router or another node is connected.
+    connected: Newest[bool] = False
+    #: Publishers that have subscribers.
+    subscribed: Newest[int] = 0
+    #: Messages handed to zenoh, by topic.
+    published: Mapping[str, int] = field(default_factory=dict)
+    #: Samples of the session that were gone before they were read, by topic.
+    missed: Mapping[str, int] = field(default_factory=dict)
+    #: Messages of `/joy` and `/cmd_vel` that counted.
+    taken: int = 0
+    #: Those of a node while another one is heard.
+    refused: int = 0
+    #: Malformed messages, and those with impossible values.
+    malformed: int = 0
+
 
 #: How often topics and messages are read, and subscribers looked for.
 _WAKE_NS = 10 * NS_PER_MS

@@ -11,7 +11,7 @@ from aiohttp import web
 
 from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import TopicBus
-from pipelines.mission.session_dictionary import session_dictionary
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.seats.figures import PageFigures
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import seat_plan, welcome_text

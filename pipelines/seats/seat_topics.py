@@ -34,7 +34,6 @@ from pipelines.seats.plan import SeatStream, Unpack
 from pipelines.seats.seat import ExerciseAsked, FetchAsked, RecordingAsked, Seat, StopAsked
 from pipelines.seats.texts import Via
 from pipelines.seats.upkeep_watch import ask_process, fetch
-from pipelines.session.feeds import Feed, TopicState
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.recorder_control import RECORDER_DESK
@@ -45,7 +44,7 @@ from pipelines.session.recorder_requests import (
     RecordingWish,
     RecordRequest,
 )
-from pipelines.session.serving_loop import ServingLoop
+from pipelines.session.serving_loop import Feed, ServingLoop, TopicState
 from pipelines.session.session_switch import Order
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,

@@ -2,7 +2,7 @@
 
 import asyncio
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,15 +13,47 @@ import msgspec
 from kontur_av.clock import NS_PER_S
 from pipelines.seats.seat import Seat
 from pipelines.seats.texts import SoftwareText, TransferText, UpkeepText
-from pipelines.seats.transfers import Transfers
-from pipelines.session.asking import desk_path
-from pipelines.session.file_requests import STATUS, FileAnswer, FileRequest, desk_name
+from pipelines.session.file_requests import STATUS, FileAnswer, FileRequest, TransferNow, desk_name
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
+from pipelines.session.terminals import desk_path
+from telepresence.files.entity import WAITING
 from telepresence.files.pdus import GET
 from telepresence.malformed import MALFORMED
 from telepresence.upkeep.inbox import LARGEST_TOLD, TOLD, InboxTold
+
+
+class Transfers:
+    """The files on their way that were asked for here, with the rate since the last look."""
+
+    def __init__(self) -> None:
+        self._before: dict[tuple[Segment, int], tuple[int, int]] = {}
+
+    def handle_list(
+        self, segment: Segment, listed: Iterable[TransferNow], now_ns: int
+    ) -> list[TransferText]:
+        """Return the rows for the page. listed: the transfers of an end, as it answered."""
+        found, before = [], self._before
+        self._before = {key: was for key, was in before.items() if key[0] is not segment}
+        for one in listed:
+            was_octets, was_ns = before.get((segment, one.number), (one.octets, now_ns - 1))
+            self._before[segment, one.number] = one.octets, now_ns
+            rate_bps = max(0, 8 * (one.octets - was_octets) * NS_PER_S // max(1, now_ns - was_ns))
+            found.append(
+                TransferText(
+                    end=segment.value,
+                    number=one.number,
+                    what=one.kind,
+                    state="queued" if one.state == WAITING else one.state,
+                    octets=one.octets,
+                    size=None if one.size < 0 else one.size,
+                    rate_bps=rate_bps,
+                    name=one.first,
+                )
+            )
+        return found
+
 
 #: A recorder answers once its file is written, which takes long on a slow disk.
 _PATIENCE_S: Final = 15.0

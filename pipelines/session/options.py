@@ -79,10 +79,6 @@ def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def deadband_changes(args: argparse.Namespace) -> dict[str, Any]:
-    return {} if args.deadband is None else {"deadband": args.deadband}
-
-
 def add_hand_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--hand",
@@ -93,9 +89,8 @@ def add_hand_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def hand_changes(args: argparse.Namespace) -> dict[str, str]:
-    return {} if args.hand is None else {"hand": args.hand}
-
-
-def port_changes(args: argparse.Namespace) -> dict[str, Any]:
-    return {} if args.base_port is None else {"base_port": args.base_port}
+def setup_changes(args: argparse.Namespace) -> dict[str, Any]:
+    """What the options of this module, those that the command has, change in its setup."""
+    given = {name: getattr(args, name, None) for name in ("base_port", "deadband", "hand")}
+    changes = radio_changes(args) if hasattr(args, "radio") else {}
+    return changes | {name: value for name, value in given.items() if value is not None}

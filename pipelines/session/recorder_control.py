@@ -8,10 +8,10 @@ import socket
 from contextlib import suppress
 
 from kontur_av.topics.session_files import make_session_root, session_root
-from pipelines.session.asking import desk_path, running_sessions
 from pipelines.session.reception import replace_file
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish, RecordRequest
 from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
+from pipelines.session.terminals import desk_path, running_sessions
 
 #: The name of the recorder's Unix socket.
 RECORDER_DESK = "recorder"

@@ -1,6 +1,7 @@
 """The HTTP side of a process with pages: who may open what, its files, and TLS."""
 
 import logging
+import re
 import ssl
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -21,6 +22,8 @@ _TYPES = {
 }
 #: In an HTML file: where the page's own files are.
 _BASE = "__BASE__"
+#: What pages have in common stands in files of its own (a server-side include).
+_INCLUDE = re.compile(r'<!--#include file="(\w+\.html)" -->\n')
 #: The file of the page without a name, where people choose one.
 _FIRST = "welcome"
 #: How long requests may last when the process ends.
@@ -81,7 +84,7 @@ class WebSite:
         path = STATIC / (f"{found.name or _FIRST}.html" if page else found.name)
         if path.suffix not in _TYPES or not path.is_file():
             raise AccessError(404, "no such file")
-        text = path.read_text(encoding="utf-8")
+        text = page_text(path) if page else path.read_text(encoding="utf-8")
         if page:
             for name, word in {_BASE: f"/{found.token}/static/", **words}.items():
                 text = text.replace(name, word)
@@ -109,6 +112,12 @@ class WebSite:
         tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         tls.load_cert_chain(self._listener.certificate)
         return tls
+
+
+def page_text(path: Path) -> str:
+    """Return the text of a page, with the files that it includes."""
+    text = path.read_text(encoding="utf-8")
+    return _INCLUDE.sub(lambda found: path.with_name(found[1]).read_text(encoding="utf-8"), text)
 
 
 def quiet_log(name: str) -> logging.Logger:

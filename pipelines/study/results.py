@@ -18,8 +18,7 @@ from kontur_av.errors import ConfigError
 from pipelines.recording.export.columns import Column
 from pipelines.recording.export.mat_file import write_v5
 from pipelines.report.report_file import write_text
-from pipelines.study.account import account_of_study
-from pipelines.study.effects import StudyReport
+from pipelines.study.effects import StudyReport, account_of_study
 from pipelines.study.plan import StudyPlan
 from pipelines.study.trial import TrialResult
 from telepresence.toml_file import read_toml, typed

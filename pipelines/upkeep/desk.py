@@ -1,4 +1,4 @@
-"""One keeper of a directory, and orders of other commands to it.
+"""One keeper of a directory: its lock, its inbox, and orders of other commands to it.
 
 A lock says whether a keeper runs. An order is a file that the keeper answers by another.
 """
@@ -6,11 +6,23 @@ A lock says whether a keeper runs. An order is a file that the keeper answers by
 import fcntl
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
+from pipelines.upkeep.disk_store import DiskStore
+from telepresence.upkeep.file_store import StoredFile, replace_file
+from telepresence.upkeep.inbox import (
+    LARGEST_TOLD,
+    MOST_ARCHIVE_OCTETS,
+    TOLD,
+    FileStamp,
+    UpdateInbox,
+    read_archive,
+    version_of,
+)
 
 _LOCK, _ORDER, _ANSWER = ".lock", ".order", ".answer"
 _PATIENCE_S = 20.0
@@ -74,3 +86,83 @@ def _replace(path: Path, text: str) -> None:
     unfinished = path.with_name(f"{path.name}.{os.getpid()}")
     unfinished.write_text(text)
     unfinished.replace(path)
+
+
+_LOOK_NS = 500 * NS_PER_MS
+
+
+class InboxFolder:
+    """Made once by a keeper; raises ConfigError for a folder that cannot be.
+
+    add: takes a version's name and the files of an archive; order: takes a line. Both raise
+    ConfigError, and return what to tell. words: the orders that there are.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        words: Collection[str],
+        *,
+        add: Callable[[str, Mapping[str, StoredFile]], str],
+        order: Callable[[str], str],
+    ) -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--inbox {folder}: {error.strerror or error}") from None
+        self._folder, self._store = folder, DiskStore(folder)
+        self._add, self._order = add, order
+        told = b""
+        with suppress(OSError):
+            told = self._read(TOLD, LARGEST_TOLD)
+        self._inbox = UpdateInbox(words, told)
+        self._told, self._look_ns = b"", 0
+
+    def work(self, *, busy: bool, now_ns: int) -> None:
+        """Look into the folder now and then, and do what is due."""
+        if now_ns < self._look_ns:
+            return
+        self._look_ns = now_ns + _LOOK_NS
+        self._inbox.handle_files(self._files(), now_ns)
+        self._inbox.handle_busy(busy)
+        if (name := self._inbox.next_file(now_ns)) is None:
+            return
+        text = refusal = ""
+        try:
+            text = self._take(name)
+        except ConfigError as error:
+            refusal = str(error)
+        except OSError as error:
+            refusal = f"the disk: {error.strerror or error}"
+        with suppress(OSError):
+            self._store.rename(name, self._inbox.handle_done(name, text, refusal))
+
+    def tell(self, runs: str, why: str, states: Mapping[str, str]) -> None:
+        """Let the other end read what runs, if that is news."""
+        told = self._inbox.told(runs, why, states)
+        if told != self._told:
+            self._told = told
+            # A full disk must not end what runs.
+            with suppress(OSError):
+                replace_file(self._store, TOLD, told)
+
+    def _files(self) -> dict[str, FileStamp]:
+        found = {}
+        with suppress(OSError), os.scandir(self._folder) as entries:
+            for entry in entries:
+                # A link may lead out of the folder.
+                if entry.is_file(follow_symlinks=False):
+                    state = entry.stat(follow_symlinks=False)
+                    found[entry.name] = FileStamp(state.st_mtime_ns, state.st_ino, state.st_size)
+        return found
+
+    def _take(self, name: str) -> str:
+        octets = self._read(name, MOST_ARCHIVE_OCTETS + 1)
+        if version := version_of(name):
+            return self._add(version, read_archive(octets))
+        return self._order(self._inbox.order_of(octets))
+
+    def _read(self, name: str, most: int) -> bytes:
+        descriptor = os.open(self._folder / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        with os.fdopen(descriptor, "rb") as file:
+            return file.read(most)

@@ -12,10 +12,9 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.desk import answer_order, give_order, kept
+from pipelines.upkeep.desk import InboxFolder, answer_order, give_order, kept
 from pipelines.upkeep.disk_store import DiskStore
-from pipelines.upkeep.ftp_client import fetch_copies
-from pipelines.upkeep.inbox_folder import InboxFolder
+from pipelines.upkeep.ftp import fetch_copies
 from pipelines.upkeep.program import Program
 from telepresence.upkeep.app_loader import (
     AppLoader,
@@ -35,6 +34,8 @@ from telepresence.upkeep.app_loader import (
 )
 from telepresence.upkeep.copies import (
     PAIRS,
+    FlashCheck,
+    FlashFigures,
     check_update,
     copy_to_backup,
     note_worked,
@@ -43,9 +44,8 @@ from telepresence.upkeep.copies import (
     update_prime,
 )
 from telepresence.upkeep.file_store import StoredFile, read_folder, replace_file
-from telepresence.upkeep.flash_check import FlashCheck, FlashFigures
 from telepresence.upkeep.sfv import SFV, fault_of, write_copy
-from telepresence.upkeep.status import parse_status
+from telepresence.upkeep.version_stack import parse_status
 
 _POLL_NS = 100 * NS_PER_MS
 _FLASH_NS = NS_PER_S

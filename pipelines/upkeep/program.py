@@ -9,8 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from telepresence.upkeep.manifest import RUN
-from telepresence.upkeep.status import VARIABLE, pack_status
-from telepresence.upkeep.version_stack import VersionStatus
+from telepresence.upkeep.version_stack import VARIABLE, VersionStatus, pack_status
 
 #: How long a program may take to end after SIGTERM.
 _END_S = 10.0

@@ -11,7 +11,7 @@ from pipelines.hand.robot_desk import RobotDesk
 from pipelines.link.figures import link_values
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.mission import MissionGround, Seen, robot_order
-from pipelines.mission.session_dictionary import session_dictionary
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import (
     FunctionAsked,

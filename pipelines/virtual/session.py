@@ -16,10 +16,9 @@ import msgspec
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd, robot_side
-from pipelines.hand.operator_view import CameraWatch
 from pipelines.hand.replaying import ReplayedEnd
 from pipelines.hand.robot_desk import RobotDesk
-from pipelines.hand.safety_ends import within
+from pipelines.hand.safety_ends import CameraWatch, within
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
 from pipelines.mission.choosing import CAMERA, SELECT, CameraChoice

@@ -23,7 +23,7 @@ from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.sources.stereo import StereoPair
 from kontur_av.streams.voice_player import VoicePlayer
-from pipelines.media.merging import StereoMerger
+from pipelines.media.marking import StereoMerger
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from telepresence.world import WorldState, audio_scenes, render
 

@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
-from telepresence.files.figures import FileFigures
-from telepresence.files.names import fenced
 from telepresence.files.pdus import (
     GET,
     LIST,
@@ -37,6 +35,57 @@ from telepresence.files.pdus import (
 from telepresence.files.receiver import MAX_FILE_OCTETS, FileReceiver, why
 from telepresence.files.sender import CANCELLED, FileSender, TransactionPace, closing
 from telepresence.link.bucket import TokenBucket
+
+
+@dataclass(slots=True, kw_only=True)
+class FileFigures:
+    """Files to and from the other end."""
+
+    #: Octets of files that were sent, each counted once.
+    file_octets_sent: int = 0
+    #: Octets that were sent again, because the other end had not got them.
+    file_octets_resent: int = 0
+    #: Octets of files that came, each counted once.
+    file_octets_received: int = 0
+    #: Octets that came more than once.
+    file_octets_repeated: int = 0
+    #: Transactions that ended well, of both ends.
+    file_transactions_finished: int = 0
+    #: Transactions that failed, of both ends.
+    file_transactions_failed: int = 0
+    #: What this end refused: names, jobs of its directory, too many at once.
+    file_requests_refused: int = 0
+    #: Malformed datagrams.
+    file_garbage: int = 0
+    #: How long transactions waited for contact.
+    file_suspended_ns: int = 0
+
+
+_MOST_NAME_OCTETS = 200
+_MOST_NAME_PARTS = 8
+
+
+def fenced(name: str, *, directory: bool = False) -> tuple[str, ...]:
+    """Return the parts of a name inside the directory.
+
+    directory: it names a directory, so that "" is the fenced one itself. ConfigError for a name
+    that could leave the directory, or is hidden: hidden names are those of files half written.
+    """
+    if directory and name in ("", "."):
+        return ()
+    parts = tuple(name.split("/"))
+    printable = name.isprintable() and len(name.encode(errors="replace")) <= _MOST_NAME_OCTETS
+    if (
+        not printable
+        or len(parts) > _MOST_NAME_PARTS
+        or any(part[:1] in ("", ".") for part in parts)
+    ):
+        raise ConfigError(
+            f"file name {name[:80]!r}: give at most {_MOST_NAME_OCTETS} printable octets and "
+            f"{_MOST_NAME_PARTS} parts, none empty or with a dot in front"
+        )
+    return parts
+
 
 PUT = "put"
 #: What a job does beside the kinds of requests: keep a file that came.

@@ -16,10 +16,9 @@ from telepresence.files.pdus import (
     Metadata,
     Nak,
     Pdu,
+    Segments,
 )
-from telepresence.files.segments import Segments
-from telepresence.files.sender import TransactionPace
-from telepresence.files.sums import KNOWN_SUMS, file_sum
+from telepresence.files.sender import KNOWN_SUMS, TransactionPace, file_sum
 
 #: The largest file. Until it is whole it is in memory, at both ends.
 MAX_FILE_OCTETS = 16 << 20

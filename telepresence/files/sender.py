@@ -1,9 +1,16 @@
-"""The sending side of one transaction: CCSDS 727.0-B-5 clauses 4.6.1, 4.6.4 and 4.7.1."""
+"""The sending side of one transaction: CCSDS 727.0-B-5 clauses 4.6.1, 4.6.4 and 4.7.1; checksums.
 
+Checksums: clause 4.2.2 and annex F, and SHA-256.
+"""
+
+from binascii import crc32
 from dataclasses import dataclass
+
+import numpy as np
 
 from telepresence.files.pdus import (
     Ack,
+    ChecksumType,
     ConditionCode,
     DirectiveType,
     Eof,
@@ -12,9 +19,25 @@ from telepresence.files.pdus import (
     Metadata,
     Nak,
     Pdu,
+    Segments,
 )
-from telepresence.files.segments import Segments
-from telepresence.files.sums import file_sum
+
+#: Those that this end can check.
+KNOWN_SUMS = (ChecksumType.CRC_32, ChecksumType.MODULAR, ChecksumType.NULL_CHECKSUM)
+
+
+def file_sum(kind: int, octets: bytes | bytearray) -> bytes:
+    """Return the four octets of a checksum of `KNOWN_SUMS`; KeyError for another."""
+    if kind == ChecksumType.NULL_CHECKSUM:
+        return bytes(4)
+    if kind == ChecksumType.CRC_32:
+        return crc32(octets).to_bytes(4, "big")
+    if kind == ChecksumType.MODULAR:
+        padded = bytes(octets) + bytes(-len(octets) % 4)
+        words = np.frombuffer(padded, ">u4")
+        return (int(words.sum(dtype=np.uint64)) & 0xFFFFFFFF).to_bytes(4, "big")
+    raise KeyError(kind)
+
 
 CANCELLED = "cancelled"
 #: An EOF that was acknowledged is repeated more seldom: the receiver may have been started again.

@@ -20,8 +20,7 @@ from telepresence.haptics.joystick import Joystick, JoystickModel
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
-from telepresence.haptics.mediated.estimator import WallEstimator
-from telepresence.haptics.mediated.residual import Residual
+from telepresence.haptics.mediated.estimator import Residual, WallEstimator
 from telepresence.haptics.ownership import HapticOwnership
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel

@@ -5,7 +5,7 @@ A loss of signal closes all streams. Names of services travel, never addresses.
 
 from collections import OrderedDict, deque
 from collections.abc import Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from random import Random
 from typing import NamedTuple
 
@@ -22,8 +22,30 @@ from telepresence.services.datagrams import (
     pack_service,
     parse_service,
 )
-from telepresence.services.figures import ServiceFigures
 from telepresence.services.stream import ServiceStream, StreamPace
+
+
+@dataclass(slots=True, kw_only=True)
+class ServiceFigures:
+    """TCP services to and from the other end."""
+
+    #: Streams opened, by both ends.
+    service_streams_opened: int = 0
+    #: Streams that ended well.
+    service_streams_ended: int = 0
+    #: Streams cut off.
+    service_streams_reset: int = 0
+    #: Connections and streams refused here.
+    service_streams_refused: int = 0
+    #: Octets sent, each counted once.
+    service_octets_sent: int = 0
+    #: Octets sent again.
+    service_octets_resent: int = 0
+    #: Octets received, each counted once.
+    service_octets_received: int = 0
+    #: Malformed datagrams.
+    service_garbage: int = 0
+
 
 #: The most streams at once that this end opened, and that the other end opened.
 MOST_STREAMS = 4

@@ -5,14 +5,23 @@ it is marked defective. A version that has worked before is only set aside when 
 the fault may be the peer's. The last one that worked comes next, and at the end the elementary
 version, which stays until a person orders another one. So two ends whose versions cannot talk walk
 down to a pair that can.
+
+A program tells whoever runs it how it is by one small JSON file, replaced twice a second or so:
+`{"contact": true, "passed": false, "stuck": false}`, as of `VersionStatus`. Any program can write
+it: the path stands in the environment variable `KONTUR_AV_STATUS`.
 """
 
 from collections import deque
 from dataclasses import dataclass, replace
 from enum import Enum
 
+import msgspec
+
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from telepresence.link.figures import SupervisionFigures
+from telepresence.link.supervision.message import LinkState
+from telepresence.malformed import MALFORMED
 
 #: The name of the version that is never deleted.
 ELEMENTARY = "elementary"
@@ -333,3 +342,32 @@ class VersionSwitch:
         if record != self.record:
             self.record = record
             self._events.append(StoreRecord(record))
+
+
+VARIABLE = "KONTUR_AV_STATUS"
+_APPROVE, _CONNECTED, _REFUSED = (
+    state.name.lower() for state in (LinkState.APPROVE, LinkState.CONNECTED, LinkState.REFUSED)
+)
+
+
+def status_of(figures: SupervisionFigures) -> VersionStatus:
+    """Return what a gateway tells. Ends that agree on flows and frames pass their data."""
+    # A peer that is refused has been heard, though its frames may not count as a signal.
+    contact = figures.signal or figures.state == _REFUSED
+    return VersionStatus(
+        contact=contact,
+        passed=figures.state == _CONNECTED,
+        stuck=contact and figures.state not in (_APPROVE, _CONNECTED),
+    )
+
+
+def pack_status(status: VersionStatus) -> bytes:
+    return msgspec.json.encode(status) + b"\n"
+
+
+def parse_status(octets: bytes) -> VersionStatus | None:
+    """Return what a program has told; None for any other text."""
+    try:
+        return msgspec.json.decode(octets, type=VersionStatus)
+    except MALFORMED:
+        return None

@@ -37,6 +37,7 @@ from pipelines.session.seat_roles import Role
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.segments import Segment
 from pipelines.session.training import Exercises
+from pipelines.session.web_site import page_text
 from pipelines.study.desk import StudyDesk, StudyPhase, StudyPress
 from pipelines.study.plan import Aiming, HandleLevels, StudyPlan
 from pipelines.table import topology_of
@@ -258,7 +259,7 @@ def address():
             if not (STATIC / f"{name}.html").exists():
                 super().do_GET()
                 return
-            text = (STATIC / f"{name}.html").read_text().replace("__BASE__", "/")
+            text = page_text(STATIC / f"{name}.html").replace("__BASE__", "/")
             text = text.replace("__WELCOME__", escape(pack_text(WELCOME)))
             self.send_response(200)
             self.send_header("Content-Type", "text/html")

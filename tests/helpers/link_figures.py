@@ -5,15 +5,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from random import Random
 
+from virtual_link import VirtualLink
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.bench.link.live import COMMANDS, FILE, FLOWS, VIDEO, VOICE, Talker
+from pipelines.bench.link import COMMANDS, FILE, FLOWS, VIDEO, VOICE, Talker
 from telepresence.link.flows import HapticReceived, Level, PacketReceived
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import LinkProfile
 from telepresence.link.radio import RadioPath, RadioProfile
 from telepresence.link.radio.profile import Blackout
 from telepresence.link.supervision.message import LinkState
-from telepresence.link.virtual import VirtualLink
 
 #: Octets that keep a queue from running empty.
 _ENOUGH = 2048

@@ -3,6 +3,7 @@
 import json
 
 from told import message
+from virtual_link import VirtualLink
 
 from pipelines.report.collector import Collector
 from pipelines.report.model import SessionReport, from_json, to_json
@@ -10,7 +11,6 @@ from pipelines.report.session_report import build_report
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.link.radio import load_radio
-from telepresence.link.virtual import VirtualLink
 
 RADIO = load_radio("iss-pass")
 

@@ -7,7 +7,7 @@ import subprocess
 import pytest
 
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology.graph import dot
+from pipelines.session.topology.tables import dot
 from pipelines.table import topology_of
 
 pytestmark = [

@@ -30,7 +30,7 @@ from pipelines.recording.export.episodes import (
     row_instants,
     usual_fps,
 )
-from pipelines.recording.export.film import FilmUnit, FilmUnits
+from pipelines.recording.export.films import FilmUnit, FilmUnits
 from pipelines.recording.export.tables import NEAR_NS, TableCollector
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.messages import HAPTIC_SAMPLES, VIDEO

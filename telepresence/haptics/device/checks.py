@@ -8,26 +8,29 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_S
-from telepresence.haptics.device import (
-    check_buttons,
-    check_friction,
-    check_spring,
-    check_workspace,
-)
-from telepresence.haptics.device.check import CheckResult, CheckScript
 from telepresence.haptics.device.device import JoystickDevice, JoystickFacts
+from telepresence.haptics.device.functional_checks import (
+    BUTTONS,
+    FRICTION,
+    SPRING,
+    WORKSPACE,
+    buttons_check,
+    friction_check,
+    spring_check,
+    workspace_check,
+)
 from telepresence.haptics.device.operation import JoystickOperation
-from telepresence.haptics.device.script import Output, ScriptRun
+from telepresence.haptics.device.script import CheckResult, CheckScript, Output, ScriptRun
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
 
 #: Every check by its name, in the order in which they run.
 CHECKS: Mapping[str, Callable[[JoystickFacts], CheckScript]] = MappingProxyType(
     {
-        check_workspace.NAME: check_workspace.workspace_check,
-        check_friction.NAME: check_friction.friction_check,
-        check_spring.NAME: check_spring.spring_check,
-        check_buttons.NAME: check_buttons.buttons_check,
+        WORKSPACE: workspace_check,
+        FRICTION: friction_check,
+        SPRING: spring_check,
+        BUTTONS: buttons_check,
     }
 )
 

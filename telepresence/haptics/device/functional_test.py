@@ -11,13 +11,23 @@ from enum import StrEnum
 from typing import NamedTuple, TypeVar
 
 from kontur_av.clock import NS_PER_S
-from telepresence.haptics.device.check import CheckResult, CheckScript, Figure
-from telepresence.haptics.device.check_buttons import each_button
-from telepresence.haptics.device.check_friction import friction_check
-from telepresence.haptics.device.check_spring import stiffness_figures
-from telepresence.haptics.device.check_workspace import workspace_check
 from telepresence.haptics.device.device import JoystickFacts
-from telepresence.haptics.device.script import IDLE, Cycle, Output, Script, travel
+from telepresence.haptics.device.functional_checks import (
+    each_button,
+    friction_check,
+    stiffness_figures,
+    workspace_check,
+)
+from telepresence.haptics.device.script import (
+    IDLE,
+    CheckResult,
+    CheckScript,
+    Cycle,
+    Figure,
+    Output,
+    Script,
+    travel,
+)
 
 NAME = "functional test"
 #: The largest force per axis; the spring needs 6 N. Chosen.

@@ -3,10 +3,12 @@
 A script yields what the device should do until the next cycle, and receives what the sensors then
 measure. A movement thus reads from top to bottom, but nothing blocks. The caller decides what
 drives the script: a loop at 1 kHz or virtual time.
+
+The result of a check has figures, each with its limits.
 """
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import hypot, inf
 from typing import Generic, NamedTuple, TypeVar
 
@@ -208,3 +210,52 @@ def _creep(error_m: float, dt_s: float) -> float:
     if error_m < -_NEAR_M / 2:
         return -_CREEP_N_S * dt_s
     return 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One measured quantity with its limits; None means no limit on that side.
+
+    value: None if it could not be measured. That counts as failed if there is a limit.
+    """
+
+    name: str
+    value: float | None
+    unit: str = ""
+    least: float | None = None
+    most: float | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is within its limits."""
+        if self.value is None:
+            return self.least is None and self.most is None
+        above = self.least is None or self.value >= self.least
+        return above and (self.most is None or self.value <= self.most)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """Result of one functional check.
+
+    trouble: one line that says why the check ended early; "" if it was completed.
+    skipped: one line that says what the device lacks. A skipped check neither passed nor failed.
+    """
+
+    name: str
+    figures: tuple[Figure, ...] = field(default=())
+    trouble: str = ""
+    skipped: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every figure is within its limits and there was no trouble."""
+        return not self.skipped and not self.trouble and all(f.passed for f in self.figures)
+
+    @property
+    def failed(self) -> bool:
+        """Whether the check was done and did not pass."""
+        return not self.skipped and not self.passed
+
+
+CheckScript = Script[CheckResult]

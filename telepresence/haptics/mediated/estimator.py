@@ -19,6 +19,11 @@ uncertain is not told. The free tip contradicts a wall when it stands behind its
 Model-mediated teleoperation: P. Mitra, G. Niemeyer, "Model-mediated telemanipulation", Int. J.
 Robotics Research 27, 2008; C. Passenberg, A. Peer, M. Buss, "A survey of environment-, operator-,
 and task-adapted controllers for teleoperation systems", Mechatronics 20, 2010.
+
+What a wall that was told does not explain of the measured force is the rest: friction, a groove,
+another person's hand, and all of a contact that nobody has told yet. The joystick renders the wall,
+so the feedback carries only that. So the model takes over from the delayed force by itself, and the
+other way round when the tip contradicts it.
 """
 
 from collections import deque
@@ -299,3 +304,34 @@ class WallEstimator:
 def _unit(angle_rad: float) -> complex:
     """Return the unit vector in a direction, as a complex number."""
     return complex(cos(angle_rad), sin(angle_rad))
+
+
+#: A wall takes over within this time, about as fast as the renderer lets its force grow.
+_TAKES_OVER_NS = 300 * NS_PER_MS
+
+
+class Residual:
+    """Call `rest_n` once a cycle with the newest wall that was told, or None."""
+
+    def __init__(self) -> None:
+        self._share = 0.0
+        self._last_ns: int | None = None
+
+    def rest_n(
+        self,
+        wall: Wall | None,
+        x_m: float,
+        y_m: float,
+        fx_n: float,
+        fy_n: float,
+        now_ns: int,
+    ) -> tuple[float, float]:
+        """Return the part of the force (fx_n, fy_n) on the tip that `wall` does not explain."""
+        last_ns, self._last_ns = self._last_ns, now_ns
+        if wall is None:
+            self._share = 0.0
+            return fx_n, fy_n
+        if last_ns is not None and self._share < 1.0:
+            self._share = min(1.0, self._share + (now_ns - last_ns) / _TAKES_OVER_NS)
+        wall_x, wall_y = wall.force_n(x_m, y_m)
+        return fx_n - self._share * wall_x, fy_n - self._share * wall_y

@@ -49,8 +49,7 @@ from telepresence.link.supervision.message import (
     SupervisionMessage,
     pack_message,
 )
-from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation
-from telepresence.link.supervision.proof import Proof
+from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation, Proof
 from telepresence.link.supervision.record import SupervisionRecord
 
 _NO_CONTEXTS = (0, 0, 0, 0)

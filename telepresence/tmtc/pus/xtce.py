@@ -10,8 +10,13 @@ from xml.etree import ElementTree
 
 from telepresence.haptics.mediated.wall import WALL_APID
 from telepresence.tmtc.pus.dictionary import Application, Dictionary
-from telepresence.tmtc.pus.xtce_commands import FOREIGN_SOURCES, add_commands
-from telepresence.tmtc.pus.xtce_types import add, add_integer_type, add_type
+from telepresence.tmtc.pus.xtce_commands import (
+    FOREIGN_SOURCES,
+    add,
+    add_commands,
+    add_integer_type,
+    add_type,
+)
 
 NAMESPACE = "http://www.omg.org/spec/XTCE/20180204"
 _SCHEMA = "https://www.omg.org/spec/XTCE/20180204/SpaceSystem.xsd"

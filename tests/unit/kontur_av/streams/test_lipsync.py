@@ -4,7 +4,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.lipsync import EARLIEST_NS, LipSync
-from pipelines.report.skew import LipSyncShare
+from pipelines.report.journeys import LipSyncShare
 
 MS = NS_PER_MS
 

@@ -9,7 +9,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp, Quality, VideoFrame, empty_picture, planes
 from kontur_av.sources.stereo import StereoPair
 from kontur_av.streams.staleness import Staleness, State
-from pipelines.hand.operator_view import OperatorView
+from pipelines.hand.safety_ends import OperatorView
 from pipelines.media.figures import DisplayFigures
 from pipelines.media.marking import age_words, mark_halves, mark_stale
 from pipelines.media.showing import Showing

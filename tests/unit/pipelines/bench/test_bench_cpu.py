@@ -5,8 +5,8 @@ import json
 import pytest
 from places import ROOT
 
-from pipelines.bench.cpu import command
-from pipelines.bench.cpu.command import CpuResult, CpuRun, headlines, read_run
+from pipelines.bench import cpu
+from pipelines.bench.cpu import CpuResult, CpuRun, headlines, read_run
 from pipelines.cli import main
 
 
@@ -51,7 +51,7 @@ def test_two_trees_take_turns(tmp_path, monkeypatch, capsys):
         asked.append(tree)
         return report(10.0 if tree == other else 8.0)
 
-    monkeypatch.setattr(command, "live_report", live_report)
+    monkeypatch.setattr(cpu, "live_report", live_report)
     written = tmp_path / "cpu.json"
     words = ["bench", "cpu", "--against", str(other), "--runs", "2", "--report", str(written)]
     assert main(words) == 0

@@ -3,7 +3,7 @@
 import pytest
 from partial_report import partial_report
 
-from pipelines.bench.latency.targets import judge
+from pipelines.bench.latency import judge
 from pipelines.cli import main
 from pipelines.report.charts import lead_chart
 from pipelines.report.terms import TERMS

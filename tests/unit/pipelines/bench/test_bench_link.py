@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.bench.link.live import parse_cyclictest
+from pipelines.bench.link import parse_cyclictest
 from pipelines.cli import main
 
 

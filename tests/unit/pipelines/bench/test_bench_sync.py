@@ -12,7 +12,7 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.detect import Roi
 from kontur_av.errors import ConfigError
-from pipelines.bench.sync.footage import clicks, joined, lights, steps
+from pipelines.bench.sync import clicks, joined, lights, steps
 from pipelines.cli import main
 from pipelines.report.sync_figures import skews_ns
 from pipelines.report.sync_matching import Matched

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, planes
-from pipelines.bench.course.channel import ThinChannel, muxed_payload_octets, rtp_payload_octets
+from pipelines.bench.course.ends import ThinChannel, muxed_payload_octets, rtp_payload_octets
 from pipelines.bench.course.marks import (
     NUMBERS,
     SQUARES,

@@ -18,9 +18,9 @@ from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from pipelines.commands.raw_pictures import RawPictures
 from pipelines.commands.receive_media import TimeLine
-from pipelines.commands.remux import MatroskaWriter
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.partner.media import PictureCame, SoundCame
+from pipelines.recording.matroska import MatroskaWriter
 
 BLOCK = 960
 

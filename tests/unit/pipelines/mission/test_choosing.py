@@ -13,7 +13,7 @@ from pipelines.media.following import (
     unpack_confirmed,
 )
 from pipelines.mission.choosing import CameraChoice
-from pipelines.mission.session_dictionary import session_dictionary
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValues
 from pipelines.session.probe import Probe
 from pipelines.session.setup.built_in import BUILT_IN

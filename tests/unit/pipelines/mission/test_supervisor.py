@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from pipelines.mission.session_dictionary import session_dictionary
-from pipelines.mission.supervisor import ProcessSupervisor
+from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, Reported, SendCommand
 from pipelines.session.figures import LoopFigures, ProcessState

@@ -5,8 +5,13 @@ import pytest
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, FunctionDone
-from pipelines.packets.allowed import allowed_commands
-from pipelines.packets.bridge import COMMANDS_AT_ONCE, PacketBridge, PacketSplitter, PeerQueue
+from pipelines.packets.bridge import (
+    COMMANDS_AT_ONCE,
+    PacketBridge,
+    PacketSplitter,
+    PeerQueue,
+    allowed_commands,
+)
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.packets import Telecommand, pack_packet, parse_packet

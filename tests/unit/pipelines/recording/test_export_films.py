@@ -17,7 +17,7 @@ from synthetic_recording import (
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from pipelines.bench.course import marks
 from pipelines.cli import main
-from pipelines.recording.export.film import FilmClock, FilmUnits
+from pipelines.recording.export.films import FilmClock, FilmUnits
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import VIDEO as PICTURES
 from pipelines.recording.messages import RecordedPicture, UnitFacts, pack

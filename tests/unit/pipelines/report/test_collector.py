@@ -12,8 +12,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.link.figures import SocketFigures
 from pipelines.media.figures import CaptureFigures
 from pipelines.report.collector import Collector
-from pipelines.report.journeys import STAGES
-from pipelines.report.skew import Skew
+from pipelines.report.journeys import STAGES, Skew
 from pipelines.session.figures import LoopFigures
 from pipelines.session.probe import Message
 from pipelines.session.rows import (

@@ -22,7 +22,7 @@ from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesSent
 from telepresence.link.clock.exchange import ClockExchange
-from telepresence.link.peer.open import OpenPath
+from telepresence.link.peer.path import OpenPath
 
 SETUP = BUILT_IN["spacejustin"]
 SECONDS = 60

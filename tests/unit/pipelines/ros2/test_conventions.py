@@ -3,7 +3,7 @@
 import pytest
 
 from kontur_av.errors import ProtocolError
-from pipelines.ros2.conventions import Attachment, Endpoint, Node, RosQuality, gid_of
+from pipelines.ros2.publications import Attachment, Endpoint, Node, RosQuality, gid_of
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 CHATTER = Endpoint(

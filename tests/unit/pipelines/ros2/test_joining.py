@@ -3,7 +3,7 @@
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.ros2.joining import JoinedStream
+from pipelines.ros2.outgoing import JoinedStream
 
 KEY = b"\0\0\1\x67\1\0\0\1\x68\1\0\0\1\x65\1"
 SETS = b"\0\0\1\x67\1\0\0\1\x68\1"

@@ -9,8 +9,8 @@ import msgspec
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.session.asking import ask_desk, desk_path, running_sessions
 from pipelines.session.sessions import hold_session
+from pipelines.session.terminals import ask_desk, desk_path, running_sessions
 
 DESK = "trainer"
 

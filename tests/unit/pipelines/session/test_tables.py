@@ -6,8 +6,7 @@ import pytest
 
 from pipelines.cli import main
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.topology.graph import dot
-from pipelines.session.topology.tables import processes_table, streams_table, topics_table
+from pipelines.session.topology.tables import dot, processes_table, streams_table, topics_table
 from pipelines.table import topology_of
 
 SESSION = topology_of(BUILT_IN["spacejustin"], snapshots=True, pages=True)

@@ -56,6 +56,9 @@ def test_a_page_names_its_files_by_its_own_token_and_they_are_served():
     assert '<base href="/viewer/static/" />' in page
     assert "<B" in page
     assert "__BASE__" not in page
+    assert page.startswith("<!doctype html>")
+    assert '<dialog id="keys"' in page
+    assert "#include" not in page
     assert fields["Content-Type"] == "text/html; charset=utf-8"
     assert css_fields["Content-Type"] == "text/css; charset=utf-8"
     assert "default-src 'none'" in fields["Content-Security-Policy"]

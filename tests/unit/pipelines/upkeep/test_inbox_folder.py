@@ -6,7 +6,7 @@ import tarfile
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.inbox_folder import InboxFolder
+from pipelines.upkeep.desk import InboxFolder
 from telepresence.upkeep.inbox import REST_NS
 
 

@@ -7,8 +7,7 @@ from file_pair import FilePair
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from telepresence.files.entity import DONE, FAILED, MOST_SENDING, SUSPENDED
-from telepresence.files.names import fenced
+from telepresence.files.entity import DONE, FAILED, MOST_SENDING, SUSPENDED, fenced
 from telepresence.files.pdus import (
     GET,
     LIST,
@@ -24,12 +23,12 @@ from telepresence.files.pdus import (
     Metadata,
     Nak,
     Pdu,
+    Segments,
     pack_pdu,
     parse_pdu,
 )
 from telepresence.files.receiver import MAX_FILE_OCTETS
-from telepresence.files.segments import Segments
-from telepresence.files.sums import file_sum
+from telepresence.files.sender import file_sum
 
 OCTETS = Random(1).randbytes(50_000)
 

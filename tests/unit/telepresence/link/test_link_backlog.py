@@ -3,6 +3,8 @@
 from itertools import pairwise
 from random import Random
 
+from virtual_link import VirtualLink
+
 from telepresence.link.backlog import (
     FREED_STEP_BPS,
     REPEAT_NS,
@@ -11,7 +13,6 @@ from telepresence.link.backlog import (
     BacklogReporter,
 )
 from telepresence.link.flows import Level, packet_flow
-from telepresence.link.virtual import VirtualLink
 
 MS = 1_000_000
 SLOTS = 5500

@@ -4,6 +4,7 @@ import struct
 from dataclasses import dataclass, field
 
 import pytest
+from virtual_link import VirtualLink
 
 from telepresence.link.flows import (
     HapticReceived,
@@ -14,7 +15,6 @@ from telepresence.link.flows import (
     voice_flow,
 )
 from telepresence.link.radio import RadioPath
-from telepresence.link.virtual import VirtualLink
 from telepresence.tmtc.pus.application import PusApplication
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.packets import parse_packet

@@ -11,7 +11,7 @@ from link_figures import (
     voice_waits,
 )
 
-from pipelines.bench.link.live import VIDEO
+from pipelines.bench.link import VIDEO
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
 

@@ -3,6 +3,7 @@
 import struct
 
 import pytest
+from virtual_link import VirtualLink
 
 from telepresence.haptics.mediated.wall import WallMessage, pack_wall
 from telepresence.link.flows import (
@@ -19,7 +20,6 @@ from telepresence.link.radio import RadioPath, RadioProfile
 from telepresence.link.radio.profile import Blackout
 from telepresence.link.sender import LinkSender
 from telepresence.link.supervision.message import LinkState
-from telepresence.link.virtual import VirtualLink
 from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet
 
 MS = 1_000_000

@@ -8,13 +8,13 @@ import struct
 from random import Random
 
 import pytest
+from virtual_link import VirtualLink
 
 from telepresence.link.flows import HapticReceived, Level, packet_flow
 from telepresence.link.frame import FrameCodec, Pointers
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
-from telepresence.link.virtual import VirtualLink
 
 MS = 1_000_000
 UP = [packet_flow("tc", Level.TMTC)]

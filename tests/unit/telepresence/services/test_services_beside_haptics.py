@@ -1,11 +1,11 @@
 """Busy services on the link of a session, on virtual time: not one haptic sample is lost."""
 
 from service_pair import ServiceEnd
+from virtual_link import VirtualLink
 
 from kontur_av.clock import NS_PER_S
 from telepresence.link.backlog import BacklogReporter
 from telepresence.link.flows import HapticReceived, Level, PacketReceived, packet_flow
-from telepresence.link.virtual import VirtualLink
 
 OCTETS = bytes(range(256)) * 64
 FLOW = "maintenance"

@@ -2,8 +2,8 @@
 
 from failing_disk import FailingDisk
 
+from telepresence.upkeep.copies import FlashCheck
 from telepresence.upkeep.file_store import StoredFile
-from telepresence.upkeep.flash_check import FlashCheck
 from telepresence.upkeep.sfv import SFV, write_copy
 
 FILES = {name: StoredFile(name.encode()) for name in ("run", "lib/a", "lib/b")}

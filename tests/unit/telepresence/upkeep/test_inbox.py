@@ -9,8 +9,13 @@ import pytest
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from telepresence.upkeep.file_store import StoredFile
-from telepresence.upkeep.inbox import REST_NS, FileStamp, UpdateInbox
-from telepresence.upkeep.update_archive import MOST_ARCHIVE_OCTETS, read_archive
+from telepresence.upkeep.inbox import (
+    MOST_ARCHIVE_OCTETS,
+    REST_NS,
+    FileStamp,
+    UpdateInbox,
+    read_archive,
+)
 
 RUN = StoredFile(b"#!/bin/sh\n", executable=True)
 

@@ -4,7 +4,6 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from telepresence.link.supervision.message import LinkState
-from telepresence.upkeep.status import pack_status, parse_status, status_of
 from telepresence.upkeep.version_stack import (
     ELEMENTARY,
     StackRecord,
@@ -15,6 +14,9 @@ from telepresence.upkeep.version_stack import (
     VersionState,
     VersionStatus,
     VersionSwitch,
+    pack_status,
+    parse_status,
+    status_of,
 )
 
 SECOND = 10**9

@@ -4,12 +4,12 @@ import struct
 from random import Random
 
 import pytest
+from virtual_link import VirtualLink
 
 from telepresence.link.flows import video_flow, voice_flow
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
-from telepresence.link.virtual import VirtualLink
 
 MS = 1_000_000
 UP = [voice_flow("voice"), video_flow("video")]

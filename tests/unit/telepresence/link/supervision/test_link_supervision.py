@@ -17,7 +17,7 @@ from telepresence.link.supervision.events import (
     SignalLost,
 )
 from telepresence.link.supervision.message import LinkState, MessageKind, parse_message
-from telepresence.link.supervision.proof import Proof
+from telepresence.link.supervision.negotiation import Proof
 from telepresence.link.supervision.supervisor import Encounter, Supervisor
 
 

@@ -1,7 +1,6 @@
 """Both segments and the radio between them on virtual time: an hour of link in minutes.
 
-For tests, figures, and programs that examine the link's effect on their traffic. The gateways are
-the ones of a live session, not models of them.
+The gateways are the ones of a live session, not models of them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,1 +1,0 @@
-"""`kontur-av bench link`."""
