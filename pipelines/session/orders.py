@@ -31,17 +31,15 @@ class KeptOrders:
         self._root = session_root(session)
         self._stop = self._root / "stop"
         # As text, because loops look a hundred times a second, and a `Path` takes twice as long.
-        self._paths = os.fspath(self._stop), os.fspath(self._root)
+        # The second is there only if the first can be looked for.
+        self._paths = os.fspath(self._stop), f"{self._root}/."
 
     @property
     def stopped(self) -> bool:
         """Whether an emergency stop holds; also if nothing is known of the session."""
         stop, root = self._paths
-        try:
-            os.lstat(stop)
-        except FileNotFoundError:
-            return not os.path.isdir(root)  # noqa: PTH112
-        return True
+        # Unlike lstat(2), this raises nothing for the usual case, which takes half as long.
+        return os.access(stop, os.F_OK) or not os.access(root, os.F_OK)
 
     @property
     def stopped_by(self) -> str:

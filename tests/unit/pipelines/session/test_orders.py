@@ -1,0 +1,32 @@
+"""Orders that outlive the processes that took them."""
+
+import pytest
+
+from kontur_av.topics import session_files
+from kontur_av.topics.session_files import make_session_root, session_root
+from pipelines.session.orders import KeptOrders
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(session_files, "user_root", lambda: tmp_path)
+    make_session_root("lab-1")
+    return KeptOrders("lab-1")
+
+
+def test_an_emergency_stop_holds_until_it_is_released(kept):
+    assert not kept.stopped
+    kept.stop("a test")
+    assert kept.stopped
+    assert kept.stopped_by == "a test"
+    kept.release()
+    assert not kept.stopped
+
+
+@pytest.mark.parametrize("left", ["nothing", "file"])
+def test_without_its_directory_a_session_counts_as_stopped(kept, left):
+    root = session_root("lab-1")
+    root.rmdir()
+    if left == "file":
+        root.touch()
+    assert kept.stopped
