@@ -23,7 +23,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     receiver = video_receiver(
         stream, ssrc=secrets.randbits(32), wall_offset_ns=clock.wall_offset_ns
     )
-    decoder = VideoDecoder(stream.codec)
+    decoder = VideoDecoder(stream.codec, size=(stream.width, stream.height))
     # Made before the receiver's series, so that the decoding of a picture is reported first.
     decoded = probe.series(DecodedRow)
 
