@@ -57,7 +57,7 @@ class NalFormat:
     aggregate, fragment: the types of the two payload structures.
     sps, sei: types of NAL units. set_names: by type, the names of parameter sets. slices: types
         that tell whether they are a picture's first. keys: those of pictures at which every decoder
-        can start. leading: those of pictures that may refer to pictures before the last key picture.
+        can start. leading: those of pictures that may refer to ones before the last key picture.
     beginners: types that begin the next access unit behind a picture.
     """
 

@@ -63,7 +63,8 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                         decoded.add(DecodedRow(picture.timestamp, clock.now_ns()))
                         loan.publish(stamp)
                     topics.handle_picture(picture, stamp)
-                topics.handle_unit(unit, receiver.capture_ns(unit.timestamp))
+                if topics.handle_unit(unit, receiver.capture_ns(unit.timestamp)):
+                    receiver.handle_new_viewer()
             feedback = receiver.poll_feedback(clock.now_ns())
             if feedback is not None:
                 to_sender(feedback)
