@@ -49,13 +49,22 @@ def as_i420(
     scaler: VideoReformatter, frame: av.VideoFrame, width: int, height: int, interpolation: str
 ) -> av.VideoFrame:
     """Return `frame` in this size, as yuv420p with the colours of an `I420`."""
-    return scaler.reformat(
-        frame,
-        width,
-        height,
-        "yuv420p",
-        dst_colorspace=Colorspace.ITU601,
-        interpolation=interpolation,
-        dst_color_range="MPEG",
-        threads=1,
-    )
+
+    def scaled() -> av.VideoFrame:
+        return scaler.reformat(
+            frame,
+            width,
+            height,
+            "yuv420p",
+            dst_colorspace=Colorspace.ITU601,
+            interpolation=interpolation,
+            dst_color_range="MPEG",
+            threads=1,
+        )
+
+    try:
+        return scaled()
+    except (av.FFmpegError, ValueError):
+        # A stream may name colours that FFmpeg cannot convert. Take them as unspecified.
+        frame.colorspace, frame.color_primaries, frame.color_trc = 2, 2, 2
+        return scaled()

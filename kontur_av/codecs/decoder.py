@@ -12,6 +12,7 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.reformatter import VideoReformatter
 
 from kontur_av.codecs.colours import as_i420, like_i420
+from kontur_av.codecs.decoder_guard import MOST_PICTURE_OCTETS, DecoderGuard
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, VideoCodec, check_size, empty_picture, planes
 from kontur_av.rtp.payload_h265 import H265
@@ -23,7 +24,8 @@ _SCALER = VideoReformatter()
 
 #: Pictures that an HEVC decoder holds back at most (ITU-T H.265 clause A.4.2).
 _MOST_REORDERED = 16
-_MOST_PIXELS = 4096 * 4096  # the limit of media.check_size
+#: A stream may have pictures of so many times the octets of its size.
+_MOST_OVER_SIZE = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +96,9 @@ class DecoderCounts:
     frames_corrupt: int = 0
     #: Access units before the first at which a decoder can start.
     frames_before_start: int = 0
+    #: SPS that were malformed, or of pictures that would take too much memory. What follows is left
+    #: out until a good one comes.
+    sets_refused: int = 0
     #: Times that the decoder held pictures back and was reopened.
     decoder_restarts: int = 0
 
@@ -112,10 +117,20 @@ class VideoDecoder:
     reordered: the stream has pictures out of order (B pictures), so the decoder must hold some
         back. False: a decoder that begins to hold pictures back is opened anew. Damage causes
         that, and every later picture would be late.
+    size: width and height of the stream in pixels, if they are known. One decoded picture may take
+        four times as much as an `I420` of this size; else as one of 4096x4096.
     """
 
-    def __init__(self, codec: VideoCodec = "h264", *, reordered: bool = False) -> None:
+    def __init__(
+        self,
+        codec: VideoCodec = "h264",
+        *,
+        reordered: bool = False,
+        size: tuple[int, int] | None = None,
+    ) -> None:
         self.counts = DecoderCounts()
+        most = MOST_PICTURE_OCTETS if size is None else size[0] * size[1] * 3 // 2 * _MOST_OVER_SIZE
+        self._guard = DecoderGuard(codec, min(most, MOST_PICTURE_OCTETS))
         self._name = codec
         self._reordered = reordered
         self._codec = _open_decoder(codec)
@@ -131,6 +146,11 @@ class VideoDecoder:
         A returned picture stays valid after the next call. After the last one call `drain`.
         """
         if not data:
+            return []
+        data = self._guard.admit(data)
+        self.counts.sets_refused = self._guard.sets_refused
+        if not data:
+            self._count_undecoded()
             return []
         if self._name == "h265" and self._is_stuck and H265.parameter_sets(data):
             # After a loss, FFmpeg passes over recovery points; a new decoder begins at one.
@@ -198,7 +218,5 @@ def _open_decoder(name: VideoCodec) -> VideoCodecContext:
     codec: Any = av.CodecContext.create(_DECODERS[name], "r")
     codec.thread_count = 1
     codec.flags |= Flags.low_delay
-    # A forged SPS must not make the decoder fill the memory.
-    codec.options = {"max_pixels": str(_MOST_PIXELS)}
     opened: VideoCodecContext = codec
     return opened

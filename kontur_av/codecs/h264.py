@@ -38,8 +38,8 @@ class H264Encoder(VideoEncoder):
 class H264Decoder(VideoDecoder):
     """Decodes H.264; see `VideoDecoder`."""
 
-    def __init__(self, *, reordered: bool = False) -> None:
-        super().__init__("h264", reordered=reordered)
+    def __init__(self, *, reordered: bool = False, size: tuple[int, int] | None = None) -> None:
+        super().__init__("h264", reordered=reordered, size=size)
 
 
 def without_user_data(access_unit: bytes) -> bytes:

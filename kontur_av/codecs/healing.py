@@ -19,6 +19,9 @@ class Healing:
     def __init__(self) -> None:
         self._damaged = False
         self._left: int | None = None
+        self._begun = False
+        #: Whether pictures before the last key picture are missing or damaged.
+        self._past_lost = True
 
     @property
     def in_wave(self) -> bool:
@@ -35,6 +38,9 @@ class Healing:
         if unit.damaged or unit.lost_before:
             self._damaged = True
             self._left = None
+        if unit.keyframe:
+            self._past_lost = self._damaged or not self._begun
+            self._begun = True
         if not self._damaged or unit.damaged:
             return self._damaged
         if self._left is None:
@@ -45,6 +51,14 @@ class Healing:
             self._damaged = False
             self._left = None
         return self._damaged
+
+    def lacks_references(self, unit: ReceivedUnit) -> bool:
+        """Return whether `unit`, the last one handled, refers to pictures that are not right.
+
+        Such leading pictures of HEVC are not decoded (ITU-T H.265 clause 8.1.3), and no other
+        picture needs them.
+        """
+        return unit.leading and self._past_lost
 
 
 def recovery_pictures(access_unit: bytes, codec: VideoCodec = "h264") -> int | None:

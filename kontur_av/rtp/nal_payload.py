@@ -57,7 +57,7 @@ class NalFormat:
     aggregate, fragment: the types of the two payload structures.
     sps, sei: types of NAL units. set_names: by type, the names of parameter sets. slices: types
         that tell whether they are a picture's first. keys: those of pictures at which every decoder
-        can start.
+        can start. leading: those of pictures that may refer to ones before the last key picture.
     beginners: types that begin the next access unit behind a picture.
     """
 
@@ -71,6 +71,7 @@ class NalFormat:
     set_names: ClassVar[Mapping[int, str]]
     slices: ClassVar[frozenset[int]]
     keys: ClassVar[frozenset[int]]
+    leading: ClassVar[frozenset[int]] = frozenset()
     beginners: ClassVar[frozenset[int]]
 
     @property
@@ -247,6 +248,7 @@ class ReceivedUnit:
         dropped whole. They belonged to earlier access units or to non-slice NAL units at its head,
         which cannot be told apart.
     first_received_ns, received_ns: when its first and its last packet came. codec: its codec.
+    leading: it may refer to pictures before the last key picture, as RASL pictures of HEVC do.
 
     A unit that is not damaged and has no loss before it equals the unit sent. Exception: the first
     unit of a stream that was joined late may lack non-slice NAL units.
@@ -260,6 +262,7 @@ class ReceivedUnit:
     first_received_ns: int
     received_ns: int
     codec: VideoCodec = "h264"
+    leading: bool = False
 
 
 class NalDepacketizer:
@@ -488,6 +491,7 @@ class NalDepacketizer:
                 self._first_received_ns,
                 self._received_ns,
                 form.codec,
+                not form.leading.isdisjoint(kinds),
             )
         )
 

@@ -9,6 +9,8 @@ from kontur_av.rtp.nal_payload import NalFormat
 NAL_VPS, NAL_SPS, NAL_PPS, NAL_AUD, NAL_PREFIX_SEI = 32, 33, 34, 35, 39  # H.265 table 7-1
 #: The types of pictures of intra slices at which a decoder can start (IRAP).
 IRAP = frozenset(range(16, 24))
+#: Random access skipped leading pictures.
+RASL = frozenset((8, 9))
 AP, FU = 48, 49  # RFC 7798 sections 4.4.2 and 4.4.3
 
 _FORBIDDEN_BIT = 0x80
@@ -23,6 +25,7 @@ class _H265Format(NalFormat):
     set_names: ClassVar[Mapping[int, str]] = {NAL_VPS: "VPS", NAL_SPS: "SPS", NAL_PPS: "PPS"}
     slices = frozenset((*range(10), *IRAP))
     keys = IRAP
+    leading = RASL
     #: ITU-T H.265 clause 7.4.2.4.4.
     beginners = frozenset((NAL_VPS, NAL_SPS, NAL_PPS, NAL_AUD, NAL_PREFIX_SEI, *range(41, 45)))
 

@@ -35,6 +35,8 @@ class VideoReceiverCounts:
     frames_damaged: int = 0
     #: Damaged pictures after a pause, not shown before a whole one.
     frames_withheld: int = 0
+    #: Leading pictures (RASL) of HEVC without the pictures to which they refer. Not decoded.
+    frames_without_references: int = 0
     #: Pictures before a sender report gave their capture time.
     frames_undated: int = 0
     #: Pictures larger than wanted.
@@ -112,6 +114,7 @@ class VideoReceiver(ReportingReceiver):
         #: Whether the decoder has a picture at which to start.
         self._begun = False
         self._shown = self._undated = self._oversized = self._withheld = 0
+        self._without_references = 0
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
@@ -138,8 +141,7 @@ class VideoReceiver(ReportingReceiver):
     def next_event(self) -> ReceivedUnit | None:
         """Return the next access unit to decode, or None."""
         self._take_packets()
-        unit = self._depacketizer.next_event()
-        if unit is not None:
+        while (unit := self._depacketizer.next_event()) is not None:
             hurt = self._healing.handle_unit(unit)
             self._begun = self._begun or (unit.keyframe and not hurt)
             self._losses.handle_picture(
@@ -158,6 +160,9 @@ class VideoReceiver(ReportingReceiver):
                 self._hurt[unit.timestamp] = now_ns < (self._awaited_ns or 0)
                 if len(self._hurt) > _REMEMBERED:
                     self._hurt.popitem(last=False)
+            if not self._healing.lacks_references(unit):
+                break
+            self._without_references += 1
         return unit
 
     def _take_packets(self) -> None:
@@ -223,6 +228,7 @@ class VideoReceiver(ReportingReceiver):
             frames_received=self._depacketizer.units,
             frames_damaged=self._depacketizer.units_damaged,
             frames_withheld=self._withheld,
+            frames_without_references=self._without_references,
             frames_undated=self._undated,
             frames_oversized=self._oversized,
             pictures_asked_for=self._losses.sent,

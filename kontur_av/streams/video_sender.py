@@ -136,6 +136,10 @@ class VideoSender(PacedSender):
         """Handle an RTCP datagram from the receiver. Garbage is counted."""
         self._losses.handle_feedback(datagram, now_ns)
 
+    def handle_new_viewer(self) -> None:
+        """Make the next picture a key picture: who begins to watch needs one."""
+        self._keyframe_due = True
+
     def handle_channel(
         self, waiting_octets: int, told_ns: int, *, contacts: int, way_back: bool
     ) -> None:

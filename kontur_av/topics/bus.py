@@ -130,6 +130,10 @@ class Writer:
         """Whether the topic has a reader. A killed reader may count for some time."""
         return bool(self._readers())
 
+    def readers(self) -> int:
+        """How many readers the topic has; 1 stands for any number where topics are files."""
+        return self._readers()
+
     def loan(self, octets: int, width: int = 0, height: int = 0) -> Loan:
         """Return a buffer of `octets` octets in shared memory."""
         sample = self._loan(octets)

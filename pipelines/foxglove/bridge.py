@@ -307,6 +307,7 @@ class Bridge:
                 for channel in sorted({*sent, *dropped, *(+self._missed)})
             },
             calls=self.services.calls,
+            undecodable=sum(video.undecodable for video in self._videos.values()),
             waiting_octets=sum(client.waiting_octets for client in clients),
             oldest_age_ns=max((client.oldest_age_ns(now_ns) for client in clients), default=0),
         )

@@ -98,6 +98,10 @@ class Client:
         self._begun.add(channel)
         self._broken.discard(channel)
 
+    def end(self, channel: str) -> None:
+        """No decoder can go on with the next units of a channel of pictures."""
+        self._begun.discard(channel)
+
     def has_begun(self, channel: str) -> bool:
         return channel in self._begun
 

@@ -65,6 +65,8 @@ class LiveVideo:
         self._asked: KeyAsked | None = None
         #: Of the newest key picture that was asked for.
         self._number = 0
+        #: HEVC units that were withheld, over all clients.
+        self.undecodable = 0
 
     def handle_unit(self, unit: CodedUnit, stamp: CaptureStamp, at: Instants) -> None:
         """A unit of the stream."""
@@ -84,12 +86,18 @@ class LiveVideo:
         for number, client in self._clients.items():
             client.put(facts, now_ns)
             # A client's decoder may close on a unit that ours refused.
-            if unit.refused:
+            if unit.refused and unit.codec == "h265":
+                # The next units refer to it, and decoders of HEVC conceal nothing.
+                client.end(self.channel)
+            elif unit.refused:
                 continue
             if client.has_begun(self.channel):
                 client.put(picture, now_ns)
-            elif number not in waiting:
+                continue
+            if number not in waiting:
                 client.handle_withheld(self.channel)
+            if unit.codec == "h265" and begun is None:
+                self.undecodable += client.reads(self.channel)
         if self._held is not None and not unit.refused:
             self._held.pictures.append(picture)
             if self._held.is_old:

@@ -2,8 +2,9 @@
 
 from itertools import count
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.decoder import DecodedPicture
-from kontur_av.media import AccessUnit, CaptureStamp, Quality
+from kontur_av.media import AccessUnit, CaptureStamp, Quality, VideoCodec
 from kontur_av.rtp.nal_formats import parameter_sets_of
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
@@ -14,6 +15,33 @@ from pipelines.session.setup.table import VideoStream
 _USUAL_OCTETS = 16 << 10
 
 
+#: How long a key picture is asked for, and how far apart that begins.
+_ASKED_NS, _APART_NS = 3 * NS_PER_S, 10 * NS_PER_S
+
+
+class _NewReaders:
+    """Notices who begins to read HEVC, and needs a key picture of the stream itself."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._readers = 0
+        self._waiting = False
+        self._asked_ns: int | None = None
+
+    def handle_unit(self, codec: VideoCodec, now_ns: int, *, key: bool) -> bool:
+        """A unit is to be published; return whether to ask for a key picture."""
+        before, self._readers = self._readers, self._writer.readers()
+        if key or codec == "h264" or not self._readers:
+            self._waiting = False
+            return False
+        self._waiting |= self._readers > before
+        if self._waiting and (self._asked_ns is None or now_ns - self._asked_ns >= _APART_NS):
+            self._asked_ns = now_ns
+        if self._asked_ns is None or now_ns - self._asked_ns >= _ASKED_NS:
+            return False
+        return self._waiting
+
+
 class ReceivedTopics:
     """What a stream's receiver got and decoded: the topics `coded` and `decoded`."""
 
@@ -22,6 +50,7 @@ class ReceivedTopics:
         self._numbers = count()
         self._coded = bus.writer(coded, max_octets=_USUAL_OCTETS)
         self._decoded = bus.writer(decoded, max_octets=stream.width * stream.height * 3 // 2)
+        self._new_readers = _NewReaders(self._coded)
         self._sets = b""
         self._size: tuple[int, int] | None = None
         self._shown: CaptureStamp | None = None
@@ -34,11 +63,14 @@ class ReceivedTopics:
             picture.copy_to(loan.picture)
             loan.publish(shown)
 
-    def handle_unit(self, unit: ReceivedUnit, capture_ns: int | None) -> None:
+    def handle_unit(self, unit: ReceivedUnit, capture_ns: int | None) -> bool:
         """The decoder has taken a unit, and `handle_picture` was called for its picture.
 
-        capture_ns: when it was captured; None: not known yet.
+        capture_ns: when it was captured; None: not known yet. Return whether a reader needs a key
+        picture.
         """
+        key = unit.keyframe and not unit.damaged
+        wanted = self._new_readers.handle_unit(unit.codec, unit.received_ns, key=key)
         number, size, shown = next(self._numbers), self._size, self._shown
         self._size = self._shown = None
         # Also without a reader, because one that comes later needs them.
@@ -54,6 +86,7 @@ class ReceivedTopics:
                 parameter_sets=self._sets,
             )
             _publish(self._coded, coded, stamp)
+        return wanted
 
 
 class SentTopic:
@@ -63,10 +96,16 @@ class SentTopic:
         self._source = name
         self._numbers = count()
         self._writer = bus.writer(topic, max_octets=_USUAL_OCTETS)
+        self._new_readers = _NewReaders(self._writer)
         self._sets = b""
 
-    def handle_unit(self, unit: AccessUnit, size: tuple[int, int]) -> None:
-        """A unit was encoded in `size`, and its packets leave."""
+    def handle_unit(self, unit: AccessUnit, size: tuple[int, int]) -> bool:
+        """A unit was encoded in `size`, and its packets leave.
+
+        Return whether a reader needs a key picture.
+        """
+        now_ns = unit.stamp.capture_ns
+        wanted = self._new_readers.handle_unit(unit.codec, now_ns, key=unit.keyframe)
         number = next(self._numbers)
         # Also without a reader, because one that comes later needs them.
         self._sets = parameter_sets_of(unit.data, unit.codec) or self._sets
@@ -75,6 +114,7 @@ class SentTopic:
                 unit, size=size, sequence=number, source=self._source, parameter_sets=self._sets
             )
             _publish(self._writer, coded, stamp)
+        return wanted
 
 
 def _publish(writer: Writer, coded: CodedUnit, stamp: CaptureStamp) -> None:

@@ -41,7 +41,7 @@ def filmed_key(picture: I420, width: int, height: int) -> bytes:
 
 def last_key(units: Iterable[bytes], width: int, height: int) -> bytes | None:
     """Return `key_of` the last picture of these access units; None if it has another size."""
-    decoder = H264Decoder()
+    decoder = H264Decoder(size=(width, height))
     newest = None
     for unit in units:
         for picture in decoder.decode(unit, 0):

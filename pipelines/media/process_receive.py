@@ -23,7 +23,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     receiver = video_receiver(
         stream, ssrc=secrets.randbits(32), wall_offset_ns=clock.wall_offset_ns
     )
-    decoder = VideoDecoder(stream.codec)
+    decoder = VideoDecoder(stream.codec, size=(stream.width, stream.height))
     # Made before the receiver's series, so that the decoding of a picture is reported first.
     decoded = probe.series(DecodedRow)
 
@@ -63,7 +63,8 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                         decoded.add(DecodedRow(picture.timestamp, clock.now_ns()))
                         loan.publish(stamp)
                     topics.handle_picture(picture, stamp)
-                topics.handle_unit(unit, receiver.capture_ns(unit.timestamp))
+                if topics.handle_unit(unit, receiver.capture_ns(unit.timestamp)):
+                    receiver.handle_new_viewer()
             feedback = receiver.poll_feedback(clock.now_ns())
             if feedback is not None:
                 to_sender(feedback)

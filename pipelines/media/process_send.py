@@ -111,7 +111,8 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
                 encoded = None
                 sender.handle_access_unit(done.unit, done.encoded_ns)
                 outgoing.handle_time(clock.now_ns())
-                sent.handle_unit(done.unit, encoder.unit_size)
+                if sent.handle_unit(done.unit, encoder.unit_size):
+                    sender.handle_new_viewer()
             if encoded is None:
                 for old in retired:
                     old.close()

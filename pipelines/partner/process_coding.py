@@ -154,7 +154,7 @@ def run_rtc_camera(context: Context) -> None:
     clock, leg = context.clock, context.setup.rtc
     assert leg is not None
     stream = partner_camera(leg)
-    decoder = H264Decoder()
+    decoder = H264Decoder(size=(stream.width, stream.height))
     most_pixels = 4 * stream.width * stream.height
     shown = 0
     with context.open_bus() as bus:

@@ -67,6 +67,9 @@ class FoxgloveFigures:
     garbage: int = 0
     #: Services called.
     calls: int = 0
+    #: HEVC units withheld from clients, because they refer to ones before that are missing or
+    #: refused. The next key picture ends that.
+    undecodable: int = 0
     #: By channel, over all clients.
     channels: Mapping[str, RecordedChannel] = field(default_factory=dict)
     #: Clients now.

@@ -12,6 +12,7 @@ import av
 from av.container import InputContainer, OutputContainer
 from av.stream import Stream
 
+from kontur_av.codecs.decoder_guard import DecoderGuard
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, VideoCodec
 from kontur_av.rtp.nal_formats import parameter_sets_of
@@ -46,6 +47,8 @@ class CodedContainer:
 
     def begin_video(self, unit: bytes, codec: VideoCodec = "h264") -> bool:
         """Declare the stream of pictures after an access unit (Annex B); False if it has no SPS."""
+        # FFmpeg decodes what it opens, too.
+        unit = DecoderGuard(codec).admit(unit)
         if not begins_stream(unit, codec):
             return False
         # FFmpeg reads size and profile from the SPS when it opens the access unit as a file. They

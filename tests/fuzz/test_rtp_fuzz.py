@@ -5,6 +5,7 @@ No octets from outside make a parser do anything but refuse.
 
 import contextlib
 
+from aiortc.rtp import RtpPacket
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rtp_packets import PromptSender
@@ -19,7 +20,7 @@ from kontur_av.rtp.payload_h264 import packetize, parse_payload
 from kontur_av.rtp.payload_h265 import H265
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.playout import PlayoutBuffer
-from kontur_av.rtp.receiver import MAX_MISORDER, RtpReceiver
+from kontur_av.rtp.receiver import MAX_MISORDER, RtpReceived, RtpReceiver
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.rtp.wire import parse_rtcp, parse_rtp
 
@@ -158,6 +159,31 @@ def test_every_parser_refuses_or_accepts_any_octets(octets):
             parse(octets)
     for unit in split_annex_b(octets):
         assert unit
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(range(47, 64)), st.binary(min_size=1, max_size=40), st.integers(0, 3))
+def test_structures_of_hevc_that_are_not_received_are_counted(kind, octets, layer):
+    """Aggregations, fragments and PACI of RFC 7798, nested, cut, or with decoding order numbers."""
+    depacketizer = NalDepacketizer(H265)
+    for number in range(3):
+        payload = bytes((kind << 1, layer)) + octets[number:]
+        try:
+            fragment = H265.parse_payload(payload)
+        except ProtocolError:
+            refused = 1
+        else:
+            refused = 0
+            units = () if fragment.is_part else fragment.nal_units
+            assert all(H265.nal_type(unit) <= 47 or b"\0\0\1" in octets for unit in units)
+        before = depacketizer.garbage
+        head = RtpPacket(marker=1, sequence_number=number, timestamp=number, ssrc=7)
+        depacketizer.handle_packet(RtpReceived(head, payload, number, number, number, 0, False))
+        assert depacketizer.garbage == before + refused
+        depacketizer.handle_timeout(10**12)
+        while depacketizer.next_event() is not None:
+            pass
+    assert kind <= 49 or refused
 
 
 SOURCE = st.sampled_from([b"\0\0\0\x07", b"\0\0\0\x07", b"\0\0\0\x08"])

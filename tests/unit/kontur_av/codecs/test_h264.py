@@ -7,12 +7,14 @@ import av
 import cv2
 import numpy as np
 import pytest
+from av.video.reformatter import VideoReformatter
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kontur_av.codecs import encoder_settings
 from kontur_av.codecs.coded_size import coded_rate_for, coded_size_for
 from kontur_av.codecs.coding import Coding
+from kontur_av.codecs.colours import as_i420
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.codecs.h264_settings import H264Settings
 from kontur_av.errors import ConfigError
@@ -336,3 +338,11 @@ def test_pictures_stay_small_under_a_cap_of_less_than_a_kilobit_a_picture():
     units = encode(originals, size=(160, 120), cap_bps=20_000, coded_size=None, refresh_s=20.0)
     sizes = [len(unit.data) for unit in units[10:]]
     assert max(sizes) <= 150
+
+
+def test_colours_that_ffmpeg_cannot_convert_are_taken_as_unspecified():
+    scaler = VideoReformatter()
+    for matrix in range(20):
+        frame = av.VideoFrame(64, 48, "yuv420p")
+        frame.colorspace = matrix
+        assert as_i420(scaler, frame, 32, 24, "BILINEAR").width == 32

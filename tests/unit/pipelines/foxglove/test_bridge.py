@@ -12,7 +12,10 @@ from hypothesis import strategies as st
 from places import ROOT
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.coding import Coding
+from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h265 import H265Encoder
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.streams.coded_unit import CodedUnit
@@ -114,6 +117,32 @@ def test_who_joins_late_begins_with_a_key_picture_of_which_others_hear_nothing()
     ]
     assert [one[1] for one in of_late[2:]] == [one[1] for one in of_first[21:]]
     assert of_late[2:] == of_first[21:]
+
+
+def test_after_a_refused_unit_of_hevc_clients_begin_again_with_the_next_key_picture():
+    bridge = new_bridge()
+    reader = joined(bridge, VIDEO)
+    coder = H265Encoder(width=160, height=128, fps=30, cap_bps=200_000, refresh_s=60)
+    picture = empty_picture(160, 128)
+    picture[:] = 128
+    decoder, shown = VideoDecoder("h265"), 0
+    for number in range(30):
+        stamp = CaptureStamp(number * NS_PER_S // 30, number, "test")
+        unit = coder.encode(VideoFrame(picture, stamp), Coding(keyframe=number == 20))
+        sent = CodedUnit(
+            data=unit.data,
+            key=unit.keyframe,
+            refused=number in (10, 11),
+            codec="h265",
+            width=160,
+            height=128,
+        )
+        show(bridge, sent, stamp)
+        for _, _, data in taken(bridge, reader):
+            shown += len(decoder.decode(unpack(RecordedPicture, data).data, number))
+    assert shown == 20
+    assert decoder.counts.frames_corrupt == 0
+    assert bridge.figures(NS_PER_S).undecodable == 10
 
 
 def test_who_reads_nothing_loses_the_oldest_and_begins_anew():
