@@ -39,15 +39,15 @@ def runs_again(nodeid: str) -> bool:
 
 
 class SerialFirst(LoadScopeScheduling):
-    """The serial tests to one worker, those of `BESIDE` to another, then any test to any worker."""
+    """The serial tests to one worker, those of `BESIDE` to another, then any file to any worker."""
 
     def _split_scope(self, nodeid: str) -> str:
         if is_serial(nodeid):
             return "serial"
         if nodeid.startswith(BESIDE):
             return "beside"
-        # Simulations of one file share their runs.
-        return nodeid.partition("::")[0] if nodeid.startswith("tests/sim/") else nodeid
+        # Tests of one file share what they simulate.
+        return nodeid.partition("::")[0]
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         # What a crashed worker leaves is appended.
