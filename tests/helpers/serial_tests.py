@@ -1,7 +1,7 @@
-"""A plug-in of pytest: tests that need the machine run one at a time, once more if they fail.
+"""A plug-in of pytest: tests that start processes run one at a time, once more if they fail.
 
-With pytest-xdist one worker runs them, beside quick tests that give way: those take what the live
-sessions leave of the processors. Without it they run after all others.
+With pytest-xdist each lane of `LANES` is one worker's, and quick tests beside them give way: they
+take what the live sessions leave of the processors. Without it those of lanes run last.
 
 Such a test that fails runs again at once, with new fixtures. If it passes then, it is *unsteady*:
 the last lines name it, and the first failure's output is printed and kept in a file. A test that
@@ -21,39 +21,33 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 from xdist.workermanage import WorkerController
 
-#: Tests in these rooms start processes that need the machine.
-SERIAL = ("tests/browser/", "tests/realtime/")
-#: Those in these start processes, too, but mostly wait: one at a time, in a second worker.
-BESIDE = ("tests/interop/", "tests/samples/")
+#: Tests in these rooms start processes. Of each lane one runs at a time; most of them mostly wait.
+LANES = (("tests/realtime/",), ("tests/browser/", "tests/interop/", "tests/samples/"))
 _AUTOGROUP = Path("/proc/self/autogroup")
 
 UNSTEADY = "unsteady"
 
 
-def is_serial(nodeid: str) -> bool:
-    return nodeid.startswith(SERIAL)
+def lane_of(nodeid: str) -> int:
+    """Of a test; the number of lanes for a quick one."""
+    return next((lane for lane, rooms in enumerate(LANES) if nodeid.startswith(rooms)), len(LANES))
 
 
-def runs_again(nodeid: str) -> bool:
-    return nodeid.startswith((*SERIAL, *BESIDE))
+def is_quick(nodeid: str) -> bool:
+    return lane_of(nodeid) == len(LANES)
 
 
-class SerialFirst(LoadScopeScheduling):
-    """The serial tests to one worker, those of `BESIDE` to another, then any file to any worker."""
+class LanesFirst(LoadScopeScheduling):
+    """Each lane to one worker; then any file to any worker."""
 
     def _split_scope(self, nodeid: str) -> str:
-        if is_serial(nodeid):
-            return "serial"
-        if nodeid.startswith(BESIDE):
-            return "beside"
         # Tests of one file share what they simulate.
-        return nodeid.partition("::")[0]
+        return nodeid.partition("::")[0] if is_quick(nodeid) else f"lane {lane_of(nodeid)}"
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         # What a crashed worker leaves is appended.
-        for scope in ("beside", "serial"):
-            if scope in self.workqueue:
-                self.workqueue.move_to_end(scope, last=False)
+        for scope in [scope for scope in self.workqueue if scope.startswith("lane ")]:
+            self.workqueue.move_to_end(scope, last=False)
         super()._assign_work_unit(node)
 
 
@@ -75,20 +69,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> SerialFirst:
-    return SerialFirst(config, log)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LanesFirst:
+    return LanesFirst(config, log)
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(session: pytest.Session, items: list[pytest.Item]) -> None:
     if is_xdist_worker(session):
-        items.sort(key=lambda item: (not is_serial(item.nodeid), not runs_again(item.nodeid)))
+        items.sort(key=lambda item: lane_of(item.nodeid))
     else:
-        items.sort(key=lambda item: is_serial(item.nodeid))
+        items.sort(key=lambda item: not is_quick(item.nodeid))
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    if not runs_again(item.nodeid):
+    if is_quick(item.nodeid):
         if is_xdist_worker(item.session):
             give_way()
         return None

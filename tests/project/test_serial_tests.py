@@ -1,4 +1,4 @@
-"""Tests that need the machine run one at a time, and once more if they fail.
+"""Tests that start processes run one at a time, and once more if they fail.
 
 Checked with pytest itself, on a small suite in a temporary directory.
 """
