@@ -116,9 +116,9 @@ class Newcomer:
         if not (EDGE < to[0] < width - EDGE and EDGE < to[1] < height - EDGE):
             self.release()
             return mm
-        ActionChains(self.page.driver(), duration=100).move_by_offset(across, down).perform()
+        ActionChains(self.page.driver(), duration=200).move_by_offset(across, down).perform()
         self.at = to
-        self.wait(0.1)
+        self.wait(0.25)
         return mm
 
     def wait(self, seconds):
