@@ -21,8 +21,18 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 from xdist.workermanage import WorkerController
 
-#: Tests in these rooms start processes. Of each lane one runs at a time; most of them mostly wait.
-LANES = (("tests/realtime/",), ("tests/browser/", "tests/interop/", "tests/samples/"))
+#: Beginnings of modules of `tests/realtime` whose processes are no whole session.
+PARTS = tuple(
+    f"tests/realtime/test_{name}"
+    for name in (
+        *("bench_", "command_output.", "doctor_here.", "fresh_process.", "launcher_"),
+        *("link_command.", "media_parts.", "microphone.", "process_ends.", "rtc_peers."),
+        *("sessions.", "sources_live.", "stream_ends.", "topics.", "topics_files."),
+        *("upkeep.", "whip_client."),
+    )
+)
+#: Of each lane one test runs at a time. A session takes up to a processor, so two do not fit.
+LANES = (("tests/interop/", "tests/samples/", *PARTS), ("tests/browser/", "tests/realtime/"))
 _AUTOGROUP = Path("/proc/self/autogroup")
 
 UNSTEADY = "unsteady"
