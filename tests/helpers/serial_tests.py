@@ -21,18 +21,32 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 from xdist.workermanage import WorkerController
 
-#: Beginnings of modules of `tests/realtime` whose processes are no whole session.
-PARTS = tuple(
-    f"tests/realtime/test_{name}"
+#: Beginnings of modules that start no whole session.
+PARTS = (
+    *("tests/browser/test_page_layout.", "tests/browser/test_study_page."),
+    *(
+        f"tests/realtime/test_{name}"
+        for name in (
+            *("bench_", "command_output.", "doctor_here.", "fresh_process.", "launcher_"),
+            *("link_command.", "media_parts.", "microphone.", "process_ends.", "rtc_peers."),
+            *("sessions.", "sources_live.", "stream_ends.", "topics.", "topics_files."),
+            *("upkeep.", "whip_client."),
+        )
+    ),
+)
+#: And of some with a small session, which mostly waits.
+SMALL = tuple(
+    f"tests/realtime/test_{name}."
     for name in (
-        *("bench_", "command_output.", "doctor_here.", "fresh_process.", "launcher_"),
-        *("link_command.", "media_parts.", "microphone.", "process_ends.", "rtc_peers."),
-        *("sessions.", "sources_live.", "stream_ends.", "topics.", "topics_files."),
-        *("upkeep.", "whip_client."),
+        *("joystick_session", "maintain", "own_telemetry", "packets_udp", "remote_update"),
+        "yamcs",
     )
 )
-#: Of each lane one test runs at a time. A session takes up to a processor, so two do not fit.
-LANES = (("tests/interop/", "tests/samples/", *PARTS), ("tests/browser/", "tests/realtime/"))
+#: Of each lane one test runs at a time. Two large sessions take more than two processors.
+LANES = (
+    ("tests/interop/", "tests/samples/", *PARTS, *SMALL),
+    ("tests/browser/", "tests/realtime/"),
+)
 _AUTOGROUP = Path("/proc/self/autogroup")
 
 UNSTEADY = "unsteady"

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 from places import ROOT
-from serial_tests import PARTS
+from serial_tests import PARTS, SMALL
 
 #: How pytest's closing line ends.
 IN_TIME = r"in [\d.]+s( \([\d:]+\))?"
@@ -165,6 +165,6 @@ def test_a_test_that_does_not_need_the_machine_is_not_run_again(run):
     assert re.fullmatch(rf"1 failed {IN_TIME}", output.splitlines()[-1])
 
 
-@pytest.mark.parametrize("beginning", PARTS)
+@pytest.mark.parametrize("beginning", PARTS + SMALL)
 def test_each_beginning_of_a_modules_name_has_a_module(beginning):
     assert list(ROOT.glob(f"{beginning}*"))
