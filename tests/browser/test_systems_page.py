@@ -20,7 +20,7 @@ def test_the_systems_operator_sees_files_software_and_milestones_and_restarts_a_
     monkeypatch.setenv("KONTUR_AV_STATUS", str(status))
     ends = tmp_path / "ends"
     (ends / "ground").mkdir(parents=True)
-    (ends / "ground" / "image.bin").write_bytes(Random(1).randbytes(30_000))
+    (ends / "ground" / "image.bin").write_bytes(Random(1).randbytes(60_000))
     joystick = ends / "space" / "joystick"
     joystick.mkdir(parents=True)
     (joystick / TOLD).write_bytes(UpdateInbox(("copy",)).told("sd/2", "run", {"sd/1": "valid"}))
@@ -29,9 +29,7 @@ def test_the_systems_operator_sees_files_software_and_milestones_and_restarts_a_
     def busy():
         return json.loads(status.read_text())["busy"]
 
-    # The file takes 16 s, in which a loss of signal is ordered.
-    files = ("--files", str(ends), "--files-rate", "15,200")
-    options = (*files, "--tasks", "--trainer", "--page", str(free_port()))
+    options = ("--files", str(ends), "--tasks", "--trainer", "--page", str(free_port()))
     with RunningSession("taskboard", *options, directory=tmp_path) as session:
         session.wait_for_flow()
         page = start_browser().open(session.pages()["systems"])
