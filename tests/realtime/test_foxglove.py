@@ -120,14 +120,17 @@ def narrow_path(port):
 
         def serve():
             with server.accept()[0] as near:
+                # A page of another address is refused.
+                request = near.recv(4096).replace(b":%d" % narrow, b":%d" % port)
+                far.sendall(request)
                 Thread(target=carry, args=(near, far), daemon=True).start()
                 carry(far, near)
                 ended.wait()
 
-        ended = Event()
+        narrow, ended = server.getsockname()[1], Event()
         Thread(target=serve, daemon=True).start()
         try:
-            yield server.getsockname()[1], stalled
+            yield narrow, stalled
         finally:
             ended.set()
 
