@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from janus_room import free_port
 from running_session import PATIENCE_S, eventually
 
 pytestmark = pytest.mark.interop
@@ -49,7 +50,8 @@ def test_it_watches_publishes_and_stalls_alone(start, tmp_path):
     token = "word-of-the-partner"
     serve = start(
         "serve",
-        *(sys.executable, "-m", "pipelines.cli", "rtc", "serve", "--http", "18940"),
+        *(sys.executable, "-m", "pipelines.cli", "rtc", "serve"),
+        *("--http", str(free_port())),
         *("--token", token, "--video", "scene:left", "--size", "320x240", "--fps", "15"),
         *("--audio", "scene:ground_voice"),
         *("--report", "report.json", "--save", "seen.mkv", "--save-voice", "heard.mka"),

@@ -1,5 +1,6 @@
 """Fixtures that start sessions."""
 
+import contextlib
 from pathlib import Path
 
 import pytest
@@ -12,15 +13,13 @@ from running_session import RunningSession  # noqa: E402
 @pytest.fixture
 def start(tmp_path):
     """start("taskboard", *options): a running session, which ends after the test in any case."""
-    started = []
+    with contextlib.ExitStack() as started:
 
-    def start_session(setup, *options, prefix=()):
-        started.append(RunningSession(setup, *options, directory=tmp_path, prefix=prefix))
-        return started[-1]
+        def start_session(setup, *options, prefix=()):
+            session = RunningSession(setup, *options, directory=tmp_path, prefix=prefix)
+            return started.enter_context(session)
 
-    yield start_session
-    for session in started:
-        session.__exit__()
+        yield start_session
 
 
 def pytest_collection_modifyitems(items):

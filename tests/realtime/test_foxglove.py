@@ -4,13 +4,14 @@ import base64
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import time
 from collections import Counter
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from itertools import count
-from threading import Thread
+from threading import Event, Thread
 
 import browser as browsers
 import pytest
@@ -98,6 +99,40 @@ def page():
         Thread(target=partial(server.serve_forever, 0.05), daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}/"
         server.shutdown()
+
+
+@contextlib.contextmanager
+def narrow_path(port):
+    """A port that leads to another one, for one client. It carries until the event is set.
+
+    Its segments are small, so the kernel's buffers on the way to the client are small, too.
+    """
+    stalled = Event()
+
+    def carry(source, to):
+        while (data := source.recv(4096)) and not stalled.is_set():
+            to.sendall(data)
+
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.socket() as far:
+        far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        far.setsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG, 1000)
+        far.connect(("127.0.0.1", port))
+
+        def serve():
+            with server.accept()[0] as near:
+                # A page of another address is refused.
+                request = near.recv(4096).replace(b":%d" % narrow, b":%d" % port)
+                far.sendall(request)
+                Thread(target=carry, args=(near, far), daemon=True).start()
+                carry(far, near)
+                ended.wait()
+
+        narrow, ended = server.getsockname()[1], Event()
+        Thread(target=serve, daemon=True).start()
+        try:
+            yield narrow, stalled
+        finally:
+            ended.set()
 
 
 def assert_decodes(received):
@@ -232,19 +267,20 @@ def test_over_tls_a_client_leads_a_task_by_services(start, tmp_path):
 
 @needs_client
 def test_a_client_that_does_not_read_loses_messages_and_nobody_else(start, tmp_path):
-    session = start("taskboard", "--foxglove", str(free_port()))
+    port = free_port()
+    session = start("taskboard", "--foxglove", str(port))
     session.wait_for_flow()
-    looker = FoxgloveClient(address(session), tmp_path / "slow.txt", "slow")
-    process = None
-    try:
-        eventually(lambda: looker.answers("channels"), "the channels")
-        before = session.shown()
-        # The kernel's buffers take about 6 MB first.
-        eventually(lambda: session.shown()["haptic_up"] > before["haptic_up"] + 25_000, "25 s")
-        process = looker.process
-        process.kill()
-    finally:
-        looker.end()
+    url = address(session)
+    with narrow_path(port) as (narrow, stalled):
+        looker = FoxgloveClient(url.replace(f":{port}", f":{narrow}"), tmp_path / "slow.txt")
+        try:
+            eventually(lambda: looker.answers("topic"), "a message")
+            stalled.set()
+            before = session.shown()
+            eventually(lambda: session.shown()["haptic_up"] > before["haptic_up"] + 8_000, "8 s")
+            looker.process.kill()
+        finally:
+            looker.end()
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     assert_sound(report)

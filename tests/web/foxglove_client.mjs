@@ -1,6 +1,6 @@
 // Foxglove's own client: subscribes to all channels, and writes what comes to standard output, a
-// JSON text a line. `foxglove_client.mjs URL [slow|once]`; slow: reads nothing after its
-// subscriptions; once: tells the first message of each channel only.
+// JSON text a line. `foxglove_client.mjs URL [once]`; once: tells the first message of each
+// channel only.
 // It calls the service of each line {"callId", "service", "fields"} of its input.
 import { createRequire } from "node:module";
 import { createInterface } from "node:readline";
@@ -28,7 +28,6 @@ client.on("advertise", (channels) => {
   tell({ channels });
   for (const one of channels) topics.set(client.subscribe(one.id), one.topic);
   client.getParameters([], "all");
-  if (pace === "slow") setTimeout(() => socket.pause(), 1000);
 });
 client.on("advertiseServices", (offered) => {
   for (const { id, name } of offered) services.set(name, id);
