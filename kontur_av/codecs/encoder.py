@@ -276,9 +276,7 @@ class VideoEncoder:
         # Integers, because a product of fractions takes longer than all else around the encoder.
         self._ticks = (Fraction(VIDEO_CLOCK_HZ) / self._settings.rate).as_integer_ratio()
 
-    def _give(
-        self, data: I420, region: Region | None, finer: int, *, force_keyframe: bool
-    ) -> Any:
+    def _give(self, data: I420, region: Region | None, finer: int, *, force_keyframe: bool) -> Any:
         picture = av.VideoFrame.from_numpy_buffer(data, "yuv420p")
         ticks, parts = self._ticks
         picture.pts = self._given * ticks // parts
