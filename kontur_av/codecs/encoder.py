@@ -128,6 +128,7 @@ class VideoEncoder:
             regions=regions,
         )
         self._marker: _Marker | None = None
+        self._limit: QuantiserLimit | None = None
         self._follow_refresh()
         self._begin()
 
@@ -270,7 +271,7 @@ class VideoEncoder:
         size = self._settings.width, self._settings.height
         self._small = None if size == (self.width, self.height) else empty_picture(*size)
         self._given = 0
-        self._limit: QuantiserLimit | None = None
+        self._limit = None
         self._codec = self._settings.open()
         self._share_octets = float(self._settings.cap_bps / 8 / self._settings.rate)
         # Integers, because a product of fractions takes longer than all else around the encoder.
