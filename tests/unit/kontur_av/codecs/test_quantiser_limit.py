@@ -30,7 +30,7 @@ def test_it_falls_slowly_to_what_even_pictures_need():
 def test_it_rises_at_once_before_a_picture_that_changes_more_and_is_lifted_at_a_cut():
     limit, values = settled()
     assert limit.handle_picture(2.0) > values[-1] + 3
-    assert limit.handle_picture(20.0) == COARSEST
+    assert limit.handle_picture(3.6) == COARSEST
 
 
 def test_it_rises_after_a_picture_that_took_more_and_ignores_empty_ones():
