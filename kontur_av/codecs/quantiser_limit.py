@@ -12,7 +12,7 @@ import math
 _STEPS_AN_OCTAVE = 5.5
 #: With the limit as quantiser, a picture takes this part of its share, so that errors of the
 #: prediction make none late.
-_PART = 0.33
+_PART = 0.4
 #: The octets grow with this power of the change from the picture before, and shrink with that one.
 _GROWS, _SHRINKS = 1.2, 0.5
 #: Noise in the mean change of the luma.
