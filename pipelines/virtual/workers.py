@@ -85,7 +85,8 @@ class Worker:
     def submit(self, job: Any) -> Job:
         waiting = Job(self)
         self._open.append(waiting)
-        self._link.send_bytes(pickle.dumps(job, pickle.HIGHEST_PROTOCOL))
+        with suppress(ConnectionError):  # of a dead process: `receive` says so
+            self._link.send_bytes(pickle.dumps(job, pickle.HIGHEST_PROTOCOL))
         return waiting
 
     def receive(self) -> None:

@@ -1,7 +1,15 @@
 """A simulation forks its coders from a process that may have used any library before."""
 
+import multiprocessing
+import os
+import signal
 import subprocess
 import sys
+from functools import partial
+
+import pytest
+
+from pipelines.virtual.workers import Workers
 
 USED_BEFORE = """
 import cv2, numpy
@@ -21,3 +29,27 @@ def test_earlier_opencv_threads_do_not_block_workers():
         [sys.executable, "-c", USED_BEFORE], capture_output=True, text=True, timeout=60, check=False
     )
     assert (ended.returncode, ended.stdout.strip()) == (0, "0.5"), ended.stderr
+
+
+def test_a_worker_that_dies_is_an_error_and_none_is_left():
+    with Workers() as workers, pytest.raises(RuntimeError, match="its process has ended"):
+        workers.start(lambda: abs)
+        killed = workers.start(lambda: partial(os.kill, os.getpid()), late=True)
+        killed.submit(signal.SIGKILL)
+        while True:
+            killed.submit(0).result()
+    assert not multiprocessing.active_children()
+
+
+def test_what_a_worker_does_ahead_may_fail_and_is_an_error():
+    class Coder:
+        def __call__(self, job):
+            return job
+
+        def ahead(self):
+            raise ValueError("ahead")
+
+    with Workers() as workers, pytest.raises(RuntimeError, match="ValueError: ahead"):
+        worker = workers.start(Coder)
+        for job in range(3):
+            assert worker.submit(job).result() == 0
