@@ -1,7 +1,4 @@
-"""A plug-in of pytest: tests that start processes run one at a time, once more if they fail.
-
-With pytest-xdist each lane of `LANES` is one worker's, and quick tests beside them give way: they
-take what the live sessions leave of the processors. Without it those of lanes run last.
+"""A plug-in of pytest: tests that need the machine run last, one at a time, once more if they fail.
 
 Such a test that fails runs again at once, with new fixtures. If it passes then, it is *unsteady*:
 the last lines name it, and the first failure's output is printed and kept in a file. A test that
@@ -10,79 +7,72 @@ does not order the tests.
 """
 
 import contextlib
-import os
-from functools import cache
 from pathlib import Path
 
 import pytest
 from _pytest.runner import runtestprotocol
-from xdist import is_xdist_worker
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
 from xdist.workermanage import WorkerController
 
-#: Beginnings of modules that start no whole session.
-PARTS = (
-    *("tests/browser/test_page_layout.", "tests/browser/test_study_page."),
-    *(
-        f"tests/realtime/test_{name}"
-        for name in (
-            *("bench_", "command_output.", "doctor_here.", "fresh_process.", "launcher_"),
-            *("link_command.", "media_parts.", "microphone.", "process_ends.", "rtc_peers."),
-            *("sessions.", "sources_live.", "stream_ends.", "topics.", "topics_files."),
-            *("upkeep.", "whip_client."),
-        )
-    ),
-)
-#: And of some with a small session, which mostly waits.
-SMALL = tuple(
-    f"tests/realtime/test_{name}."
-    for name in (
-        *("joystick_session", "maintain", "own_telemetry", "packets_udp", "remote_update"),
-        "yamcs",
-    )
-)
-#: Of each lane one test runs at a time. Two large sessions take more than two processors.
-LANES = (
-    ("tests/interop/", "tests/samples/", *PARTS, *SMALL),
-    ("tests/browser/", "tests/realtime/"),
-)
-_AUTOGROUP = Path("/proc/self/autogroup")
+#: Tests in these rooms start processes that need the machine.
+SERIAL = ("tests/browser/", "tests/realtime/")
+#: Those in this one start processes, too, but mostly wait: one at a time, beside quick tests.
+BESIDE = "tests/interop/"
 
 UNSTEADY = "unsteady"
 
 
-def lane_of(nodeid: str) -> int:
-    """Of a test; the number of lanes for a quick one."""
-    return next((lane for lane, rooms in enumerate(LANES) if nodeid.startswith(rooms)), len(LANES))
+def is_serial(nodeid: str) -> bool:
+    return nodeid.startswith(SERIAL)
 
 
-def is_quick(nodeid: str) -> bool:
-    return lane_of(nodeid) == len(LANES)
+def runs_again(nodeid: str) -> bool:
+    return nodeid.startswith((*SERIAL, BESIDE))
 
 
-class LanesFirst(LoadScopeScheduling):
-    """Each lane to one worker; then any file to any worker."""
+class SerialLast(LoadScopeScheduling):
+    """Any test to any worker; then the serial ones to one worker, when all others have ended.
+
+    A worker of pytest-xdist 3.8 runs a test only when it knows the next one, or that there is none.
+    """
 
     def _split_scope(self, nodeid: str) -> str:
-        # Tests of one file share what they simulate.
-        return nodeid.partition("::")[0] if is_quick(nodeid) else f"lane {lane_of(nodeid)}"
+        if is_serial(nodeid):
+            return "serial"
+        if nodeid.startswith(BESIDE):
+            return BESIDE
+        # Simulations of one file share their runs.
+        return nodeid.partition("::")[0] if nodeid.startswith("tests/sim/") else nodeid
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         # What a crashed worker leaves is appended.
-        for scope in [scope for scope in self.workqueue if scope.startswith("lane ")]:
-            self.workqueue.move_to_end(scope, last=False)
-        super()._assign_work_unit(node)
+        if "serial" in self.workqueue:
+            self.workqueue.move_to_end("serial")
+        if "serial" not in self.workqueue or len(self.workqueue) > 1 or self._is_last(node):
+            super()._assign_work_unit(node)
 
+    def _reschedule(self, node: WorkerController) -> None:
+        if list(self.workqueue) != ["serial"]:
+            super()._reschedule(node)
+        elif node.shutting_down:
+            return
+        elif any(not other.shutting_down for other in self.nodes if other is not node):
+            node.shutdown()
+        else:
+            self._assign_work_unit(node)
 
-@cache
-def give_way() -> None:
-    """From now on take only what other processes leave of the processors."""
-    with contextlib.suppress(OSError):
-        # Linux shares the time among sessions of the kernel first, so this one needs its own.
-        os.setsid()
-        _AUTOGROUP.write_text("19")
-    os.nice(19)
+    def _is_last(self, node: WorkerController) -> bool:
+        others = [self.assigned_work[other] for other in self.nodes if other is not node]
+        return not any(self._pending_of(work) for work in others)
+
+    def mark_test_complete(
+        self, node: WorkerController, item_index: int, duration: float = 0
+    ) -> None:
+        super().mark_test_complete(node, item_index, duration)
+        for other in self.nodes:
+            if other is not node and list(self.workqueue) == ["serial"]:
+                self._reschedule(other)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -93,22 +83,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LanesFirst:
-    return LanesFirst(config, log)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> SerialLast:
+    return SerialLast(config, log)
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(session: pytest.Session, items: list[pytest.Item]) -> None:
-    if is_xdist_worker(session):
-        items.sort(key=lambda item: lane_of(item.nodeid))
-    else:
-        items.sort(key=lambda item: not is_quick(item.nodeid))
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: is_serial(item.nodeid))
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    if is_quick(item.nodeid):
-        if is_xdist_worker(item.session):
-            give_way()
+    if not runs_again(item.nodeid):
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     reports = runtestprotocol(item, log=False, nextitem=nextitem)

@@ -1,20 +1,18 @@
-"""Tests that start processes run one at a time, and once more if they fail.
+"""Tests that need the machine run last, one at a time, and once more if they fail.
 
 Checked with pytest itself, on a small suite in a temporary directory.
 """
 
-import os
 import re
 import subprocess
 import sys
 
 import pytest
 from places import ROOT
-from serial_tests import PARTS, SMALL
 
 #: How pytest's closing line ends.
 IN_TIME = r"in [\d.]+s( \([\d:]+\))?"
-#: Each test leaves a line when it begins and when it ends, with its worker and niceness.
+#: Each test leaves a line when it begins and when it ends; `unsteady` fails once.
 WATCHED = """
 import os, time
 import pytest
@@ -22,10 +20,9 @@ import pytest
 @pytest.fixture(autouse=True)
 def watched(request):
     with open(os.environ["TRACE"], "a") as trace:
-        which = os.environ.get("PYTEST_XDIST_WORKER", "-"), os.nice(0)
-        print("begin", request.node.nodeid, *which, file=trace, flush=True)
+        print("begin", request.node.nodeid, file=trace, flush=True)
         yield
-        print("end", request.node.nodeid, *which, file=trace, flush=True)
+        print("end", request.node.nodeid, file=trace, flush=True)
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
@@ -55,29 +52,6 @@ def test_fails_once(made):
 def test_slow_again():
     time.sleep(0.1)
 """
-PAIR = """
-def test_one():
-    pass
-
-def test_another():
-    pass
-"""
-MARKS = """
-import os, pathlib, pytest
-
-@pytest.mark.parametrize("number", range(9))
-def test_quick(number):
-    pathlib.Path(os.environ["MARK"]).touch()
-"""
-WAITS = (
-    PAIR
-    + """
-def test_waits_for_a_quick_one():
-    import os, pathlib, time
-    while not pathlib.Path(os.environ["MARK"]).exists():
-        time.sleep(0.01)
-"""
-)
 TWICE = """
 def test_fails_twice():
     print("printed", "both times", sep=": ")
@@ -117,7 +91,7 @@ def run(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("workers", ["0", "2"])
-def test_serial_tests_run_one_at_a_time_and_an_unsteady_one_is_named(run, tmp_path, workers):
+def test_serial_tests_run_last_and_alone_and_an_unsteady_one_is_named(run, tmp_path, workers):
     rooms = {"browser": SERIAL, "quick": QUICK}
     code, output, events = run(rooms, "-n", workers, "--unsteady", str(tmp_path / "kept.txt"))
 
@@ -128,24 +102,10 @@ def test_serial_tests_run_one_at_a_time_and_an_unsteady_one_is_named(run, tmp_pa
     assert re.fullmatch(rf"12 passed, 1 unsteady {IN_TIME}", closing)
     for text in (output, (tmp_path / "kept.txt").read_text()):
         assert "the first time" in text and "what it printed" in text
-    serial = [(what, test) for what, test, *_ in events if "browser" in test]
+    serial = [(what, test) for what, test in events if "browser" in test]
+    assert events[-8:] == [[what, test] for what, test in serial]
     assert [what for what, _ in serial] == ["begin", "end"] * 4
     assert [test for _, test in serial].count(name) == 4
-    if workers == "0":
-        assert events[-8:] == [one for one in events if "browser" in one[1]]
-
-
-def test_quick_tests_run_beside_those_of_one_worker_and_give_way(run):
-    rooms = {"interop": PAIR, "quick": MARKS, "realtime": WAITS}
-    code, output, events = run(rooms, "-n", "2")
-
-    assert code == 0, output
-    where = {room: {tuple(one[2:]) for one in events if f"/{room}/" in one[1]} for room in rooms}
-    # Each of these rooms has one worker of its own, which keeps its priority.
-    (_, of_realtime), (_, of_interop) = *where["realtime"], *where["interop"]
-    assert where["realtime"] != where["interop"]
-    assert of_realtime == of_interop == str(os.nice(0))
-    assert {nice for _, nice in where["quick"]} == {"19"}
 
 
 def test_a_serial_test_that_fails_twice_fails_with_the_output_of_both_runs(run):
@@ -163,8 +123,3 @@ def test_a_test_that_does_not_need_the_machine_is_not_run_again(run):
     assert code == 1
     assert len(events) == 2
     assert re.fullmatch(rf"1 failed {IN_TIME}", output.splitlines()[-1])
-
-
-@pytest.mark.parametrize("beginning", PARTS + SMALL)
-def test_each_beginning_of_a_modules_name_has_a_module(beginning):
-    assert list(ROOT.glob(f"{beginning}*"))
