@@ -108,6 +108,15 @@ def test_floods_of_sei_and_of_nal_units_are_left_out(codec):
 
 
 @both
+def test_a_flood_of_sps_is_refused_unread(codec):
+    sets = [sps(codec, *SIZE, number=number % 16) for number in range(64)]
+    guard = DecoderGuard(codec)
+    assert guard.admit(join_annex_b(sets[:32]))
+    assert guard.admit(join_annex_b(sets)) == b""
+    assert guard.sets_refused == 64
+
+
+@both
 def test_pictures_whose_sets_are_missing_are_counted_as_undecoded(codec):
     decoder = VideoDecoder(codec, size=SIZE)
     key, following = access_units(codec, *SIZE, count=2)
