@@ -118,7 +118,7 @@ class VideoDecoder:
         back. False: a decoder that begins to hold pictures back is opened anew. Damage causes
         that, and every later picture would be late.
     size: width and height of the stream in pixels, if they are known. One decoded picture may take
-        four times as much as an `I420` of this size; else as one of 4096x4096.
+        four times as much as an `I420` of this size; else `MOST_PICTURE_OCTETS`.
     """
 
     def __init__(

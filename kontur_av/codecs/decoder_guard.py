@@ -12,9 +12,10 @@ from kontur_av.media import VideoCodec
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 
-#: Of one decoded picture: 4096x4096 in 4:2:0 of 8 bits, or 3840x2160 with more bits or colours.
-MOST_PICTURE_OCTETS: Final = 4096 * 4096 * 3 // 2
+#: Of one decoded picture: 4096x2160 in 4:2:2 of 10 bits, as cameras for film have it.
+MOST_PICTURE_OCTETS: Final = 4096 * 2160 * 2 * 2
 
+_MOST_PIXELS = 4096 * 4096
 #: Lines of a few pixels take as much memory as long ones, so there may not be many.
 _MOST_SIDE = 8192
 #: Of an access unit: NAL units, and octets of SEI. Measured: for 4 MB of small SEI messages FFmpeg
@@ -215,5 +216,7 @@ class DecoderGuard:
         except ProtocolError:
             return False
         return (
-            picture.octets <= self._most_octets and max(picture.width, picture.height) <= _MOST_SIDE
+            picture.octets <= self._most_octets
+            and picture.width * picture.height <= _MOST_PIXELS
+            and max(picture.width, picture.height) <= _MOST_SIDE
         )

@@ -67,6 +67,7 @@ def test_a_forged_sps_takes_no_memory_and_the_next_good_one_is_shown(codec, said
 def test_without_a_size_a_decoder_takes_4k_of_10_bits_and_no_more(codec):
     for said, passes in (
         ({"width": 3840, "height": 2160, "bits": 10}, True),
+        ({"width": 4096, "height": 2160, "bits": 10, "chroma": 2}, True),
         ({"width": 4096, "height": 4096}, True),
         ({"width": 3840, "height": 2160, "bits": 10, "chroma": 3}, False),
         ({"width": 4096, "height": 4112}, False),
