@@ -340,6 +340,19 @@ def test_pictures_stay_small_under_a_cap_of_less_than_a_kilobit_a_picture():
     assert max(sizes) <= 150
 
 
+@pytest.mark.parametrize("form", ["yuv420p", "yuv422p", "yuv444p10le"])
+def test_a_stream_of_colours_that_ffmpeg_cannot_convert_is_shown(form):
+    coder = av.CodecContext.create("libx264", "w")
+    coder.width, coder.height, coder.pix_fmt = 64, 48, form
+    coder.time_base, coder.options = Fraction(1, 30), {"preset": "ultrafast"}
+    coder.colorspace = 8  # YCgCo
+    (packet,) = [*coder.encode(av.VideoFrame(64, 48, form)), *coder.encode(None)]
+    decoder = H264Decoder()
+    (shown,) = [*decoder.decode(bytes(packet), 0), *decoder.drain()]
+    assert shown.to_i420().shape == (72, 64)
+    assert decoder.counts.frames_corrupt == 0
+
+
 def test_colours_that_ffmpeg_cannot_convert_are_taken_as_unspecified():
     scaler = VideoReformatter()
     for matrix in range(20):
