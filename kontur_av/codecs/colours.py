@@ -1,6 +1,7 @@
 """The colours of an `I420`, ITU-R BT.601 in narrow range, and those that others use."""
 
 from fractions import Fraction
+from threading import local
 
 import av
 from av.video.codeccontext import VideoCodecContext
@@ -10,6 +11,13 @@ from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTr
 BT601 = 6
 #: With BT.470, which is the same, and unspecified, for which FFmpeg takes them.
 _LIKE_BT601 = (BT601, 5, 2)
+
+
+class Scaler(local):
+    """FFmpeg's scaler: another one in each thread, as two in one at once end the process."""
+
+    def __init__(self) -> None:
+        self.own = VideoReformatter()
 
 
 def i420_encoder(

@@ -12,14 +12,17 @@ from kontur_av.media import VideoCodec
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 
-#: Of one decoded picture: 4096x4096 in 4:2:0 of 8 bits, or 3840x2160 with more bits or colours.
-MOST_PICTURE_OCTETS: Final = 4096 * 4096 * 3 // 2
+#: Of one decoded picture: 4096x2160 in 4:2:2 of 10 bits, as cameras for film have it.
+MOST_PICTURE_OCTETS: Final = 4096 * 2160 * 2 * 2
 
+_MOST_PIXELS = 4096 * 4096
 #: Lines of a few pixels take as much memory as long ones, so there may not be many.
 _MOST_SIDE = 8192
 #: Of an access unit: NAL units, and octets of SEI. Measured: for 4 MB of small SEI messages FFmpeg
 #: takes 350 MB and 3 s.
 _MOST_NAL_UNITS, _MOST_SEI = 4096, 16 << 10
+#: SPS of an access unit: H.264 has 32 numbers for them, HEVC 16.
+_MOST_SETS = 32
 _SEI: Mapping[VideoCodec, frozenset[int]] = {"h264": frozenset((6,)), "h265": frozenset((39, 40))}
 #: Takes the place of a type.
 _OTHER_VIEW = -1
@@ -51,7 +54,8 @@ class CodedPicture(NamedTuple):
 
 class _Bits:
     def __init__(self, data: bytes) -> None:
-        self._bits = "".join(f"{octet:08b}" for octet in data[:_MOST_SPS_OCTETS])
+        data = data[:_MOST_SPS_OCTETS]
+        self._bits = f"{int.from_bytes(data):0{8 * len(data)}b}" if data else ""
         self._at = 0
 
     def u(self, count: int) -> int:
@@ -185,7 +189,8 @@ class DecoderGuard:
         kinds = [self._kind(nal) for nal in nals]
         sets = [nal for nal, kind in zip(nals, kinds, strict=True) if kind == self._form.sps]
         if sets:
-            refused = sum(not self._fits(nal) for nal in sets)
+            many = len(sets) > _MOST_SETS
+            refused = len(sets) if many else sum(not self._fits(nal) for nal in sets)
             self.sets_refused += refused
             self._closed = refused > 0
         if self._closed:
@@ -211,5 +216,7 @@ class DecoderGuard:
         except ProtocolError:
             return False
         return (
-            picture.octets <= self._most_octets and max(picture.width, picture.height) <= _MOST_SIDE
+            picture.octets <= self._most_octets
+            and picture.width * picture.height <= _MOST_PIXELS
+            and max(picture.width, picture.height) <= _MOST_SIDE
         )

@@ -194,7 +194,8 @@ class VideoEncoder:
         packet = self._give(data, region, finer, force_keyframe=force_keyframe)
         if self._cuts is not None:
             quantiser, loss_by_coding = self._quantiser_and_loss(packet)
-            quantiser -= finer
+            # x264 codes no block below 0, whatever it was asked for.
+            quantiser = max(quantiser - finer, 0.0)
             shares = packet.size / self._share_octets
             if self._limit is not None:
                 self._limit.handle_unit(shares, quantiser)
@@ -294,7 +295,9 @@ class VideoEncoder:
         width, height = coded = self.unit_size
         blocks = region.in_blocks((self.width, self.height), coded) if region is not None else None
         # Of two parts the first one counts.
-        parts = [(blocks, region.steps + finer)] if region is not None and blocks else []
+        parts: list[_Part] = []
+        if region is not None and blocks:
+            parts.append((blocks, min(region.steps + finer, _QUANTISERS)))
         if finer:
             parts.append(((0, 0, width, height), finer))
         if not parts:

@@ -106,7 +106,10 @@ class PictureOutput:
         """Say what the decoder waits for; "" where that is not known."""
         wanted = self._form.set_names.items()
         names = [f"no {name}" for kind, name in wanted if kind not in self._came]
-        return f": {' and '.join(names)} came, in the stream or in the SDP" if names else ""
+        if names:
+            return f": {' and '.join(names)} came, in the stream or in the SDP"
+        refused = self._decoding.decoder.counts.sets_refused
+        return ": its SPS is malformed, or asks for too much memory" if refused else ""
 
     def _show(self, picture: DecodedPicture) -> None:
         if self._raw is not None:

@@ -214,6 +214,11 @@ class Bridge:
         """From now on a topic is read."""
         self._numbers.forget(source.topic)
 
+    def lacks_key(self, source: Source, now_ns: int) -> bool:
+        """Whether a client waits for a key picture that only the stream's sender can make."""
+        video = self._videos.get(source.topic)
+        return video is not None and video.lacks_key(now_ns)
+
     def coder(self, source: Source) -> CameraCoder:
         """Return what codes the pictures of a camera."""
         return self._coders[source.channels[0]]

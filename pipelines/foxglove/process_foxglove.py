@@ -213,6 +213,8 @@ class _Topics:
             source for source in sources_of(topology) if source.content is not Content.CAMERA
         ]
         self._readers: dict[str, Reader] = {}
+        #: Second readers while a client waits: for new readers a stream makes a key picture.
+        self._waiting: dict[str, Reader] = {}
         self._cameras = [
             CameraReader(bus, source, bridge.coder(source))
             for source in sources_of(topology)
@@ -237,6 +239,11 @@ class _Topics:
                 with lease:
                     octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
                 bridge.handle_sample(source, octets, stamp, Instants(at_ns, now_ns))
+            if not bridge.lacks_key(source, now_ns):
+                if source.topic in self._waiting:
+                    self._waiting.pop(source.topic).close()
+            elif source.topic not in self._waiting:
+                self._waiting[source.topic] = self._bus.reader(source.topic)
         selected, mission = (state.latest() for state in self._states)
         if selected is not None:
             self._camera = Choice.unpack(selected).camera
@@ -251,7 +258,7 @@ class _Topics:
                 bridge.handle_camera(source, *coded, now_ns)
 
     def close(self) -> None:
-        for reader in self._readers.values():
+        for reader in (*self._readers.values(), *self._waiting.values()):
             reader.close()
         for state in self._states:
             state.close()

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.black_key import black_key
-from kontur_av.media import CaptureStamp
+from kontur_av.media import CaptureStamp, VideoCodec
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.foxglove.client import Client
 from pipelines.recording.channels import Source
@@ -67,10 +67,11 @@ class LiveVideo:
         self._number = 0
         #: HEVC units that were withheld, over all clients.
         self.undecodable = 0
+        self._codec: VideoCodec = "h264"
 
     def handle_unit(self, unit: CodedUnit, stamp: CaptureStamp, at: Instants) -> None:
         """A unit of the stream."""
-        now_ns = at.now_ns
+        now_ns, self._codec = at.now_ns, unit.codec
         takers = []
         if self._held is None and (self._key_ns is None or now_ns - self._key_ns >= _APART_NS):
             takers = [
@@ -116,6 +117,12 @@ class LiveVideo:
         else:
             self._number += 1
             self._asked = KeyAsked(self.channel, self._number, begun.key, unit.width, unit.height)
+
+    def lacks_key(self, now_ns: int) -> bool:
+        """Whether a client waits for a key picture of the stream itself: of HEVC none is made."""
+        return self._codec == "h265" and any(
+            client.lacks(self.channel, now_ns) for client in self._clients.values()
+        )
 
     def next_event(self) -> KeyAsked | None:
         """Return the key picture that is to be made, or None."""

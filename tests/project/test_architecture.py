@@ -256,6 +256,7 @@ PURE = {
 #: Further libraries that cores use, with the reason.
 LIBRARIES = {
     "kontur_av/codecs/": ({"av", "cv2"}, "FFmpeg's coders, and scaling of pictures"),
+    "kontur_av/codecs/colours.py": ({"threading"}, "a scaler for each thread"),
     "kontur_av/codecs/libopus.py": ({"ctypes", "pathlib", "sys", "warnings"}, "finds libopus"),
     "kontur_av/detect/light.py": ({"cv2"}, "looks at pictures"),
     "kontur_av/sources/seam.py": ({"cv2"}, "looks at pictures"),

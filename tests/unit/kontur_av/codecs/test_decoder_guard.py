@@ -67,6 +67,7 @@ def test_a_forged_sps_takes_no_memory_and_the_next_good_one_is_shown(codec, said
 def test_without_a_size_a_decoder_takes_4k_of_10_bits_and_no_more(codec):
     for said, passes in (
         ({"width": 3840, "height": 2160, "bits": 10}, True),
+        ({"width": 4096, "height": 2160, "bits": 10, "chroma": 2}, True),
         ({"width": 4096, "height": 4096}, True),
         ({"width": 3840, "height": 2160, "bits": 10, "chroma": 3}, False),
         ({"width": 4096, "height": 4112}, False),
@@ -105,6 +106,15 @@ def test_floods_of_sei_and_of_nal_units_are_left_out(codec):
     assert peak_growth(attack) < 16 * MB
     little = join_annex_b([header + b"\x05\x11" + bytes(range(1, 17)) + b"\x01\x80"]) + unit
     assert DecoderGuard(codec).admit(little) == little
+
+
+@both
+def test_a_flood_of_sps_is_refused_unread(codec):
+    sets = [sps(codec, *SIZE, number=number % 16) for number in range(64)]
+    guard = DecoderGuard(codec)
+    assert guard.admit(join_annex_b(sets[:32]))
+    assert guard.admit(join_annex_b(sets)) == b""
+    assert guard.sets_refused == 64
 
 
 @both

@@ -2,6 +2,7 @@
 
 from fractions import Fraction
 from functools import lru_cache
+from threading import Thread
 
 import av
 import cv2
@@ -17,6 +18,7 @@ from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.colours import as_i420
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.codecs.h264_settings import H264Settings
+from kontur_av.codecs.scaling import shrink
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.rtp.annex_b import split_annex_b
@@ -338,6 +340,43 @@ def test_pictures_stay_small_under_a_cap_of_less_than_a_kilobit_a_picture():
     units = encode(originals, size=(160, 120), cap_bps=20_000, coded_size=None, refresh_s=20.0)
     sizes = [len(unit.data) for unit in units[10:]]
     assert max(sizes) <= 150
+
+
+def test_threads_scale_at_once():
+    """With one scaler for all of them, the process ends by a segmentation fault."""
+    wrong = []
+
+    def work(size, value):
+        picture, small = empty_picture(*size), empty_picture(*(side // 2 for side in size))
+        picture[:] = value
+        for _ in range(100):
+            small[:] = 0
+            shrink(picture, small)
+            wrong.extend(np.unique(small[abs(small.astype(int) - value) > 1]))
+
+    threads = [Thread(target=work, args=one) for one in (((640, 480), 60), ((320, 240), 200))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+@pytest.mark.parametrize("form", ["yuv420p", "yuv422p", "yuv444p10le"])
+def test_a_stream_of_colours_that_ffmpeg_cannot_convert_is_shown(form):
+    coder = av.CodecContext.create("libx264", "w")
+    coder.width, coder.height, coder.pix_fmt = 64, 48, form
+    coder.time_base, coder.options = Fraction(1, 30), {"preset": "ultrafast"}
+    coder.colorspace = 8  # YCgCo
+    frame = av.VideoFrame(64, 48, form)
+    for plane in frame.planes:
+        # x264 writes beyond its tables for samples of more than 10 bits.
+        plane.update(bytes(plane.buffer_size))
+    (packet,) = [*coder.encode(frame), *coder.encode(None)]
+    decoder = H264Decoder()
+    (shown,) = [*decoder.decode(bytes(packet), 0), *decoder.drain()]
+    assert shown.to_i420().shape == (72, 64)
+    assert decoder.counts.frames_corrupt == 0
 
 
 def test_colours_that_ffmpeg_cannot_convert_are_taken_as_unspecified():

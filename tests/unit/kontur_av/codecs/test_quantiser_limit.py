@@ -4,7 +4,8 @@ import numpy as np
 
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.quantiser_limit import QuantiserLimit
-from kontur_av.media import CaptureStamp, VideoFrame
+from kontur_av.codecs.region import MOST_STEPS, Region
+from kontur_av.media import BLACK_LUMA, NEUTRAL_CHROMA, CaptureStamp, VideoFrame, empty_picture
 
 COARSEST = 48
 CAP_BPS = 85_000
@@ -58,3 +59,14 @@ def test_the_encoder_codes_no_block_coarser(pictures, monkeypatch):
     plain = octets()
     monkeypatch.setattr(QuantiserLimit, "handle_picture", lambda *_: 22)
     assert min(octets()) > 1.4 * max(plain)
+
+
+def test_a_region_of_a_picture_that_stands_is_coded_on():
+    """The picture is then finer by 45 steps already, and FFmpeg takes an offset of 51 at most."""
+    encoder = H264Encoder(width=640, height=480, fps=30, cap_bps=120_000, regions=True)
+    still = empty_picture(640, 480)
+    still[:480], still[480:] = np.arange(640) // 4 + BLACK_LUMA, NEUTRAL_CHROMA
+    region = Region(0, 0, 96, 96, MOST_STEPS)
+    for number in range(150):
+        encoder.encode(VideoFrame(still, CaptureStamp(number, number, "t")), region=region)
+    assert encoder.encoded == 150

@@ -9,6 +9,7 @@ from threading import Event, Thread, Timer
 
 import numpy as np
 import pytest
+from forged_streams import sps as forged_sps
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.coding import SLOW_REFRESH_S
@@ -139,7 +140,8 @@ def test_receive_says_what_came_instead(second_octet, to_report_port, said, tmp_
     [
         ([b"\x41\x88abcd"], "no SPS and no PPS came"),
         ([b"\x67\x42\xc0\x1e", b"\x65\x88abcd"], ": no PPS came"),
-        ([b"\x67\x42\xc0\x1e", b"\x68\xce", b"\x65\x88abcd"], ""),
+        ([forged_sps("h264", 320, 240), b"\x68\xce", b"\x65\x88abcd"], ""),
+        ([forged_sps("h264", 8192, 8192), b"\x68\xce", b"\x65\x88abcd"], "too much memory"),
     ],
 )
 def test_receive_says_which_parameter_sets_never_came(units, said):
