@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import parse_address
 from pipelines.link.key_files import default_key_path, pinned_peer, read_key
 from pipelines.link.peer_socket import PeerPlan, Protection
+from pipelines.session.addresses import parse_address
 from pipelines.session.datagrams import Address, obstacle
 from pipelines.session.launcher import hold_port
 from pipelines.session.setup.table import Setup

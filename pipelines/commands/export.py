@@ -8,7 +8,6 @@ from rich.console import Console
 from rich.progress import Progress
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import say
 from pipelines.commands.recorded_parts import read_recording
 from pipelines.recording.export import lerobot, mat_file
 from pipelines.recording.export.csv_files import CsvExport
@@ -17,6 +16,7 @@ from pipelines.recording.export.lerobot import LeRobotExport
 from pipelines.recording.export.mat_file import MatExport
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.recording_file import Outputs
+from pipelines.session.output import say
 
 #: The bar moves after this many messages.
 _STEP = 500

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import bound_socket, resolve
 from pipelines.files.desk import RATES_BPS
 from pipelines.files.process_files import FilesPlan
 from pipelines.files.service_sockets import ServicesPlan
+from pipelines.session.addresses import bound_socket, resolve
 from pipelines.session.datagrams import LOOPBACK, Address
 from pipelines.session.topology import FILES, PAGES, Segment
 from telepresence.services.datagrams import MOST_NAME_OCTETS, is_service_name

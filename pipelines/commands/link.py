@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import add_seconds_argument, check_options, resolve, say
+from pipelines.commands.common import add_seconds_argument, check_options
 from pipelines.commands.end_options import (
     add_end_arguments,
     check_one_machine,
@@ -23,6 +23,7 @@ from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.report_file import check_writable, save_report
+from pipelines.session.addresses import resolve
 from pipelines.session.datagrams import (
     LOOPBACK,
     Address,
@@ -37,6 +38,7 @@ from pipelines.session.options import (
     add_setup_argument,
     setup_changes,
 )
+from pipelines.session.output import say
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.session.topology.tables import ports_table

@@ -11,7 +11,6 @@ from pathlib import Path
 import msgspec
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog
 from pipelines.report.live import LiveView
@@ -21,6 +20,7 @@ from pipelines.report.seat_feed import session_report
 from pipelines.report.summary import print_summary
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.launcher import Launcher
+from pipelines.session.output import output_that_may_fail
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Segment
 from pipelines.session.upkeep_files import NotesReader, SessionNow, write_now

@@ -15,7 +15,8 @@ from socket import socket
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
-from pipelines.commands.common import resolve, say
+from pipelines.session.addresses import resolve
+from pipelines.session.output import say
 from pipelines.session.page_certificate import certificate_for, check_certificate
 from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
 from pipelines.session.seat_roles import Role

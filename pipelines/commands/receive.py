@@ -15,11 +15,7 @@ from kontur_av.media import parse_size
 from kontur_av.meters import RateMeter
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
-from pipelines.commands.common import (
-    check_options,
-    say,
-    stopped_by_signals,
-)
+from pipelines.commands.common import check_options
 from pipelines.commands.live_output import LiveWriter
 from pipelines.commands.media_reports import (
     ReceivedLatency,
@@ -32,7 +28,8 @@ from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
 from pipelines.commands.receive_media import PictureOutput, SoundOutput
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.report.report_file import check_writable, end_with
-from pipelines.session.output import reader_gone
+from pipelines.session.children import stopped_by_signals
+from pipelines.session.output import reader_gone, say
 
 _SILENCE_NS = 5 * NS_PER_S
 _SILENCE_AFTER_GOODBYE_NS = NS_PER_S

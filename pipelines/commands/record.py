@@ -14,9 +14,9 @@ from pipelines.commands.common import (
     add_seconds_argument,
     add_session_argument,
     check_options,
-    stopped_by_signals,
 )
 from pipelines.recording.part_files import check_recordable
+from pipelines.session.children import stopped_by_signals
 from pipelines.session.recorder_control import RecorderLink, recorded_sessions
 from pipelines.session.recorder_requests import (
     START,

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.common import check_options, say
+from pipelines.commands.common import check_options
 from pipelines.commands.page_options import ServerWish, base_url, parse_page, served
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
@@ -30,6 +30,7 @@ from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, s
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with
+from pipelines.session.output import say
 from pipelines.session.page_certificate import check_certificate
 from pipelines.session.page_sockets import PageListener, bind_pages
 

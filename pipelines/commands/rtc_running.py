@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, Clock
-from pipelines.commands.common import add_seconds_argument, say
+from pipelines.commands.common import add_seconds_argument
 from pipelines.commands.media_reports import Latency
 from pipelines.commands.rtc_options import ice_servers_of, token_of
 from pipelines.partner.description import Kind
@@ -16,8 +16,9 @@ from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.tally import TrackFigures
 from pipelines.partner.whip import Keeper
-from pipelines.report.model import Report
 from pipelines.session.children import ENDING
+from pipelines.session.figures import Report
+from pipelines.session.output import say
 
 
 class ReceivedKind(Report, frozen=True, kw_only=True):

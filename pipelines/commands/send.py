@@ -18,14 +18,7 @@ from kontur_av.streams.encoding_thread import switch_threads_often
 from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
 from kontur_av.streams.paced_sender import UnitSent
 from kontur_av.streams.udp import UdpSender
-from pipelines.commands.common import (
-    add_seconds_argument,
-    check_options,
-    check_reachable,
-    parse_address,
-    say,
-    stopped_by_signals,
-)
+from pipelines.commands.common import add_seconds_argument, check_options
 from pipelines.commands.media_reports import (
     SendReport,
     SentLatency,
@@ -34,7 +27,9 @@ from pipelines.commands.media_reports import (
     latency_ms,
 )
 from pipelines.report.report_file import check_writable, end_with, write_text
-from pipelines.session.output import reader_gone
+from pipelines.session.addresses import check_reachable, parse_address
+from pipelines.session.children import stopped_by_signals
+from pipelines.session.output import reader_gone, say
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
 

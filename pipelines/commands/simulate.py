@@ -8,7 +8,6 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail, stopped_by_signals
 from pipelines.commands.replay_options import (
     add_coding_arguments,
     check_caps,
@@ -18,6 +17,7 @@ from pipelines.commands.replay_options import (
 from pipelines.report.model import CodingCosts, SessionReport
 from pipelines.report.report_file import check_writable, save_report
 from pipelines.report.summary import print_summary
+from pipelines.session.children import stopped_by_signals
 from pipelines.session.options import (
     add_deadband_argument,
     add_hand_argument,
@@ -25,6 +25,7 @@ from pipelines.session.options import (
     add_setup_argument,
     setup_changes,
 )
+from pipelines.session.output import output_that_may_fail
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import parse_sources
 from pipelines.session.setup.table import Setup

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import add_seconds_argument, check_options, say, say_unprotected
+from pipelines.commands.common import add_seconds_argument, check_options, say_unprotected
 from pipelines.commands.end_options import (
     add_end_arguments,
     check_own_options,
@@ -71,6 +71,7 @@ from pipelines.session.options import (
     add_setup_argument,
     setup_changes,
 )
+from pipelines.session.output import say
 from pipelines.session.recorder_control import write_wish
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup
