@@ -79,3 +79,11 @@ def acting_on(name: str | None, running: Sequence[str], *, moves: bool = False) 
 def _said(session: str) -> str:
     print(f"session {session}", file=sys.stderr)
     return session
+
+
+def add_raw_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--raw",
+        metavar="PATH",
+        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
+    )

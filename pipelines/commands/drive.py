@@ -13,7 +13,6 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import sessions
 from pipelines.commands.common import add_seconds_argument, say_unprotected
-from pipelines.commands.drive_far import Far
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
@@ -22,6 +21,7 @@ from pipelines.commands.rtc_options import (
 )
 from pipelines.hand.haptic_loop import new_life
 from pipelines.hand.haptics import CYCLE_NS
+from pipelines.partner.far import Far
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path, receive
 from pipelines.session.process import take_realtime

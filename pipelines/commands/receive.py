@@ -15,18 +15,18 @@ from kontur_av.media import parse_size
 from kontur_av.meters import RateMeter
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
-from pipelines.commands.common import check_options
-from pipelines.commands.live_output import LiveWriter
-from pipelines.commands.media_reports import (
+from pipelines.commands.common import add_raw_argument, check_options
+from pipelines.media.rtp_reports import (
     ReceivedLatency,
     ReceivedStages,
     ReceiveReport,
     SavedReport,
     latency_ms,
 )
-from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
-from pipelines.commands.receive_media import PictureOutput, SoundOutput
+from pipelines.recording.live_output import LiveWriter
 from pipelines.recording.matroska import MatroskaWriter
+from pipelines.recording.raw_pictures import RawPictures
+from pipelines.recording.received_media import PictureOutput, SoundOutput
 from pipelines.report.report_file import check_writable, end_with
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.output import reader_gone, say

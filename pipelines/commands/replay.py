@@ -14,21 +14,16 @@ from pipelines.commands.live_session import (
     live_view,
     made_directory,
 )
-from pipelines.commands.replay_options import (
-    add_coding_arguments,
-    check_caps,
-    load_recording,
-    replay_setup,
-)
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.process_replaying import ReplayStart
 from pipelines.recording.recorded_session import RecordedSession
+from pipelines.recording.replay_setup import check_caps, load_recording, replay_setup
 from pipelines.recording.rows import Script, replay_topology
 from pipelines.report.collector import Collector
 from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
-from pipelines.session.options import add_radio_arguments, add_setup_argument
+from pipelines.session.options import add_coding_arguments, add_radio_arguments, add_setup_argument
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream

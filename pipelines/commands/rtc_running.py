@@ -9,8 +9,8 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, Clock
 from pipelines.commands.common import add_seconds_argument
-from pipelines.commands.media_reports import Latency
 from pipelines.commands.rtc_options import ice_servers_of, token_of
+from pipelines.media.rtp_reports import Latency
 from pipelines.partner.description import Kind
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer

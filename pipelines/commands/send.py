@@ -19,7 +19,7 @@ from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
 from kontur_av.streams.paced_sender import UnitSent
 from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import add_seconds_argument, check_options
-from pipelines.commands.media_reports import (
+from pipelines.media.rtp_reports import (
     SendReport,
     SentLatency,
     SentStages,

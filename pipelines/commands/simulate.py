@@ -8,17 +8,13 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from pipelines.commands.replay_options import (
-    add_coding_arguments,
-    check_caps,
-    load_recording,
-    replay_setup,
-)
+from pipelines.recording.replay_setup import check_caps, load_recording, replay_setup
 from pipelines.report.model import CodingCosts, SessionReport
 from pipelines.report.report_file import check_writable, save_report
 from pipelines.report.summary import print_summary
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.options import (
+    add_coding_arguments,
     add_deadband_argument,
     add_hand_argument,
     add_radio_arguments,

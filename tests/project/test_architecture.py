@@ -74,7 +74,7 @@ SHELLS = {
     "pipelines/cli.py": "the command itself",
     "pipelines/session/datagrams.py": "the sockets of a gateway",
     "pipelines/link/gateway_ports.py": "the sockets of a gateway",
-    "pipelines/commands/drive_far.py": "a process and sockets",
+    "pipelines/partner/far.py": "a process and sockets",
     "pipelines/media/input_devices.py": "asks the system for its devices",
     "pipelines/session/machine_checks.py": "asks the system for everything",
     "kontur_av/streams/encoding_thread.py": "a thread",
@@ -84,7 +84,8 @@ SHELLS = {
     "pipelines/commands/link.py": "a command",
     "pipelines/commands/packets_options.py": "binds a socket",
     "pipelines/session/process.py": "what every process has",
-    "pipelines/commands/raw_pictures.py": "a file or a FIFO",
+    "pipelines/recording/raw_pictures.py": "a file or a FIFO",
+    "pipelines/recording/live_output.py": "a process that connects",
     "pipelines/commands/receive.py": "a command",
     "pipelines/media/key_picture_maker.py": "a thread",
     "pipelines/seats/process_page.py": "the sockets of browsers",
@@ -203,6 +204,9 @@ USERS_OF_SHELLS = {
     "pipelines/media/stream_figures.py": "sockets of a process",
     "pipelines/mission/tmtc_socket.py": "a Unix socket",
     "pipelines/recording/camera_reader.py": "a topic",
+    "pipelines/recording/received_media.py": "decodes in real time, into files",
+    "pipelines/recording/recorded_parts.py": "files",
+    "pipelines/recording/replay_setup.py": "the files of recordings and setups",
 }
 
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.

@@ -20,7 +20,7 @@ import av
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import VideoCodec
-from pipelines.commands.media_reports import ForwardedReport
+from pipelines.media.rtp_reports import ForwardedReport
 from pipelines.recording.matroska import CodedContainer, Remuxer, begins_stream
 from pipelines.session.addresses import resolve
 from pipelines.session.output import say
