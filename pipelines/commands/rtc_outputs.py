@@ -10,8 +10,8 @@ from kontur_av.meters import Histogram
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.commands.common import add_raw_argument
-from pipelines.commands.rtc_running import ReceivedKind
 from pipelines.media.rtp_reports import latency_ms
+from pipelines.partner.connection_report import ReceivedKind
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
