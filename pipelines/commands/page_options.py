@@ -1,61 +1,17 @@
 """The options of a session's browser pages: where they are served, and with which certificate."""
 
 import argparse
-import json
-import re
-import subprocess
-import sys
-import webbrowser
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from html import escape
+from collections.abc import Sequence
 from pathlib import Path
-from socket import socket
 
 from kontur_av.errors import ConfigError
-from kontur_av.topics.session_files import session_root
-from pipelines.session.addresses import resolve
-from pipelines.session.output import say
-from pipelines.session.page_certificate import certificate_for, check_certificate
-from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
-from pipelines.session.seat_roles import Role
-from pipelines.session.topology import PAGES, Segment
+from pipelines.session.page_certificate import check_certificate
+from pipelines.session.page_sockets import bind_pages
+from pipelines.session.served_pages import PAGES_PORT, PageWish, parse_page
+from pipelines.session.topology import Segment
 
-_PORT = 8270
-#: The ground's page takes a later port than the operator's.
-_LAST_PORT = 65_534
-#: By the name that is printed: end, page and role of each of the mission's people.
-_PEOPLE = {
-    "panel": ("space", "panel", Role.COSMONAUT),
-    "k2cp": ("space", "k2cp", Role.COSMONAUT),
-    "top": ("ground", "top", Role.EXPERIMENTER),
-    "k2sv": ("ground", "k2sv", Role.SUPERVISOR),
-    "systems": ("ground", "systems", Role.SYSTEMS),
-}
-#: Pages that show nothing in a session without tasks.
-_OF_TASKS = ("panel", "top")
 #: In the order of their ports.
 _SEATS = (Segment.SPACE, Segment.GROUND)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ServerWish:
-    """A server as an option asks for it. sockets: bound, by the names of its listeners.
-
-    certificate: the user's own.
-    """
-
-    host: PageHost
-    sockets: Mapping[str, socket]
-    certificate: Path | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class PageWish(ServerWish):
-    """The pages, by the seats' names. browser: whether to open the first in one."""
-
-    browser: bool = False
 
 
 def add_page_arguments(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +19,7 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> None:
     either.add_argument(
         "--page",
         metavar="[HOST:]PORT",
-        help=f"where the browser pages are served (default 127.0.0.1:{_PORT}, "
+        help=f"where the browser pages are served (default 127.0.0.1:{PAGES_PORT}, "
         "or the next free ports); TLS beyond loopback",
     )
     either.add_argument("--no-page", action="store_true", help="serve no browser pages")
@@ -97,119 +53,3 @@ def bound_pages(args: argparse.Namespace, segments: Sequence[Segment] = _SEATS) 
     seats = [segment.value for segment in _SEATS if segment in segments]
     sockets = bind_pages(host, port, seats)
     return PageWish(host=host, sockets=sockets, certificate=args.page_cert, browser=bool(args.open))
-
-
-def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]:
-    """Return host and first port of `option`; ConfigError if `text` is not [HOST:]PORT."""
-    if text is None:
-        return PageHost(), _PORT
-    match = re.fullmatch(r"(?:(\[[^\]]+\]|[^:]+):)?(\d{1,5})", text)
-    if match is None or not 1 <= int(match[2]) <= _LAST_PORT:
-        raise ConfigError(
-            f"{option} {text!r}: write [HOST:]PORT with a port from 1 to {_LAST_PORT}"
-        )
-    if match[1] is None:
-        return PageHost(), int(match[2])
-    host = match[1].strip("[]")
-    return PageHost(host=host, address=resolve(host, text, option)), int(match[2])
-
-
-@contextmanager
-def served(
-    wish: ServerWish, root: Path, name: str, *, trainer: bool = False
-) -> Iterator[tuple[Mapping[str, PageListener], str]]:
-    """Yield the listeners, and the SHA-256 of a certificate that was made for them, or "".
-
-    root: where such a certificate is kept, as `name`.pem. trainer: one has a page, too.
-    """
-    certificate, made = certificate_for(wish.host, wish.certificate, root / f"{name}.pem")
-    pem = certificate and certificate.resolve()
-    found = listeners(wish.sockets, wish.host, pem, trainer=trainer)
-    try:
-        yield found, made
-    finally:
-        for listener in found.values():
-            listener.socket.close()
-
-
-@contextmanager
-def announced_pages(
-    wish: PageWish | None,
-    session: str,
-    *,
-    quiet: bool,
-    tasks: bool = False,
-    trainer: bool = False,
-) -> Iterator[Mapping[str, PageListener]]:
-    """Make tokens and certificate, print one address, and yield the listeners by process.
-
-    It leads to every page. Each page's own address is in `pages.json` in the session's directory,
-    for programs of this user.
-    tasks, trainer: whether the session has any.
-    """
-    if wish is None:
-        yield {}
-        return
-    root = session_root(session)
-    with served(wish, root, "page", trainer=trainer) as (seats, made):
-        urls = {seat: listener.url(seat) for seat, listener in seats.items()}
-        people = {
-            name: seats[seat].url(page, role=role.value)
-            for name, (seat, page, role) in _PEOPLE.items()
-            if seat in seats and (tasks or page not in _OF_TASKS)
-        }
-        first = next(iter(seats.values()))
-        if trainer:
-            people["trainer"] = first.url("trainer", role=Role.TRAINER.value)
-        address, watch = first.url(""), first.url("", role=Role.VIEWER.value)
-        kept = {"pages": address, **urls, **people, "viewer_token": first.viewer_token}
-        write_private(root / "pages.json", json.dumps(kept, indent=1) + "\n")
-        if not quiet:
-            lines = [f"pages: {address}", f"to watch only: {watch}"]
-            if made:
-                lines.append(f"certificate made for this session, SHA-256 {made}")
-            say("\n".join(lines))
-        if wish.browser:
-            _open_in_browser(address, root)
-        yield {PAGES[Segment(name)]: listener for name, listener in seats.items()}
-
-
-def _open_in_browser(address: str, root: Path) -> None:
-    """Open an address, or say in one line why not.
-
-    The browser is given a file that leads there, because other users of this machine see the
-    arguments of a program, but not this file with its token.
-    """
-    try:
-        webbrowser.get()
-    except webbrowser.Error:
-        print("kontur-av: --open: no browser was found; open the address", file=sys.stderr)
-        return
-    leads = root / "open.html"
-    to = escape(address)
-    write_private(
-        leads,
-        '<!doctype html><meta charset="utf-8"><title>kontur-av</title>'
-        f'<meta http-equiv="refresh" content="0;url={to}"><a href="{to}">kontur-av</a>\n',
-    )
-    # Some browsers keep their caller waiting, others would take over the terminal.
-    subprocess.Popen(
-        [sys.executable, "-m", "webbrowser", leads.as_uri()],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-
-
-def base_url(listener: PageListener, seat: str) -> str:
-    """Return the address of a page up to its port."""
-    return listener.url(seat).partition(f"/{seat}?")[0]
-
-
-def write_private(path: Path, text: str) -> None:
-    """Write a new file that only its owner may read. It appears with all of its text."""
-    unready = path.with_suffix(".new")
-    unready.touch(0o600, exist_ok=False)
-    unready.write_text(text)
-    unready.rename(path)

@@ -8,18 +8,14 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import check_options
-from pipelines.commands.live_session import (
-    add_live_arguments,
-    end_session,
-    live_view,
-    made_directory,
-)
+from pipelines.commands.live_session import add_live_arguments, end_session, made_directory
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.process_replaying import ReplayStart
 from pipelines.recording.recorded_session import RecordedSession
 from pipelines.recording.replay_setup import check_caps, load_recording, replay_setup
 from pipelines.recording.rows import Script, replay_topology
 from pipelines.report.collector import Collector
+from pipelines.report.live import live_view
 from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries

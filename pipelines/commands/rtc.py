@@ -12,7 +12,6 @@ from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
-from pipelines.commands.page_options import ServerWish, base_url, parse_page, served
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
@@ -29,6 +28,7 @@ from pipelines.report.report_file import end_with
 from pipelines.session.output import say
 from pipelines.session.page_certificate import check_certificate
 from pipelines.session.page_sockets import PageListener, bind_pages
+from pipelines.session.served_pages import ServerWish, base_url, parse_page, served
 
 #: The only programme of this command.
 _NAME = "main"

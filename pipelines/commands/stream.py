@@ -8,14 +8,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import add_seconds_argument, check_options, say_unprotected
-from pipelines.commands.end_options import (
-    add_end_arguments,
-    check_own_options,
-    chosen_end,
-    hold_listen_port,
-    inputs_here,
-    path_line,
-)
+from pipelines.commands.end_options import add_end_arguments, check_own_options, inputs_here
 from pipelines.commands.files_options import (
     add_files_arguments,
     add_services_arguments,
@@ -26,7 +19,6 @@ from pipelines.commands.files_options import (
 from pipelines.commands.live_session import (
     add_live_arguments,
     end_session,
-    live_view,
     made_directory,
     with_status,
 )
@@ -43,7 +35,7 @@ from pipelines.commands.packets_options import (
     bound_packets,
     parse_frames,
 )
-from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
+from pipelines.commands.page_options import add_page_arguments, bound_pages
 from pipelines.commands.record import add_record_arguments, wish_of
 from pipelines.commands.rtc_leg import (
     RtcWish,
@@ -53,6 +45,7 @@ from pipelines.commands.rtc_leg import (
     with_rtc,
 )
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
+from pipelines.link.own_ends import chosen_end, hold_listen_port, path_line
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.recording.part_files import (
     LEAST_RECORDED_S,
@@ -61,6 +54,7 @@ from pipelines.recording.part_files import (
     clear_parts,
 )
 from pipelines.report.collector import Collector
+from pipelines.report.live import live_view
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
@@ -73,6 +67,7 @@ from pipelines.session.options import (
 )
 from pipelines.session.output import say
 from pipelines.session.recorder_control import write_wish
+from pipelines.session.served_pages import announced_pages
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import (
