@@ -15,7 +15,7 @@ from pipelines.recording.recorded_session import RecordedSession
 from pipelines.recording.replay_setup import check_caps, load_recording, replay_setup
 from pipelines.recording.rows import Script, replay_topology
 from pipelines.report.collector import Collector
-from pipelines.report.live import live_view
+from pipelines.report.live import LiveView
 from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     collector = Collector(topology)
     with (
         hold_session(setup.name) as session,
-        live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
+        LiveView(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         launcher = Launcher(
             session=session,

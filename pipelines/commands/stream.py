@@ -54,7 +54,7 @@ from pipelines.recording.part_files import (
     clear_parts,
 )
 from pipelines.report.collector import Collector
-from pipelines.report.live import live_view
+from pipelines.report.live import LiveView
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
@@ -231,7 +231,7 @@ def run(args: argparse.Namespace) -> int:
         announced_metrics(metrics, quiet=args.quiet),
         announced_foxglove(foxglove_wish, session, quiet=args.quiet) as foxglove,
         bound_packets(args, topology) as packets,
-        live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
+        LiveView(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         if wish is not None:
             clear_parts(Path(wish.file))

@@ -1,4 +1,4 @@
-"""The ends of a link that run on this machine: which, at which addresses, with which keys. A shell."""
+"""The ends of a link that run on this machine: which, where, with which keys. A shell."""
 
 import argparse
 import ipaddress

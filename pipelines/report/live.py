@@ -2,8 +2,8 @@
 
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Self
 
 from rich.columns import Columns
@@ -76,8 +76,10 @@ class LiveView:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
+        # A closed terminal cannot take a last table, but the report must still be written.
+        with suppress(OSError):
+            if self._live is not None:
+                self._live.stop()
 
     def show(self, launcher: Launcher) -> None:
         if self._live is not None:
@@ -309,15 +311,3 @@ class LinkScreen:
         """Lines that stay."""
         if not self._quiet:
             say("\n".join(lines))
-
-
-@contextmanager
-def live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[LiveView]:
-    view = LiveView(collector, quiet=quiet, verbose=verbose)
-    view.__enter__()
-    try:
-        yield view
-    finally:
-        # A closed terminal cannot take a last table, but the report must still be written.
-        with suppress(OSError):
-            view.__exit__(None, None, None)

@@ -21,6 +21,7 @@ from pipelines.session.page_sockets import PageHost, PageListener, listeners
 from pipelines.session.seat_roles import Role
 from pipelines.session.topology import PAGES, Segment
 
+#: Of the first page, without an option.
 PAGES_PORT = 8270
 #: The ground's page takes a later port than the operator's.
 _LAST_PORT = 65_534
