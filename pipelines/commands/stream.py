@@ -12,9 +12,7 @@ from pipelines.commands.end_options import add_end_arguments, check_own_options,
 from pipelines.commands.files_options import (
     add_files_arguments,
     add_services_arguments,
-    bound_services,
     files_arguments,
-    services_wish,
 )
 from pipelines.commands.live_session import (
     add_live_arguments,
@@ -44,9 +42,11 @@ from pipelines.commands.rtc_leg import (
     bound_rtc,
     with_rtc,
 )
-from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
+from pipelines.commands.task_options import add_task_arguments, task_wish
+from pipelines.files.service_sockets import bound_services, services_wish
 from pipelines.link.own_ends import chosen_end, hold_listen_port, path_line
 from pipelines.link.peer_socket import PeerPlan
+from pipelines.mission.task_wish import TaskWish, task_arguments
 from pipelines.recording.part_files import (
     LEAST_RECORDED_S,
     check_disk,
