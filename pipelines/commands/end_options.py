@@ -1,9 +1,9 @@
 """The options of one end of a link that is split between two machines; whose an option is."""
 
 import argparse
-from pathlib import Path
 
 from kontur_av.errors import ConfigError
+from pipelines.commands.common import add_key_argument
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from telepresence.haptics.device.spec import SIMULATED
@@ -23,12 +23,7 @@ def add_end_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--peer", metavar="HOST:PORT", help="with --end: call the other end, which listens there"
     )
-    parser.add_argument(
-        "--key",
-        type=Path,
-        metavar="FILE",
-        help="the private key; default: kontur-av/key.pem in the configuration directory",
-    )
+    add_key_argument(parser)
     parser.add_argument(
         "--identity",
         metavar="ID",

@@ -7,7 +7,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import add_seconds_argument, check_options
 from pipelines.commands.end_options import add_end_arguments
-from pipelines.commands.live_session import say_failures, with_status
+from pipelines.commands.live_session import with_status
 from pipelines.link.own_ends import (
     chosen_addresses,
     chosen_end,
@@ -19,16 +19,10 @@ from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.live import LinkScreen
-from pipelines.report.report_file import check_writable, save_report
-from pipelines.session.datagrams import (
-    EndAddresses,
-)
+from pipelines.report.report_file import check_writable, save_report, say_failures
+from pipelines.session.datagrams import EndAddresses
 from pipelines.session.launcher import Launcher, launcher_cpu_s
-from pipelines.session.options import (
-    add_radio_arguments,
-    add_setup_argument,
-    setup_changes,
-)
+from pipelines.session.options import add_radio_arguments, add_setup_argument, setup_changes
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.session.topology.tables import ports_table

@@ -2,8 +2,7 @@
 
 import argparse
 import os
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from kontur_av.errors import ConfigError
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog
 from pipelines.report.model import ReplayReport
-from pipelines.report.report_file import save_report
+from pipelines.report.report_file import save_report, say_failures
 from pipelines.report.seat_feed import end_trace, session_report
 from pipelines.report.summary import print_summary
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
@@ -106,9 +105,3 @@ def with_status(
         show(launcher)
 
     return show_and_tell
-
-
-def say_failures(failures: Sequence[str]) -> None:
-    """Say with --quiet, too, why the exit code is 1."""
-    for failure in failures:
-        print(f"failed: {failure}", file=sys.stderr)

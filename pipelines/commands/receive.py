@@ -13,9 +13,7 @@ from kontur_av.media import parse_size
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
 from pipelines.commands.common import add_raw_argument, check_options
-from pipelines.media.rtp_reports import (
-    SavedReport,
-)
+from pipelines.media.rtp_reports import SavedReport
 from pipelines.recording.live_output import LiveWriter
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures

@@ -14,14 +14,8 @@ from pipelines.commands.common import (
 )
 from pipelines.recording.part_files import check_recordable
 from pipelines.session.children import stopped_by_signals
-from pipelines.session.recorder_control import (
-    begin_recording,
-    hold_recording,
-    recorded_sessions,
-)
-from pipelines.session.recorder_requests import (
-    RecordingWish,
-)
+from pipelines.session.recorder_control import begin_recording, hold_recording, recorded_sessions
+from pipelines.session.recorder_requests import RecordingWish
 
 #: Shorter or smaller parts than these make no sense.
 _LEAST_S, _LEAST_MB = 1.0, 0.1

@@ -10,7 +10,7 @@ from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import AccessUnit, CaptureStamp, parse_size
 from kontur_av.sources.page import FILLED_BY_OTHERS
-from pipelines.commands.send import add_picture_arguments, open_pictures, open_sound
+from pipelines.media.sending import add_picture_arguments, open_pictures, open_sound
 from pipelines.partner.coded_sources import CodedSources
 from pipelines.partner.decisions import LEAST_BPS
 from pipelines.partner.description import Kind

@@ -10,13 +10,12 @@ from kontur_av.codecs.encoder_settings import SEARCHES
 from kontur_av.errors import ConfigError
 from kontur_av.media import VIDEO_CODECS, parse_size
 from kontur_av.rtp.sdp import write_sdp
-from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
 from kontur_av.sources.page import FILLED_BY_OTHERS
 from kontur_av.streams.encoding_thread import switch_threads_often
 from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
 from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import add_seconds_argument, check_options
-from pipelines.media.sending import SendShell
+from pipelines.media.sending import SendShell, add_picture_arguments, open_pictures, open_sound
 from pipelines.report.report_file import check_writable, end_with, write_text
 from pipelines.session.addresses import check_reachable, parse_address
 
@@ -51,40 +50,6 @@ def _sound(args: argparse.Namespace, clock: MonotonicClock) -> SoundFeed:
 
 def _bps(kbps: float) -> int:
     return round(kbps * 1000)
-
-
-def add_picture_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
-    parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
-
-
-def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSource:
-    """The source of `--video`, of `--size` and `--fps`. ConfigError."""
-    scenes = None
-    if args.video.startswith("scene:"):
-        from telepresence.world import video_scenes
-
-        scenes = video_scenes()
-    width, height = parse_size(args.size)
-    return open_video(
-        args.video,
-        name="video",
-        width=width,
-        height=height,
-        fps=args.fps,
-        clock=clock,
-        scenes=scenes,
-    )
-
-
-def open_sound(args: argparse.Namespace, clock: MonotonicClock) -> AudioSource:
-    """The source of `--audio`. ConfigError."""
-    scenes = None
-    if args.audio.startswith("scene:"):
-        from telepresence.world import audio_scenes
-
-        scenes = audio_scenes()
-    return open_audio(args.audio, name="audio", clock=clock, scenes=scenes)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

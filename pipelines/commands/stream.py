@@ -28,12 +28,7 @@ from pipelines.commands.outlet_options import (
     bound_metrics,
     ros2_arguments,
 )
-from pipelines.commands.packets_options import (
-    add_packets_arguments,
-    bound_packets,
-    parse_frames,
-)
-from pipelines.commands.page_options import add_page_arguments, bound_pages
+from pipelines.commands.packets_options import add_packets_arguments, bound_packets, parse_frames
 from pipelines.commands.record import add_record_arguments, wish_of
 from pipelines.commands.rtc_leg import (
     RtcWish,
@@ -42,11 +37,10 @@ from pipelines.commands.rtc_leg import (
     bound_rtc,
     with_rtc,
 )
-from pipelines.commands.task_options import add_task_arguments, task_wish
+from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
 from pipelines.files.service_sockets import bound_services, services_wish
 from pipelines.link.own_ends import chosen_end, hold_listen_port, path_line
 from pipelines.link.peer_socket import PeerPlan
-from pipelines.mission.task_wish import TaskWish, task_arguments
 from pipelines.recording.part_files import (
     LEAST_RECORDED_S,
     check_disk,
@@ -67,7 +61,7 @@ from pipelines.session.options import (
 )
 from pipelines.session.output import say
 from pipelines.session.recorder_control import write_wish
-from pipelines.session.served_pages import announced_pages
+from pipelines.session.served_pages import add_page_arguments, announced_pages, bound_pages
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import (

@@ -1,19 +1,38 @@
 """Options of `kontur-av stream` for tasks."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.live_session import made_directory
-from pipelines.mission.task_wish import TaskWish
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
+from pipelines.session.topology import JOYSTICK, PAGES, TASKS
 from telepresence.haptics.device.spec import is_simulated
 from telepresence.haptics.robot_spec import facts_of
+from telepresence.tasks.definitions import Catalogue
+from telepresence.tasks.plan import SessionPlan
 from telepresence.tasks.task_files import load_plan, load_tasks
 
 _MOST_PORT = 65_535
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskWish:
+    """Which tasks there are, who selects them, and where the LED panel is (None: built in).
+
+    runs: directory for one recording of each run. simulated: a simulated cosmonaut does them.
+    two_hands: the robot's hand can meet that of the partner's arm.
+    """
+
+    catalogue: Catalogue
+    plan: SessionPlan | None
+    leds: tuple[str, int] | None
+    runs: Path | None
+    simulated: bool
+    two_hands: bool
 
 
 def add_task_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,3 +106,22 @@ def _address(text: str) -> tuple[str, int]:
     if not host or not port.isdecimal() or not 0 < int(port) <= _MOST_PORT:
         raise ConfigError(f"--leds {text!r}: write HOST:PORT")
     return host, int(port)
+
+
+def task_arguments(wish: TaskWish | None) -> Mapping[str, Mapping[str, object]]:
+    """By process, what it needs to know of the wish."""
+    if wish is None:
+        return {}
+    arguments: dict[str, dict[str, object]] = {
+        TASKS: {
+            "plan": wish.plan,
+            "catalogue": wish.catalogue,
+            "leds": wish.leds,
+            "two_hands": wish.two_hands,
+            "runs": None if wish.runs is None else str(wish.runs.resolve()),
+        },
+        PAGES[Segment.SPACE]: {"tasks": wish.catalogue},
+    }
+    if wish.simulated and wish.plan is not None:
+        arguments[JOYSTICK] = {"skill": wish.plan.skill}
+    return arguments

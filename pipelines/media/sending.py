@@ -1,9 +1,12 @@
 """Sends a stream in real time, and reports it. A shell."""
 
+import argparse
 import time
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.media import parse_size
 from kontur_av.meters import Histogram
+from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
 from kontur_av.streams.feeds import PictureFeed, SoundFeed
 from kontur_av.streams.paced_sender import UnitSent
 from kontur_av.streams.udp import UdpSender
@@ -120,3 +123,37 @@ class SendShell:
             coded_size=feed.coded_size if isinstance(feed, PictureFeed) else None,
             failed=failed,
         )
+
+
+def add_picture_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
+    parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
+
+
+def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSource:
+    """The source of `--video`, of `--size` and `--fps`. ConfigError."""
+    scenes = None
+    if args.video.startswith("scene:"):
+        from telepresence.world import video_scenes
+
+        scenes = video_scenes()
+    width, height = parse_size(args.size)
+    return open_video(
+        args.video,
+        name="video",
+        width=width,
+        height=height,
+        fps=args.fps,
+        clock=clock,
+        scenes=scenes,
+    )
+
+
+def open_sound(args: argparse.Namespace, clock: MonotonicClock) -> AudioSource:
+    """The source of `--audio`. ConfigError."""
+    scenes = None
+    if args.audio.startswith("scene:"):
+        from telepresence.world import audio_scenes
+
+        scenes = audio_scenes()
+    return open_audio(args.audio, name="audio", clock=clock, scenes=scenes)

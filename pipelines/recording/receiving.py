@@ -7,12 +7,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.meters import RateMeter
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.streams.udp import UdpReceiver
-from pipelines.media.rtp_reports import (
-    ReceivedLatency,
-    ReceivedStages,
-    ReceiveReport,
-    latency_ms,
-)
+from pipelines.media.rtp_reports import ReceivedLatency, ReceivedStages, ReceiveReport, latency_ms
 from pipelines.recording.raw_pictures import RawPictures
 from pipelines.recording.received_media import PictureOutput, SoundOutput
 from pipelines.session.children import stopped_by_signals

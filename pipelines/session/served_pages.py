@@ -1,11 +1,12 @@
 """Where a session's browser pages are served, and what is said of it. A shell."""
 
+import argparse
 import json
 import re
 import subprocess
 import sys
 import webbrowser
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
@@ -16,13 +17,13 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.session.addresses import resolve
 from pipelines.session.output import say
-from pipelines.session.page_certificate import certificate_for
-from pipelines.session.page_sockets import PageHost, PageListener, listeners
+from pipelines.session.page_certificate import certificate_for, check_certificate
+from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
 from pipelines.session.seat_roles import Role
 from pipelines.session.topology import PAGES, Segment
 
 #: Of the first page, without an option.
-PAGES_PORT = 8270
+_PORT = 8270
 #: The ground's page takes a later port than the operator's.
 _LAST_PORT = 65_534
 #: By the name that is printed: end, page and role of each of the mission's people.
@@ -35,6 +36,8 @@ _PEOPLE = {
 }
 #: Pages that show nothing in a session without tasks.
 _OF_TASKS = ("panel", "top")
+#: In the order of their ports.
+_SEATS = (Segment.SPACE, Segment.GROUND)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +62,7 @@ class PageWish(ServerWish):
 def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]:
     """Return host and first port of `option`; ConfigError if `text` is not [HOST:]PORT."""
     if text is None:
-        return PageHost(), PAGES_PORT
+        return PageHost(), _PORT
     match = re.fullmatch(r"(?:(\[[^\]]+\]|[^:]+):)?(\d{1,5})", text)
     if match is None or not 1 <= int(match[2]) <= _LAST_PORT:
         raise ConfigError(
@@ -170,3 +173,44 @@ def write_private(path: Path, text: str) -> None:
     unready.touch(0o600, exist_ok=False)
     unready.write_text(text)
     unready.rename(path)
+
+
+def add_page_arguments(parser: argparse.ArgumentParser) -> None:
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument(
+        "--page",
+        metavar="[HOST:]PORT",
+        help=f"where the browser pages are served (default 127.0.0.1:{_PORT}, "
+        "or the next free ports); TLS beyond loopback",
+    )
+    either.add_argument("--no-page", action="store_true", help="serve no browser pages")
+    parser.add_argument("--open", action="store_true", help="open the first page in a browser")
+    parser.add_argument(
+        "--page-cert",
+        type=Path,
+        metavar="FILE",
+        help="PEM file with certificate and key for the pages (default: made for the session)",
+    )
+
+
+def bound_pages(args: argparse.Namespace, segments: Sequence[Segment] = _SEATS) -> PageWish | None:
+    """Bind what the options ask for; None without pages. segments: those that run here.
+
+    Raises ConfigError for options that contradict each other, for an address that cannot be had,
+    and for a certificate that no browser would take.
+    """
+    if args.no_page:
+        for option, given in (
+            ("--open", args.open),
+            ("--page-cert", args.page_cert),
+            ("--joystick page", args.joystick == "page"),
+        ):
+            if given:
+                raise ConfigError(f"{option} needs the pages: leave --no-page out")
+        return None
+    host, port = parse_page(args.page)
+    if args.page_cert is not None:
+        check_certificate(args.page_cert)
+    seats = [segment.value for segment in _SEATS if segment in segments]
+    sockets = bind_pages(host, port, seats)
+    return PageWish(host=host, sockets=sockets, certificate=args.page_cert, browser=bool(args.open))

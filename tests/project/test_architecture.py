@@ -321,7 +321,6 @@ LIBRARIES = {
     "pipelines/report/exposition.py": ({"msgspec", "prometheus_client"}, "metrics as text"),
     "pipelines/session/terminal_lines.py": ({"msgspec"}, "lines as JSON"),
     "pipelines/session/training.py": ({"msgspec"}, "requests, answers and exercises as octets"),
-    "pipelines/mission/task_wish.py": ({"pathlib"}, "writes a path as text"),
     "pipelines/mission/tmtc_messages.py": ({"msgspec"}, "requests and news as octets"),
     "pipelines/mission/mission.py": ({"msgspec"}, "what outlives the process"),
     "pipelines/session/mission_messages.py": ({"msgspec"}, "messages of topics as octets"),

@@ -8,9 +8,8 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.cli import make_parser
-from pipelines.commands.page_options import bound_pages
 from pipelines.session import served_pages
-from pipelines.session.served_pages import announced_pages, parse_page
+from pipelines.session.served_pages import announced_pages, bound_pages, parse_page
 
 
 def options(*words):
