@@ -1,7 +1,6 @@
 """`kontur-av link`: the radio link alone, for any programs; both of its ends, or one."""
 
 import argparse
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
@@ -15,16 +14,14 @@ from pipelines.link.own_ends import (
     hold_listen_port,
     path_line,
 )
-from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.live import LinkScreen
 from pipelines.report.report_file import check_writable, save_report, say_failures
-from pipelines.session.datagrams import EndAddresses
 from pipelines.session.launcher import Launcher, launcher_cpu_s
 from pipelines.session.options import add_radio_arguments, add_setup_argument, setup_changes
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import Segment, Topology
+from pipelines.session.topology import Segment
 from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
 
@@ -64,11 +61,16 @@ def run(args: argparse.Namespace) -> int:
     if one is not None:
         screen.show_lines([path_line(one)])
     screen.show_lines(ports_table(topology, ends, addresses.apps_bind, addresses.apps).lines(200))
+    given = {
+        "addresses": addresses,
+        "peer": None if one is None else one.plan,
+        "tell_backlog": False,
+    }
     launcher = Launcher(
         session="link",
         topology=topology,
         processes=[topology.gateway(end) for end in ends],
-        arguments=gateway_arguments(topology, ends, addresses, None if one is None else one.plan),
+        arguments={topology.gateway(end).name: given for end in ends},
         clock=MonotonicClock(),
         listener=collector,
         seed=args.seed,
@@ -91,10 +93,3 @@ def run(args: argparse.Namespace) -> int:
     if args.quiet:
         say_failures(report.failures)
     return 1 if report.failures or not saved else 0
-
-
-def gateway_arguments(
-    topology: Topology, ends: Sequence[Segment], addresses: EndAddresses, peer: PeerPlan | None
-) -> Mapping[str, Mapping[str, object]]:
-    given = {"addresses": addresses, "peer": peer, "tell_backlog": False}
-    return {topology.gateway(end).name: given for end in ends}

@@ -14,7 +14,7 @@ from pipelines.session.children import ended_alike
 from pipelines.virtual.campaign.places import add_place_arguments, jobs_of
 from pipelines.virtual.campaign.sweep import case_figures, chart, csv_rows, headings, rows
 from pipelines.virtual.campaign.sweep_file import load_sweep
-from pipelines.virtual.campaign.sweep_runs import kept_runs, key_of, run_missing
+from pipelines.virtual.campaign.sweep_runs import kept_runs, run_missing
 from pipelines.virtual.media import check_virtual_sources
 
 
@@ -43,8 +43,7 @@ def run(args: argparse.Namespace) -> int:
     check_plot(args.plot)
     for case in sweep.cases if sweep.media else ():
         check_virtual_sources(case.setup)
-    kept = kept_runs(args.report)
-    runs = [kept.get(key_of(sweep, task)) for task in sweep.tasks()]
+    runs = kept_runs(args.report, sweep)
     console = open_console(args, width=200, wanted=args.csv is not None)
     ended_early = False
     try:

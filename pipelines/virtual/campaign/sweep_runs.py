@@ -11,24 +11,13 @@ import msgspec
 
 from kontur_av.errors import ConfigError
 from pipelines.report.report_file import write_result
-from pipelines.virtual.campaign.figures import (
-    Crash,
-    Result,
-    RunFigures,
-    SessionTask,
-    crashed,
-    run_figures,
-)
+from pipelines.virtual.campaign.figures import Crash, RunFigures, crashed, run_figures
 from pipelines.virtual.campaign.places import cluster_of, code_digest
 from pipelines.virtual.campaign.sessions import Progress, session_results
 from pipelines.virtual.campaign.sweep import Sweep, case_figures, headlines, task_key
 
 #: The runs that are over are kept this often.
 _KEEP_EVERY_S = 5.0
-
-
-def key_of(sweep: Sweep, task: SessionTask) -> str:
-    return task_key(task, sweep.keys, code_digest())
 
 
 def run_missing(
@@ -47,18 +36,16 @@ def run_missing(
         progress.told(len(runs) - len(missing))
         for count, (place, result) in enumerate(results, 1 + len(runs) - len(missing)):
             task = tasks[missing[place]]
-            runs[missing[place]] = _figures(sweep, task, result)
+            key = task_key(task, sweep.keys, code_digest())
+            runs[missing[place]] = (
+                crashed(task, key, result)
+                if isinstance(result, Crash)
+                else run_figures(task, key, result, sweep.keys)
+            )
             progress.told(count)
             if monotonic() - kept_s >= _KEEP_EVERY_S:
                 _keep(args.report, sweep, runs)
                 kept_s = monotonic()
-
-
-def _figures(sweep: Sweep, task: SessionTask, result: Result) -> RunFigures:
-    key = key_of(sweep, task)
-    if isinstance(result, Crash):
-        return crashed(task, key, result)
-    return run_figures(task, key, result, sweep.keys)
 
 
 def _keep(path: Path | None, sweep: Sweep, runs: Sequence[RunFigures | None]) -> None:
@@ -72,10 +59,11 @@ def _keep(path: Path | None, sweep: Sweep, runs: Sequence[RunFigures | None]) ->
     write_result(path, body, headlines(sweep, cases))
 
 
-def kept_runs(path: Path | None) -> dict[str, RunFigures]:
-    """The runs of an earlier sweep by their keys, without those that crashed."""
+def kept_runs(path: Path | None, sweep: Sweep) -> list[RunFigures | None]:
+    """Each run of a sweep, as the report of an earlier one has it; None: crashed, or not there."""
+    tasks = sweep.tasks()
     if path is None or not path.is_file() or not path.stat().st_size:
-        return {}
+        return [None] * len(tasks)
     try:
         runs = msgspec.convert(
             json.loads(path.read_text(encoding="utf-8"))["runs"], list[RunFigures]
@@ -84,4 +72,5 @@ def kept_runs(path: Path | None) -> dict[str, RunFigures]:
         raise ConfigError(
             f"--report {path}: is no report of this version's `sweep`; name another file"
         ) from None
-    return {run.key: run for run in runs if not run.error}
+    kept = {run.key: run for run in runs if not run.error}
+    return [kept.get(task_key(task, sweep.keys, code_digest())) for task in tasks]
