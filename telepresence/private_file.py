@@ -7,6 +7,7 @@ from stat import S_ISREG
 from kontur_av.errors import ConfigError
 
 _LARGEST_FILE = 65536
+_MOST_SECRET_OCTETS = 4096
 #: Bits of a file's mode: others may use it at all, or write it.
 OTHERS, OTHERS_WRITE = 0o077, 0o022
 
@@ -37,3 +38,17 @@ def read_private(path: Path, forbidden: int = OTHERS) -> bytes | None:
         return None
     except OSError as error:
         raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def read_secret(path: Path, option: str) -> str:
+    """Return the text of a file that holds a secret; ConfigError if it has none."""
+    try:
+        octets = path.read_bytes()[: _MOST_SECRET_OCTETS + 1]
+    except OSError as error:
+        raise ConfigError(f"{option} {str(path)!r} cannot be read: {error.strerror}") from None
+    if len(octets) > _MOST_SECRET_OCTETS:
+        raise ConfigError(f"{option} {str(path)!r} is longer than {_MOST_SECRET_OCTETS} octets")
+    text = octets.decode("utf-8", "replace").strip()
+    if not text:
+        raise ConfigError(f"{option} {str(path)!r} is empty")
+    return text

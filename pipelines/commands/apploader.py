@@ -3,13 +3,11 @@
 import argparse
 from pathlib import Path
 
-from pipelines.commands.common import (
-    add_inbox_argument,
-    parse_address,
-    say,
-    stopped_by_signals,
-)
+from pipelines.commands.common import add_inbox_argument
+from pipelines.session.addresses import parse_address
+from pipelines.session.children import stopped_by_signals
 from pipelines.session.datagrams import LOOPBACK
+from pipelines.session.output import say
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.ftp import check_ftp_url, serve_ftp
 from pipelines.upkeep.loader_keeper import LoaderKeeper, list_lines

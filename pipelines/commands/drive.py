@@ -5,15 +5,13 @@
 
 import argparse
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import sessions
-from pipelines.commands.common import add_seconds_argument, say_unprotected, stopped_by_signals
-from pipelines.commands.drive_far import Far
+from pipelines.commands.common import add_seconds_argument, say_unprotected
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
@@ -21,22 +19,17 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.hand.haptic_loop import new_life
-from pipelines.hand.haptics import CYCLE_NS
-from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path, receive
-from pipelines.session.process import take_realtime
+from pipelines.hand.partner_side import run_side, told
+from pipelines.partner.far import Far
+from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import LOOP_PRIORITY
 from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
-from telepresence.haptics.bilateral import JoystickSide, RobotSide
+from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.spec import PAGE, ROS2_HAND, SIMULATED, open_device
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.loop import joystick_link
-from telepresence.haptics.sample import SAMPLE_OCTETS
-from telepresence.haptics.schedule import PeriodicSchedule
 
-#: How often it looks whether the robot answers.
-_LOOK_NS = 100 * NS_PER_MS
 #: Of a setup, by who comes.
 _ARMS = {"joystick": '"shared" or "second"', "robot": '"board"'}
 
@@ -88,16 +81,6 @@ def drive(args: argparse.Namespace) -> int:
     return told(side, "robot")
 
 
-def told(side: JoystickSide | RobotSide, peer: str) -> int:
-    """Print what went to the peer and came from it; return 0 if something came, else 1."""
-    figures = side.link
-    print(
-        f"{figures.sent} samples to the {peer}, {figures.received} from it, "
-        f"{figures.lost} lost, {figures.garbage} garbage"
-    )
-    return 0 if figures.received else 1
-
-
 @contextmanager
 def reached(
     args: argparse.Namespace, who: str
@@ -129,41 +112,3 @@ def _open(base_port: int, who: str) -> tuple[socket.socket, OwnOutlet]:
         f"--base-port {base_port}: no session of yours has a partner there; start one whose setup "
         f"has partner_arm = {_ARMS[who]}, or give its base port"
     )
-
-
-def run_side(
-    side: JoystickSide | RobotSide,
-    before: Callable[[int], None],
-    way: tuple[socket.socket, Outlet | OwnOutlet],
-    seconds: float | None,
-) -> None:
-    """Run one side of the exchange at 1 kHz until it is stopped; before: called in each cycle."""
-    own, to_session = way
-    link = side.link
-    who, peer = ("joystick", "robot") if isinstance(side, JoystickSide) else ("robot", "joystick")
-    clock = MonotonicClock()
-    now_ns = clock.now_ns()
-    end_ns = None if seconds is None else now_ns + round(seconds * NS_PER_S)
-    schedule = PeriodicSchedule(start_ns=now_ns, period_ns=CYCLE_NS)
-    answers, look_ns = False, now_ns
-    print(f"{who}: waiting for the {peer}; Ctrl-C ends", flush=True)
-    take_realtime(LOOP_PRIORITY)
-    with stopped_by_signals() as stopped:
-        while not stopped() and (end_ns is None or now_ns < end_ns):
-            clock.sleep_until_ns(schedule.next_deadline_ns)
-            now_ns = clock.now_ns()
-            if schedule.handle_wakeup(now_ns) < 0:
-                continue
-            while (datagram := receive(own, SAMPLE_OCTETS + 1)) is not None:
-                side.handle_datagram(datagram, now_ns)
-            before(now_ns)
-            side.handle_cycle(now_ns, schedule.advance_ns)
-            sample = side.poll_transmit(now_ns)
-            if sample is not None:
-                to_session.send(sample)
-            if now_ns < look_ns:
-                continue
-            look_ns = now_ns + _LOOK_NS
-            if link.hearing is not answers:
-                answers = link.hearing
-                print(f"{who}: the {peer} {'answers' if answers else 'is silent'}", flush=True)

@@ -8,15 +8,15 @@ from rich.console import Console
 from rich.progress import Progress
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import say
-from pipelines.commands.recorded_parts import read_recording
 from pipelines.recording.export import lerobot, mat_file
 from pipelines.recording.export.csv_files import CsvExport
 from pipelines.recording.export.films import MatroskaExport
 from pipelines.recording.export.lerobot import LeRobotExport
 from pipelines.recording.export.mat_file import MatExport
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
+from pipelines.recording.recorded_parts import read_recording
 from pipelines.recording.recording_file import Outputs
+from pipelines.session.output import say
 
 #: The bar moves after this many messages.
 _STEP = 500

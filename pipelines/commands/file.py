@@ -12,8 +12,9 @@ from pipelines.session.file_requests import (
     STATUS,
     FileAnswer,
     FileRequest,
-    TransferNow,
     desk_name,
+    listing,
+    progress,
 )
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import ask_desk, running_sessions
@@ -89,10 +90,10 @@ def _follow(request: FileRequest, segment: Segment, session: str) -> int:
                 return 1
             now_s = time.monotonic()
             if request.file == STATUS:
-                print(_listing(answer))
+                print(listing(answer))
                 return 0
             if answer.state == DONE:
-                done = f"done, {_progress(answer)} in {now_s - began_s:.1f} s"
+                done = f"done, {progress(answer)} in {now_s - began_s:.1f} s"
                 print(answer.text.rstrip() or done)
                 return 0
             if answer.text != text:
@@ -100,7 +101,7 @@ def _follow(request: FileRequest, segment: Segment, session: str) -> int:
                 print(f"kontur-av: {text or 'the other end answers'}", file=sys.stderr, flush=True)
             if answer.state != state or now_s - told_s >= _TELL_S:
                 state, told_s = answer.state, now_s
-                print(f"{state}, {_progress(answer)}", file=sys.stderr, flush=True)
+                print(f"{state}, {progress(answer)}", file=sys.stderr, flush=True)
             request = FileRequest(file=STATE, number=answer.number)
             missing = f"session {session} has ended before the transfer"
             time.sleep(_LOOK_S)
@@ -110,22 +111,3 @@ def _follow(request: FileRequest, segment: Segment, session: str) -> int:
             ask_desk(desk, cancel, FileAnswer, session, missing=missing)
             print("kontur-av: cancelled", file=sys.stderr)
         raise
-
-
-def _progress(answer: FileAnswer) -> str:
-    return f"{_octets(answer)} octets"
-
-
-def _octets(one: FileAnswer | TransferNow) -> str:
-    return f"{one.octets}{f' of {one.size}' if one.size >= 0 else ''}"
-
-
-def _listing(answer: FileAnswer) -> str:
-    """A line for each transfer under way."""
-    if not answer.transfers:
-        return "nothing is under way"
-    lines = [f"{'number':<11} {'what':<7} {'state':<9} {'octets':>16}  name"]
-    for one in answer.transfers:
-        octets = _octets(one)
-        lines.append(f"{one.number:<11} {one.kind:<7} {one.state:<9} {octets:>16}  {one.first}")
-    return "\n".join([*lines, *([f"and {answer.more} more"] if answer.more else [])])

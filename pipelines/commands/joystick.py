@@ -13,10 +13,12 @@ from pipelines.commands.check_results import (
     check_report,
     print_results,
 )
-from pipelines.commands.common import output_that_may_fail, say_unprotected, stopped_by_signals
+from pipelines.commands.common import say_unprotected
 from pipelines.hand.joystick_check import JoystickCheck, run_live, run_virtually
 from pipelines.report.model import JoystickTestReport, TransitionReport
 from pipelines.report.report_file import check_writable, words_console, write_report
+from pipelines.session.children import stopped_by_signals
+from pipelines.session.output import output_that_may_fail
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench
 from telepresence.haptics.device.device import JoystickDevice

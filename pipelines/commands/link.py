@@ -1,44 +1,27 @@
 """`kontur-av link`: the radio link alone, for any programs; both of its ends, or one."""
 
 import argparse
-import ipaddress
-import shutil
-import socket
-import sys
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
-from kontur_av.errors import ConfigError
-from pipelines.commands.common import add_seconds_argument, check_options, resolve, say
-from pipelines.commands.end_options import (
-    add_end_arguments,
-    check_one_machine,
+from pipelines.commands.common import add_seconds_argument, check_options
+from pipelines.commands.end_options import add_end_arguments
+from pipelines.commands.live_session import with_status
+from pipelines.link.own_ends import (
+    chosen_addresses,
     chosen_end,
+    hold_link_ports,
     hold_listen_port,
     path_line,
 )
-from pipelines.commands.live_session import say_failures, with_status
-from pipelines.link.peer_socket import PeerPlan
 from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
-from pipelines.report.report_file import check_writable, save_report
-from pipelines.session.datagrams import (
-    LOOPBACK,
-    Address,
-    EndAddresses,
-    is_loopback,
-    obstacle,
-    reaches,
-)
-from pipelines.session.launcher import Launcher, hold_port, launcher_cpu_s
-from pipelines.session.options import (
-    add_radio_arguments,
-    add_setup_argument,
-    setup_changes,
-)
+from pipelines.report.live import LinkScreen
+from pipelines.report.report_file import check_writable, save_report, say_failures
+from pipelines.session.launcher import Launcher, launcher_cpu_s
+from pipelines.session.options import add_radio_arguments, add_setup_argument, setup_changes
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import Segment, Topology
+from pipelines.session.topology import Segment
 from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
 
@@ -74,15 +57,20 @@ def run(args: argparse.Namespace) -> int:
         hold_listen_port(one)
     held = [hold_link_ports(topology, end, addresses, alone=one is not None) for end in ends]
     collector = Collector(topology)
-    screen = _LinkScreen(LinkView(setup, ends), collector, quiet=args.quiet)
+    screen = LinkScreen(LinkView(setup, ends), collector, quiet=args.quiet)
     if one is not None:
         screen.show_lines([path_line(one)])
     screen.show_lines(ports_table(topology, ends, addresses.apps_bind, addresses.apps).lines(200))
+    given = {
+        "addresses": addresses,
+        "peer": None if one is None else one.plan,
+        "tell_backlog": False,
+    }
     launcher = Launcher(
         session="link",
         topology=topology,
         processes=[topology.gateway(end) for end in ends],
-        arguments=gateway_arguments(topology, ends, addresses, None if one is None else one.plan),
+        arguments={topology.gateway(end).name: given for end in ends},
         clock=MonotonicClock(),
         listener=collector,
         seed=args.seed,
@@ -105,98 +93,3 @@ def run(args: argparse.Namespace) -> int:
     if args.quiet:
         say_failures(report.failures)
     return 1 if report.failures or not saved else 0
-
-
-def gateway_arguments(
-    topology: Topology, ends: Sequence[Segment], addresses: EndAddresses, peer: PeerPlan | None
-) -> Mapping[str, Mapping[str, object]]:
-    given = {"addresses": addresses, "peer": peer, "tell_backlog": False}
-    return {topology.gateway(end).name: given for end in ends}
-
-
-def chosen_addresses(args: argparse.Namespace) -> EndAddresses:
-    """Return the addresses of the programs; ConfigError if they cannot work."""
-    if args.apps is None:
-        if args.apps_bind is not None:
-            raise ConfigError("--apps-bind goes with --apps HOST, the machine of the programs")
-        return EndAddresses()
-    apps = resolve(args.apps, args.apps, "--apps", socket.AF_INET)
-    check_one_machine("--apps", args.apps, apps)
-    return EndAddresses(apps=apps, apps_bind=_bound_address(args, (apps, 9)))
-
-
-def _bound_address(args: argparse.Namespace, other: Address) -> str:
-    """Return the local address in `--apps-bind`; without it loopback, if `other` is on loopback."""
-    if args.apps_bind is not None:
-        try:
-            bind = str(ipaddress.IPv4Address(args.apps_bind))
-        except ValueError:
-            raise ConfigError(
-                f"--apps-bind {args.apps_bind!r}: write an IPv4 address of this machine, or "
-                "0.0.0.0 for all"
-            ) from None
-        why = obstacle(bind, other)
-        if why is not None:
-            own = reaches(other)
-            mend = "" if own is None else f"; use --apps-bind {own}"
-            raise ConfigError(
-                f"--apps {args.apps} cannot be reached from --apps-bind {bind}: {why}{mend}"
-            )
-        return bind
-    if is_loopback(other[0]):
-        return LOOPBACK
-    own = reaches(other)
-    if own is None:
-        raise ConfigError(f"{args.apps} cannot be reached from here: check address and network")
-    raise ConfigError(
-        f"{args.apps} is another machine, and --apps-bind is missing: "
-        f"add --apps-bind {own}, the address by which this one is reached from there"
-    )
-
-
-def hold_link_ports(
-    topology: Topology, end: Segment, addresses: EndAddresses, *, alone: bool
-) -> socket.socket:
-    """Hold one port of an end and check the others. Raises ConfigError if one is busy.
-
-    The port is held while the returned socket is open. So of two ends that start at the same moment
-    only one gets it.
-
-    alone: the other end is on another machine, so the setup's radio port is not used.
-    """
-    held = hold_port(topology.launcher_port + (end is Segment.SPACE))
-    radio_port = topology.radio_port(end)
-    for port in topology.ports_of(topology.gateway(end).name):
-        if port != radio_port:
-            hold_port(port, addresses.apps_bind).close()
-        elif not alone:
-            hold_port(port).close()
-    return held
-
-
-class _LinkScreen:
-    """Standard output: on a terminal the lines of figures are overwritten in place."""
-
-    def __init__(self, view: LinkView, collector: Collector, *, quiet: bool) -> None:
-        self._view = view
-        self._collector = collector
-        self._quiet = quiet
-        self._terminal = sys.stdout.isatty()
-        self._shown = 0
-
-    def show(self, launcher: Launcher) -> None:
-        if self._quiet:
-            return
-        width = shutil.get_terminal_size().columns - 1 if self._terminal else None
-        lines = self._view.lines(self._collector, launcher.seconds, width)
-        if not self._terminal:
-            print("  ".join(lines), flush=True)
-            return
-        up = f"\x1b[{self._shown}A" if self._shown else ""
-        print(up + "".join(f"\x1b[K{line[:width]}\n" for line in lines), end="", flush=True)
-        self._shown = len(lines)
-
-    def show_lines(self, lines: Sequence[str]) -> None:
-        """Lines that stay."""
-        if not self._quiet:
-            say("\n".join(lines))

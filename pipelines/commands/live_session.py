@@ -2,26 +2,23 @@
 
 import argparse
 import os
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog
-from pipelines.report.live import LiveView
-from pipelines.report.model import EndTrace, ReplayReport
-from pipelines.report.report_file import save_report
-from pipelines.report.seat_feed import session_report
+from pipelines.report.model import ReplayReport
+from pipelines.report.report_file import save_report, say_failures
+from pipelines.report.seat_feed import end_trace, session_report
 from pipelines.report.summary import print_summary
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.launcher import Launcher
-from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.output import output_that_may_fail
 from pipelines.session.topology import Segment
 from pipelines.session.upkeep_files import NotesReader, SessionNow, write_now
 from pipelines.upkeep.program import status_teller
@@ -35,18 +32,6 @@ def add_live_arguments(parser: argparse.ArgumentParser) -> None:
     loudness = parser.add_mutually_exclusive_group()
     loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
     loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
-
-
-@contextmanager
-def live_view(collector: Collector, *, quiet: bool, verbose: bool) -> Iterator[LiveView]:
-    view = LiveView(collector, quiet=quiet, verbose=verbose)
-    view.__enter__()
-    try:
-        yield view
-    finally:
-        # A closed terminal cannot take a last table, but the report must still be written.
-        with suppress(OSError):
-            view.__exit__(None, None, None)
 
 
 def made_directory(path: Path | None) -> Path | None:
@@ -120,28 +105,3 @@ def with_status(
         show(launcher)
 
     return show_and_tell
-
-
-def say_failures(failures: Sequence[str]) -> None:
-    """Say with --quiet, too, why the exit code is 1."""
-    for failure in failures:
-        print(f"failed: {failure}", file=sys.stderr)
-
-
-def end_trace(collector: Collector, launcher: Launcher) -> EndTrace:
-    """What a join with the other end's report needs of this one."""
-    assert collector.trace is not None
-    (segment,) = collector.topology.segments
-    links = [
-        link.supervision
-        for link in collector.process(collector.topology.gateway(segment).name).links()
-    ]
-    return EndTrace(
-        setup=setup_toml(launcher.setup),
-        wall_offset_ns=launcher.clock.wall_offset_ns,
-        began_ns=launcher.started_ns,
-        ended_ns=launcher.ended_ns,
-        lives=[link.life for link in links],
-        peers=[link.peer.life for link in links if link.peer.life is not None],
-        series=collector.trace.report(),
-    )

@@ -8,8 +8,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on, add_session_argument, say
+from pipelines.commands.common import acting_on, add_session_argument
 from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.output import say
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import running_sessions
 from pipelines.upkeep.sequence import MaintenanceSequence, StepOutcome

@@ -9,9 +9,9 @@ from importlib.util import find_spec
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
-from pipelines.commands.common import say
-from pipelines.commands.page_options import ServerWish, parse_page, served, write_private
+from pipelines.session.output import say
 from pipelines.session.page_sockets import PageListener, bind_pages, listeners
+from pipelines.session.served_pages import ServerWish, parse_page, served, write_private
 from pipelines.session.topology import FOXGLOVE, METRICS, ROS2
 from telepresence.haptics.device.spec import ROS2_HAND
 

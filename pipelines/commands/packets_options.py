@@ -8,11 +8,12 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import bound_socket, resolve, say
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.packets.bridge import allowed_commands
 from pipelines.packets.process_packets import PacketsPlan
+from pipelines.session.addresses import bound_socket, resolve
 from pipelines.session.datagrams import Address, is_loopback
+from pipelines.session.output import say
 from pipelines.session.topology import Topology
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 

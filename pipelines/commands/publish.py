@@ -12,8 +12,9 @@ from pipelines.commands.rtc_options import (
     add_redirect_argument,
     add_token_arguments,
 )
-from pipelines.commands.rtc_running import RtcCommandReport, add_run_arguments, keep, keeper_of
-from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
+from pipelines.commands.rtc_running import add_run_arguments, keep, keeper_of
+from pipelines.commands.rtc_sources import add_source_arguments, coded_sources, sends_of
+from pipelines.partner.connection_report import RtcCommandReport
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.report.report_file import end_with
@@ -55,7 +56,7 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
         if peer is not None and peer.media is not None:
             sources.handle_wish(peer.media.wish_bps)
 
-    with CodedSources(
+    with coded_sources(
         args,
         clock,
         send_unit=lambda unit: None if keeper.peer is None else keeper.peer.send_unit(unit),

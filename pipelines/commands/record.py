@@ -3,9 +3,6 @@
 import argparse
 import shlex
 import sys
-import time
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
@@ -14,18 +11,11 @@ from pipelines.commands.common import (
     add_seconds_argument,
     add_session_argument,
     check_options,
-    stopped_by_signals,
 )
 from pipelines.recording.part_files import check_recordable
-from pipelines.session.recorder_control import RecorderLink, recorded_sessions
-from pipelines.session.recorder_requests import (
-    START,
-    STATE,
-    STOP,
-    RecordAnswer,
-    RecordingWish,
-    RecordRequest,
-)
+from pipelines.session.children import stopped_by_signals
+from pipelines.session.recorder_control import begin_recording, hold_recording, recorded_sessions
+from pipelines.session.recorder_requests import RecordingWish
 
 #: Shorter or smaller parts than these make no sense.
 _LEAST_S, _LEAST_MB = 1.0, 0.1
@@ -76,12 +66,6 @@ def wish_of(args: argparse.Namespace, *, held: bool) -> RecordingWish | None:
     )
 
 
-#: How often it asks whether the recorder is still there.
-_LOOK_S = 0.2
-#: A recorder that was killed is there again within this time.
-_RETURN_S = 4.0
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("record", type=Path, metavar="FILE.mcap", help="what to write")
     add_session_argument(parser)
@@ -101,9 +85,9 @@ def run(args: argparse.Namespace) -> int:
     check_recordable(Path(wish.file), overwrite=args.overwrite)
     session = acting_on(args.session, recorded_sessions())
     with stopped_by_signals() as ended:
-        link = _begin(session, wish, overwrite=args.overwrite)
+        link = begin_recording(session, wish, overwrite=args.overwrite)
         print(f"session {session} is recorded to {wish.file}", flush=True)
-        answer = _hold(link, session, wish, ended, args.seconds)
+        answer = hold_recording(link, session, wish, ended, args.seconds)
     if answer is None:
         print(f"the session has ended; {wish.file} is closed")
         return 0
@@ -111,56 +95,3 @@ def run(args: argparse.Namespace) -> int:
     parts = f" in {answer.files} parts" if answer.files > 1 else ""
     print(f"{wish.file}{parts}: {answer.messages} messages{lost}")
     return 1 if answer.lost else 0
-
-
-def _begin(session: str, wish: RecordingWish, *, overwrite: bool) -> RecorderLink:
-    try:
-        link = RecorderLink(session)
-        answer = link.ask(RecordRequest(record=START, wish=wish, overwrite=overwrite))
-    except OSError as error:
-        raise ConfigError(f"the recorder of {session} does not answer: {error}") from None
-    if not answer.ok:
-        link.close()
-        raise ConfigError(answer.error)
-    return link
-
-
-def _hold(
-    link: RecorderLink,
-    session: str,
-    wish: RecordingWish,
-    ended: Callable[[], bool],
-    seconds: float | None,
-) -> RecordAnswer | None:
-    """Wait for the end; the answer to the order to stop, or None if the session has ended."""
-    end_s = None if seconds is None else time.monotonic() + seconds
-    fault = ""
-    while True:
-        left_s = _LOOK_S if end_s is None else min(_LOOK_S, end_s - time.monotonic())
-        time.sleep(max(0.0, left_s))
-        over = ended() or (end_s is not None and time.monotonic() >= end_s)
-        try:
-            answer = link.ask(RecordRequest(record=STOP if over else STATE))
-        except OSError:
-            link.close()
-            found = _returned(session, wish)
-            if found is None:
-                return None
-            link = found
-            continue
-        if over:
-            link.close()
-            return answer if answer.ok else None
-        if answer.fault and answer.fault != fault:
-            print(f"kontur-av: {answer.fault}; the recorder tries again", file=sys.stderr)
-        fault = answer.fault
-
-
-def _returned(session: str, wish: RecordingWish) -> RecorderLink | None:
-    """The recorder that the launcher has started again; None if it does not come."""
-    end_s = time.monotonic() + _RETURN_S
-    while time.monotonic() < end_s:
-        with suppress(OSError, ConfigError):
-            return _begin(session, wish, overwrite=False)
-        time.sleep(0.1)
-    return None

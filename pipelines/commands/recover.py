@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.commands.common import say
 from pipelines.recording.recording_file import check_new, octets_of_file, write_whole
 from pipelines.recording.recover import Recovery
+from pipelines.session.output import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -3,43 +3,28 @@
 import argparse
 from pathlib import Path
 
-import numpy as np
-
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import check_options
-from pipelines.commands.live_session import (
-    add_live_arguments,
-    end_session,
-    live_view,
-    made_directory,
-)
-from pipelines.commands.replay_options import (
-    add_coding_arguments,
-    check_caps,
-    load_recording,
-    replay_setup,
-)
-from pipelines.recording.messages import SAMPLE
-from pipelines.recording.process_replaying import ReplayStart
+from pipelines.commands.live_session import add_live_arguments, end_session, made_directory
+from pipelines.recording.process_replaying import ReplayStart, replayed_session
 from pipelines.recording.recorded_session import RecordedSession
-from pipelines.recording.rows import Script, replay_topology
+from pipelines.recording.replay_setup import check_caps, load_recording, replay_setup
 from pipelines.report.collector import Collector
+from pipelines.report.live import LiveView
 from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
-from pipelines.session.options import add_radio_arguments, add_setup_argument
+from pipelines.session.options import add_coding_arguments, add_radio_arguments, add_setup_argument
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room
-from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Topology
+from pipelines.session.setup.table import Setup, VideoStream
 from pipelines.table import topology_of
 
 #: All processes run, and the link is connected, this and two round trips after the start.
 _LEAD_NS = 2 * NS_PER_S
 #: From the last instant until what was sent then is shown, without the radio's delay.
 _TAIL_NS = 200 * NS_PER_MS
-_PARTS = "pipelines.recording.process_replaying"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,16 +62,15 @@ def run(args: argparse.Namespace) -> int:
     delay_ns = setup.radio_profile.longest_delay_ns
     lead_ns = _LEAD_NS + 4 * delay_ns
     start = ReplayStart(recorded_ns=first_ns, lead_ns=lead_ns, speed=args.speed)
-    topology = _topology(
-        setup, recorded, start, recode=args.recode, snapshots=snapshots is not None
-    )
+    plain = topology_of(setup, snapshots=snapshots is not None)
+    topology = replayed_session(plain, recorded, start, recode=args.recode)
     length_ns = lead_ns + round((last_ns - first_ns) / args.speed) + delay_ns + _TAIL_NS
     held = hold_ports(topology)
     load_libraries()
     collector = Collector(topology)
     with (
         hold_session(setup.name) as session,
-        live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
+        LiveView(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         launcher = Launcher(
             session=session,
@@ -102,45 +86,6 @@ def run(args: argparse.Namespace) -> int:
     held.close()
     replay = _replay_report(recorded, setup, args)
     return end_session(args, collector, launcher, replay=replay)
-
-
-def _topology(
-    setup: Setup, recorded: RecordedSession, start: ReplayStart, *, recode: bool, snapshots: bool
-) -> Topology:
-    plain = topology_of(setup, snapshots=snapshots)
-    scripts: dict[str, Script] = {}
-    recoded: dict[str, Script] = {}
-
-    def script(run: str, **arguments: object) -> Script:
-        return Script(f"{_PARTS}:{run}", {**arguments, "start": start})
-
-    for media in plain.media_streams:
-        stream, name = media.stream, media.name
-        if isinstance(stream, VoiceStream):
-            units = recorded.voices.get(name, [])
-            scripts[media.sender] = script("run_voice_replay", stream=stream, units=units)
-            continue
-        units = recorded.pictures.get(name, [])
-        if recode:
-            camera = media.inputs[0]
-            recoded[name] = script("run_recoded_camera", name=camera, stream=stream, units=units)
-        else:
-            scripts[media.sender] = script("run_video_replay", stream=stream, units=units)
-    for key, robot in (("up", True), ("down", False)):
-        rows = recorded.haptics.get(key, np.empty(0, SAMPLE))
-        sender = plain.haptic(key).sender
-        scripts[sender] = script("run_haptic_replay", rows=rows, robot=robot)
-    for packets, run in (
-        (TELECOMMAND, "run_telecommands_replay"),
-        (TELEMETRY, "run_telemetry_replay"),
-    ):
-        process = plain.stream(packets).sender
-        assert process is not None
-        scripts[process] = script(run, packets=recorded.packets.get(packets, []))
-    # The radio's time 0 is the start of the recorded session, or else the first thing sent.
-    began_ns = recorded.facts.started_ns or start.recorded_ns
-    before_ns = round((start.recorded_ns - began_ns) / start.speed)
-    return replay_topology(plain, scripts, recoded, radio_after_ns=start.lead_ns - before_ns)
 
 
 def _replay_report(

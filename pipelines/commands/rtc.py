@@ -11,8 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.common import check_options, say
-from pipelines.commands.page_options import ServerWish, base_url, parse_page, served
+from pipelines.commands.common import check_options
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
@@ -20,18 +19,16 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
-from pipelines.commands.rtc_running import (
-    RtcCommandReport,
-    add_run_arguments,
-    connection_report,
-    driven,
-)
-from pipelines.commands.rtc_sources import CodedSources, add_source_arguments, sends_of
+from pipelines.commands.rtc_running import add_run_arguments, driven
+from pipelines.commands.rtc_sources import add_source_arguments, coded_sources, sends_of
+from pipelines.partner.connection_report import RtcCommandReport, connection_report
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with
+from pipelines.session.output import say
 from pipelines.session.page_certificate import check_certificate
 from pipelines.session.page_sockets import PageListener, bind_pages
+from pipelines.session.served_pages import ServerWish, base_url, parse_page, served
 
 #: The only programme of this command.
 _NAME = "main"
@@ -104,7 +101,7 @@ async def _serve(args: argparse.Namespace) -> RtcCommandReport:
             handle=output.handle,
             servers=servers,
         )
-        with CodedSources(
+        with coded_sources(
             args, clock, send_unit=programme.send_unit, send_opus=programme.send_opus
         ) as sources:
             await server.start()

@@ -9,13 +9,14 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
-from pipelines.commands.common import say
-from pipelines.commands.page_options import ServerWish, base_url, parse_page, served, write_private
-from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of, read_secret
+from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of
 from pipelines.partner.ice_servers import IceServers
+from pipelines.session.output import say
 from pipelines.session.page_sockets import PageListener, bind_pages
+from pipelines.session.served_pages import ServerWish, base_url, parse_page, served, write_private
 from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology import RTC, Segment
+from telepresence.private_file import read_secret
 
 _PORT = "8290"
 

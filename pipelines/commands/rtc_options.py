@@ -8,8 +8,8 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.partner.ice_servers import IceServer, IceServers, timed_credentials
+from telepresence.private_file import read_secret
 
-_MOST_SECRET_OCTETS = 4096
 #: What an HTTP header can carry (RFC 6750 section 2.1).
 _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{1,4096}")
 
@@ -105,17 +105,3 @@ def ice_servers_of(
 
     make().check()
     return make
-
-
-def read_secret(path: Path, option: str) -> str:
-    """Return the text of a file that holds a secret; ConfigError if it has none."""
-    try:
-        octets = path.read_bytes()[: _MOST_SECRET_OCTETS + 1]
-    except OSError as error:
-        raise ConfigError(f"{option} {str(path)!r} cannot be read: {error.strerror}") from None
-    if len(octets) > _MOST_SECRET_OCTETS:
-        raise ConfigError(f"{option} {str(path)!r} is longer than {_MOST_SECRET_OCTETS} octets")
-    text = octets.decode("utf-8", "replace").strip()
-    if not text:
-        raise ConfigError(f"{option} {str(path)!r} is empty")
-    return text

@@ -9,12 +9,13 @@ from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.meters import Histogram
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.streams.voice_player import VoicePlayer
-from pipelines.commands.media_reports import latency_ms
-from pipelines.commands.raw_pictures import RawPictures, add_raw_argument
-from pipelines.commands.receive_media import TimeLine
-from pipelines.commands.rtc_running import ReceivedKind
+from pipelines.commands.common import add_raw_argument
+from pipelines.media.rtp_reports import latency_ms
+from pipelines.partner.connection_report import ReceivedKind
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.recording.matroska import MatroskaWriter
+from pipelines.recording.raw_pictures import RawPictures
+from pipelines.recording.received_media import TimeLine
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,30 +1,21 @@
-"""What is sent to a partner: a source of pictures and one of sound, coded in threads of their own.
-
-A source waits for its device, and coding takes milliseconds: neither may hold up the event loop.
-"""
+"""The options of what is sent to a partner: a source of pictures and one of sound."""
 
 import argparse
-import asyncio
-import threading
 from collections.abc import Callable
-from typing import Any
 
-from kontur_av.clock import NS_PER_MS, MonotonicClock
-from kontur_av.closing import Closing
+from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.coding import SLOW_REFRESH_S
 from kontur_av.codecs.h264 import H264Encoder
-from kontur_av.codecs.opus import OpusEncoder, heard_stamp
+from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
-from kontur_av.media import AccessUnit, CaptureStamp, VideoFrame, empty_picture, parse_size
-from kontur_av.meters import RateMeter
+from kontur_av.media import AccessUnit, CaptureStamp, parse_size
 from kontur_av.sources.page import FILLED_BY_OTHERS
-from pipelines.commands.send import add_picture_arguments, open_pictures, open_sound
-from pipelines.partner.decisions import LEAST_BPS, PicturePlan, RateFollower
+from pipelines.media.sending import add_picture_arguments, open_pictures, open_sound
+from pipelines.partner.coded_sources import CodedSources
+from pipelines.partner.decisions import LEAST_BPS
 from pipelines.partner.description import Kind
 
 VIDEO_KBPS, VOICE_KBPS = 1500.0, 32.0
-_PATIENCE_NS = 50 * NS_PER_MS
-_LAST_S = 2.0
 
 
 def add_source_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,109 +61,23 @@ def _bps(kbps: float, option: str, least: int, most: int) -> int:
     return bps
 
 
-class CodedSources(Closing):
-    """Codes the sources while somebody takes what comes. A context manager.
-
-    send_unit, send_opus: called on the event loop. ConfigError for sources that cannot be opened.
-    """
-
-    def __init__(
-        self,
-        args: argparse.Namespace,
-        clock: MonotonicClock,
-        *,
-        send_unit: Callable[[AccessUnit], None],
-        send_opus: Callable[[bytes, CaptureStamp], None],
-    ) -> None:
-        self._clock = clock
-        self._send_unit, self._send_opus = send_unit, send_opus
-        self._loop = asyncio.get_running_loop()
-        self._ended = threading.Event()
-        #: Whether anybody takes what is coded.
-        self.wanted = False
-        sends = sends_of(args)
-        self.rate = RateFollower(most_bps=sends.get("video", LEAST_BPS))
-        self.sent = RateMeter()
-        self._keys = 0
-        self.coded = {"video": 0, "audio": 0}
-        #: Why a source has ended; "" if none has.
-        self.fault = ""
-        self._threads: list[threading.Thread] = []
-        if args.video is not None:
-            width, height = parse_size(args.size)
-            encoder = H264Encoder(
-                width=width,
-                height=height,
-                fps=args.fps,
-                cap_bps=sends["video"],
-                refresh_s=SLOW_REFRESH_S,
-            )
-            video, plan = open_pictures(args, clock), PicturePlan(bps=sends["video"])
-            self._begin("pictures", self._pictures, video, encoder, plan)
-        if args.audio is not None:
-            audio, voice = open_sound(args, clock), OpusEncoder(bitrate_bps=sends["audio"])
-            self._begin("sound", self._sound, audio, voice)
-
-    def want_key(self) -> None:
-        self._keys += 1
-
-    def close(self) -> None:
-        self._ended.set()
-        for thread in self._threads:
-            thread.join(_LAST_S)
-
-    def handle_wish(self, wish_bps: int | None) -> None:
-        """Follow what the partners can take (REMB). Call it a few times a second."""
-        now_ns = self._clock.now_ns()
-        self.rate.handle_wish(wish_bps, self.sent.last_bps(now_ns), now_ns)
-
-    def _count_and_send(self, unit: AccessUnit) -> None:
-        self.sent.add(self._clock.now_ns(), len(unit.data))
-        self._send_unit(unit)
-
-    def _begin(self, name: str, run: Callable[..., None], source: Any, *rest: Any) -> None:
-        def guarded() -> None:
-            try:
-                run(source, *rest)
-            except Exception as error:
-                self.fault = f"{name}: {error}"
-                raise
-            finally:
-                source.close()
-
-        thread = threading.Thread(target=guarded, name=name, daemon=True)
-        self._threads.append(thread)
-        thread.start()
-
-    def _pictures(self, source: Any, encoder: H264Encoder, plan: PicturePlan) -> None:
-        picture = empty_picture(encoder.width, encoder.height)
-        answered = 0
-        while not self._ended.is_set():
-            stamp = source.read(picture, _PATIENCE_NS)
-            if stamp is None or not self.wanted:
-                continue
-            if self._keys != answered:
-                answered = self._keys
-                plan.handle_key_request()
-            plan.handle_rate(self.rate.bps)
-            coding = plan.handle_picture(self._clock.now_ns())
-            if coding is None:
-                continue
-            unit = encoder.encode(VideoFrame(picture, stamp), coding)
-            now_ns = self._clock.now_ns()
-            plan.handle_coded(len(unit.data), now_ns)
-            self.coded["video"] += 1
-            self._hand_over(self._count_and_send, unit)
-
-    def _sound(self, source: Any, encoder: OpusEncoder) -> None:
-        while not self._ended.is_set():
-            block = source.read(_PATIENCE_NS)
-            if block is None or not self.wanted:
-                continue
-            opus = encoder.encode(block.samples)
-            self.coded["audio"] += 1
-            self._hand_over(self._send_opus, opus, heard_stamp(block.stamp))
-
-    def _hand_over(self, send: Callable[..., None], *what: Any) -> None:
-        if not self._ended.is_set():
-            self._loop.call_soon_threadsafe(send, *what)
+def coded_sources(
+    args: argparse.Namespace,
+    clock: MonotonicClock,
+    *,
+    send_unit: Callable[[AccessUnit], None],
+    send_opus: Callable[[bytes, CaptureStamp], None],
+) -> CodedSources:
+    """Begin to code the sources. ConfigError for those that cannot be opened."""
+    sends = sends_of(args)
+    most_bps = sends.get("video", LEAST_BPS)
+    sources = CodedSources(clock, most_bps=most_bps, send_unit=send_unit, send_opus=send_opus)
+    if args.video is not None:
+        width, height = parse_size(args.size)
+        encoder = H264Encoder(
+            width=width, height=height, fps=args.fps, cap_bps=most_bps, refresh_s=SLOW_REFRESH_S
+        )
+        sources.add_pictures(open_pictures(args, clock), encoder)
+    if args.audio is not None:
+        sources.add_sound(open_sound(args, clock), OpusEncoder(bitrate_bps=sends["audio"]))
+    return sources

@@ -1,35 +1,29 @@
 """`kontur-av simulate`: a session on virtual time, as fast as the machine goes."""
 
 import argparse
-from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import fields
 from pathlib import Path
 
-from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail, stopped_by_signals
-from pipelines.commands.replay_options import (
-    add_coding_arguments,
-    check_caps,
-    load_recording,
-    replay_setup,
-)
+from pipelines.recording.replay_setup import check_caps, load_recording, replay_setup
 from pipelines.report.model import CodingCosts, SessionReport
 from pipelines.report.report_file import check_writable, save_report
 from pipelines.report.summary import print_summary
+from pipelines.session.children import stopped_by_signals
 from pipelines.session.options import (
+    add_coding_arguments,
     add_deadband_argument,
     add_hand_argument,
     add_radio_arguments,
     add_setup_argument,
     setup_changes,
 )
+from pipelines.session.output import output_that_may_fail
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import parse_sources
-from pipelines.session.setup.table import Setup
 from pipelines.virtual.media import check_virtual_sources
-from pipelines.virtual.session import Selection
+from pipelines.virtual.session import parse_selections
 from pipelines.virtual.simulate import replay, simulate
 from telepresence.haptics.device.spec import GAME_CONTROLLER, PAGE, ROS2_HAND, open_device
 from telepresence.haptics.hand import Hand
@@ -194,29 +188,6 @@ def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
             recode=str(args.replay) if args.recode else None,
             stopped=stopped,
         )
-
-
-def parse_selections(options: Sequence[str], setup: Setup, seconds: float) -> list[Selection]:
-    """Parse T=CAMERA options.
-
-    Raises ConfigError for an instant outside of the session's `seconds`, or an unknown camera.
-    """
-    selections = []
-    for option in options:
-        instant, equals, camera = option.partition("=")
-        try:
-            instant_ns = round(float(instant) * NS_PER_S)
-        except (ValueError, OverflowError):
-            instant_ns = -1
-        if not equals or instant_ns < 0:
-            raise ConfigError(f"--select {option}: write T=CAMERA, like 10=static for second 10")
-        if instant_ns >= seconds * NS_PER_S:
-            raise ConfigError(f"--select {option}: the session ends at second {seconds:g}")
-        if camera not in setup.cameras:
-            known = ", ".join(setup.cameras)
-            raise ConfigError(f"--select {option}: unknown camera {camera}: choose one of {known}")
-        selections.append(Selection(instant_ns, camera))
-    return selections
 
 
 def _option(cost: str) -> str:

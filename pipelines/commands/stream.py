@@ -7,26 +7,16 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import add_seconds_argument, check_options, say, say_unprotected
-from pipelines.commands.end_options import (
-    add_end_arguments,
-    check_own_options,
-    chosen_end,
-    hold_listen_port,
-    inputs_here,
-    path_line,
-)
+from pipelines.commands.common import add_seconds_argument, check_options, say_unprotected
+from pipelines.commands.end_options import add_end_arguments, check_own_options, inputs_here
 from pipelines.commands.files_options import (
     add_files_arguments,
     add_services_arguments,
-    bound_services,
     files_arguments,
-    services_wish,
 )
 from pipelines.commands.live_session import (
     add_live_arguments,
     end_session,
-    live_view,
     made_directory,
     with_status,
 )
@@ -38,12 +28,7 @@ from pipelines.commands.outlet_options import (
     bound_metrics,
     ros2_arguments,
 )
-from pipelines.commands.packets_options import (
-    add_packets_arguments,
-    bound_packets,
-    parse_frames,
-)
-from pipelines.commands.page_options import add_page_arguments, announced_pages, bound_pages
+from pipelines.commands.packets_options import add_packets_arguments, bound_packets, parse_frames
 from pipelines.commands.record import add_record_arguments, wish_of
 from pipelines.commands.rtc_leg import (
     RtcWish,
@@ -53,6 +38,8 @@ from pipelines.commands.rtc_leg import (
     with_rtc,
 )
 from pipelines.commands.task_options import TaskWish, add_task_arguments, task_arguments, task_wish
+from pipelines.files.service_sockets import bound_services, services_wish
+from pipelines.link.own_ends import chosen_end, hold_listen_port, path_line
 from pipelines.link.peer_socket import PeerPlan
 from pipelines.recording.part_files import (
     LEAST_RECORDED_S,
@@ -61,6 +48,7 @@ from pipelines.recording.part_files import (
     clear_parts,
 )
 from pipelines.report.collector import Collector
+from pipelines.report.live import LiveView
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
@@ -71,7 +59,9 @@ from pipelines.session.options import (
     add_setup_argument,
     setup_changes,
 )
+from pipelines.session.output import say
 from pipelines.session.recorder_control import write_wish
+from pipelines.session.served_pages import add_page_arguments, announced_pages, bound_pages
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import (
@@ -235,7 +225,7 @@ def run(args: argparse.Namespace) -> int:
         announced_metrics(metrics, quiet=args.quiet),
         announced_foxglove(foxglove_wish, session, quiet=args.quiet) as foxglove,
         bound_packets(args, topology) as packets,
-        live_view(collector, quiet=args.quiet, verbose=args.verbose) as view,
+        LiveView(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         if wish is not None:
             clear_parts(Path(wish.file))

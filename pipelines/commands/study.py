@@ -9,11 +9,11 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import output_that_may_fail, say
-from pipelines.commands.page_options import ServerWish, parse_page, served
 from pipelines.commands.rtc_running import driven
 from pipelines.report.report_file import words_console
+from pipelines.session.output import output_that_may_fail, say
 from pipelines.session.page_sockets import bind_pages
+from pipelines.session.served_pages import ServerWish, parse_page, served
 from pipelines.study.desk import StudyDesk
 from pipelines.study.effects import HEADINGS, effect_words, study_report, summary_of
 from pipelines.study.hands import simulate_person

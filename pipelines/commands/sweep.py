@@ -3,45 +3,19 @@
 import argparse
 import csv
 import io
-import json
-from collections.abc import Sequence
-from contextlib import ExitStack, closing
 from pathlib import Path
-from time import monotonic
 
-import msgspec
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from kontur_av.errors import ConfigError
 from pipelines.report.charts import check_plot, save
-from pipelines.report.report_file import check_writable, open_console, write_result, write_text
+from pipelines.report.report_file import check_writable, open_console, write_text
 from pipelines.session.children import ended_alike
-from pipelines.virtual.campaign.figures import (
-    Crash,
-    Result,
-    RunFigures,
-    SessionTask,
-    crashed,
-    run_figures,
-)
-from pipelines.virtual.campaign.places import add_place_arguments, cluster_of, code_digest, jobs_of
-from pipelines.virtual.campaign.sessions import Progress, session_results
-from pipelines.virtual.campaign.sweep import (
-    Sweep,
-    case_figures,
-    chart,
-    csv_rows,
-    headings,
-    headlines,
-    rows,
-    task_key,
-)
+from pipelines.virtual.campaign.places import add_place_arguments, jobs_of
+from pipelines.virtual.campaign.sweep import case_figures, chart, csv_rows, headings, rows
 from pipelines.virtual.campaign.sweep_file import load_sweep
+from pipelines.virtual.campaign.sweep_runs import kept_runs, run_missing
 from pipelines.virtual.media import check_virtual_sources
-
-#: The runs that are over are kept this often.
-_KEEP_EVERY_S = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,13 +43,12 @@ def run(args: argparse.Namespace) -> int:
     check_plot(args.plot)
     for case in sweep.cases if sweep.media else ():
         check_virtual_sources(case.setup)
-    kept = _kept(args.report)
-    runs = [kept.get(_key(sweep, task)) for task in sweep.tasks()]
+    runs = kept_runs(args.report, sweep)
     console = open_console(args, width=200, wanted=args.csv is not None)
     ended_early = False
     try:
         with ended_alike():
-            _run_missing(args, sweep, runs, jobs)
+            run_missing(args, sweep, runs, jobs)
     except KeyboardInterrupt:
         ended_early = True
     cases = case_figures(sweep, runs)
@@ -98,63 +71,3 @@ def run(args: argparse.Namespace) -> int:
     if args.plot is not None:
         save(chart(sweep, cases), args.plot)
     return 1 if ended_early or any(run is None or run.error for run in runs) else 0
-
-
-def _key(sweep: Sweep, task: SessionTask) -> str:
-    return task_key(task, sweep.keys, code_digest())
-
-
-def _run_missing(
-    args: argparse.Namespace, sweep: Sweep, runs: list[RunFigures | None], jobs: int
-) -> None:
-    """Put the figures of each run that is missing into `runs`, and keep them now and then."""
-    tasks = sweep.tasks()
-    missing = [number for number, run in enumerate(runs) if run is None]
-    progress = Progress(len(runs), "runs")
-    with ExitStack() as stack:
-        cluster = stack.enter_context(cluster_of(args))
-        wanted = [tasks[number] for number in missing]
-        results = stack.enter_context(closing(session_results(wanted, jobs=jobs, cluster=cluster)))
-        stack.callback(_keep, args.report, sweep, runs)
-        kept_s = monotonic()
-        progress.told(len(runs) - len(missing))
-        for count, (place, result) in enumerate(results, 1 + len(runs) - len(missing)):
-            task = tasks[missing[place]]
-            runs[missing[place]] = _figures(sweep, task, result)
-            progress.told(count)
-            if monotonic() - kept_s >= _KEEP_EVERY_S:
-                _keep(args.report, sweep, runs)
-                kept_s = monotonic()
-
-
-def _figures(sweep: Sweep, task: SessionTask, result: Result) -> RunFigures:
-    key = _key(sweep, task)
-    if isinstance(result, Crash):
-        return crashed(task, key, result)
-    return run_figures(task, key, result, sweep.keys)
-
-
-def _keep(path: Path | None, sweep: Sweep, runs: Sequence[RunFigures | None]) -> None:
-    cases = case_figures(sweep, runs)
-    body = {
-        "seconds": sweep.seconds,
-        "media": sweep.media,
-        "cases": cases,
-        "runs": [run for run in runs if run is not None],
-    }
-    write_result(path, body, headlines(sweep, cases))
-
-
-def _kept(path: Path | None) -> dict[str, RunFigures]:
-    """The runs of an earlier sweep by their keys, without those that crashed."""
-    if path is None or not path.is_file() or not path.stat().st_size:
-        return {}
-    try:
-        runs = msgspec.convert(
-            json.loads(path.read_text(encoding="utf-8"))["runs"], list[RunFigures]
-        )
-    except (ValueError, KeyError, TypeError):
-        raise ConfigError(
-            f"--report {path}: is no report of this version's `sweep`; name another file"
-        ) from None
-    return {run.key: run for run in runs if not run.error}

@@ -101,6 +101,13 @@ def task_wish(
     )
 
 
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) <= _MOST_PORT:
+        raise ConfigError(f"--leds {text!r}: write HOST:PORT")
+    return host, int(port)
+
+
 def task_arguments(wish: TaskWish | None) -> Mapping[str, Mapping[str, object]]:
     """By process, what it needs to know of the wish."""
     if wish is None:
@@ -118,10 +125,3 @@ def task_arguments(wish: TaskWish | None) -> Mapping[str, Mapping[str, object]]:
     if wish.simulated and wish.plan is not None:
         arguments[JOYSTICK] = {"skill": wish.plan.skill}
     return arguments
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) <= _MOST_PORT:
-        raise ConfigError(f"--leds {text!r}: write HOST:PORT")
-    return host, int(port)

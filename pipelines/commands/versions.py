@@ -4,8 +4,10 @@ import argparse
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
-from pipelines.commands.common import add_inbox_argument, add_key_argument, say, stopped_by_signals
+from pipelines.commands.common import add_inbox_argument, add_key_argument
 from pipelines.link.key_files import default_key_path, read_key, trusted_identities
+from pipelines.session.children import stopped_by_signals
+from pipelines.session.output import say
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.version_keeper import VersionKeeper
 from telepresence.upkeep.file_store import read_folder, replace_file

@@ -23,11 +23,13 @@ from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked
-from pipelines.recording.recorded_session import SentPacket, SentUnit
+from pipelines.recording.messages import SAMPLE
+from pipelines.recording.recorded_session import RecordedSession, SentPacket, SentUnit
+from pipelines.recording.rows import Script, replay_topology
 from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
+from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, Topology
 from telepresence.link.backlog import Backlog
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
@@ -253,3 +255,42 @@ def run_haptic_replay(
     end = ReplayedEnd(rows, time, context.probe, robot=robot, life=new_life())
     ports = session_ports(context.topology, "robot" if robot else "joystick")
     run_loop(context, end, ports)
+
+
+def replayed_session(
+    plain: Topology, recorded: RecordedSession, start: ReplayStart, *, recode: bool
+) -> Topology:
+    """The session in which each process sends again what it sent in the recorded one."""
+    scripts: dict[str, Script] = {}
+    recoded: dict[str, Script] = {}
+
+    def script(run: str, **arguments: object) -> Script:
+        return Script(f"{__name__}:{run}", {**arguments, "start": start})
+
+    for media in plain.media_streams:
+        stream, name = media.stream, media.name
+        if isinstance(stream, VoiceStream):
+            units = recorded.voices.get(name, [])
+            scripts[media.sender] = script("run_voice_replay", stream=stream, units=units)
+            continue
+        units = recorded.pictures.get(name, [])
+        if recode:
+            camera = media.inputs[0]
+            recoded[name] = script("run_recoded_camera", name=camera, stream=stream, units=units)
+        else:
+            scripts[media.sender] = script("run_video_replay", stream=stream, units=units)
+    for key, robot in (("up", True), ("down", False)):
+        rows = recorded.haptics.get(key, np.empty(0, SAMPLE))
+        sender = plain.haptic(key).sender
+        scripts[sender] = script("run_haptic_replay", rows=rows, robot=robot)
+    for packets, run in (
+        (TELECOMMAND, "run_telecommands_replay"),
+        (TELEMETRY, "run_telemetry_replay"),
+    ):
+        process = plain.stream(packets).sender
+        assert process is not None
+        scripts[process] = script(run, packets=recorded.packets.get(packets, []))
+    # The radio's time 0 is the start of the recorded session, or else the first thing sent.
+    began_ns = recorded.facts.started_ns or start.recorded_ns
+    before_ns = round((start.recorded_ns - began_ns) / start.speed)
+    return replay_topology(plain, scripts, recoded, radio_after_ns=start.lead_ns - before_ns)

@@ -1,6 +1,9 @@
 """What a running session shows: a live table on a terminal, else one line a second."""
 
+import shutil
 import sys
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Self
 
 from rich.columns import Columns
@@ -15,13 +18,14 @@ from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import StreamFigures
-from pipelines.report.link_report import peer_words
+from pipelines.report.link_report import LinkView, peer_words
 from pipelines.report.result import Column, fitted_line, fitted_table
 from pipelines.report.sections import clock_lines, recording_line, rtc_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import last_bps, shown_now, silences
 from pipelines.report.summary import NO_SAMPLE
 from pipelines.session.launcher import Launcher
+from pipelines.session.output import say
 from pipelines.session.session_switch import Activity
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import HapticRow
@@ -72,8 +76,10 @@ class LiveView:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
+        # A closed terminal cannot take a last table, but the report must still be written.
+        with suppress(OSError):
+            if self._live is not None:
+                self._live.stop()
 
     def show(self, launcher: Launcher) -> None:
         if self._live is not None:
@@ -277,3 +283,31 @@ def _line(launcher: Launcher, collector: Collector) -> str:
     if down := [child.row.name for child in launcher.children if child.pid is None]:
         parts.append("down: " + ", ".join(down))
     return "  ".join(parts)
+
+
+class LinkScreen:
+    """Standard output: on a terminal the lines of figures are overwritten in place."""
+
+    def __init__(self, view: LinkView, collector: Collector, *, quiet: bool) -> None:
+        self._view = view
+        self._collector = collector
+        self._quiet = quiet
+        self._terminal = sys.stdout.isatty()
+        self._shown = 0
+
+    def show(self, launcher: Launcher) -> None:
+        if self._quiet:
+            return
+        width = shutil.get_terminal_size().columns - 1 if self._terminal else None
+        lines = self._view.lines(self._collector, launcher.seconds, width)
+        if not self._terminal:
+            print("  ".join(lines), flush=True)
+            return
+        up = f"\x1b[{self._shown}A" if self._shown else ""
+        print(up + "".join(f"\x1b[K{line[:width]}\n" for line in lines), end="", flush=True)
+        self._shown = len(lines)
+
+    def show_lines(self, lines: Sequence[str]) -> None:
+        """Lines that stay."""
+        if not self._quiet:
+            say("\n".join(lines))

@@ -34,7 +34,7 @@ from pipelines.media.figures import DisplayFigures, GainFigures
 from pipelines.mission.figures import ComponentFigures
 from pipelines.partner.figures import RtcFigures
 from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
-from pipelines.session.figures import DatedEvent, LoopFigures
+from pipelines.session.figures import DatedEvent, LoopFigures, Report
 from pipelines.session.task_journal import TaskRow
 from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import (
@@ -60,10 +60,6 @@ T = TypeVar("T")
 #: What the receiving end of two knows; the rest is the sender's, or found anew (`join.py`).
 RECEIVED = "received"
 Received = Annotated[T, RECEIVED]
-
-
-class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What all parts of a report have in common."""
 
 
 class Spread(Report, frozen=True, kw_only=True):

@@ -151,6 +151,11 @@ def words_console() -> Console:
 def end_with(report_file: Path | None, report: object, failed: Sequence[str]) -> int:
     """Write the report, if a file is given, and say what failed; the exit code."""
     saved = save_report(report_file, report)
-    for failure in failed:
-        print(f"failed: {failure}", file=sys.stderr)
+    say_failures(failed)
     return 1 if failed or not saved else 0
+
+
+def say_failures(failures: Sequence[str]) -> None:
+    """Say with --quiet, too, why the exit code is 1."""
+    for failure in failures:
+        print(f"failed: {failure}", file=sys.stderr)

@@ -12,7 +12,8 @@ from typing import Any, TypeAlias
 from rich.table import Table
 from rich.text import Text
 
-from pipelines.report.model import Report, to_builtins
+from pipelines.report.model import to_builtins
+from pipelines.session.figures import Report
 
 #: What stands between two parts of a line.
 _GAP = "   "

@@ -9,7 +9,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog, ProcessNow
-from pipelines.report.model import SessionReport, to_json
+from pipelines.report.model import EndTrace, SessionReport, to_json
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.report.session_report import build_report
 from pipelines.seats.figures import PageFigures
@@ -21,6 +21,7 @@ from pipelines.session.figures import (
     SessionEvents,
 )
 from pipelines.session.launcher import Child, Launcher, launcher_cpu_s
+from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import CONSOLE, FOXGLOVE, METRICS, RECORDER, ROS2, SELECTOR
 
 #: Processes that are started again, and ends that meet again, may take so long.
@@ -229,3 +230,22 @@ class SeatFeed:
 
     def _watched(self, process: str) -> bool:
         return self._collector.process(process).total(PageFigures).watching > 0
+
+
+def end_trace(collector: Collector, launcher: Launcher) -> EndTrace:
+    """What a join with the other end's report needs of this one."""
+    assert collector.trace is not None
+    (segment,) = collector.topology.segments
+    links = [
+        link.supervision
+        for link in collector.process(collector.topology.gateway(segment).name).links()
+    ]
+    return EndTrace(
+        setup=setup_toml(launcher.setup),
+        wall_offset_ns=launcher.clock.wall_offset_ns,
+        began_ns=launcher.started_ns,
+        ended_ns=launcher.ended_ns,
+        lives=[link.life for link in links],
+        peers=[link.peer.life for link in links if link.peer.life is not None],
+        series=collector.trace.report(),
+    )

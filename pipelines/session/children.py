@@ -59,3 +59,11 @@ def end_all(processes: Sequence[subprocess.Popen[bytes]]) -> None:
             process.kill()
         for process in processes:
             process.wait()
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[Callable[[], bool]]:
+    """Within this context, Ctrl-C, SIGTERM and SIGHUP only make the yielded function True."""
+    caught: list[int] = []
+    with handled(lambda got, _: caught.append(got)):
+        yield lambda: bool(caught)

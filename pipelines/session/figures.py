@@ -97,3 +97,7 @@ class ProcessState(msgspec.Struct, frozen=True, kw_only=True):
     cpu_s: float = 0.0
     age_ms: float = 0.0
     loop: LoopFigures = LoopFigures()
+
+
+class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What all parts of a report have in common."""

@@ -53,3 +53,22 @@ class FileAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     size: int = -1
     transfers: tuple[TransferNow, ...] = ()
     more: int = 0
+
+
+def progress(answer: FileAnswer) -> str:
+    return f"{_octets(answer)} octets"
+
+
+def _octets(one: FileAnswer | TransferNow) -> str:
+    return f"{one.octets}{f' of {one.size}' if one.size >= 0 else ''}"
+
+
+def listing(answer: FileAnswer) -> str:
+    """A line for each transfer under way."""
+    if not answer.transfers:
+        return "nothing is under way"
+    lines = [f"{'number':<11} {'what':<7} {'state':<9} {'octets':>16}  name"]
+    for one in answer.transfers:
+        octets = _octets(one)
+        lines.append(f"{one.number:<11} {one.kind:<7} {one.state:<9} {octets:>16}  {one.first}")
+    return "\n".join([*lines, *([f"and {answer.more} more"] if answer.more else [])])

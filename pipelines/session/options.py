@@ -94,3 +94,18 @@ def setup_changes(args: argparse.Namespace) -> dict[str, Any]:
     given = {name: getattr(args, name, None) for name in ("base_port", "deadband", "hand")}
     changes = radio_changes(args) if hasattr(args, "radio") else {}
     return changes | {name: value for name, value in given.items() if value is not None}
+
+
+def add_coding_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--recode",
+        action="store_true",
+        help="code the recorded pictures anew, by the session's encoder",
+    )
+    parser.add_argument(
+        "--cap-kbps",
+        action="append",
+        default=[],
+        metavar="STREAM=KBPS",
+        help="another cap for a replayed stream, like uplink_video=60; repeatable",
+    )

@@ -5,7 +5,8 @@ import os
 import select
 import sys
 from argparse import Namespace
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -60,3 +61,19 @@ def discard_output() -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.close(nowhere)
+
+
+@contextmanager
+def output_that_may_fail() -> Iterator[None]:
+    """Within this context, a closed terminal or pipe loses only the output."""
+    try:
+        yield
+        sys.stdout.flush()
+    except OSError:
+        discard_output()
+
+
+def say(text: str) -> None:
+    """Print lines for people; without a reader they are lost."""
+    with output_that_may_fail():
+        print(text, flush=True)

@@ -5,11 +5,22 @@ The recorder listens on a Unix socket in the session's directory, which only its
 
 import os
 import socket
+import sys
+import time
+from collections.abc import Callable
 from contextlib import suppress
 
+from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import make_session_root, session_root
 from pipelines.session.reception import replace_file
-from pipelines.session.recorder_requests import RecordAnswer, RecordingWish, RecordRequest
+from pipelines.session.recorder_requests import (
+    START,
+    STATE,
+    STOP,
+    RecordAnswer,
+    RecordingWish,
+    RecordRequest,
+)
 from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
 from pipelines.session.terminals import desk_path, running_sessions
 
@@ -18,6 +29,10 @@ RECORDER_DESK = "recorder"
 _WISH = "recording"
 #: How long a recorder may take to answer: it writes a slow disk's file to its end first.
 _PATIENCE_S = 10.0
+#: How often it asks whether the recorder is still there.
+_LOOK_S = 0.2
+#: A recorder that was killed is there again within this time.
+_RETURN_S = 4.0
 
 
 def write_wish(session: str, wish: RecordingWish) -> None:
@@ -74,3 +89,56 @@ class RecorderLink:
     def close(self) -> None:
         self._lines.close()
         self._link.close()
+
+
+def begin_recording(session: str, wish: RecordingWish, *, overwrite: bool) -> RecorderLink:
+    try:
+        link = RecorderLink(session)
+        answer = link.ask(RecordRequest(record=START, wish=wish, overwrite=overwrite))
+    except OSError as error:
+        raise ConfigError(f"the recorder of {session} does not answer: {error}") from None
+    if not answer.ok:
+        link.close()
+        raise ConfigError(answer.error)
+    return link
+
+
+def hold_recording(
+    link: RecorderLink,
+    session: str,
+    wish: RecordingWish,
+    ended: Callable[[], bool],
+    seconds: float | None,
+) -> RecordAnswer | None:
+    """Wait for the end; the answer to the order to stop, or None if the session has ended."""
+    end_s = None if seconds is None else time.monotonic() + seconds
+    fault = ""
+    while True:
+        left_s = _LOOK_S if end_s is None else min(_LOOK_S, end_s - time.monotonic())
+        time.sleep(max(0.0, left_s))
+        over = ended() or (end_s is not None and time.monotonic() >= end_s)
+        try:
+            answer = link.ask(RecordRequest(record=STOP if over else STATE))
+        except OSError:
+            link.close()
+            found = _returned(session, wish)
+            if found is None:
+                return None
+            link = found
+            continue
+        if over:
+            link.close()
+            return answer if answer.ok else None
+        if answer.fault and answer.fault != fault:
+            print(f"kontur-av: {answer.fault}; the recorder tries again", file=sys.stderr)
+        fault = answer.fault
+
+
+def _returned(session: str, wish: RecordingWish) -> RecorderLink | None:
+    """The recorder that the launcher has started again; None if it does not come."""
+    end_s = time.monotonic() + _RETURN_S
+    while time.monotonic() < end_s:
+        with suppress(OSError, ConfigError):
+            return begin_recording(session, wish, overwrite=False)
+        time.sleep(0.1)
+    return None

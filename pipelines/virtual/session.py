@@ -466,3 +466,26 @@ class Simulation:
     def _confirm(self, number: int, now_ns: int) -> None:
         self._choice.handle_confirmed(number)
         self._work_choice(now_ns)
+
+
+def parse_selections(options: Sequence[str], setup: Setup, seconds: float) -> list[Selection]:
+    """Parse T=CAMERA options.
+
+    Raises ConfigError for an instant outside of the session's `seconds`, or an unknown camera.
+    """
+    selections = []
+    for option in options:
+        instant, equals, camera = option.partition("=")
+        try:
+            instant_ns = round(float(instant) * NS_PER_S)
+        except (ValueError, OverflowError):
+            instant_ns = -1
+        if not equals or instant_ns < 0:
+            raise ConfigError(f"--select {option}: write T=CAMERA, like 10=static for second 10")
+        if instant_ns >= seconds * NS_PER_S:
+            raise ConfigError(f"--select {option}: the session ends at second {seconds:g}")
+        if camera not in setup.cameras:
+            known = ", ".join(setup.cameras)
+            raise ConfigError(f"--select {option}: unknown camera {camera}: choose one of {known}")
+        selections.append(Selection(instant_ns, camera))
+    return selections

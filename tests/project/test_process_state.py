@@ -64,8 +64,8 @@ ALLOWED = {
     "pipelines/bench/course/ends.py": {"_become"},
     # The command itself, in a process of its own.
     "pipelines/cli.py": {"_loaded", "_apart"},
-    "pipelines/commands/drive_far.py": {"_relay"},
-    "pipelines/commands/live_output.py": {"_write"},
+    "pipelines/partner/far.py": {"_relay"},
+    "pipelines/recording/live_output.py": {"_write"},
     "pipelines/virtual/simulate.py": {"_run"},
     "pipelines/session/launcher.py": {
         "Launcher.run",

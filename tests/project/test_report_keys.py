@@ -3,7 +3,8 @@
 import msgspec
 from report_keys import comments, keys_tables
 
-from pipelines.report.model import Report, SessionReport
+from pipelines.report.model import SessionReport
+from pipelines.session.figures import Report
 
 
 class Part(Report, frozen=True, kw_only=True):

@@ -5,6 +5,7 @@ from places import ROOT
 
 from pipelines.cli import main
 from pipelines.commands import link
+from pipelines.link import own_ends
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.session.topology.tables import ports_table
@@ -89,10 +90,10 @@ def test_an_end_needs_somebody_to_trust(capsys, tmp_path):
 
 
 def test_another_machine_s_programs_need_an_address_of_this_one(capsys, monkeypatch):
-    monkeypatch.setattr(link, "reaches", lambda peer: "198.51.100.4")
+    monkeypatch.setattr(own_ends, "reaches", lambda peer: "198.51.100.4")
     assert main(["link", "--setup", "taskboard", "--apps", "192.0.2.7"]) == 2
     assert "add --apps-bind 198.51.100.4" in capsys.readouterr().err
-    monkeypatch.setattr(link, "reaches", lambda peer: None)
+    monkeypatch.setattr(own_ends, "reaches", lambda peer: None)
     assert main(["link", "--setup", "taskboard", "--apps", "192.0.2.7"]) == 2
     assert "cannot be reached from here" in capsys.readouterr().err
 

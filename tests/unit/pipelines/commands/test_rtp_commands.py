@@ -21,7 +21,7 @@ from kontur_av.rtp.payload_h264 import NAL_SPS, nal_type
 from kontur_av.rtp.sdp import parse_sdp
 from kontur_av.rtp.wire import pack_rtp
 from pipelines.commands import receive, send
-from pipelines.commands.receive_media import PictureOutput
+from pipelines.recording.received_media import PictureOutput
 
 SDP = "v=0\nc=IN IP4 127.0.0.1\nm=audio {port} RTP/AVP 97\na=rtpmap:97 opus/48000/2\n"
 GOOD = ["--audio", "tone.wav", "--to", "127.0.0.1:5004", "--cap-kbps", "64"]

@@ -5,7 +5,8 @@ import pkgutil
 import socket
 from types import SimpleNamespace
 
-from pipelines.commands.files_options import bound_services, files_arguments, services_wish
+from pipelines.commands.files_options import files_arguments
+from pipelines.files.service_sockets import bound_services, services_wish
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import FILES, PAGES, Segment
 from pipelines.table import topology_of

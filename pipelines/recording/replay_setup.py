@@ -1,4 +1,4 @@
-"""The options of both kinds of replay: which recording, through which link."""
+"""Both kinds of replay: which recording, through which link."""
 
 import argparse
 import sys
@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.commands.recorded_parts import read_recording
+from pipelines.recording.recorded_parts import read_recording
 from pipelines.recording.recorded_session import (
     RecordedSession,
     SentUnit,
@@ -30,21 +30,6 @@ from pipelines.session.setup.table import (
 _NOTHING: Mapping[str, object] = MappingProxyType({})
 #: The only input of each stream that a setup may leave out.
 _INPUTS = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
-
-
-def add_coding_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--recode",
-        action="store_true",
-        help="code the recorded pictures anew, by the session's encoder",
-    )
-    parser.add_argument(
-        "--cap-kbps",
-        action="append",
-        default=[],
-        metavar="STREAM=KBPS",
-        help="another cap for a replayed stream, like uplink_video=60; repeatable",
-    )
 
 
 def load_recording(path: Path) -> RecordedSession:

@@ -11,10 +11,10 @@ from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
-from pipelines.commands.live_output import LiveWriter
-from pipelines.commands.media_reports import OutputReport
-from pipelines.commands.raw_pictures import RawPictures
+from pipelines.media.rtp_reports import OutputReport
+from pipelines.recording.live_output import LiveWriter
 from pipelines.recording.matroska import MatroskaWriter
+from pipelines.recording.raw_pictures import RawPictures
 
 #: What a picture's timestamp may run ahead of its arrival, or behind it, and a sound's of its play.
 _PICTURE_S, _SOUND_S = 10.0, 0.25

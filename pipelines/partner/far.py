@@ -15,12 +15,12 @@ from urllib.parse import urlsplit
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import say
 from pipelines.partner.decisions import Doing
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.samples import SamplePeer
 from pipelines.partner.whip import Keeper
 from pipelines.session.datagrams import Outlet, newest_sample
+from pipelines.session.output import say
 
 _END_S = 3.0
 

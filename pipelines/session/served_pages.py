@@ -1,4 +1,4 @@
-"""The options of a session's browser pages: where they are served, and with which certificate."""
+"""Where a session's browser pages are served, and what is said of it. A shell."""
 
 import argparse
 import json
@@ -15,12 +15,14 @@ from socket import socket
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
-from pipelines.commands.common import resolve, say
+from pipelines.session.addresses import resolve
+from pipelines.session.output import say
 from pipelines.session.page_certificate import certificate_for, check_certificate
 from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
 from pipelines.session.seat_roles import Role
 from pipelines.session.topology import PAGES, Segment
 
+#: Of the first page, without an option.
 _PORT = 8270
 #: The ground's page takes a later port than the operator's.
 _LAST_PORT = 65_534
@@ -55,47 +57,6 @@ class PageWish(ServerWish):
     """The pages, by the seats' names. browser: whether to open the first in one."""
 
     browser: bool = False
-
-
-def add_page_arguments(parser: argparse.ArgumentParser) -> None:
-    either = parser.add_mutually_exclusive_group()
-    either.add_argument(
-        "--page",
-        metavar="[HOST:]PORT",
-        help=f"where the browser pages are served (default 127.0.0.1:{_PORT}, "
-        "or the next free ports); TLS beyond loopback",
-    )
-    either.add_argument("--no-page", action="store_true", help="serve no browser pages")
-    parser.add_argument("--open", action="store_true", help="open the first page in a browser")
-    parser.add_argument(
-        "--page-cert",
-        type=Path,
-        metavar="FILE",
-        help="PEM file with certificate and key for the pages (default: made for the session)",
-    )
-
-
-def bound_pages(args: argparse.Namespace, segments: Sequence[Segment] = _SEATS) -> PageWish | None:
-    """Bind what the options ask for; None without pages. segments: those that run here.
-
-    Raises ConfigError for options that contradict each other, for an address that cannot be had,
-    and for a certificate that no browser would take.
-    """
-    if args.no_page:
-        for option, given in (
-            ("--open", args.open),
-            ("--page-cert", args.page_cert),
-            ("--joystick page", args.joystick == "page"),
-        ):
-            if given:
-                raise ConfigError(f"{option} needs the pages: leave --no-page out")
-        return None
-    host, port = parse_page(args.page)
-    if args.page_cert is not None:
-        check_certificate(args.page_cert)
-    seats = [segment.value for segment in _SEATS if segment in segments]
-    sockets = bind_pages(host, port, seats)
-    return PageWish(host=host, sockets=sockets, certificate=args.page_cert, browser=bool(args.open))
 
 
 def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]:
@@ -212,3 +173,44 @@ def write_private(path: Path, text: str) -> None:
     unready.touch(0o600, exist_ok=False)
     unready.write_text(text)
     unready.rename(path)
+
+
+def add_page_arguments(parser: argparse.ArgumentParser) -> None:
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument(
+        "--page",
+        metavar="[HOST:]PORT",
+        help=f"where the browser pages are served (default 127.0.0.1:{_PORT}, "
+        "or the next free ports); TLS beyond loopback",
+    )
+    either.add_argument("--no-page", action="store_true", help="serve no browser pages")
+    parser.add_argument("--open", action="store_true", help="open the first page in a browser")
+    parser.add_argument(
+        "--page-cert",
+        type=Path,
+        metavar="FILE",
+        help="PEM file with certificate and key for the pages (default: made for the session)",
+    )
+
+
+def bound_pages(args: argparse.Namespace, segments: Sequence[Segment] = _SEATS) -> PageWish | None:
+    """Bind what the options ask for; None without pages. segments: those that run here.
+
+    Raises ConfigError for options that contradict each other, for an address that cannot be had,
+    and for a certificate that no browser would take.
+    """
+    if args.no_page:
+        for option, given in (
+            ("--open", args.open),
+            ("--page-cert", args.page_cert),
+            ("--joystick page", args.joystick == "page"),
+        ):
+            if given:
+                raise ConfigError(f"{option} needs the pages: leave --no-page out")
+        return None
+    host, port = parse_page(args.page)
+    if args.page_cert is not None:
+        check_certificate(args.page_cert)
+    seats = [segment.value for segment in _SEATS if segment in segments]
+    sockets = bind_pages(host, port, seats)
+    return PageWish(host=host, sockets=sockets, certificate=args.page_cert, browser=bool(args.open))

@@ -1,6 +1,5 @@
 """Received pictures for other programs: YUV4MPEG2 into a file or a FIFO, as they come."""
 
-import argparse
 import errno
 import fcntl
 import os
@@ -21,18 +20,10 @@ from kontur_av.media import BLACK_LUMA, NEUTRAL_CHROMA
 from kontur_av.sources.fit import fitted_size, letterbox, plane_pixels, same_shape
 from kontur_av.sources.pipe import PIPE_OCTETS
 from kontur_av.sources.y4m import FRAME, MAGIC
-from pipelines.commands.media_reports import RawReport
+from pipelines.media.rtp_reports import RawReport
 from pipelines.recording.recording_file import open_alone
 
 _FRAME_LINE = FRAME + b"\n"
-
-
-def add_raw_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--raw",
-        metavar="PATH",
-        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
-    )
 
 
 class RawPictures:

@@ -1,4 +1,4 @@
-"""Opens a recording with all its parts, for commands."""
+"""Opens a recording with all its parts."""
 
 import sys
 from pathlib import Path

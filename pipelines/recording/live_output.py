@@ -20,9 +20,10 @@ import av
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import VideoCodec
-from pipelines.commands.common import resolve, say
-from pipelines.commands.media_reports import ForwardedReport
+from pipelines.media.rtp_reports import ForwardedReport
 from pipelines.recording.matroska import CodedContainer, Remuxer, begins_stream
+from pipelines.session.addresses import resolve
+from pipelines.session.output import say
 
 #: Without delays in the muxer: a picture's length is told, so that no player waits for the next.
 _MPEGTS = {"flush_packets": "1", "omit_video_pes_length": "0", "pes_payload_size": "0"}

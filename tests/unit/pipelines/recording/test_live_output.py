@@ -4,8 +4,8 @@ import av
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.commands import live_output
-from pipelines.commands.live_output import LiveWriter
+from pipelines.recording import live_output
+from pipelines.recording.live_output import LiveWriter
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.cli import make_parser
-from pipelines.commands import page_options
-from pipelines.commands.page_options import announced_pages, bound_pages, parse_page
+from pipelines.session import served_pages
+from pipelines.session.served_pages import announced_pages, bound_pages, parse_page
 
 
 def options(*words):
@@ -18,7 +18,7 @@ def options(*words):
 
 @pytest.fixture
 def root(monkeypatch, tmp_path):
-    monkeypatch.setattr(page_options, "session_root", lambda session: tmp_path)
+    monkeypatch.setattr(served_pages, "session_root", lambda session: tmp_path)
     return tmp_path
 
 
@@ -94,7 +94,7 @@ def test_without_a_browser_there_is_one_line(capsys, monkeypatch, root):
 def test_no_token_is_an_argument_of_the_browser(monkeypatch, root):
     started = []
     monkeypatch.setattr(webbrowser, "get", lambda: None)
-    monkeypatch.setattr(page_options.subprocess, "Popen", lambda words, **_: started.append(words))
+    monkeypatch.setattr(served_pages.subprocess, "Popen", lambda words, **_: started.append(words))
     with announced_pages(bound_pages(options("--open", "-q")), "taskboard-1", quiet=True) as pages:
         token = pages["page_space"].operator_token
     assert len(started) == 1 and token not in str(started)

@@ -17,7 +17,7 @@ from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame
 from kontur_av.sources.y4m import Y4mReader, parse_header
-from pipelines.commands.raw_pictures import RawPictures
+from pipelines.recording.raw_pictures import RawPictures
 
 WIDTH, HEIGHT = 320, 240
 

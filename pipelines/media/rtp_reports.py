@@ -6,7 +6,7 @@ from kontur_av.meters import Histogram
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.report.model import Report
+from pipelines.session.figures import Report
 
 
 class Latency(Report, frozen=True, kw_only=True):

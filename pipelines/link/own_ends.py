@@ -1,0 +1,183 @@
+"""The ends of a link that run on this machine: which, where, with which keys. A shell."""
+
+import argparse
+import ipaddress
+import socket
+from dataclasses import dataclass
+
+from kontur_av.errors import ConfigError
+from pipelines.link.key_files import default_key_path, pinned_peer, read_key
+from pipelines.link.peer_socket import PeerPlan, Protection
+from pipelines.session.addresses import parse_address, resolve
+from pipelines.session.datagrams import (
+    LOOPBACK,
+    Address,
+    EndAddresses,
+    is_loopback,
+    obstacle,
+    reaches,
+)
+from pipelines.session.launcher import hold_port
+from pipelines.session.topology import Segment, Topology
+
+_ANY = "0.0.0.0"
+#: What stays visible as long as an end runs with `--insecure`.
+INSECURE = "this path is not protected: anybody on it can read, change and steer"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EndChoice:
+    """The end that runs here alone, and how it reaches the other."""
+
+    segment: Segment
+    plan: PeerPlan
+
+
+def chosen_end(args: argparse.Namespace, topology: Topology) -> EndChoice | None:
+    """The end that the options name; None: both run here. ConfigError if it cannot work."""
+    if args.end is None:
+        for option in ("listen", "peer", "key", "identity", "insecure"):
+            if getattr(args, option):
+                raise ConfigError(
+                    f"--{option} is for one end alone: add --end ground or --end space"
+                )
+        return None
+    segment = Segment(args.end)
+    bind, peer = _addresses(args, topology)
+    return EndChoice(
+        segment=segment, plan=PeerPlan(bind=bind, peer=peer, protection=_protection(args))
+    )
+
+
+def hold_listen_port(choice: EndChoice) -> None:
+    """ConfigError if the port at which this end is to listen is busy."""
+    address, port = choice.plan.bind
+    hold_port(port, address).close()
+
+
+def path_line(choice: EndChoice) -> str:
+    """How this end reaches the other, in one line for people."""
+    plan = choice.plan
+    where = (
+        f"listens at {plan.bind[0]}:{plan.bind[1]}"
+        if plan.peer is None
+        else f"calls {plan.peer[0]}:{plan.peer[1]}"
+    )
+    protection = plan.protection
+    if protection is None:
+        return f"{choice.segment.value} end {where}; WARNING: {INSECURE}"
+    return f"{choice.segment.value} end {where}; it trusts {protection.peer} only"
+
+
+def _addresses(args: argparse.Namespace, topology: Topology) -> tuple[Address, Address | None]:
+    if args.listen is not None and args.peer is not None:
+        raise ConfigError("--listen and --peer: give one of them; the other end has the other")
+    if args.listen is not None:
+        return _listen_address(args.listen, topology), None
+    if args.peer is None:
+        raise ConfigError(
+            f"--end {args.end} needs --listen ADDR:PORT to wait for the other end, "
+            "or --peer HOST:PORT to call it"
+        )
+    peer = parse_address(args.peer, "--peer", socket.AF_INET)
+    check_one_machine("--peer", args.peer, peer[0])
+    why = obstacle(_ANY, peer)
+    if why is not None:
+        raise ConfigError(f"--peer {args.peer} cannot be reached from here: {why}")
+    return (_ANY, 0), peer
+
+
+def _listen_address(text: str, topology: Topology) -> Address:
+    listen = parse_address(text, "--listen", socket.AF_INET)
+    if listen[0] != _ANY:
+        check_one_machine("--listen", text, listen[0])
+    # Nobody uses the radio's ports here, because the radio is between two machines.
+    radio = [topology.radio_port(segment) for segment in Segment]
+    if listen[1] in topology.ports and listen[1] not in radio:
+        ports = topology.ports
+        raise ConfigError(
+            f"--listen {text}: this end uses the ports {ports.start} to {ports.stop - 1} itself; "
+            f"take {ports.start} or another one"
+        )
+    return listen
+
+
+def check_one_machine(option: str, text: str, address: str) -> None:
+    """ConfigError for the IPv4 address of no machine, or of many."""
+    host = ipaddress.IPv4Address(address)
+    if host.is_unspecified or host.is_multicast:
+        raise ConfigError(f"{option} {text}: give the address of one machine")
+
+
+def _protection(args: argparse.Namespace) -> Protection | None:
+    if args.insecure:
+        for option in ("key", "identity"):
+            if getattr(args, option) is not None:
+                raise ConfigError(f"--insecure uses no keys: leave --{option} out, or --insecure")
+        return None
+    path = default_key_path() if args.key is None else args.key
+    key = read_key(path)
+    peer = pinned_peer(path, args.identity)
+    if peer == key.identity:
+        raise ConfigError(f"{path} trusts itself: `kontur-av keys trust` the other machine")
+    return Protection(key=key, peer=peer)
+
+
+def chosen_addresses(args: argparse.Namespace) -> EndAddresses:
+    """Return the addresses of the programs; ConfigError if they cannot work."""
+    if args.apps is None:
+        if args.apps_bind is not None:
+            raise ConfigError("--apps-bind goes with --apps HOST, the machine of the programs")
+        return EndAddresses()
+    apps = resolve(args.apps, args.apps, "--apps", socket.AF_INET)
+    check_one_machine("--apps", args.apps, apps)
+    return EndAddresses(apps=apps, apps_bind=_bound_address(args, (apps, 9)))
+
+
+def _bound_address(args: argparse.Namespace, other: Address) -> str:
+    """Return the local address in `--apps-bind`; without it loopback, if `other` is on loopback."""
+    if args.apps_bind is not None:
+        try:
+            bind = str(ipaddress.IPv4Address(args.apps_bind))
+        except ValueError:
+            raise ConfigError(
+                f"--apps-bind {args.apps_bind!r}: write an IPv4 address of this machine, or "
+                "0.0.0.0 for all"
+            ) from None
+        why = obstacle(bind, other)
+        if why is not None:
+            own = reaches(other)
+            mend = "" if own is None else f"; use --apps-bind {own}"
+            raise ConfigError(
+                f"--apps {args.apps} cannot be reached from --apps-bind {bind}: {why}{mend}"
+            )
+        return bind
+    if is_loopback(other[0]):
+        return LOOPBACK
+    own = reaches(other)
+    if own is None:
+        raise ConfigError(f"{args.apps} cannot be reached from here: check address and network")
+    raise ConfigError(
+        f"{args.apps} is another machine, and --apps-bind is missing: "
+        f"add --apps-bind {own}, the address by which this one is reached from there"
+    )
+
+
+def hold_link_ports(
+    topology: Topology, end: Segment, addresses: EndAddresses, *, alone: bool
+) -> socket.socket:
+    """Hold one port of an end and check the others. Raises ConfigError if one is busy.
+
+    The port is held while the returned socket is open. So of two ends that start at the same moment
+    only one gets it.
+
+    alone: the other end is on another machine, so the setup's radio port is not used.
+    """
+    held = hold_port(topology.launcher_port + (end is Segment.SPACE))
+    radio_port = topology.radio_port(end)
+    for port in topology.ports_of(topology.gateway(end).name):
+        if port != radio_port:
+            hold_port(port, addresses.apps_bind).close()
+        elif not alone:
+            hold_port(port).close()
+    return held
