@@ -102,7 +102,6 @@ class PusNode:
         self.sent_octets = 0
         self.received = 0
         self.garbage = 0
-        self.unrouted = 0
         #: Packets that waited for the bucket.
         self.delayed = 0
         self.max_age_ns = 0
@@ -133,8 +132,6 @@ class PusNode:
             self.k2aci.endpoint.handle_message(packet.data, now_ns)
         elif self.user is not None and packet.service != K2ACI_SERVICE:
             self.user.handle_telemetry(packet, now_ns)
-        else:
-            self.unrouted += 1
 
     def handle_contact(self, now_ns: int) -> None:
         """The signal is acquired: repeat at once what is open."""
@@ -222,7 +219,6 @@ class PusNode:
             self.user.handle_telemetry(packet, now_ns)
 
     def _refuse(self, command: Telecommand, now_ns: int) -> None:
-        self.unrouted += 1
         reason = f"no application {command.apid} at this end"
         report = verification_of(command, VerificationStage.ROUTED, Failure.UNKNOWN_APID, reason)
         packet = pack_refusal(
