@@ -11,7 +11,7 @@ from random import Random
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.board import LIGHTS_M
-from telepresence.haptics.hand import SOFT_GRIP, Hand, Waypoint
+from telepresence.haptics.hand import SOFT_GRIP, Hand, HandModel, Waypoint
 from telepresence.tasks.definitions import Curve, Pattern
 from telepresence.tasks.panel import PanelView
 from telepresence.tasks.panel_picture import DARK, PanelPicture
@@ -75,8 +75,8 @@ class Cosmonaut(Hand):
     pressed: how often the button was pressed.
     """
 
-    def __init__(self, skill: Skill, *, seed: int) -> None:
-        super().__init__(SOFT_GRIP, script=(Waypoint(0.0, 0.0, NS_PER_MS, NS_PER_MS),))
+    def __init__(self, skill: Skill, *, seed: int, model: HandModel = SOFT_GRIP) -> None:
+        super().__init__(model, script=(Waypoint(0.0, 0.0, NS_PER_MS, NS_PER_MS),))
         self.skill = skill
         self._running = self._pressing = False
         self.pressed = 0
