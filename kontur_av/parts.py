@@ -72,7 +72,7 @@ def find_part(spec: str, door: PartDoor) -> tuple[Any, tuple[str, ...]]:
         raise
     except Exception as error:
         # The user's own code: whatever it raises is theirs to mend.
-        raise ConfigError(f"{spec!r} cannot be loaded: {_words(error)}") from error
+        raise ConfigError(f"{spec!r} cannot be loaded: {error_words(error)}") from error
     known = ", ".join(sorted(one.name for one in entry_points(group=door.group)))
     raise ConfigError(
         f"{door.what} {spec!r}: write {door.forms}" + (f", or one of {known}" if known else "")
@@ -118,7 +118,7 @@ def _taken(made: Any, offers: Mapping[str, object]) -> dict[str, object]:
 
 
 def _refused(spec: str, error: Exception) -> ConfigError:
-    return ConfigError(f"{spec!r} cannot be made: {_words(error)}")
+    return ConfigError(f"{spec!r} cannot be made: {error_words(error)}")
 
 
 def _registered(name: str, group: str) -> bool:
@@ -135,5 +135,6 @@ def _class(module: str, name: str) -> Any:
     return found
 
 
-def _words(error: Exception) -> str:
+def error_words(error: Exception) -> str:
+    """Return kind and first line of an error."""
     return f"{type(error).__name__}: {error}".partition("\n")[0]

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_S
 from kontur_av.media import AUDIO_CLOCK_HZ, Pcm
 
 #: The band of a click, and the filter's length. The filter is linear-phase; its delay is half that.
@@ -183,10 +183,6 @@ class ClickDetector:
         oldest = self._begin * _FRAME - _TAPS
         while len(self._blocks) > 1 and self._blocks[1][0] <= oldest:
             self._blocks.popleft()
-
-
-#: Longest time from the onset to the report of a click, without the length of a block.
-TOLD_AFTER_NS = _OVER[1] * _FRAME * NS_PER_S // AUDIO_CLOCK_HZ + 2 * NS_PER_MS
 
 
 def _ns(samples: int) -> int:

@@ -69,29 +69,19 @@ class StereoPairer:
     """Joins the pictures of two cameras by capture time. A core.
 
     Two pictures belong together if their capture times differ by at most half a period. A picture
-    waits for its partner for `patience_ns`; the default is half a period. Then it is paired with
-    the other camera's last picture. It does not wait for a stale camera. Each side keeps only its
-    newest picture. After each `handle_*` call, call `next_event` until it returns None.
+    waits that long for its partner. Then it is paired with the other camera's last picture. It does
+    not wait for a stale camera. Each side keeps only its newest picture. After each `handle_*`
+    call, call `next_event` until it returns None.
 
     period_ns: of the cameras.
     stale_after_ns: age from which a picture counts as stale.
-    source: name in the stamps of the pairs.
 
     paired, single: pairs of two fresh pictures, and of one. dropped: pictures never used.
     """
 
-    def __init__(
-        self,
-        *,
-        period_ns: int,
-        stale_after_ns: int = 250_000_000,
-        patience_ns: int | None = None,
-        source: str = "stereo",
-    ) -> None:
+    def __init__(self, *, period_ns: int, stale_after_ns: int = 250_000_000) -> None:
         self._half_period_ns = period_ns // 2
         self._stale_after_ns = stale_after_ns
-        self._patience_ns = self._half_period_ns if patience_ns is None else patience_ns
-        self._source = source
         self._last: list[VideoFrame | None] = [None, None]
         self._fresh = [False, False]
         self._deadline_ns: int | None = None
@@ -149,7 +139,7 @@ class StereoPairer:
         if self._is_stale(other, now_ns):
             self._emit(now_ns)
         else:
-            self._deadline_ns = now_ns + self._patience_ns
+            self._deadline_ns = now_ns + self._half_period_ns
 
     def _is_stale(self, side: int, now_ns: int) -> bool:
         frame = self._last[side]
@@ -181,7 +171,7 @@ class StereoPairer:
         self._ready = StereoPair(
             left,
             right,
-            CaptureStamp(capture_ns, self._sequence, self._source),
+            CaptureStamp(capture_ns, self._sequence, "stereo"),
             self._is_stale(0, now_ns),
             self._is_stale(1, now_ns),
             min(0 if frame is None else frame.stamp.capture_ns for frame in self._last),

@@ -65,8 +65,8 @@ def parse_header(line: bytes) -> Y4mHeader:
     return Y4mHeader(
         width,
         height,
-        _ratio(fields.get("F"), ":"),
-        _ratio(fields.get("A"), ":") or Fraction(1),
+        _ratio(fields.get("F")),
+        _ratio(fields.get("A")) or Fraction(1),
         pixel_format,
         "FULL" in fields.get("XCOLORRANGE", ""),
         (width * height * (2 if colour == "444alpha" else 1) + chroma)
@@ -83,8 +83,8 @@ def _side(text: str | None) -> int:
     return side
 
 
-def _ratio(text: str | None, mark: str) -> Fraction | None:
-    above, _, below = (text or "").partition(mark)
+def _ratio(text: str | None) -> Fraction | None:
+    above, _, below = (text or "").partition(":")
     if not (above.isascii() and above.isdigit() and below.isascii() and below.isdigit()):
         return None
     if len(above) > 9 or len(below) > 9 or not int(above) or not int(below):

@@ -14,15 +14,12 @@ from pipelines.hand.haptics import robot_side
 from pipelines.hand.partner_arm import keep_powered
 from pipelines.hand.partner_side import run_side, told
 from pipelines.hand.robot_check import RobotCheck
-from pipelines.hand.robot_desk import limits_of
 from pipelines.hand.safety_ends import within
 from pipelines.report.report_file import words_console
 from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.robot_spec import check_robot, load_robot, open_robot
-from telepresence.tasks.definitions import ControlMode
-from telepresence.tasks.robot_control import RobotControl
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,10 +66,7 @@ def _serve(args: argparse.Namespace) -> int:
     with closing(open_robot(args.robot)) as robot:
         envelope = SafetyEnvelope(within(SafetyLimits(), robot.facts))
         side = robot_side(envelope, life=new_life(), robot=robot)
-        control = RobotControl(
-            robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
-        )
-        watch, recover = keep_powered(control, envelope)
+        watch, recover = keep_powered(robot, envelope)
         began_m, most_m, most_n = (robot.x_m, robot.y_m), 0.0, 0.0
 
         def work(now_ns: int) -> None:

@@ -16,7 +16,7 @@ from pipelines.files.service_sockets import ServiceSockets, ServicesPlan
 from pipelines.session.datagrams import receive
 from pipelines.session.file_requests import FileAnswer, FileRequest, desk_name
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.terminal_lines import MOST_TERMINALS, LineDesk
+from pipelines.session.terminal_lines import LineDesk
 from pipelines.session.terminals import TerminalSockets, desk_path
 from pipelines.session.topology import Segment, maintenance_stream
 from telepresence.files.entity import PUT, FileEntity
@@ -80,7 +80,7 @@ def run_files(
     context.on_flush(lambda: context.probe.tell(entity.report(clock.now_ns())))
     context.on_flush(lambda: context.probe.tell(streams.report()))
     make_session_root(context.session)
-    terminals = TerminalSockets(desk_path(context.session, desk_name(segment)), most=MOST_TERMINALS)
+    terminals = TerminalSockets(desk_path(context.session, desk_name(segment)))
     with context.open_bus() as bus:
         link = bus.reader(topology.link(segment.transmits).backlog_topic)
         state: Backlog | None = None

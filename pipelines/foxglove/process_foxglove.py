@@ -4,7 +4,6 @@
 """
 
 import asyncio
-import traceback
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -25,7 +24,7 @@ from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Content, Source, sources_of
 from pipelines.recording.session_messages import Instants
 from pipelines.seats.seat_sockets import Message, SeatSockets
-from pipelines.session.access import AccessError, AccessKind
+from pipelines.session.access import AccessError, AccessKind, Found
 from pipelines.session.figures import SessionEvents
 from pipelines.session.mission_messages import ExperimentShown, unpack
 from pipelines.session.process import Context
@@ -38,7 +37,7 @@ from pipelines.session.topology import (
     TMTC_TOPICS,
     Segment,
 )
-from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
+from pipelines.session.web_site import WebSite
 
 #: How often topics are read, and without a client.
 _WAKE_NS, _IDLE_NS = 20 * NS_PER_MS, 50 * NS_PER_MS
@@ -89,16 +88,11 @@ class _FoxgloveServer:
             feed.open()
         if self._context.link is not None:
             self._serving.loop.add_reader(self._context.link.fileno(), self._take_figures)
-        server = web.Server(self._handle, access_log=None, logger=quiet_log("pipelines.foxglove"))
-        runner = web.ServerRunner(server, shutdown_timeout=SHUTDOWN_S)
-        await self._site.start(runner)
-        self._serving.begin(self._read())
         try:
-            await self._serving.run()
+            async with self._site.served("pipelines.foxglove", self._answer, self._sockets.close):
+                self._serving.begin(self._read())
+                await self._serving.run()
         finally:
-            self._site.close()
-            await self._sockets.close()
-            await runner.cleanup()
             for feed in self._news:
                 feed.close()
             self._topics.close()
@@ -154,29 +148,16 @@ class _FoxgloveServer:
 
     # Clients
 
-    async def _handle(self, request: web.BaseRequest) -> web.StreamResponse:
-        try:
-            found = self._site.find(request)
-            if found.kind is not AccessKind.PAGE:
-                raise AccessError(404, f"only /{FOXGLOVE}")
-            return await self._serve(request, found.role)
-        except AccessError as refusal:
-            return self._site.refuse(refusal)
-        except (ConnectionError, asyncio.CancelledError):
-            raise
-        except Exception:
-            # Whatever one client caused ends its connection alone; the error stream has it.
-            traceback.print_exc()
-            raise
-
-    async def _serve(self, request: web.BaseRequest, role: Role) -> web.StreamResponse:
+    async def _answer(self, request: web.BaseRequest, found: Found) -> web.StreamResponse:
+        if found.kind is not AccessKind.PAGE:
+            raise AccessError(404, f"only /{FOXGLOVE}")
         offered = request.headers.get("Sec-WebSocket-Protocol", "")
         if not {one.strip() for one in offered.split(",")}.intersection(SUBPROTOCOLS):
             raise AccessError(400, f"this address is for web sockets of {SUBPROTOCOLS[0]}")
         if self._bridge.is_full:
             raise AccessError(503, "too many clients", "clients")
         socket = await self._sockets.open(request, MOST_CLIENT_OCTETS, SUBPROTOCOLS)
-        number = self._bridge.handle_opened(commands=role is Role.OPERATOR)
+        number = self._bridge.handle_opened(commands=found.role is Role.OPERATOR)
         wake = self._wakes[number] = asyncio.Event()
         # The launcher sends figures only when it knows.
         self._context.flush(self._now_ns())

@@ -56,7 +56,8 @@ def run_loop(
 
     ports: the one of its samples, and the peer's. route: where samples go to more than one peer.
     before, after: called in each cycle. seldom: called every `_SELDOM` cycles.
-    rare: called every 2 `_SELDOM` cycles; every other one half way between, to spread the work.
+    rare: called every 2 `_SELDOM` cycles, and before `seldom`, which keeps the orders that they
+    took; every other one half way between, to spread the work.
     """
     clock, probe = context.clock, context.probe
     udp = context.listen_own(ports[0])
@@ -121,11 +122,11 @@ def run_loop(
         wait -= 1
         if not wait:
             wait = _SELDOM
-            for look in seldom:
-                look(now_ns)
             for look in turn:
                 look(now_ns)
             turn, next_turn = next_turn, turn
+            for look in seldom:
+                look(now_ns)
         if now_ns >= tick_ns:
             tick_ns = now_ns + PATIENCE_NS
             context.tick(now_ns)

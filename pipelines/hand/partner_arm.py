@@ -24,6 +24,7 @@ from pipelines.session.topology import (
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.ownership import HapticOwnership, Owner
 from telepresence.haptics.partner_board import PartnerBoard
+from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_spec import open_robot
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.tasks.definitions import ControlMode
@@ -49,18 +50,17 @@ def run_second_robot(context: Context) -> None:
 
         envelope = SafetyEnvelope(within(context.setup.safety, robot.facts))
         end = RobotEnd(context.probe, robot_side(envelope, life=new_life(), robot=robot))
-        control = RobotControl(
-            robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
-        )
-
-        watch, recover = keep_powered(control, envelope)
+        watch, recover = keep_powered(robot, envelope)
         stop = follow_stop(KeptOrders(context.session), end)
         ports = partner_ports(context.setup)
         run_loop(context, end, ports, publish, before=watch, seldom=[stop, recover])
 
 
-def keep_powered(control: RobotControl, envelope: SafetyEnvelope) -> tuple[Cycle, Cycle]:
-    """Return what watches a robot in each cycle, and what switches it on again whenever it may."""
+def keep_powered(robot: Robot, envelope: SafetyEnvelope) -> tuple[Cycle, Cycle]:
+    """Switch a robot on; return what watches it in each cycle, and what switches it on again."""
+    control = RobotControl(
+        robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
+    )
 
     def watch(now_ns: int) -> None:
         if envelope.stopped is not control.stopped:

@@ -121,6 +121,8 @@ def run_robot(context: Context) -> None:
             follow_stop(kept, end),
             _trace(bus, ROBOT_TRACE_TOPIC, end.trace),
             serve_robot(bus, desk, tasks=tasks),
+            # In the cycle that took an order, so that a restarted controller knows it.
+            keep_robot(kept, desk),
         ]
         if TRAINER_TOPIC in topology.reads(ROBOT):
             control = desk.control
@@ -144,7 +146,7 @@ def run_robot(context: Context) -> None:
             before=before,
             after=tell_wall if mediated else None,
             seldom=seldom,
-            rare=[keep_robot(kept, desk), watch_camera(bus, context.setup, end)],
+            rare=[watch_camera(bus, context.setup, end)],
             route=route,
         )
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.parts import error_words
 from pipelines.mission.figures import ComponentFigures
 from pipelines.mission.tmtc_messages import (
     CommandUpdate,
@@ -187,7 +188,7 @@ class ComponentDesk:
             refusal = str(self._source.call(asked.function, arguments) or "")
         except Exception as error:
             # The user's own code may raise anything; the caller is told.
-            refusal = _words(error)
+            refusal = error_words(error)
             self._fault(f"{asked.function}: {refusal}", now_ns)
         # Who asks for values after its completion gets those after the call.
         self._due_ns = now_ns + READ_NS
@@ -208,7 +209,7 @@ class ComponentDesk:
                 self._act(call, now_ns)
         except Exception as error:
             # The user's own code must not end the session's process.
-            self._fault(f"after {news.application} {news.name}: {_words(error)}", now_ns)
+            self._fault(f"after {news.application} {news.name}: {error_words(error)}", now_ns)
 
     def _act(self, call: FunctionCall, now_ns: int) -> None:
         # Packing raises for what is too long.
@@ -245,7 +246,3 @@ class ComponentDesk:
         if what != self._newest_fault:
             self._newest_fault = what
             self._events.append(DatedEvent(at_ns=now_ns, what=f"fault: {what}"))
-
-
-def _words(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}".partition("\n")[0]

@@ -129,7 +129,7 @@ class McapStream:
         self.waiting_octets = 0
         self._most_waiting_octets = most_waiting_octets
         self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
-        self._waiting: deque[tuple[int, Piece]] = deque()
+        self._waiting: deque[Piece] = deque()
         self._crc = 0
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
@@ -142,11 +142,7 @@ class McapStream:
         self._counts: Counter[int] = Counter()
         self._first_ns = self._last_ns = 0
         self._ended = False
-        self._emit(MAGIC + octets_of(Header(profile="", library=library)), 0)
-
-    def waiting_since_ns(self) -> int | None:
-        """When the oldest octets that wait came to be; None if none wait."""
-        return self._waiting[0][0] if self._waiting else None
+        self._emit(MAGIC + octets_of(Header(profile="", library=library)))
 
     def handle_channel(self, schema: Schema | None, channel: Channel) -> None:
         """Declare a channel before its first message. schema: None for messages without one.
@@ -187,7 +183,7 @@ class McapStream:
             now_ns - begun_ns >= CHUNK_NS
             or chunk.octets_with(definitions) + len(record) > CHUNK_OCTETS
         ):
-            self._end_chunk(now_ns)
+            self._end_chunk()
             chunk = self._chunk
         chunk.define(definitions)
         chunk.add(channel_id, record, log_ns, now_ns)
@@ -198,18 +194,18 @@ class McapStream:
         self._last_ns = max(self._last_ns, log_ns)
         return True
 
-    def handle_metadata(self, name: str, items: Mapping[str, str], now_ns: int) -> None:
+    def handle_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Write a metadata record, behind what has been handled so far."""
-        self._end_chunk(now_ns)
+        self._end_chunk()
         record = octets_of(Metadata(name=name, metadata=dict(items)))
         self._metadata_indexes.append(
             MetadataIndex(offset=self.octets, length=len(record), name=name)
         )
-        self._emit(record, now_ns)
+        self._emit(record)
 
-    def handle_attachment(self, attachment: Attachment, now_ns: int) -> None:
+    def handle_attachment(self, attachment: Attachment) -> None:
         """Write a file that a user has attached, behind what has been handled so far."""
-        self._end_chunk(now_ns)
+        self._end_chunk()
         record = octets_of(attachment)
         self._attachment_indexes.append(
             AttachmentIndex(
@@ -222,13 +218,13 @@ class McapStream:
                 media_type=attachment.media_type,
             )
         )
-        self._emit(record, now_ns)
+        self._emit(record)
 
-    def handle_end(self, now_ns: int) -> None:
+    def handle_end(self) -> None:
         """End the file with its summary."""
-        self._end_chunk(now_ns)
-        self._emit(octets_of(DataEnd(data_section_crc=self._crc)), now_ns)
-        self._emit(self._summary(), now_ns)
+        self._end_chunk()
+        self._emit(octets_of(DataEnd(data_section_crc=self._crc)))
+        self._emit(self._summary())
         self._ended = True
 
     def poll_timeout(self) -> int | None:
@@ -245,22 +241,22 @@ class McapStream:
         """As `poll_transmit`, with the number of messages in the octets."""
         due_ns = self.poll_timeout()
         if due_ns is not None and now_ns >= due_ns:
-            self._end_chunk(now_ns)
+            self._end_chunk()
         if not self._waiting:
             return None
-        _, piece = self._waiting.popleft()
+        piece = self._waiting.popleft()
         self.waiting_octets -= len(piece.octets)
         return piece
 
-    def _emit(self, octets: bytes, now_ns: int, messages: Mapping[int, int] = NO_MESSAGES) -> None:
+    def _emit(self, octets: bytes, messages: Mapping[int, int] = NO_MESSAGES) -> None:
         if self._ended:
             raise ValueError("the file has its summary already")
-        self._waiting.append((now_ns, Piece(octets, messages)))
+        self._waiting.append(Piece(octets, messages))
         self.waiting_octets += len(octets)
         self.octets += len(octets)
         self._crc = crc32(octets, self._crc)
 
-    def _end_chunk(self, now_ns: int) -> None:
+    def _end_chunk(self) -> None:
         chunk, self._chunk = self._chunk, _OpenChunk()
         if not chunk.octets:
             return
@@ -295,7 +291,7 @@ class McapStream:
             )
         )
         messages = {channel_id: len(entries) for channel_id, entries in chunk.indexes.items()}
-        self._emit(record + indexes, now_ns, messages)
+        self._emit(record + indexes, messages)
 
     def _summary(self) -> bytes:
         """The summary, the offsets of its groups, the footer, and the magic octets of the end."""

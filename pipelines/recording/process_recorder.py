@@ -39,7 +39,7 @@ from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.recorder_control import RECORDER_DESK, read_wish, remove_wish, write_wish
 from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.terminal_lines import MOST_TERMINALS, Reply
+from pipelines.session.terminal_lines import Reply
 from pipelines.session.terminals import TerminalSockets, desk_path
 from pipelines.session.topology import SELECTED_TOPIC
 
@@ -79,7 +79,7 @@ class _RecorderProcess:
             self._recording = _Recording(context, self._desk.wish, self._maker)
             # The launcher waits for it.
             context.flush(now_ns())
-        terminals = TerminalSockets(desk_path(context.session, RECORDER_DESK), most=MOST_TERMINALS)
+        terminals = TerminalSockets(desk_path(context.session, RECORDER_DESK))
         while not context.stopping:
             wait_ns = PATIENCE_NS if self._recording is None else _WAKE_NS
             self._serve(terminals, wait_ns)

@@ -159,7 +159,7 @@ def _session(facts: RecordingFacts, messages: Mapping[str, list[JoinedMessage]])
         elif schema == AUDIO.full_name:
             session.voices[name] = [
                 SentUnit(at_ns, unpack(RecordedSound, one.data).data)
-                for one, at_ns in instants.redate(found, _instant_ns)
+                for one, at_ns in instants.redate(found, lambda each: each.session_ns)
             ]
         elif schema == HAPTIC_SAMPLES.full_name:
             rows = _sent_rows([unpack_haptics(one.data) for one in found])
@@ -204,10 +204,6 @@ def _pictures(
         kept.append((one.session_ns, data, key, codec))
     dated = instants.redate(kept, lambda each: each[0])
     return [SentUnit(at_ns, data, key, codec) for (_, data, key, codec), at_ns in dated]
-
-
-def _instant_ns(message: JoinedMessage) -> int:
-    return message.session_ns
 
 
 def _sent_rows(blocks: list[NDArray[np.void]]) -> NDArray[np.void]:

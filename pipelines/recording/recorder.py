@@ -292,7 +292,7 @@ class Recorder:
         self._joined_ns = self._joined_ns or now_ns
         self._parts += 1
         facts = replace(self._facts, part=part, session_ns=now_ns, wall_ns=now_ns + self._offset_ns)
-        stream.handle_metadata(FACTS, facts.items(), now_ns)
+        stream.handle_metadata(FACTS, facts.items())
         for schema, channel in self._records:
             stream.handle_channel(schema, channel)
         self._begun.clear()
@@ -318,7 +318,7 @@ class Recorder:
             for held in self._held.values():
                 self._dropped.update(self._numbers[each.channel] for each in held.messages)
             self._held.clear()
-            stream.handle_end(now_ns)
+            stream.handle_end()
             while (unwritten := stream.poll_piece(now_ns)) is not None:
                 self._dropped.update(unwritten.messages)
 
@@ -397,7 +397,7 @@ class Recorder:
         stream, self._stream = self._stream, None
         if stream is None:
             return
-        stream.handle_end(now_ns)
+        stream.handle_end()
         pieces = []
         while (piece := stream.poll_piece(now_ns)) is not None:
             pieces.append(piece)

@@ -34,9 +34,9 @@ class Recovery:
         declared: set[int] = set()
         for item in scan.items():
             if isinstance(item, Metadata):
-                stream.handle_metadata(item.name, item.metadata, 0)
+                stream.handle_metadata(item.name, item.metadata)
             elif isinstance(item, Attachment):
-                stream.handle_attachment(item, 0)
+                stream.handle_attachment(item)
             else:
                 schema, channel, message = item
                 if channel.id not in declared:
@@ -63,8 +63,8 @@ class Recovery:
             "messages": figures.messages,
         }
         items = sealed(MENDED, {name: str(value) for name, value in told.items()})
-        stream.handle_metadata(MENDED, items, 0)
-        stream.handle_end(0)
+        stream.handle_metadata(MENDED, items)
+        stream.handle_end()
         yield from _waiting(stream)
 
 

@@ -22,7 +22,7 @@ from pipelines.session.topology import (
     gateway_topic,
     packet_topics,
 )
-from pipelines.session.topology.rows import RECORDER_PRIORITY, MediaRow, VideoRow
+from pipelines.session.topology.rows import RECORDER_PRIORITY, VideoRow
 from pipelines.session.topology.topics import Topic
 
 
@@ -120,7 +120,7 @@ def _replayed(
             process,
             own,
             reads=tuple(row.backlog_topic for row in media_rows if isinstance(row, VideoRow)),
-            writes=tuple(_sent_topics(media_rows)),
+            writes=tuple(row.sent_topic for row in media_rows if isinstance(row, VideoRow)),
         )
     merged = {camera.topic for camera in session.cameras}
     captures = {row.process for row in session.inputs}
@@ -129,10 +129,6 @@ def _replayed(
     if process.name in {link.sender for link in session.links}:
         return replace(process, arguments={**process.arguments, "radio_after_ns": radio_after_ns})
     return process
-
-
-def _sent_topics(rows: list[MediaRow]) -> list[Topic]:
-    return [row.sent_topic for row in rows if isinstance(row, VideoRow)]
 
 
 def _scripted(

@@ -25,18 +25,16 @@ _DPI = 150
 _WIDTH_IN = 8.0
 
 
-def check_plot(path: Path | None, option: str = "--plot") -> None:
+def check_plot(path: Path | None) -> None:
     """ConfigError if no chart can be written to `path`; checked before anything is measured."""
     if path is None:
         return
     if path.suffix.lower() != ".png":
-        raise ConfigError(f"{option} {path}: give the name of a PNG file, like latency.png")
+        raise ConfigError(f"--plot {path}: give the name of a PNG file, like latency.png")
     if not path.resolve().parent.is_dir():
-        raise ConfigError(f"{option} {path}: there is no directory {path.parent}")
+        raise ConfigError(f"--plot {path}: there is no directory {path.parent}")
     if find_spec("matplotlib") is None:
-        raise ConfigError(
-            f"{option} {path}: matplotlib is missing (pip install 'kontur-av[bench]')"
-        )
+        raise ConfigError(f"--plot {path}: matplotlib is missing (pip install 'kontur-av[bench]')")
 
 
 def new_figure(height_in: float, *, width_in: float = _WIDTH_IN) -> "Figure":
@@ -46,12 +44,12 @@ def new_figure(height_in: float, *, width_in: float = _WIDTH_IN) -> "Figure":
     return Figure(figsize=(width_in, height_in), dpi=_DPI, layout="constrained")
 
 
-def save(figure: "Figure", path: Path, option: str = "--plot") -> None:
+def save(figure: "Figure", path: Path) -> None:
     """Write `figure` as a PNG. ConfigError if the file cannot be written."""
     try:
         figure.savefig(path, format="png")
     except OSError as error:
-        raise ConfigError(f"{option} {path}: cannot be written ({error.strerror})") from None
+        raise ConfigError(f"--plot {path}: cannot be written ({error.strerror})") from None
 
 
 def distributions(
@@ -59,25 +57,24 @@ def distributions(
     *,
     axis: str,
     columns: int = 1,
-    logarithmic: bool = False,
 ) -> "Figure":
     """Cumulative distributions, one panel for each title: title -> {label: values}.
 
-    axis: name and unit of the values. logarithmic: scale of that axis. The axis ends at the largest
-    99.5 % quantile of a panel, so that one outlier does not compress the curves.
+    axis: name and unit of the values. It ends at the largest 99.5 % quantile of a panel, so that
+    one outlier does not compress the curves.
     """
     rows = ceil(len(panels) / columns)
     figure = new_figure(0.4 + 3.2 * rows, width_in=_WIDTH_IN if columns == 1 else 12.0)
     grid = list(figure.subplots(rows, columns, squeeze=False).flat)
     for axes, (title, curves) in zip(grid, panels.items(), strict=False):
-        _distribution(axes, title, curves, axis, logarithmic)
+        _distribution(axes, title, curves, axis)
     for axes in grid[len(panels) :]:
         axes.set_visible(False)
     return figure
 
 
 def _distribution(
-    axes: "Axes", title: str, curves: Mapping[str, Sequence[float]], axis: str, logarithmic: bool
+    axes: "Axes", title: str, curves: Mapping[str, Sequence[float]], axis: str
 ) -> None:
     axes.set_title(title, fontsize="medium")
     axes.set_xlabel(axis)
@@ -96,11 +93,7 @@ def _distribution(
         colour = COLOURS[number % len(COLOURS)]
         axes.step(ordered, shares, where="post", color=colour, label=label, linewidth=1.6)
     largest = max(float(np.percentile(values, 99.5)) for values in shown.values())
-    if logarithmic:
-        axes.set_xscale("log")
-        axes.grid(which="minor", axis="x", alpha=0.15)
-    else:
-        axes.set_xlim(0, 1.05 * largest or 1.0)
+    axes.set_xlim(0, 1.05 * largest or 1.0)
     axes.grid(alpha=0.4)
     axes.legend(loc="lower right", fontsize="small")
 

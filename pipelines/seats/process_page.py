@@ -1,7 +1,6 @@
 """The process that serves a segment's browser pages."""
 
 import asyncio
-import traceback
 from collections.abc import Mapping
 from functools import partial
 from html import escape
@@ -20,13 +19,13 @@ from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
 from pipelines.seats.texts import pack_text
 from pipelines.seats.upkeep_watch import UpkeepWatch
-from pipelines.session.access import AccessError, AccessKind
+from pipelines.session.access import AccessError, AccessKind, Found
 from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.seat_roles import VIEWER_WORDS, Role
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.topology import PAGES, Segment
-from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
+from pipelines.session.web_site import WebSite
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
@@ -87,7 +86,7 @@ class PageServer:
         self._serving = ServingLoop(context, self._handle_time)
         self._sockets = SeatSockets(self._now_ns)
         self._wakes: dict[int, asyncio.Event] = {}
-        self._media = self._faults = 0
+        self._media = 0
         self._keys = KeyPictures(self._seat, self._serving, bus, self._settle)
         self._topics = SeatTopics(
             self._seat, self._serving, bus, self._keys, now_ns=self._now_ns, settle=self._settle
@@ -101,15 +100,10 @@ class PageServer:
         self._topics.open()
         if self._context.link is not None:
             self._serving.loop.add_reader(self._context.link.fileno(), self._figures)
-        server = web.Server(self._handle, access_log=None, logger=quiet_log("pipelines.seats"))
-        runner = web.ServerRunner(server, shutdown_timeout=SHUTDOWN_S)
-        await self._site.start(runner)
         try:
-            await self._serving.run()
+            async with self._site.served("pipelines.seats", self._answer, self._sockets.close):
+                await self._serving.run()
         finally:
-            self._site.close()
-            await self._sockets.close()
-            await runner.cleanup()
             self._topics.close()
             self._keys.close()
 
@@ -142,28 +136,17 @@ class PageServer:
 
     # HTTP
 
-    async def _handle(self, request: web.BaseRequest) -> web.StreamResponse:
-        try:
-            found = self._site.find(request)
-            if found.kind is AccessKind.SEAT:
-                return await self._serve_seat(request, found.role)
-            if found.kind is AccessKind.MEDIA:
-                return await self._serve_media(request, found.role)
-            tasks = self._context.topology.options.tasks
-            listener, segment = self._listener, self._seat.plan.segment
-            people = {Role.VIEWER.value: listener.viewer_token, **listener.people}
-            ports = dict(listener.ports)
-            text = welcome_text(found.role, segment, ports=ports, people=people, tasks=tasks)
-            return self._site.file(request, found, {"__WELCOME__": escape(pack_text(text))})
-        except AccessError as refusal:
-            return self._site.refuse(refusal)
-        except (ConnectionError, asyncio.CancelledError):
-            raise
-        except Exception:
-            # Whatever one visitor caused ends its connection alone; the error stream has it.
-            self._faults += 1
-            traceback.print_exc()
-            raise
+    async def _answer(self, request: web.BaseRequest, found: Found) -> web.StreamResponse:
+        if found.kind is AccessKind.SEAT:
+            return await self._serve_seat(request, found.role)
+        if found.kind is AccessKind.MEDIA:
+            return await self._serve_media(request, found.role)
+        tasks = self._context.topology.options.tasks
+        listener, segment = self._listener, self._seat.plan.segment
+        people = {Role.VIEWER.value: listener.viewer_token, **listener.people}
+        ports = dict(listener.ports)
+        text = welcome_text(found.role, segment, ports=ports, people=people, tasks=tasks)
+        return self._site.file(request, found, {"__WELCOME__": escape(pack_text(text))})
 
     # The socket of a page
 
@@ -248,7 +231,7 @@ class PageServer:
                 connections=sockets.connections,
                 refused=dict(self._site.refused),
                 strangers_closed=self._site.closed,
-                faults=self._faults,
+                faults=self._site.faults,
                 garbage=sockets.garbage,
                 units_left_out=self._seat.left_out,
                 copies_left_out=self._topics.copies_left_out,

@@ -40,10 +40,10 @@ class TerminalSockets:
 
     A terminal is a connection, known by a number that is never used again.
 
-    path: in a directory that exists. most: connections that may wait to be accepted.
+    path: in a directory that exists.
     """
 
-    def __init__(self, path: Path, *, most: int) -> None:
+    def __init__(self, path: Path) -> None:
         self._path = path
         self._links: dict[int, socket.socket] = {}
         self._numbers = count()
@@ -51,7 +51,7 @@ class TerminalSockets:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.setblocking(False)
         self._listener.bind(os.fspath(path))
-        self._listener.listen(most)
+        self._listener.listen(MOST_TERMINALS)
 
     def readers(self, terminals: Sequence[int]) -> list[socket.socket]:
         """What to wait for, to accept others and to read from these terminals."""
@@ -106,7 +106,7 @@ def serve_terminals(
 
     clock = context.clock
     make_session_root(context.session)
-    terminals = TerminalSockets(desk_path(context.session, name), most=MOST_TERMINALS)
+    terminals = TerminalSockets(desk_path(context.session, name))
     while not context.stopping:
         context.tick(clock.now_ns())
         asking = desk.asking

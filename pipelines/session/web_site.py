@@ -1,9 +1,13 @@
 """The HTTP side of a process with pages: who may open what, its files, and TLS."""
 
+import asyncio
 import logging
 import re
 import ssl
-from collections.abc import Iterable, Mapping
+import traceback
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
+from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
@@ -29,6 +33,9 @@ _FIRST = "welcome"
 #: How long requests may last when the process ends.
 SHUTDOWN_S = 0.5
 
+#: Answers a request that may have what was found, or raises AccessError.
+Answer = Callable[[web.BaseRequest, Found], Awaitable[web.StreamResponse]]
+
 
 class WebSite:
     """The pages of one listener.
@@ -51,6 +58,8 @@ class WebSite:
         self._door: FrontDoor | None = None
         #: Requests refused, by reason.
         self.refused: dict[str, int] = {}
+        #: Requests that ended in an error of this software or of a library.
+        self.faults = 0
 
     def find(self, request: web.BaseRequest) -> Found:
         """Return what a request may have, or raise `AccessError`."""
@@ -91,6 +100,34 @@ class WebSite:
         return web.Response(
             text=text, content_type=_TYPES[path.suffix], headers=headers(_host(request))
         )
+
+    @asynccontextmanager
+    async def served(
+        self, name: str, answer: Answer, close: Callable[[], Awaitable[None]]
+    ) -> AsyncIterator[None]:
+        """Serve meanwhile. name: of the log. close: called in the end, before the last requests."""
+        server = web.Server(partial(self._handle, answer), access_log=None, logger=quiet_log(name))
+        runner = web.ServerRunner(server, shutdown_timeout=SHUTDOWN_S)
+        await self.start(runner)
+        try:
+            yield
+        finally:
+            self.close()
+            await close()
+            await runner.cleanup()
+
+    async def _handle(self, answer: Answer, request: web.BaseRequest) -> web.StreamResponse:
+        try:
+            return await answer(request, self.find(request))
+        except AccessError as refusal:
+            return self.refuse(refusal)
+        except (ConnectionError, asyncio.CancelledError):
+            raise
+        except Exception:
+            # Whatever one visitor caused ends its connection alone; the error stream has it.
+            self.faults += 1
+            traceback.print_exc()
+            raise
 
     async def start(self, runner: web.BaseRunner) -> None:
         await runner.setup()

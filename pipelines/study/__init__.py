@@ -2,6 +2,6 @@
 
 It runs alone: no session, no radio. `plan.py` is what is varied, and in which order. `trial.py` is
 one trial and its figures, `desk.py` leads a person through all of them, `hands.py` is people on
-virtual time. `effects.py` finds what made a difference, `account.py` draws it. `results.py` has the
+virtual time. `effects.py` finds what made a difference, and draws it. `results.py` has the
 files, `server.py` the page.
 """

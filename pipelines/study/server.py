@@ -1,7 +1,6 @@
 """Serves the page of a study, and moves the handle in real time. A shell."""
 
 import asyncio
-import traceback
 from collections.abc import Callable
 
 import msgspec
@@ -11,11 +10,11 @@ from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ProtocolError
 from pipelines.seats.open_page import MessageRate
 from pipelines.seats.seat_sockets import Message, SeatSocket, SeatSockets
-from pipelines.session.access import AccessError, AccessKind
+from pipelines.session.access import AccessError, AccessKind, Found
 from pipelines.session.messages import MOST_SEAT_OCTETS, parse_seat_message
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.seat_roles import VIEWER_WORDS, Role
-from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
+from pipelines.session.web_site import WebSite
 from pipelines.study.desk import StudyDesk, parse_press
 from pipelines.study.trial import TrialResult
 from telepresence.haptics.device.page import PageDevice, PageInput
@@ -55,17 +54,10 @@ class StudyServer:
 
     async def run(self) -> None:
         """Serve until it is cancelled."""
-        server = web.Server(self._handle, access_log=None, logger=quiet_log("pipelines.study"))
-        runner = web.ServerRunner(server, shutdown_timeout=SHUTDOWN_S)
-        await self._site.start(runner)
-        try:
+        async with self._site.served("pipelines.study", self._answer, self._sockets.close):
             while True:
                 self._tick()
                 await asyncio.sleep(_TICK_S)
-        finally:
-            self._site.close()
-            await self._sockets.close()
-            await runner.cleanup()
 
     def _tick(self) -> None:
         now_ns = self._now_ns()
@@ -76,24 +68,11 @@ class StudyServer:
         if self._page is not None:
             self._page.wake.set()
 
-    async def _handle(self, request: web.BaseRequest) -> web.StreamResponse:
-        try:
-            found = self._site.find(request)
-            if found.kind is AccessKind.SEAT:
-                if found.role is Role.VIEWER:
-                    raise AccessError(403, VIEWER_WORDS, "role")
-                return await self._serve(request)
+    async def _answer(self, request: web.BaseRequest, found: Found) -> web.StreamResponse:
+        if found.kind is not AccessKind.SEAT:
             return self._site.file(request, found)
-        except AccessError as refusal:
-            return self._site.refuse(refusal)
-        except (ConnectionError, asyncio.CancelledError):
-            raise
-        except Exception:
-            # Whatever one visitor caused ends its connection alone; the error stream has it.
-            traceback.print_exc()
-            raise
-
-    async def _serve(self, request: web.BaseRequest) -> web.StreamResponse:
+        if found.role is Role.VIEWER:
+            raise AccessError(403, VIEWER_WORDS, "role")
         socket = await self._sockets.open(request, MOST_SEAT_OCTETS)
         last, page = self._page, _Page(socket)
         self._page = page

@@ -16,7 +16,7 @@ from telepresence.haptics.board import Board
 from telepresence.haptics.envelope import Hold, SafetyEnvelope
 from telepresence.haptics.figures import PortFigures
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
-from telepresence.haptics.joystick import Joystick, JoystickModel
+from telepresence.haptics.joystick import Joystick
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
@@ -58,9 +58,9 @@ class Handle(Protocol):
 class HeldJoystick(Joystick):
     """The simulated joystick in a simulated hand; a `Handle`."""
 
-    def __init__(self, model: JoystickModel | None = None, *, hand: Hand | None = None) -> None:
-        self.hand = hand = hand or Hand()
-        super().__init__(model, x_m=hand.x_m, y_m=hand.y_m)
+    def __init__(self, hand: Hand) -> None:
+        self.hand = hand
+        super().__init__(x_m=hand.x_m, y_m=hand.y_m)
 
     def handle_feedback(self, feedback: Feedback | None) -> None:
         """Let the hand know whether the robot is heard, and waits for a press."""

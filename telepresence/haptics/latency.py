@@ -12,6 +12,8 @@ _TURN_NS = 30 * NS_PER_S
 
 _NEVER_NS = -(1 << 62)
 _PENDING_DEPTH = 65536
+#: How long a received stamp waits for the sender's.
+_PATIENCE_NS = 5 * NS_PER_S
 
 
 class LatencyMatcher:
@@ -19,7 +21,7 @@ class LatencyMatcher:
 
     All instants are on one clock.
 
-    pending: received stamps that wait for the sender's batch, for at most `patience_ns`. Beyond
+    pending: received stamps that wait for the sender's batch, for at most 5 s. Beyond
     65536 the oldest is dropped.
     unmatched: stamps that waited in vain.
 
@@ -28,8 +30,7 @@ class LatencyMatcher:
     matters after a restart of the sender, which begins at 0 again.
     """
 
-    def __init__(self, *, patience_ns: int = 5 * NS_PER_S) -> None:
-        self.patience_ns = patience_ns
+    def __init__(self) -> None:
         self.unmatched = 0
         self._sent_ns = array("q", [_NEVER_NS]) * SEQUENCE_MODULUS
         self._pending: deque[tuple[int, int]] = deque()
@@ -65,7 +66,7 @@ class LatencyMatcher:
             if sent_ns > self._matched_ns and 0 <= received_ns - sent_ns < _TURN_NS:
                 self._matched_ns = sent_ns
                 matches.append((received_ns, received_ns - sent_ns))
-            elif now_ns - received_ns <= self.patience_ns:
+            elif now_ns - received_ns <= _PATIENCE_NS:
                 waiting.append((sequence, received_ns))
             else:
                 self.unmatched += 1

@@ -23,6 +23,9 @@ from math import inf
 _UJ_PER_J = 1e6
 _J_PER_UJ = 1e-6
 _NS_PER_S = 1e9
+#: A token bucket bounds how fast totals may grow: it fills with this power (W), and holds
+#: what flows in this time (s), because a path may compress time.
+_PEER_POWER_W, _BUCKET_S = 60.0, 0.1
 
 
 class Port:
@@ -40,23 +43,11 @@ class Port:
 
     reserve_j: incoming energy is kept until the credit reaches this value.
     limit_j: credit above this value is dropped.
-    peer_power_w, patience_ns: a token bucket bounds how fast totals may grow. It fills with this
-    power and holds what flows in `patience_ns`, because a path may compress time. While no total is
-    accepted, it fills beyond that.
     """
 
-    def __init__(
-        self,
-        *,
-        reserve_j: float = 0.004,
-        limit_j: float = 0.5,
-        peer_power_w: float = 60.0,
-        patience_ns: int = 100_000_000,
-    ) -> None:
+    def __init__(self, *, reserve_j: float = 0.004, limit_j: float = 0.5) -> None:
         self.reserve_j = reserve_j
         self.limit_j = limit_j
-        self.peer_power_w = peer_power_w
-        self.patience_ns = patience_ns
         self.in_j = 0.0
         self.out_j = 0.0
         self.granted_j = 0.0
@@ -70,7 +61,8 @@ class Port:
         #: The highest total that gave credit, and the last one looked at.
         self._counted_uj: int | None = None
         self._total_uj: int | None = None
-        self._bucket_j = self._depth_j = peer_power_w * patience_ns / _NS_PER_S
+        #: What the token bucket holds. While no total is accepted, it fills beyond its depth.
+        self._bucket_j = _PEER_POWER_W * _BUCKET_S
 
     @classmethod
     def observing(cls) -> "Port":
@@ -108,7 +100,7 @@ class Port:
         The first total only starts the count. A total counts as far as it is above the highest one
         before. One that rises faster than the peer's power is left until there was time for it.
         """
-        self._bucket_j += self.peer_power_w * dt_ns / _NS_PER_S
+        self._bucket_j += _PEER_POWER_W * dt_ns / _NS_PER_S
         counted_uj = self._counted_uj
         if counted_uj is None:
             self._counted_uj = self._total_uj = counted_uj = total_uj
@@ -119,7 +111,7 @@ class Port:
                 self.refused += 1
             return
         self._counted_uj = self._total_uj = total_uj
-        self._bucket_j = min(self._bucket_j - gained_j, self._depth_j)
+        self._bucket_j = min(self._bucket_j - gained_j, _PEER_POWER_W * _BUCKET_S)
         if gained_j == 0.0:
             return
         self.received_j += gained_j
@@ -141,7 +133,7 @@ class Port:
 
     def handle_silence(self, dt_ns: int) -> None:
         """`dt_ns` have passed without a fresh sample."""
-        self._bucket_j += self.peer_power_w * dt_ns / _NS_PER_S
+        self._bucket_j += _PEER_POWER_W * dt_ns / _NS_PER_S
 
 
 class PortController:

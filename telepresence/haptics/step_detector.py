@@ -37,8 +37,7 @@ class StepDetector:
     256 steps wait to be fetched; beyond that the oldest is dropped.
     """
 
-    def __init__(self, *, threshold_n: float = THRESHOLD_N) -> None:
-        self._threshold = threshold_n * threshold_n
+    def __init__(self) -> None:
         self._base_x = 0.0
         self._base_y = 0.0
         self._last_ns: int | None = None
@@ -72,12 +71,12 @@ class StepDetector:
             # The baseline still follows: holding the pressure is not another step.
             self._base_x += dx * share
             self._base_y += dy * share
-            if contact is None and change < self._threshold / 4:
+            if contact is None and change < THRESHOLD_N * THRESHOLD_N / 4:
                 self._rest(now_ns)
             return
         if self._rising_ns is None:
             self._rising_ns = now_ns
-        if change >= self._threshold:
+        if change >= THRESHOLD_N * THRESHOLD_N:
             before = self._base_x * self._base_x + self._base_y * self._base_y
             if contact is None and fx_n * fx_n + fy_n * fy_n < before:
                 # The contact ended.

@@ -74,9 +74,9 @@ def voice_flow(name: str) -> Flow:
     )
 
 
-def rtcp_flow(name: str, level: Level = Level.VIDEO) -> Flow:
+def rtcp_flow(name: str) -> Flow:
     """Return a flow of RTCP in both directions: sender reports and receiver reports."""
-    return Flow(name=name, level=level, kind=FlowKind.RTCP)
+    return Flow(name=name, level=Level.VIDEO, kind=FlowKind.RTCP)
 
 
 def tmtc_flow(name: str) -> Flow:

@@ -75,11 +75,9 @@ class Cosmonaut(Hand):
     pressed: how often the button was pressed.
     """
 
-    def __init__(
-        self, skill: Skill | None = None, *, seed: int = 0, model: HandModel = SOFT_GRIP
-    ) -> None:
+    def __init__(self, skill: Skill, *, seed: int, model: HandModel = SOFT_GRIP) -> None:
         super().__init__(model, script=(Waypoint(0.0, 0.0, NS_PER_MS, NS_PER_MS),))
-        self.skill = skill or Skill()
+        self.skill = skill
         self._running = self._pressing = False
         self.pressed = 0
         self._pressed_ns = -_PRESS_NS

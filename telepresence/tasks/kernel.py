@@ -35,6 +35,8 @@ from telepresence.tmtc.k2aci import TaskProgress, TaskResult
 TICK_NS = 100 * NS_PER_MS
 #: What is not done yet is asked for again after this time: its process may have been killed.
 _AGAIN_NS = NS_PER_S
+#: A longer pause between ticks ends the run.
+_LATE_NS = 2 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +84,10 @@ class TopKernel:
     After each input, carry out what `poll_transmit` returns until it is None, and drain
     `next_event`. Call `handle_view` at `poll_timeout`.
 
-    A longer pause than `late_ns` between ticks ends the run: the kernel cannot know what happened.
+    A pause of more than 2 s between ticks ends the run: the kernel cannot know what happened.
     """
 
-    def __init__(self, *, late_ns: int = 2 * NS_PER_S) -> None:
-        self._late_ns = late_ns
+    def __init__(self) -> None:
         self._operation: Operation | None = None
         self._steps: deque[Elemop] = deque()
         self._check: EndCondition | None = None
@@ -171,7 +172,7 @@ class TopKernel:
         return self._events.popleft() if self._events else None
 
     def _watch(self, view: View, late_ns: int, now_ns: int) -> None:
-        if late_ns > self._late_ns:
+        if late_ns > _LATE_NS:
             self._end(TaskResult.ABORTED, "the kernel was stopped", now_ns)
         elif not view.signal:
             self._end(TaskResult.LOST_SIGNAL, "the signal was lost", now_ns)

@@ -1,8 +1,8 @@
 """The mission control panel: what the cosmonaut is told, and when a task begins. A core.
 
-Stelzer et al. 2017, section 5 and Fig. 14; MISSION.md, section 4. A state machine decides what is
-shown: no contact, wait for a task, its description, the way to the start position, hold it, press
-the dead-man button, the task, its end.
+Stelzer et al. 2017, section 5 and Fig. 14. A state machine decides what is shown:
+no contact, wait for a task, its description, the way to the start position, hold it, press the
+dead-man button, the task, its end.
 """
 
 from collections import deque

@@ -1,4 +1,4 @@
-"""The LED panel's datagram: its whole state, and the acknowledgement. MISSION.md, section 6.
+"""The LED panel's datagram: its whole state, and the acknowledgement.
 
 The sender repeats the newest state ten times a second. A datagram says all, so any one may be lost,
 repeated or late. All numbers are big-endian.

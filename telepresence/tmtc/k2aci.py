@@ -34,6 +34,8 @@ MAX_CHAT_OCTETS = 200
 _MOST = (1 << 32) - 1
 _ACK = 0
 _MOST_WAITING = 64
+#: Messages under way at once.
+_MOST_OPEN = 4
 _MOST_ANSWERS = 16
 
 
@@ -371,7 +373,7 @@ class K2aciEndpoint:
     is None, and drain `next_event`. Call `poll_transmit` again at `poll_timeout`.
 
     Messages reach the peer's application once and in the order of `send`, also over a path that
-    loses, repeats or delays packets for minutes. `most_open` messages are under way at once; 64 may
+    loses, repeats or delays packets for minutes. Four messages are under way at once; 64 may
     wait. Each repetition of a message waits twice as long as the one before, up to 8 `timeout_ns`.
     If the receiving process is killed, the last messages may arrive again under their numbers.
 
@@ -379,10 +381,10 @@ class K2aciEndpoint:
     Raises ConfigError for a life out of range or a timeout that is not positive.
     """
 
-    def __init__(self, *, life: int, timeout_ns: int = 500 * NS_PER_MS, most_open: int = 4) -> None:
+    def __init__(self, *, life: int, timeout_ns: int = 500 * NS_PER_MS) -> None:
         _check_count("life", life)
-        if timeout_ns <= 0 or not 1 <= most_open <= _MOST_WAITING:
-            raise ConfigError("K2ACI needs a timeout above 0 and at least one open message")
+        if timeout_ns <= 0:
+            raise ConfigError("K2ACI needs a timeout above 0")
         self.arrived = 0
         self.duplicates = 0
         self.garbage = 0
@@ -391,7 +393,7 @@ class K2aciEndpoint:
         self.dropped_answers = 0
         self._life = life
         self._sending: Retransmission[K2aciMessage] = Retransmission(
-            timeout_ns=timeout_ns, most=_MOST_WAITING, window=most_open
+            timeout_ns=timeout_ns, most=_MOST_WAITING, window=_MOST_OPEN
         )
         self._answers: deque[Acknowledgement] = deque()
         self._peer_life = -1

@@ -56,9 +56,9 @@ def draw_board() -> Image:
     """Draw the table and the board from above: (height, width, 3) RGB, uint8."""
     width, height = round(2 * REACH_X_M * PX_PER_M), round(2 * REACH_Y_M * PX_PER_M)
     image = _table(width, height)
-    _box(image, -0.5, 0.5, -0.5, 0.5, 0.010, (34, 36, 38), soften_m=0.008)
-    _box(image, -0.5, 0.5, -0.5, 0.5, 0.0, (142, 150, 156))
-    _box(image, -0.5, 0.5, -0.5, 0.5, -0.004, _PANEL)
+    _box(image, 0.010, (34, 36, 38), soften_m=0.008)
+    _box(image, 0.0, (142, 150, 156))
+    _box(image, -0.004, _PANEL)
     _sheen(image)
     for x in (-0.142, 0.142):
         for y in (-0.092, 0.092):
@@ -93,19 +93,10 @@ def _table(width: int, height: int) -> Image:
     return np.asarray(cv2.merge([channel.astype(np.uint8) for channel in channels]))
 
 
-def _box(
-    image: Image,
-    left: float,
-    right: float,
-    bottom: float,
-    top: float,
-    grow_m: float,
-    colour: Rgb,
-    soften_m: float = 0.0,
-) -> None:
-    """Draw a rectangle given as shares of the board's size, enlarged by `grow_m` on each side."""
-    a = to_px(left * BOARD_WIDTH_M - grow_m, top * BOARD_HEIGHT_M + grow_m)
-    b = to_px(right * BOARD_WIDTH_M + grow_m, bottom * BOARD_HEIGHT_M - grow_m)
+def _box(image: Image, grow_m: float, colour: Rgb, soften_m: float = 0.0) -> None:
+    """Draw a rectangle of the board's size, enlarged by `grow_m` on each side."""
+    half_x_m, half_y_m = 0.5 * BOARD_WIDTH_M + grow_m, 0.5 * BOARD_HEIGHT_M + grow_m
+    a, b = to_px(-half_x_m, half_y_m), to_px(half_x_m, -half_y_m)
     if not soften_m:
         cv2.rectangle(image, a, b, colour, cv2.FILLED)
         return

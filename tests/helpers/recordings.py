@@ -121,7 +121,7 @@ def write(script: list[Step], *, end: bool = True) -> Written:
             pieces.append(Piece(len(octets), len(octets) + len(piece), now_ns))
             octets.extend(piece)
 
-    stream.handle_metadata(FACTS, FACTS_OF_A_TEST.items(), now_ns)
+    stream.handle_metadata(FACTS, FACTS_OF_A_TEST.items())
     for number in range(5):
         stream.handle_channel(*channel(number))
     fetch()
@@ -144,7 +144,7 @@ def write(script: list[Step], *, end: bool = True) -> Written:
         )
         fetch()
     if end:
-        stream.handle_end(now_ns)
+        stream.handle_end()
         fetch()
     assert stream.octets == len(octets)
     return Written(bytes(octets), pieces, told)

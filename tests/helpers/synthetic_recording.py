@@ -194,7 +194,7 @@ def octets_of_part(rows, facts, messages, end):
         while (piece := stream.poll_transmit(now_ns)) is not None:
             octets.extend(piece)
 
-    stream.handle_metadata(FACTS, facts.items(), 0)
+    stream.handle_metadata(FACTS, facts.items())
     numbers = {}
     for row in rows:
         numbers[row.topic] = row.number
@@ -210,7 +210,7 @@ def octets_of_part(rows, facts, messages, end):
             now_ns=told.publish_ns,
         )
     if end:
-        stream.handle_end(0)
+        stream.handle_end()
     fetch(0 if not messages else messages[-1].publish_ns)
     return bytes(octets)
 

@@ -266,12 +266,11 @@ class Watched:
 
     shown_ns: for each picture, in order, the instant at which its last octet was in the memory of
     this process. squares: its number as `marks.levels` reads it; all of one level for a picture of
-    another size. unkept: pictures beyond the room for them.
+    another size. Pictures beyond the room for them are not kept.
     """
 
     shown_ns: list[int]
     squares: list[NDArray[np.uint8]]
-    unkept: int
     garbage_octets: int
     realtime: bool
 
@@ -294,7 +293,6 @@ def watch(path: str, lumas: NDArray[np.uint8]) -> End:
 def _watch(fd: int, link: Connection, lumas: NDArray[np.uint8]) -> Watched:
     shown_ns: list[int] = []
     squares: list[NDArray[np.uint8]] = []
-    unkept = 0
     _, height, width = lumas.shape
     reader = Y4mReader()
     poller = select.poll()
@@ -313,7 +311,6 @@ def _watch(fd: int, link: Connection, lumas: NDArray[np.uint8]) -> Watched:
             if not isinstance(event, Y4mPicture):
                 continue
             if len(shown_ns) == len(lumas):
-                unkept += 1
                 continue
             if (event.header.width, event.header.height) == (width, height):
                 luma = np.frombuffer(event.octets, np.uint8, width * height).reshape(height, width)
@@ -322,7 +319,7 @@ def _watch(fd: int, link: Connection, lumas: NDArray[np.uint8]) -> Watched:
             else:
                 squares.append(np.full(SQUARES, 128, np.uint8))
             shown_ns.append(now_ns)
-    return Watched(shown_ns, squares, unkept, reader.garbage_octets, _is_realtime())
+    return Watched(shown_ns, squares, reader.garbage_octets, _is_realtime())
 
 
 @dataclass(slots=True)

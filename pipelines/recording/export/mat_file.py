@@ -115,16 +115,15 @@ def write_v5(path: Path, variables: Mapping[str, Variable]) -> None:
 
     savemat(
         path,
-        {name: _struct(variable) for name, variable in variables.items()},
+        {
+            name: {one: _value(value) for one, value in variable.items()}
+            for name, variable in variables.items()
+        },
         appendmat=False,
         long_field_names=True,
         do_compression=True,
         oned_as="column",
     )
-
-
-def _struct(variable: Variable) -> Mapping[str, Any]:
-    return {name: _value(value) for name, value in variable.items()}
 
 
 def _value(value: Column | str | float) -> Any:

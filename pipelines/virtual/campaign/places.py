@@ -205,10 +205,6 @@ def _differing(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str:
 _MOST_JOBS = 256
 
 
-def processors() -> int:
-    return len(os.sched_getaffinity(0))
-
-
 def add_place_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="runs at a time (default: one for each processor)"
@@ -224,7 +220,7 @@ def jobs_of(args: argparse.Namespace) -> int:
     """How many runs at a time on this machine; ConfigError."""
     if args.jobs is not None and args.cluster is not None:
         raise ConfigError("--jobs and --cluster: give one of them")
-    jobs = processors() if args.jobs is None else args.jobs
+    jobs = len(os.sched_getaffinity(0)) if args.jobs is None else args.jobs
     if not 1 <= jobs <= _MOST_JOBS:
         raise ConfigError(f"--jobs {jobs}: give 1 to {_MOST_JOBS}")
     return int(jobs)

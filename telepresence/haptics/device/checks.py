@@ -22,7 +22,6 @@ from telepresence.haptics.device.functional_checks import (
 from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.script import CheckResult, CheckScript, Output, ScriptRun
 from telepresence.haptics.device.states import JoystickState
-from telepresence.haptics.device.supervision import Limits
 
 #: Every check by its name, in the order in which they run.
 CHECKS: Mapping[str, Callable[[JoystickFacts], CheckScript]] = MappingProxyType(
@@ -45,20 +44,13 @@ class CheckBench:
     prompt: what a person should do now; "" for nothing.
     """
 
-    def __init__(
-        self,
-        device: JoystickDevice,
-        names: Sequence[str],
-        *,
-        limits: Limits | None = None,
-        now_ns: int = 0,
-    ) -> None:
-        self.operation = JoystickOperation(device, limits=limits, hands_off=True, now_ns=now_ns)
+    def __init__(self, device: JoystickDevice, names: Sequence[str]) -> None:
+        self.operation = JoystickOperation(device, hands_off=True)
         self.results: list[CheckResult] = []
         self._device = device
         self._names = list(names)
         self._run: ScriptRun[CheckResult] | None = None
-        self._waiting_since_ns = now_ns
+        self._waiting_since_ns = 0
 
     @property
     def done(self) -> bool:

@@ -83,11 +83,10 @@ class JoystickOperation:
         automatic: bool = True,
         hands_off: bool = False,
         paused: bool = False,
-        now_ns: int = 0,
     ) -> None:
         self.device = device
         self.facts = device.facts
-        self.machine = StateMachine(now_ns)
+        self.machine = StateMachine()
         self.supervisor = JoystickSupervisor(limits)
         self.calibration: Calibration | None = None
         self.reading = JoystickReading(0.0, 0.0, 0.0, 0.0, dead_man=False)
@@ -111,7 +110,7 @@ class JoystickOperation:
         self._retries = 0
         #: A person has halted or stopped it, and must let it go on.
         self.paused = paused
-        self._tried_ns = now_ns
+        self._tried_ns = 0
         self._held_since_ns: int | None = None
         #: The dead-man button was seen released since the application began.
         self._let_go = False

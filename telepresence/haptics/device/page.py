@@ -88,7 +88,6 @@ class PageDevice(Mechanics):
     def __init__(
         self,
         *,
-        model: PageHandModel | None = None,
         start_m: tuple[float, float] = START_M,
         axes: Sequence[AxisName] = (),
     ) -> None:
@@ -97,7 +96,7 @@ class PageDevice(Mechanics):
         self._wanted = [0.0] * len(axes)
         #: From what the page says to that.
         self._shifts = [0.0] * len(axes)
-        self.model = model = model or PageHandModel()
+        self.model = PageHandModel()
         self.held = False
         self.ignored = 0
         self._application = self._braked = False

@@ -169,7 +169,6 @@ def push_to_stop(
     *,
     force_n: float,
     speed_m_s: float = 0.25,
-    patience_ns: int = 2 * NS_PER_S,
 ) -> Script[tuple[Cycle, JoystickReading]]:
     """Push along one axis until the handle stands still; return the reading there.
 
@@ -179,7 +178,7 @@ def push_to_stop(
     start = cycle.reading
     along_x, along_y = direction
     damper = force_n / speed_m_s
-    until_ns = cycle.now_ns + patience_ns
+    until_ns = cycle.now_ns + 2 * NS_PER_S
     # The handle does not move at once, so standstill does not count at first.
     still_since_ns = cycle.now_ns + 2 * _REST_NS
     while cycle.now_ns < until_ns:

@@ -47,11 +47,10 @@ class MediatedController(JoystickController):
         *,
         passive: bool = True,
         residual: bool = False,
-        rendering: RendererModel | None = None,
     ) -> None:
         super().__init__(model or _MODEL, passive=passive)
         self.residual = residual
-        self.renderer = WallRenderer(rendering or _RENDERING)
+        self.renderer = WallRenderer(_RENDERING)
         self.garbage = 0
         self._damping_n = (0.0, 0.0)
         if passive:

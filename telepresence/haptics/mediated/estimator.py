@@ -110,8 +110,8 @@ class WallEstimator:
     wall: the present estimate, or None. told: the one of the newest message. sent: messages so far.
     """
 
-    def __init__(self, model: EstimatorModel | None = None) -> None:
-        self.model = model or EstimatorModel()
+    def __init__(self) -> None:
+        self.model = EstimatorModel()
         self.wall: Wall | None = None
         self.sent = 0
         self.told: Wall | None = None

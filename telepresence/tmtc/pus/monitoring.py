@@ -32,12 +32,10 @@ class LimitMonitors:
         self._watches = {one.number: _Watch(one.on) for one in application.monitors}
         self._monitors = application.monitors
 
-    def set_on(self, number: int, *, on: bool) -> bool:
-        """Switch a monitor; False for an unknown one. It begins anew, within its limits."""
-        if number not in self._watches:
-            return False
-        self._watches[number] = _Watch(on)
-        return True
+    def set_on(self, number: int, *, on: bool) -> None:
+        """Switch a monitor; an unknown one is ignored. It begins anew, within its limits."""
+        if number in self._watches:
+            self._watches[number] = _Watch(on)
 
     def handle_values(self, values: dict[str, Value]) -> list[str]:
         """Check `values` by name; return the names of the events that begin now."""
@@ -88,13 +86,12 @@ class EventActions:
         self._actions = application.actions
         self._on = [one.on for one in application.actions]
 
-    def set_on(self, event_number: int, *, on: bool) -> bool:
-        """Switch all actions of an event; False if it has none."""
+    def set_on(self, event_number: int, *, on: bool) -> None:
+        """Switch all actions of an event."""
         name = self._events.get(event_number)
-        found = [i for i, action in enumerate(self._actions) if action.event == name]
-        for index in found:
-            self._on[index] = on
-        return bool(found)
+        for index, action in enumerate(self._actions):
+            if action.event == name:
+                self._on[index] = on
 
     def functions(self, event: str) -> list[str]:
         """The names of the functions that `event` starts."""

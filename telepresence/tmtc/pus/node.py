@@ -76,7 +76,7 @@ class PusNode:
 
     Telecommands go first, then failures of routing; K2ACI and what applications report take turns,
     so that no flood of chat keeps a verification waiting. A packet waits until the token
-    bucket holds it: `rate_bps` in the long run and `burst_octets` at once. It waits in the part
+    bucket holds it: `rate_bps` in the long run and two packets at once. It waits in the part
     that made it, which says how much that may be, except for the next one.
 
     A telecommand for no application at the other end is answered by a failure of routing. One for
@@ -91,13 +91,10 @@ class PusNode:
         user: PusUser | None = None,
         k2aci: K2aciLink | None = None,
         rate_bps: int,
-        burst_octets: int = 2 * MAX_PACKET_OCTETS,
         epoch_ns: int = 0,
     ) -> None:
-        if rate_bps <= 0 or burst_octets < MAX_PACKET_OCTETS:
-            raise ConfigError(
-                f"PUS needs a rate above 0 and a burst of {MAX_PACKET_OCTETS} octets or more"
-            )
+        if rate_bps <= 0:
+            raise ConfigError("PUS needs a rate above 0")
         self.applications = {one.table.apid: one for one in applications}
         self.user = user
         self.k2aci = k2aci
@@ -105,11 +102,10 @@ class PusNode:
         self.sent_octets = 0
         self.received = 0
         self.garbage = 0
-        self.unrouted = 0
         #: Packets that waited for the bucket.
         self.delayed = 0
         self.max_age_ns = 0
-        self._bucket = TokenBucket(rate_bps, burst_octets)
+        self._bucket = TokenBucket(rate_bps, 2 * MAX_PACKET_OCTETS)
         self._epoch_ns = epoch_ns
         self._failures: deque[bytes] = deque(maxlen=_FAILURES_DEPTH)
         self._local: deque[bytes] = deque(maxlen=_LOCAL_DEPTH)
@@ -136,8 +132,6 @@ class PusNode:
             self.k2aci.endpoint.handle_message(packet.data, now_ns)
         elif self.user is not None and packet.service != K2ACI_SERVICE:
             self.user.handle_telemetry(packet, now_ns)
-        else:
-            self.unrouted += 1
 
     def handle_contact(self, now_ns: int) -> None:
         """The signal is acquired: repeat at once what is open."""
@@ -225,7 +219,6 @@ class PusNode:
             self.user.handle_telemetry(packet, now_ns)
 
     def _refuse(self, command: Telecommand, now_ns: int) -> None:
-        self.unrouted += 1
         reason = f"no application {command.apid} at this end"
         report = verification_of(command, VerificationStage.ROUTED, Failure.UNKNOWN_APID, reason)
         packet = pack_refusal(

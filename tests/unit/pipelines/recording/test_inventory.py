@@ -82,7 +82,7 @@ def test_torn_and_damaged_recordings_say_how_to_mend_them():
 
 def test_losses_of_the_recorder_are_the_newest_ones():
     stream = McapStream(library="kontur-av")
-    stream.handle_metadata(FACTS, FACTS_OF_A_TEST.items(), 0)
+    stream.handle_metadata(FACTS, FACTS_OF_A_TEST.items())
     stream.handle_channel(
         Schema(id=1, name=LOSSES.full_name, encoding="protobuf", data=descriptor_set(LOSSES)),
         Channel(
@@ -99,7 +99,7 @@ def test_losses_of_the_recorder_are_the_newest_ones():
         stream.handle_message(
             1, pack(value), log_ns=WALL_NS, publish_ns=WALL_NS, sequence=0, now_ns=0
         )
-    stream.handle_end(0)
+    stream.handle_end()
     octets = b""
     while (piece := stream.poll_transmit(0)) is not None:
         octets += piece

@@ -23,14 +23,14 @@ def octets_of(part, **facts):
     offset_ns = FACTS_OF_A_TEST.wall_ns - FACTS_OF_A_TEST.session_ns
     changed = {"part": part, "session_ns": begin_ns, "wall_ns": begin_ns + offset_ns} | facts
     stream = McapStream(library=LIBRARY)
-    stream.handle_metadata(FACTS, replace(FACTS_OF_A_TEST, **changed).items(), 0)
+    stream.handle_metadata(FACTS, replace(FACTS_OF_A_TEST, **changed).items())
     stream.handle_channel(*channel(0))
     for row in range(ROWS):
         at_ns, wall_ns = row * PART_NS // ROWS, begin_ns + offset_ns + row
         stream.handle_message(
             0, b"x", log_ns=wall_ns, publish_ns=wall_ns, sequence=part * 100 + row, now_ns=at_ns
         )
-    stream.handle_end(PART_NS)
+    stream.handle_end()
     octets = b""
     while (piece := stream.poll_transmit(PART_NS)) is not None:
         octets += piece

@@ -96,12 +96,12 @@ def newer(*, facts: bool) -> bytes:
     """A recording that says that it has format 2, in its facts or in its channel."""
     stream = McapStream(library=LIBRARY)
     if facts:
-        stream.handle_metadata(FACTS, sealed(FACTS, {"format": "2"}), 0)
+        stream.handle_metadata(FACTS, sealed(FACTS, {"format": "2"}))
     schema, row = channel(0)
     row.metadata = {FORMAT_KEY: "1" if facts else "2"}
     stream.handle_channel(schema, row)
     stream.handle_message(0, b"", log_ns=0, publish_ns=0, sequence=0, now_ns=0)
-    stream.handle_end(0)
+    stream.handle_end()
     return octets_until(stream, 0)
 
 

@@ -4,11 +4,9 @@ import asyncio
 import socket
 
 import aiohttp
-from aiohttp import web
 
-from pipelines.session.access import AccessError
 from pipelines.session.page_sockets import PageListener
-from pipelines.session.web_site import WebSite, quiet_log
+from pipelines.session.web_site import WebSite
 
 PATIENCE_S = 20
 
@@ -28,22 +26,23 @@ def asked(*paths, host=None, words=None):
         )
         site = WebSite(listener, seat="space", others=["panel"])
 
-        async def handle(request):
-            try:
-                return site.file(request, site.find(request), words or {})
-            except AccessError as refusal:
-                return site.refuse(refusal)
+        async def handle(request, found):
+            return site.file(request, found, words or {})
 
-        runner = web.ServerRunner(web.Server(handle, logger=quiet_log("test")))
-        await site.start(runner)
+        async def close():
+            pass
+
         fields = {} if host is None else {"Host": host}
         found = []
-        async with asyncio.timeout(PATIENCE_S), aiohttp.ClientSession() as client:
+        async with (
+            asyncio.timeout(PATIENCE_S),
+            site.served("test", handle, close),
+            aiohttp.ClientSession() as client,
+        ):
             for path in paths:
                 url = f"http://127.0.0.1:{listener.port}{path}"
                 async with client.get(url, headers=fields) as answer:
                     found.append((answer.status, dict(answer.headers), await answer.text()))
-        await runner.cleanup()
         return found, site.refused
 
     return asyncio.run(run())
