@@ -28,9 +28,9 @@ PARTS = (
         f"tests/realtime/test_{name}"
         for name in (
             *("bench_", "command_output.", "doctor_here.", "fresh_process.", "launcher_"),
-            *("link_command.", "media_parts.", "microphone.", "process_ends.", "rtc_peers."),
-            *("sessions.", "sources_live.", "stream_ends.", "topics.", "topics_files."),
-            *("upkeep.", "whip_client."),
+            *("link_command.", "media_parts.", "microphone.", "page_topics.", "process_ends."),
+            *("rtc_peers.", "sessions.", "sources_live.", "stream_ends.", "topics."),
+            *("topics_files.", "upkeep.", "whip_client."),
         )
     ),
 )
