@@ -29,8 +29,8 @@ PARTS = (
         for name in (
             *("bench_", "command_output.", "doctor_here.", "fresh_process.", "launcher_"),
             *("link_command.", "media_parts.", "microphone.", "page_topics.", "process_ends."),
-            *("rtc_peers.", "sessions.", "sources_live.", "stream_ends.", "topics."),
-            *("topics_files.", "upkeep.", "whip_client."),
+            *("rtc_peers.", "sessions.", "sources_live.", "stream_ends.", "topics", "upkeep."),
+            "whip_client.",
         )
     ),
 )

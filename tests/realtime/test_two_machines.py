@@ -80,7 +80,7 @@ def test_an_attacker_on_the_path_changes_nothing(hosts, start):
     with Relay(hosts.prefix("outside"), listen, to, delay_ms=2) as relay:
         # What it keeps of this session is replayed into the next one.
         with start("ground", name="before") as first, start("space", peer=listen) as space:
-            relayed(relay, 3000)
+            relayed(relay, 1000)
             _, before = first.interrupt()
             relay.order("mark")
             ground = start("ground")
