@@ -53,6 +53,92 @@ def stream_of(page, via):
     return next(each["index"] for each in page.hello["streams"] if each["via"] == via)
 
 
+# First those with sessions of their own: from the next one on, the module's session runs.
+
+
+def test_pages_get_streams_of_hevc_as_h264(tmp_path):
+    path = tmp_path / "hevc.toml"
+    path.write_text(
+        'cameras = ["static"]\n[uplink_video]\ncap_kbps = 85\nsize = "320x240"\ncodec = "h265"\n'
+        '[downlink_video]\ncap_kbps = 200\nsize = "320x240"\ncodec = "h265"\n'
+    )
+
+    async def deeds(visitor):
+        async with visitor.page() as page:
+            ways = {each["via"] for each in page.hello["streams"]}
+            begun = {stream_of(page, via): [] for via in ways}
+            while any(sum(not unit.replayed for unit in units) < 32 for units in begun.values()):
+                unit = unit_of(await page.next())
+                if unit is not None and unit.stream in begun:
+                    begun[unit.stream].append(unit)
+        for units in begun.values():
+            assert units[0].key
+            assert units[-1].sequence in decoded(units)
+
+    with RunningSession(str(path), "--page", "8320", directory=tmp_path) as one:
+        one.wait_for_flow()
+        for seat in ("ground", "space"):
+            visit(one.pages()[seat], deeds)
+        # A seat that was restarted has no decoder that runs: it gets a key picture of each stream.
+        killed = one.pids()["page_ground"]
+        os.kill(killed, signal.SIGKILL)
+        eventually(lambda: not alive(killed), "the end of the seat")
+        visit(one.pages()["ground"], deeds)
+        code, report = one.interrupt()
+        one.assert_nothing_left()
+        assert code == 0
+        assert report["processes"]["page_space"]["restarts"] == 0
+
+
+def test_over_tls_the_page_process_comes_back_with_a_picture_at_the_same_address(tmp_path):
+    with RunningSession("taskboard", "--page", "0.0.0.0:8330", directory=tmp_path) as session:
+        session.wait_for_flow()
+        pages = session.pages()
+        url = pages["space"]
+        out = (tmp_path / "out.txt").read_text()
+        assert pages["pages"] in out and f"token={pages['viewer_token']}" in out
+        printed = re.search("(?:[0-9A-F]{2}:){31}[0-9A-F]{2}", out)
+        tls = aiohttp.Fingerprint(bytes.fromhex(printed[0].replace(":", "")))
+        assert url.startswith("https://")
+        with pytest.raises(aiohttp.ClientConnectorCertificateError):
+            visit(url, lambda visitor: visitor.get("/"))
+
+        async def picture(visitor):
+            async with visitor.page() as page:
+                stream = stream_of(page, "coded")
+                units = await page.units(stream, lambda unit: not unit.replayed)
+                units += await page.units(stream, lambda unit: not unit.replayed)
+                return units
+
+        async def killed(visitor):
+            async with visitor.page() as page:
+                pid = session.pids()["page_space"]
+                os.kill(pid, signal.SIGKILL)
+                await page.close_code()
+
+        assert decoded(visit(url, picture, tls=tls))
+        visit(url, killed, tls=tls)
+
+        def again():
+            try:
+                return visit(url, picture, tls=tls)
+            except (aiohttp.ClientError, OSError):
+                return None
+
+        units = eventually(again, "the page process")
+        assert units[0].key
+        assert units[-1].sequence in decoded(units)
+        session.wait_for_flow()
+        assert connects(pages["space"]) and connects(pages["ground"])
+        code, report = session.interrupt()
+        assert not connects(pages["space"])
+        session.assert_nothing_left()
+    assert code == 0
+    assert_sound(report)
+    restarts = {name: entry["restarts"] for name, entry in report["processes"].items()}
+    assert {name: count for name, count in restarts.items() if count} == {"page_space": 1}
+
+
 def test_strangers_are_refused(session):
     url = session.pages()["space"]
 
@@ -210,40 +296,6 @@ def test_who_joins_in_the_middle_has_the_same_picture(session):
     visit(session.pages()["space"], deeds)
 
 
-def test_pages_get_streams_of_hevc_as_h264(tmp_path):
-    path = tmp_path / "hevc.toml"
-    path.write_text(
-        'cameras = ["static"]\n[uplink_video]\ncap_kbps = 85\nsize = "320x240"\ncodec = "h265"\n'
-        '[downlink_video]\ncap_kbps = 200\nsize = "320x240"\ncodec = "h265"\n'
-    )
-
-    async def deeds(visitor):
-        async with visitor.page() as page:
-            ways = {each["via"] for each in page.hello["streams"]}
-            begun = {stream_of(page, via): [] for via in ways}
-            while any(sum(not unit.replayed for unit in units) < 32 for units in begun.values()):
-                unit = unit_of(await page.next())
-                if unit is not None and unit.stream in begun:
-                    begun[unit.stream].append(unit)
-        for units in begun.values():
-            assert units[0].key
-            assert units[-1].sequence in decoded(units)
-
-    with RunningSession(str(path), "--page", "8320", directory=tmp_path) as one:
-        one.wait_for_flow()
-        for seat in ("ground", "space"):
-            visit(one.pages()[seat], deeds)
-        # A seat that was restarted has no decoder that runs: it gets a key picture of each stream.
-        killed = one.pids()["page_ground"]
-        os.kill(killed, signal.SIGKILL)
-        eventually(lambda: not alive(killed), "the end of the seat")
-        visit(one.pages()["ground"], deeds)
-        code, report = one.interrupt()
-        one.assert_nothing_left()
-        assert code == 0
-        assert report["processes"]["page_space"]["restarts"] == 0
-
-
 def test_pages_that_do_not_read_delay_no_other_and_one_that_reads_again_has_a_picture(session):
     async def deeds(visitor):
         stalled = socket.socket()
@@ -342,52 +394,3 @@ def test_own_sound_is_taken_while_the_page_gives_it(session):
                 pass
 
     visit(session.pages()["ground"], deeds)
-
-
-def test_over_tls_the_page_process_comes_back_with_a_picture_at_the_same_address(tmp_path):
-    with RunningSession("taskboard", "--page", "0.0.0.0:8330", directory=tmp_path) as session:
-        session.wait_for_flow()
-        pages = session.pages()
-        url = pages["space"]
-        out = (tmp_path / "out.txt").read_text()
-        assert pages["pages"] in out and f"token={pages['viewer_token']}" in out
-        printed = re.search("(?:[0-9A-F]{2}:){31}[0-9A-F]{2}", out)
-        tls = aiohttp.Fingerprint(bytes.fromhex(printed[0].replace(":", "")))
-        assert url.startswith("https://")
-        with pytest.raises(aiohttp.ClientConnectorCertificateError):
-            visit(url, lambda visitor: visitor.get("/"))
-
-        async def picture(visitor):
-            async with visitor.page() as page:
-                stream = stream_of(page, "coded")
-                units = await page.units(stream, lambda unit: not unit.replayed)
-                units += await page.units(stream, lambda unit: not unit.replayed)
-                return units
-
-        async def killed(visitor):
-            async with visitor.page() as page:
-                pid = session.pids()["page_space"]
-                os.kill(pid, signal.SIGKILL)
-                await page.close_code()
-
-        assert decoded(visit(url, picture, tls=tls))
-        visit(url, killed, tls=tls)
-
-        def again():
-            try:
-                return visit(url, picture, tls=tls)
-            except (aiohttp.ClientError, OSError):
-                return None
-
-        units = eventually(again, "the page process")
-        assert units[0].key
-        assert units[-1].sequence in decoded(units)
-        session.wait_for_flow()
-        assert connects(pages["space"]) and connects(pages["ground"])
-        code, report = session.interrupt()
-        assert not connects(pages["space"])
-        session.assert_nothing_left()
-    assert code == 0
-    assert_sound(report)
-    restarts = {name: entry["restarts"] for name, entry in report["processes"].items()}
-    assert {name: count for name, count in restarts.items() if count} == {"page_space": 1}
