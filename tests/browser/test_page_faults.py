@@ -63,13 +63,30 @@ def space(session, start_browser):
     return page
 
 
-def test_a_page_comes_back_by_itself_when_its_server_was_killed(session, space):
+def test_a_page_comes_back_when_its_server_was_killed_and_marks_a_killed_session(session, space):
     killed_ms, before = now_ms(space), drawn(space)
     os.kill(session.pids()["page_space"], signal.SIGKILL)
     space.wait(BOTH_MARKS, "the mark of a lost server")
     space.wait(f"{LIVE} && document.body.dataset.link === 'connected'", "the return")
     print(f"a page was back {now_ms(space) - killed_ms:.0f} ms after its server was killed")
     eventually(lambda: drawn(space) > before, "new pictures")
+
+    shown = space.pixels()
+    space.run(FORGET_MARKS)
+    kill_all(session)
+    dead_ms = now_ms(space)
+    session.process.wait()
+    marked_ms = space.wait(BOTH_MARKS, "the mark of a lost session")
+    gap_ms = space.run("return gapMs")
+    print(f"marked {marked_ms - dead_ms:.0f} ms after the end; not running for {gap_ms:.0f} ms")
+    assert marked_ms - dead_ms <= MARK_MS + gap_ms
+    age_ms = space.figure("uplink_video.age_ms")
+    time.sleep(1)
+    # The picture stays, and becomes older on the page's own clock.
+    assert space.pixels().shape == shown.shape
+    assert space.pixels().any()
+    assert space.figure("uplink_video.age_ms") > age_ms
+    assert space.run(f"return {LIVE}") is False
     # That nobody answers is no fault of the page.
     space.browser.assert_no_errors(server_gone=True)
 
@@ -89,23 +106,3 @@ def test_over_tls_the_picture_as_sent_comes_back_too(session, start_browser):
     print(f"the sent picture was back after {now_ms(ground) - killed_ms:.0f} ms")
     assert ground.pixels("#sent").any()
     ground.browser.assert_no_errors(server_gone=True)
-
-
-def test_a_page_marks_as_stale_what_a_killed_session_left(session, space):
-    shown = space.pixels()
-    space.run(FORGET_MARKS)
-    kill_all(session)
-    dead_ms = now_ms(space)
-    session.process.wait()
-    marked_ms = space.wait(BOTH_MARKS, "the mark of a lost session")
-    gap_ms = space.run("return gapMs")
-    print(f"marked {marked_ms - dead_ms:.0f} ms after the end; not running for {gap_ms:.0f} ms")
-    assert marked_ms - dead_ms <= MARK_MS + gap_ms
-    age_ms = space.figure("uplink_video.age_ms")
-    time.sleep(1)
-    # The picture stays, and becomes older on the page's own clock.
-    assert space.pixels().shape == shown.shape
-    assert space.pixels().any()
-    assert space.figure("uplink_video.age_ms") > age_ms
-    assert space.run(f"return {LIVE}") is False
-    space.browser.assert_no_errors(server_gone=True)

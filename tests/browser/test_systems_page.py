@@ -20,7 +20,7 @@ def test_the_systems_operator_sees_files_software_and_milestones_and_restarts_a_
     monkeypatch.setenv("KONTUR_AV_STATUS", str(status))
     ends = tmp_path / "ends"
     (ends / "ground").mkdir(parents=True)
-    (ends / "ground" / "image.bin").write_bytes(Random(1).randbytes(60_000))
+    (ends / "ground" / "image.bin").write_bytes(Random(1).randbytes(40_000))
     joystick = ends / "space" / "joystick"
     joystick.mkdir(parents=True)
     (joystick / TOLD).write_bytes(UpdateInbox(("copy",)).told("sd/2", "run", {"sd/1": "valid"}))
@@ -61,15 +61,16 @@ def test_the_systems_operator_sees_files_software_and_milestones_and_restarts_a_
         page.wait(SAYS.format("software-table", "it is fetched"))
         fetched = ends / "ground" / "fetched" / "joystick" / TOLD
         eventually(fetched.exists, "what runs in space")
-        assert put.end() == 0, put.said()
 
-        page.wait(SAYS.format("transfer-table", "none is under way"))
         eventually(lambda: session.ask("task", "select", "aiming").returncode == 0, "an experiment")
         page.wait(SAYS.format("upkeep-panel", "updates wait"))
         eventually(busy, "the keeper's program is busy")
         assert session.ask("maintain", str(script), "--yes").returncode == 1
         assert session.ask("task", "abort").returncode == 0
         eventually(lambda: not busy(), "the end of the experiment")
+
+        assert put.end() == 0, put.said()
+        page.wait(SAYS.format("transfer-table", "none is under way"))
         code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     assert_sound(report)

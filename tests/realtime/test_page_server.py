@@ -7,13 +7,18 @@ import re
 import signal
 import socket
 import struct
+from urllib.parse import urlsplit
 
 import aiohttp
 import numpy as np
 import pytest
+from flat_pictures import PAGE, PICTURE_OCTETS, flat, newest_level, repeated
 from mcap.reader import make_reader
-from page_client import Visitor, decoded, hand, visit
-from running_session import RunningSession, alive, eventually
+from page_client import Visitor, decoded, hand, unit_of, visit
+from running_part import CLOCK
+from running_session import RunningSession, alive, assert_sound, eventually
+
+from kontur_av.media import CaptureStamp, VideoFrame
 
 SETUP = "spacejustin"
 SELECT = {"application": "camera", "name": "select", "arguments": ["static"]}
@@ -28,12 +33,110 @@ def session(tmp_path_factory):
         yield one
         code, report = one.interrupt()
         one.assert_nothing_left()
-        assert code == 0
-        assert report["processes"]["page_space"]["restarts"] == 0
+        assert code == 0, one.errors()
+        assert_sound(report)
+        processes = report["processes"]
+        assert processes["page_space"]["restarts"] == 0
+        counts = processes["iss_camera"]["counts"]
+        assert counts["from_page"] < counts["captured"]
+        assert "from_page" in processes["camera_left"]["counts"]
+
+
+def connects(url):
+    """Whether something listens where the address says."""
+    where = urlsplit(url)
+    with socket.socket() as tcp:
+        return tcp.connect_ex((where.hostname, where.port)) == 0
 
 
 def stream_of(page, via):
     return next(each["index"] for each in page.hello["streams"] if each["via"] == via)
+
+
+# First those with sessions of their own: from the next one on, the module's session runs.
+
+
+def test_pages_get_streams_of_hevc_as_h264(tmp_path):
+    path = tmp_path / "hevc.toml"
+    path.write_text(
+        'cameras = ["static"]\n[uplink_video]\ncap_kbps = 85\nsize = "320x240"\ncodec = "h265"\n'
+        '[downlink_video]\ncap_kbps = 200\nsize = "320x240"\ncodec = "h265"\n'
+    )
+
+    async def deeds(visitor):
+        async with visitor.page() as page:
+            ways = {each["via"] for each in page.hello["streams"]}
+            begun = {stream_of(page, via): [] for via in ways}
+            while any(sum(not unit.replayed for unit in units) < 32 for units in begun.values()):
+                unit = unit_of(await page.next())
+                if unit is not None and unit.stream in begun:
+                    begun[unit.stream].append(unit)
+        for units in begun.values():
+            assert units[0].key
+            assert units[-1].sequence in decoded(units)
+
+    with RunningSession(str(path), "--page", "8320", directory=tmp_path) as one:
+        one.wait_for_flow()
+        for seat in ("ground", "space"):
+            visit(one.pages()[seat], deeds)
+        # A seat that was restarted has no decoder that runs: it gets a key picture of each stream.
+        killed = one.pids()["page_ground"]
+        os.kill(killed, signal.SIGKILL)
+        eventually(lambda: not alive(killed), "the end of the seat")
+        visit(one.pages()["ground"], deeds)
+        code, report = one.interrupt()
+        one.assert_nothing_left()
+        assert code == 0
+        assert report["processes"]["page_space"]["restarts"] == 0
+
+
+def test_over_tls_the_page_process_comes_back_with_a_picture_at_the_same_address(tmp_path):
+    with RunningSession("taskboard", "--page", "0.0.0.0:8330", directory=tmp_path) as session:
+        session.wait_for_flow()
+        pages = session.pages()
+        url = pages["space"]
+        out = (tmp_path / "out.txt").read_text()
+        assert pages["pages"] in out and f"token={pages['viewer_token']}" in out
+        printed = re.search("(?:[0-9A-F]{2}:){31}[0-9A-F]{2}", out)
+        tls = aiohttp.Fingerprint(bytes.fromhex(printed[0].replace(":", "")))
+        assert url.startswith("https://")
+        with pytest.raises(aiohttp.ClientConnectorCertificateError):
+            visit(url, lambda visitor: visitor.get("/"))
+
+        async def picture(visitor):
+            async with visitor.page() as page:
+                stream = stream_of(page, "coded")
+                units = await page.units(stream, lambda unit: not unit.replayed)
+                units += await page.units(stream, lambda unit: not unit.replayed)
+                return units
+
+        async def killed(visitor):
+            async with visitor.page() as page:
+                pid = session.pids()["page_space"]
+                os.kill(pid, signal.SIGKILL)
+                await page.close_code()
+
+        assert decoded(visit(url, picture, tls=tls))
+        visit(url, killed, tls=tls)
+
+        def again():
+            try:
+                return visit(url, picture, tls=tls)
+            except (aiohttp.ClientError, OSError):
+                return None
+
+        units = eventually(again, "the page process")
+        assert units[0].key
+        assert units[-1].sequence in decoded(units)
+        session.wait_for_flow()
+        assert connects(pages["space"]) and connects(pages["ground"])
+        code, report = session.interrupt()
+        assert not connects(pages["space"])
+        session.assert_nothing_left()
+    assert code == 0
+    assert_sound(report)
+    restarts = {name: entry["restarts"] for name, entry in report["processes"].items()}
+    assert {name: count for name, count in restarts.items() if count} == {"page_space": 1}
 
 
 def test_strangers_are_refused(session):
@@ -193,42 +296,7 @@ def test_who_joins_in_the_middle_has_the_same_picture(session):
     visit(session.pages()["space"], deeds)
 
 
-def test_pages_get_streams_of_hevc_as_h264(tmp_path):
-    path = tmp_path / "hevc.toml"
-    path.write_text(
-        'cameras = ["static"]\n[uplink_video]\ncap_kbps = 85\ncodec = "h265"\n'
-        '[downlink_video]\ncap_kbps = 200\nsize = "320x240"\ncodec = "h265"\n'
-    )
-
-    async def deeds(visitor):
-        async with visitor.page() as page:
-            ways = {each["via"] for each in page.hello["streams"]}
-        # A page for each, because reading one stream passes over the others.
-        for via in ways:
-            async with visitor.page() as page:
-                stream = stream_of(page, via)
-                begun = await page.units(stream, lambda unit: not unit.replayed)
-                first = begun[-1].sequence
-                begun += await page.units(stream, lambda unit, of=first: unit.sequence > of + 30)
-            assert begun[0].key
-            assert begun[-1].sequence in decoded(begun)
-
-    with RunningSession(str(path), "--page", "8320", directory=tmp_path) as one:
-        one.wait_for_flow()
-        for seat in ("ground", "space"):
-            visit(one.pages()[seat], deeds)
-        # A seat that was restarted has no decoder that runs: it gets a key picture of each stream.
-        killed = one.pids()["page_ground"]
-        os.kill(killed, signal.SIGKILL)
-        eventually(lambda: not alive(killed), "the end of the seat")
-        visit(one.pages()["ground"], deeds)
-        code, report = one.interrupt()
-        one.assert_nothing_left()
-        assert code == 0
-        assert report["processes"]["page_space"]["restarts"] == 0
-
-
-def test_a_page_that_never_reads_delays_no_other(session):
+def test_pages_that_do_not_read_delay_no_other_and_one_that_reads_again_has_a_picture(session):
     async def deeds(visitor):
         stalled = socket.socket()
         stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -240,29 +308,18 @@ def test_a_page_that_never_reads_delays_no_other(session):
             "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
             "".encode()
         )
-        async with visitor.page() as good:
-            stream = stream_of(good, "sent")
-            units = await good.units(stream, lambda unit: not unit.replayed)
-            begin = units[-1].sequence
-            units = await good.units(stream, lambda unit: unit.sequence >= begin + 150)
-            assert [unit.sequence for unit in units] == [*range(begin + 1, begin + 151)]
-        stalled.close()
-
-    visit(session.pages()["ground"], deeds)
-
-
-def test_a_page_that_reads_again_has_a_picture_again(session):
-    async def deeds(visitor):
         async with visitor.page() as slow, visitor.page() as good:
             stream = stream_of(good, "sent")
             slow.ws._response.connection.transport.pause_reading()
             begin = (await good.units(stream, lambda unit: not unit.replayed))[-1].sequence
-            await good.units(stream, lambda unit: unit.sequence >= begin + 200)
+            units = await good.units(stream, lambda unit: unit.sequence >= begin + 200)
+            assert [unit.sequence for unit in units] == [*range(begin + 1, begin + 201)]
             slow.ws._response.connection.transport.resume_reading()
             found = await slow.units(stream, lambda unit: unit.sequence >= begin + 230)
             live = await good.units(stream, lambda unit: unit.sequence >= begin + 230)
             assert found[-1].sequence == live[-1].sequence
             assert found[-1].sequence in decoded(found)
+        stalled.close()
 
     visit(session.pages()["ground"], deeds)
 
@@ -299,6 +356,25 @@ def test_ground_control_records_and_a_viewer_does_not(session):
     visit(f"{ground}token={viewer}", watch)
 
 
+def test_ground_sees_what_a_page_in_space_films(session, monkeypatch):
+    with session.bus(monkeypatch) as bus:
+        ground = bus.reader("displayed/downlink_video")
+        page = bus.writer(PAGE, max_octets=PICTURE_OCTETS)
+
+        def give(number):
+            stamp = CaptureStamp(CLOCK.now_ns(), number, "page_space")
+            page.publish_video(VideoFrame(flat(200), stamp))
+
+        def sees(flatness):
+            level = newest_level(ground)
+            return level is not None and (abs(level - 200) < 6) is flatness
+
+        eventually(lambda: sees(False), "the cabin")
+        with repeated(give):
+            eventually(lambda: sees(True), "the page's picture on the ground")
+        eventually(lambda: sees(False), "the cabin again")
+
+
 def test_own_sound_is_taken_while_the_page_gives_it(session):
     async def deeds(visitor):
         async with visitor.page("media") as media, visitor.page() as page:
@@ -318,43 +394,3 @@ def test_own_sound_is_taken_while_the_page_gives_it(session):
                 pass
 
     visit(session.pages()["ground"], deeds)
-
-
-def test_over_tls_the_page_process_comes_back_with_a_picture_at_the_same_address(tmp_path):
-    with RunningSession("taskboard", "--page", "0.0.0.0:8330", directory=tmp_path) as session:
-        session.wait_for_flow()
-        url = session.pages()["space"]
-        printed = re.search("(?:[0-9A-F]{2}:){31}[0-9A-F]{2}", (tmp_path / "out.txt").read_text())
-        tls = aiohttp.Fingerprint(bytes.fromhex(printed[0].replace(":", "")))
-        assert url.startswith("https://")
-        with pytest.raises(aiohttp.ClientConnectorCertificateError):
-            visit(url, lambda visitor: visitor.get("/"))
-
-        async def picture(visitor):
-            async with visitor.page() as page:
-                stream = stream_of(page, "coded")
-                units = await page.units(stream, lambda unit: not unit.replayed)
-                units += await page.units(stream, lambda unit: not unit.replayed)
-                return units
-
-        async def killed(visitor):
-            async with visitor.page() as page:
-                pid = session.pids()["page_space"]
-                os.kill(pid, signal.SIGKILL)
-                await page.close_code()
-
-        assert decoded(visit(url, picture, tls=tls))
-        visit(url, killed, tls=tls)
-
-        def again():
-            try:
-                return visit(url, picture, tls=tls)
-            except (aiohttp.ClientError, OSError):
-                return None
-
-        units = eventually(again, "the page process")
-        assert units[0].key
-        assert units[-1].sequence in decoded(units)
-        code, report = session.interrupt()
-        assert code == 0
-        assert report["processes"]["page_space"]["restarts"] == 1

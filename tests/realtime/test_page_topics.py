@@ -10,9 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from flat_pictures import PAGE, PICTURE_OCTETS, STREAM, flat, newest_level, repeated
 from running_part import CLOCK, SETUP, eventually, running, stream_gateway
-from running_session import assert_sound
-from running_session import eventually as in_session
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.h264 import H264Decoder
@@ -27,9 +26,7 @@ from pipelines.media.process_send import run_video_send
 from pipelines.session.datagrams import LOOPBACK
 from pipelines.table import topology_of
 
-STREAM = SETUP.downlink_video
-INPUT, PAGE, PREVIEW = "input/iss_camera", "page/iss_camera", "preview/iss_camera"
-PICTURE_OCTETS = STREAM.width * STREAM.height * 3 // 2
+INPUT, PREVIEW = "input/iss_camera", "preview/iss_camera"
 
 
 @pytest.fixture
@@ -37,42 +34,6 @@ def session():
     name = f"t-{secrets.token_hex(4)}"
     yield name
     remove_session(name)
-
-
-def flat(level, width=STREAM.width, height=STREAM.height):
-    picture = empty_picture(width, height)
-    picture[:height], picture[height:] = level, 128
-    return picture
-
-
-@contextmanager
-def repeated(act, period_s=0.033):
-    """Call `act(number)` again and again in a thread."""
-    over = threading.Event()
-
-    def run():
-        number = 0
-        while not over.wait(period_s):
-            act(number)
-            number += 1
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
-
-
-def newest_level(reader):
-    """The mean luma of the newest picture if it is flat, else -1; None if there is no new one."""
-    lease = reader.latest()
-    if lease is None:
-        return None
-    with lease:
-        luma = lease.video().data[: lease.height]
-        return round(float(luma.mean())) if luma.std() < 4 else -1
 
 
 def test_a_page_takes_a_camera_over_and_the_scene_returns(session):
@@ -292,33 +253,3 @@ def test_coded_units_decode_to_the_pictures_that_are_shown(session):
         whole, sent_stamp = by_data[unit.data]
         assert (whole.key, whole.width, whole.height) == (unit.key, unit.width, unit.height)
         assert not unit.dated or abs(stamp.capture_ns - sent_stamp.capture_ns) < NS_PER_MS
-
-
-def test_ground_sees_what_a_page_in_space_films(start, monkeypatch):
-    session = start("spacejustin", "--page", "8270")
-    session.pids()
-    session.wait_for_flow()
-    with session.bus(monkeypatch) as bus:
-        ground = bus.reader("displayed/downlink_video")
-        page = bus.writer(PAGE, max_octets=PICTURE_OCTETS)
-
-        def give(number):
-            stamp = CaptureStamp(CLOCK.now_ns(), number, "page_space")
-            page.publish_video(VideoFrame(flat(200), stamp))
-
-        def sees(flatness):
-            level = newest_level(ground)
-            return level is not None and (abs(level - 200) < 6) is flatness
-
-        in_session(lambda: sees(False), "the cabin")
-        with repeated(give):
-            in_session(lambda: sees(True), "the page's picture on the ground")
-        in_session(lambda: sees(False), "the cabin again")
-    session.wait_for_flow()
-    code, report = session.interrupt()
-    assert code == 0, session.errors()
-    assert_sound(report)
-    counts = report["processes"]["iss_camera"]["counts"]
-    assert 0 < counts["from_page"] < counts["captured"]
-    assert "from_page" in report["processes"]["camera_left"]["counts"]
-    session.assert_nothing_left()

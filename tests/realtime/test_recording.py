@@ -221,17 +221,27 @@ def test_a_full_disk_does_not_end_the_session(start, tmp_path, monkeypatch):
     assert total == kept(report)
 
 
-@pytest.mark.parametrize("words", [(), ("--seconds", "1")], ids=["stream", "record"])
-def test_without_a_session_or_a_directory_nothing_begins(tmp_path, words):
-    command = [*COMMAND, "record", str(tmp_path / "a.mcap"), *words]
+def without_session(tmp_path, *words):
+    """Run a command where no session is; return what it says."""
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
-    assert done.returncode == 2 and "no session is running" in done.stderr
-    assert not (tmp_path / "a.mcap").exists()
+    done = subprocess.run(
+        [*COMMAND, *map(str, words)], capture_output=True, text=True, env=environment, timeout=60
+    )
+    assert done.returncode == 2
+    return done.stderr
+
+
+@pytest.mark.parametrize("words", [(), ("--seconds", "1")], ids=["stream", "record"])
+def test_without_a_session_nothing_is_recorded(tmp_path, words):
+    path = tmp_path / "a.mcap"
+    assert "no session is running" in without_session(tmp_path, "record", path, *words)
+    assert not path.exists()
+
+
+def test_without_a_directory_or_over_a_file_no_recorded_session_begins(tmp_path):
     kept_file = tmp_path / "kept.mcap"
     kept_file.write_bytes(b"kept")
     for file in (kept_file, tmp_path / "none" / "a.mcap", tmp_path):
-        command = [*COMMAND, "stream", "--setup", "taskboard", "--record", str(file)]
-        done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
-        assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+        said = without_session(tmp_path, "stream", "--setup", "taskboard", "--record", file)
+        assert said.count("\n") == 1, said
     assert kept_file.read_bytes() == b"kept"

@@ -69,4 +69,10 @@ def test_after_a_stall_of_an_end_the_robot_holds_until_a_new_press(start, monkey
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     assert report["safety"]["presses"] == 4
+    # The joystick has calibrated itself once.
+    joystick = report["joystick"]
+    assert joystick["state"] == "application"
+    log = [entry["state"] for entry in joystick["log"]]
+    assert log == ["standby", "standby", "calibrated", "application"]
+    assert joystick["temperature_c"] > 20
     assert {entry["restarts"] for entry in report["processes"].values()} == {0}

@@ -135,19 +135,13 @@ def test_every_stream_flows_through_one_link(start, tmp_path):
 
 
 def test_a_session_ends_by_itself_when_its_time_is_over(start):
-    """Its joystick has calibrated itself by then, and says so."""
-    session = start("taskboard", "--seconds", "7")
+    session = start("taskboard", "--seconds", "3")
     session.pids()
     code, report = session.end()
     assert code == 0, (session.errors(), report["failures"])
-    assert report["seconds"] >= 7
+    assert report["seconds"] >= 3
     assert {"up", "down"} == set(report["haptic"])
     session.assert_nothing_left()
-    joystick = report["joystick"]
-    assert joystick["state"] == "application"
-    log = [entry["state"] for entry in joystick["log"]]
-    assert log == ["standby", "standby", "calibrated", "application"]
-    assert joystick["temperature_c"] > 20
 
 
 def assert_snapshots(shots):

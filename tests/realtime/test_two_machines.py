@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from path_relay import KINDS, Relay
@@ -79,7 +80,7 @@ def test_an_attacker_on_the_path_changes_nothing(hosts, start):
     with Relay(hosts.prefix("outside"), listen, to, delay_ms=2) as relay:
         # What it keeps of this session is replayed into the next one.
         with start("ground", name="before") as first, start("space", peer=listen) as space:
-            relayed(relay, 3000)
+            relayed(relay, 1000)
             _, before = first.interrupt()
             relay.order("mark")
             ground = start("ground")
@@ -155,8 +156,8 @@ def test_a_session_on_two_machines_outlives_kills_a_cut_cable_and_a_new_address(
     back_s = {}
 
     def flowing(what, began_s):
-        for running in ends.values():
-            running.wait_for_flow()
+        with ThreadPoolExecutor() as pool:
+            list(pool.map(RunningEnd.wait_for_flow, ends.values()))
         back_s[what] = round(time.monotonic() - began_s, 1)
 
     flowing("start", time.monotonic())
