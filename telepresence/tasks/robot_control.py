@@ -1,8 +1,8 @@
 """The robot application's hand on the robot: power, control mode, moves to a place, faults.
 
 In position control an interpolator leads the robot to its goal. In impedance control it leads the
-place to which a spring and a damper pull the tip. In torque control the joints apply nothing, so
-that the tip gives way. In telepresence the bilateral controller leads the robot
+place to which a spring and a damper pull the tip. In torque control the joints apply what they are
+told, for a short time. In telepresence the bilateral controller leads the robot
 (`telepresence.haptics.bilateral`), which follows no hand without the dead-man button. A fault
 switches the robot off; it stays off until it is reset and switched on again.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from math import hypot
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.robot import Robot
 from telepresence.tasks.definitions import MOVING_MODES, ControlMode
 
@@ -19,8 +19,8 @@ from telepresence.tasks.definitions import MOVING_MODES, ControlMode
 _REST_M = 0.002
 _REST_M_S = 0.005
 _EXERCISE = "a fault of the trainer's exercise"
-#: Spring and damper of impedance control (N/m, N s/m); critically damped for 0.5 kg.
-_STIFFNESS, _DAMPING = 400.0, 28.0
+#: A torque that is not repeated ends after this.
+TORQUE_NS = 500 * NS_PER_MS
 
 
 class Fault(StrEnum):
@@ -33,11 +33,19 @@ class Fault(StrEnum):
     OTHER = "other"
 
 
+class Interpolation(StrEnum):
+    """How the set position moves to its goal."""
+
+    MINIMUM_JERK = "minimum_jerk"
+    CONSTANT_SPEED = "constant_speed"
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotLimits:
     """Beyond these the robot switches itself off: force of the board (N), place (m), speed (m/s).
 
-    speed_m_s is that of the interpolator, on average.
+    speed_m_s is that of the interpolators, on average. Requests beyond torque_n_m,
+    stiffness_n_m and damping_n_s_m are refused.
     """
 
     force_n: float = 28.0
@@ -45,10 +53,13 @@ class RobotLimits:
     height_m: float = 0.12
     fastest_m_s: float = 1.5
     speed_m_s: float = 0.08
+    torque_n_m: float = 5.0
+    stiffness_n_m: float = 4000.0
+    damping_n_s_m: float = 200.0
 
 
 class Interpolator:
-    """The set position on a straight way, with least jerk. Times in ns."""
+    """The set position on a straight way from one place to another. Times in ns."""
 
     def __init__(
         self,
@@ -57,16 +68,18 @@ class Interpolator:
         *,
         begin_ns: int,
         speed_m_s: float,
+        kind: Interpolation = Interpolation.MINIMUM_JERK,
     ) -> None:
         self.end = end
-        self._begin, self._begin_ns = begin, begin_ns
+        self._begin, self._begin_ns, self._kind = begin, begin_ns, kind
         way_m = hypot(end[0] - begin[0], end[1] - begin[1])
         self._lasts_ns = max(1, round(way_m / speed_m_s * NS_PER_S))
 
     def at(self, now_ns: int) -> tuple[float, float]:
         """The set position (m) at `now_ns`."""
         s = min(1.0, max(0.0, (now_ns - self._begin_ns) / self._lasts_ns))
-        s = s * s * s * (10.0 + s * (6.0 * s - 15.0))
+        if self._kind is Interpolation.MINIMUM_JERK:
+            s = s * s * s * (10.0 + s * (6.0 * s - 15.0))
         (x0, y0), (x1, y1) = self._begin, self.end
         return x0 + (x1 - x0) * s, y0 + (y1 - y0) * s
 
@@ -84,6 +97,7 @@ class RobotControl:
     robot: the one that it controls.
     fault: one line; "" for none. kind: of the fault. faults: how many there were.
     refused: requests that came in the wrong state. steps: number of `step`s.
+    stiffness_n_m, damping_n_s_m: of impedance control; critically damped for 0.5 kg at first.
 
     Outside of the workspace a reset robot may only be switched on in position control, which moves
     it back; goals outside are refused.
@@ -109,9 +123,12 @@ class RobotControl:
         self.stopped = False
         #: Another robot has the joystick: why nothing switches this one on; "" if that is not so.
         self.left_out = ""
+        self.stiffness_n_m = 400.0
+        self.damping_n_s_m = 28.0
         self.robot = robot
         #: Where spring and damper of impedance control pull the tip.
         self._rest_m = (robot.x_m, robot.y_m)
+        self._torque_until_ns: int | None = None
         self._way: Interpolator | None = None
         self._now_ns = self._exercise_ns = 0
         #: It was outside of the workspace at its reset, and has not been inside since.
@@ -138,7 +155,7 @@ class RobotControl:
             return self._refuse("the robot is outside of its workspace: move it back in position")
         if on != self.powered:
             self.powered = on
-            self._way = None
+            self._way = self._torque_until_ns = None
             self._apply()
         return ""
 
@@ -161,7 +178,9 @@ class RobotControl:
         self.mode = mode
         return ""
 
-    def move_to(self, x_m: float, y_m: float, now_ns: int) -> str:
+    def move_to(
+        self, x_m: float, y_m: float, now_ns: int, kind: Interpolation = Interpolation.MINIMUM_JERK
+    ) -> str:
         """Move the tip to (x_m, y_m); only if it is on, in position or impedance control."""
         if not self.powered or self.mode not in MOVING_MODES:
             return self._refuse("the robot is not on in position or impedance control")
@@ -174,7 +193,32 @@ class RobotControl:
             if self.mode is ControlMode.IMPEDANCE:
                 # Not from the tip, where the spring's force would be 0 at once.
                 begin = self._rest_m
-            self._way = Interpolator(begin, (x_m, y_m), begin_ns=now_ns, speed_m_s=limits.speed_m_s)
+            self._way = Interpolator(
+                begin, (x_m, y_m), begin_ns=now_ns, speed_m_s=limits.speed_m_s, kind=kind
+            )
+        return ""
+
+    def set_torque(self, first_n_m: float, second_n_m: float, now_ns: int) -> str:
+        """Apply torques (N m) for `TORQUE_NS`; only if it is on and in torque control."""
+        if not self.powered or self.mode is not ControlMode.TORQUE:
+            return self._refuse("the robot is not on in torque control")
+        most = self.limits.torque_n_m
+        if not (abs(first_n_m) <= most and abs(second_n_m) <= most):
+            return self._refuse(f"a torque is at most {most:g} N m")
+        self.robot.set_torque(first_n_m, second_n_m)
+        self._torque_until_ns = now_ns + TORQUE_NS
+        return ""
+
+    def set_impedance(self, stiffness_n_m: float, damping_n_s_m: float) -> str:
+        """Choose spring and damper of impedance control, for now or for the next power on."""
+        limits = self.limits
+        if not 0.0 <= stiffness_n_m <= limits.stiffness_n_m:
+            return self._refuse(f"a stiffness is 0 to {limits.stiffness_n_m:g} N/m")
+        if not 0.0 <= damping_n_s_m <= limits.damping_n_s_m:
+            return self._refuse(f"a damping is 0 to {limits.damping_n_s_m:g} N s/m")
+        self.stiffness_n_m, self.damping_n_s_m = stiffness_n_m, damping_n_s_m
+        if self.powered and self.mode is ControlMode.IMPEDANCE:
+            self._pull()
         return ""
 
     def is_at(self, x_m: float, y_m: float) -> bool:
@@ -236,6 +280,9 @@ class RobotControl:
                 else:
                     self._rest_m = self._way.at(now_ns)
                     self._pull()
+            elif self._torque_until_ns is not None and now_ns >= self._torque_until_ns:
+                self._torque_until_ns = None
+                self.robot.set_torque(0.0, 0.0)
 
     def _apply(self) -> None:
         robot = self.robot
@@ -253,7 +300,7 @@ class RobotControl:
             robot.couple()
 
     def _pull(self) -> None:
-        self.robot.set_impedance(*self._rest_m, _STIFFNESS, _DAMPING)
+        self.robot.set_impedance(*self._rest_m, self.stiffness_n_m, self.damping_n_s_m)
 
     def _refuse(self, reason: str) -> str:
         self.refused += 1

@@ -1,5 +1,7 @@
 """Power, mode, moves and faults of the robot."""
 
+from math import inf, nan
+
 import pytest
 from haptic_session import begin_session
 
@@ -9,7 +11,7 @@ from telepresence.haptics.loop import robot_link
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.sample import MODE_IMPEDANCE, MODE_OFF, Command, pack_command
 from telepresence.tasks.definitions import ControlMode
-from telepresence.tasks.robot_control import Fault, RobotControl, RobotLimits
+from telepresence.tasks.robot_control import TORQUE_NS, Fault, RobotControl, RobotLimits
 
 MS = 1_000_000
 
@@ -38,10 +40,11 @@ def test_it_is_off_at_first_and_moves_only_on_and_in_position_control():
     assert "not on in position or impedance control" in control.move_to(0.02, 0.0, run.now_ns)
     control.set_power(True)
     assert "switch it off first" in control.set_mode(ControlMode.TORQUE)
+    assert "not on in torque control" in control.set_torque(1.0, 0.0, run.now_ns)
     assert control.move_to(0.02, 0.01, run.now_ns) == ""
     run(control, 3000)
     assert control.reached_m == (0.02, 0.01)
-    assert control.refused == 2
+    assert control.refused == 3
 
 
 @pytest.mark.parametrize("goal_m", [(0.2, 0.0), (0.0, -0.13), (float("nan"), 0.0)])
@@ -112,10 +115,10 @@ def test_a_robot_outside_of_its_workspace_is_moved_back_in_position_control():
     assert control.faults == 2
 
 
-def pressed_n(mode):
+def pressed_n(mode, stiffness_n_m):
     """Move 20 mm into a wall of 1500 N/m; return the force there."""
     control = RobotControl(Robot(board=Board(WallModel(stiffness_n_m=1500.0)), x_m=0.05))
-    assert control.set_mode(mode) == ""
+    assert control.set_mode(mode) == control.set_impedance(stiffness_n_m, 30.0) == ""
     assert control.set_power(True) == control.move_to(0.08, 0.0, run.now_ns) == ""
     run(control, 3000)
     return control.robot.force_n
@@ -123,9 +126,10 @@ def pressed_n(mode):
 
 def test_in_impedance_control_the_tip_yields_as_its_spring_does():
     # Two springs in series.
-    due_n = 0.02 * 400.0 * 1500.0 / (400.0 + 1500.0)
-    assert pressed_n(ControlMode.IMPEDANCE) == pytest.approx(due_n, rel=0.01)
-    assert pressed_n(ControlMode.POSITION) > 15.0
+    for stiffness_n_m in (100.0, 400.0):
+        due_n = 0.02 * stiffness_n_m * 1500.0 / (stiffness_n_m + 1500.0)
+        assert pressed_n(ControlMode.IMPEDANCE, stiffness_n_m) == pytest.approx(due_n, rel=0.01)
+    assert pressed_n(ControlMode.POSITION, 100.0) > 15.0
 
 
 def test_impedance_control_begins_where_the_tip_is_and_moves_to_a_goal():
@@ -137,6 +141,34 @@ def test_impedance_control_begins_where_the_tip_is_and_moves_to_a_goal():
     assert control.reached_m is None
     run(control, 3000)
     assert control.reached_m == (-0.01, 0.02)
+    # A stiffer spring pulls to the same place.
+    assert control.set_impedance(2000.0, 60.0) == ""
+    run(control, 500)
+    assert control.reached_m == (-0.01, 0.02)
+
+
+def test_a_torque_ends_by_itself_unless_it_is_repeated():
+    control = on_at(mode=ControlMode.TORQUE)
+    run(control, 200)
+    assert control.robot.x_m == 0.0
+    for _ in range(2):
+        assert control.set_torque(0.02, 0.0, run.now_ns) == ""
+        run(control, TORQUE_NS // MS - 1)
+    fastest_m_s = control.robot.vx_m_s
+    # 0.05 N on 0.5 kg for a second, less friction and groove; half as long gives 0.039 m/s.
+    assert 0.05 < fastest_m_s < 0.064
+    run(control, 200)
+    assert control.robot.vx_m_s < 0.9 * fastest_m_s
+
+
+@pytest.mark.parametrize("value", [nan, inf, -5000.0, 5000.0])
+def test_no_torque_and_no_spring_beyond_its_limit_is_taken(value):
+    control = on_at(mode=ControlMode.TORQUE)
+    assert "at most 5 N m" in control.set_torque(0.0, value, run.now_ns)
+    assert "0 to 4000 N/m" in control.set_impedance(value, 10.0)
+    assert "0 to 200 N s/m" in control.set_impedance(100.0, value)
+    run(control, 10)
+    assert (control.robot.x_m, control.robot.y_m, control.refused) == (0.0, 0.0, 3)
 
 
 def test_the_hand_leads_the_robot_in_telepresence_and_in_no_other_mode():
