@@ -42,8 +42,6 @@ class Cuts:
         self.restless = False
         #: Whether the last picture was a cut, or a key picture.
         self.anew = False
-        #: The mean absolute change of the luma from the picture before.
-        self.change = 0.0
 
     def handle_picture(self, thumbnail: NDArray[np.uint8], *, key: bool = False) -> bool:
         """Return whether to code this picture in the smaller size.
@@ -55,7 +53,7 @@ class Cuts:
         last, self._last = self._last, picture
         if last is None:
             return False
-        self.change = change = float(np.abs(picture - last).mean())
+        change = float(np.abs(picture - last).mean())
         cut = key or (bool(self._changes) and change > _STEPS + _TIMES * max(self._changes))
         self.anew = cut
         self._changes.append(change)

@@ -19,7 +19,6 @@ from kontur_av.codecs.coded_size import coded_size_for, restless_size_for, sizes
 from kontur_av.codecs.coding import REFRESH_S, Coding
 from kontur_av.codecs.cuts import Cuts
 from kontur_av.codecs.encoder_settings import EncoderSettings, Search
-from kontur_av.codecs.quantiser_limit import QuantiserLimit
 from kontur_av.codecs.region import Region
 from kontur_av.codecs.sizing import SizeChoice
 from kontur_av.errors import ConfigError
@@ -128,7 +127,6 @@ class VideoEncoder:
             regions=regions,
         )
         self._marker: _Marker | None = None
-        self._limit: QuantiserLimit | None = None
         self._follow_refresh()
         self._begin()
 
@@ -163,7 +161,6 @@ class VideoEncoder:
         force_keyframe = coding.keyframe
         self._follow(coding)
         data = np.ascontiguousarray(frame.data)
-        finer = 0
         if self._cuts is not None:
             # Imported late: OpenCV takes longer to load than all the rest of a receiver.
             from kontur_av.codecs.scaling import thumbnail
@@ -172,7 +169,6 @@ class VideoEncoder:
             restless = self._cuts.handle_picture(small, key=force_keyframe)
             index = self._choice.handle_picture(small, anew=self._cuts.anew)
             self._settle(restless, self._sizes[index])
-            finer = self._finer(force_keyframe)
         pixels, loss = self._soft_pixels(force_keyframe), None
         if self._small is not None or pixels:
             from kontur_av.codecs.scaling import scaling_loss, shrink, soften
@@ -189,18 +185,14 @@ class VideoEncoder:
         if self._given == 0:
             # The library predicts sizes from earlier pictures. Without any it spends a fifth of
             # the budget. So the first picture is coded twice, and the second result is sent.
-            self._give(data, region, finer, force_keyframe=True)
+            self._give(data, region, force_keyframe=True)
             force_keyframe = True
-        packet = self._give(data, region, finer, force_keyframe=force_keyframe)
-        if self._cuts is not None:
+        packet = self._give(data, region, force_keyframe=force_keyframe)
+        if self._cuts is not None and not self._cuts.restless:
             quantiser, loss_by_coding = self._quantiser_and_loss(packet)
-            # x264 codes no block below 0, whatever it was asked for.
-            quantiser = max(quantiser - finer, 0.0)
-            shares = packet.size / self._share_octets
-            if self._limit is not None:
-                self._limit.handle_unit(shares, quantiser)
-            if not self._cuts.restless:
-                self._choice.handle_unit(quantiser, shares, loss_by_coding, loss)
+            self._choice.handle_unit(
+                quantiser, packet.size / self._share_octets, loss_by_coding, loss
+            )
         self.encoded += 1
         octets, keyframe = self._finished(packet)
         return AccessUnit(octets, frame.stamp, keyframe, self.codec)
@@ -212,15 +204,6 @@ class VideoEncoder:
     def _quantiser_and_loss(self, packet: Any) -> tuple[float, float]:
         """Return the mean quantiser, and the mean squared error of the luma by coding."""
         raise NotImplementedError
-
-    def _finer(self, force_keyframe: bool) -> int:
-        """Return by how many steps the whole picture must be finer than the coarsest."""
-        coarsest = self._settings.limited_coarsest
-        if coarsest is None or self._cuts is None:
-            return 0
-        if self._limit is None or force_keyframe:
-            self._limit = QuantiserLimit(coarsest)
-        return coarsest - self._limit.handle_picture(self._cuts.change)
 
     def _soft_pixels(self, force_keyframe: bool) -> float:
         """Return how much to soften this picture, in pixels of its coded size; 0: not at all."""
@@ -272,69 +255,58 @@ class VideoEncoder:
         size = self._settings.width, self._settings.height
         self._small = None if size == (self.width, self.height) else empty_picture(*size)
         self._given = 0
-        self._limit = None
         self._codec = self._settings.open()
         self._share_octets = float(self._settings.cap_bps / 8 / self._settings.rate)
         # Integers, because a product of fractions takes longer than all else around the encoder.
         self._ticks = (Fraction(VIDEO_CLOCK_HZ) / self._settings.rate).as_integer_ratio()
 
-    def _give(self, data: I420, region: Region | None, finer: int, *, force_keyframe: bool) -> Any:
+    def _give(self, data: I420, region: Region | None, *, force_keyframe: bool) -> Any:
         picture = av.VideoFrame.from_numpy_buffer(data, "yuv420p")
         ticks, parts = self._ticks
         picture.pts = self._given * ticks // parts
         if force_keyframe:
             picture.pict_type = PictureType.I
-        if region is not None or finer:
-            picture = self._marked(picture, region, finer)
+        if region is not None:
+            picture = self._marked(picture, region)
         (packet,) = self._codec.encode(picture)
         self._given += 1
         return packet
 
-    def _marked(self, picture: av.VideoFrame, region: Region | None, finer: int) -> av.VideoFrame:
-        """Return the picture with the parts beside it that are to be finer."""
-        width, height = coded = self.unit_size
-        blocks = region.in_blocks((self.width, self.height), coded) if region is not None else None
-        # Of two parts the first one counts.
-        parts: list[_Part] = []
-        if region is not None and blocks:
-            parts.append((blocks, min(region.steps + finer, _QUANTISERS)))
-        if finer:
-            parts.append(((0, 0, width, height), finer))
-        if not parts:
+    def _marked(self, picture: av.VideoFrame, region: Region) -> av.VideoFrame:
+        """Return the picture with the region beside it."""
+        coded = self.unit_size
+        blocks = region.in_blocks((self.width, self.height), coded)
+        if blocks is None:
             return picture
-        wanted = coded, tuple(parts)
+        wanted = coded, blocks, region.steps
         if self._marker is None or self._marker.wanted != wanted:
             self._marker = _Marker(*wanted)
         return self._marker.mark(picture)
 
 
-#: Left, top, width and height of a part of a picture, and by how many steps it is finer.
-_Part = tuple[tuple[int, int, int, int], int]
-
-
 class _Marker:
-    """Marks parts of pictures of one size by FFmpeg's filter `addroi`.
+    """Marks a region in pictures of one size by FFmpeg's filter `addroi`.
 
-    PyAV cannot set this side data itself. The filter takes no commands, so other parts need
+    PyAV cannot set this side data itself. The filter takes no commands, so each other region needs
     a new graph, which takes 0.3 ms. Regions of whole macroblocks change less often.
     """
 
-    def __init__(self, coded: tuple[int, int], parts: tuple[_Part, ...]) -> None:
-        self.wanted = coded, parts
+    def __init__(
+        self, coded: tuple[int, int], blocks: tuple[int, int, int, int], steps: int
+    ) -> None:
+        self.wanted = coded, blocks, steps
+        left, top, width, height = blocks
         graph = av.filter.Graph()
         graph.threads = 1
-        last: Any = graph.add_buffer(
+        entry = graph.add_buffer(
             width=coded[0],
             height=coded[1],
             format=av.VideoFormat("yuv420p"),
             time_base=Fraction(1, VIDEO_CLOCK_HZ),
         )
-        for (left, top, width, height), steps in parts:
-            place = f"x={left}:y={top}:w={width}:h={height}"
-            part = graph.add("addroi", f"{place}:qoffset=-{steps}/{_QUANTISERS}")
-            graph.link_nodes(last, part)
-            last = part
-        graph.link_nodes(last, graph.add("buffersink")).configure()
+        place = f"x={left}:y={top}:w={width}:h={height}"
+        region = graph.add("addroi", f"{place}:qoffset=-{steps}/{_QUANTISERS}")
+        graph.link_nodes(entry, region, graph.add("buffersink")).configure()
         self._graph = graph
 
     def mark(self, picture: av.VideoFrame) -> av.VideoFrame:

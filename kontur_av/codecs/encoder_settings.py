@@ -43,11 +43,6 @@ class EncoderSettings:
         """Pictures from the start of one refresh wave to the next."""
         return max(round(self.rate * Fraction(self.refresh_s)), 1)
 
-    @property
-    def limited_coarsest(self) -> int | None:
-        """The largest quantiser, where a `QuantiserLimit` makes it smaller; None: nowhere."""
-        return None
-
     def options(self) -> dict[str, str]:
         """Options of FFmpeg's `library`."""
         raise NotImplementedError

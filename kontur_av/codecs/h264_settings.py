@@ -79,26 +79,13 @@ class H264Settings(EncoderSettings):
 
     library: ClassVar[str] = "libx264"
 
-    @property
-    def limited_coarsest(self) -> int | None:
-        """As of `EncoderSettings`."""
-        return None if self.punctual or self._effort is not _THIN else self._coarsest
-
-    @property
-    def _effort(self) -> _Effort:
-        blocks_hz = self.width * self.height * self.rate / MACROBLOCK
-        if blocks_hz <= _THIN_UP_TO or self.cap_bps < BITS_PER_MACROBLOCK * blocks_hz:
-            return _THIN
-        return _WIDE_THOROUGH if self.search == "thorough" else _WIDE
-
-    @property
-    def _coarsest(self) -> int:
-        return _PUNCTUAL if self.punctual else self._effort.coarsest
-
     def options(self) -> dict[str, str]:
         """Options of FFmpeg's libx264."""
-        effort = self._effort
-        finer = self.regions or self.limited_coarsest is not None
+        blocks_hz = self.width * self.height * self.rate / MACROBLOCK
+        effort = _WIDE_THOROUGH if self.search == "thorough" else _WIDE
+        if blocks_hz <= _THIN_UP_TO or self.cap_bps < BITS_PER_MACROBLOCK * blocks_hz:
+            effort = _THIN
+        coarsest = _PUNCTUAL if self.punctual else effort.coarsest
         over_cap = effort.rate_over_cap
         if self.punctual:
             over_cap = min(over_cap, _PUNCTUAL_RATE)
@@ -116,7 +103,7 @@ class H264Settings(EncoderSettings):
             **({"b": fill} if effort.crf is None else {"crf": str(effort.crf)}),
             "maxrate": fill,
             "bufsize": str(buffer),
-            "x264-params": f"{effort.parameters}:qpmax={self._coarsest}{_REGIONS * finer}",
+            "x264-params": f"{effort.parameters}:qpmax={coarsest}{_REGIONS * self.regions}",
         }
 
     def _most_fill_bps(self, buffer: int) -> int:

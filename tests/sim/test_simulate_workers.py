@@ -34,22 +34,8 @@ def test_earlier_opencv_threads_do_not_block_workers():
 def test_a_worker_that_dies_is_an_error_and_none_is_left():
     with Workers() as workers, pytest.raises(RuntimeError, match="its process has ended"):
         workers.start(lambda: abs)
-        killed = workers.start(lambda: partial(os.kill, os.getpid()), late=True)
+        killed = workers.start(lambda: partial(os.kill, os.getpid()))
         killed.submit(signal.SIGKILL)
         while True:
             killed.submit(0).result()
     assert not multiprocessing.active_children()
-
-
-def test_what_a_worker_does_ahead_may_fail_and_is_an_error():
-    class Coder:
-        def __call__(self, job):
-            return job
-
-        def ahead(self):
-            raise ValueError("ahead")
-
-    with Workers() as workers, pytest.raises(RuntimeError, match="ValueError: ahead"):
-        worker = workers.start(Coder)
-        for job in range(3):
-            assert worker.submit(job).result() == 0
