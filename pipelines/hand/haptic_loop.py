@@ -19,7 +19,7 @@ from telepresence.world import WorldState
 
 #: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
 _PHASE = 0.5
-#: A loop looks once in this many cycles for what can wait; two of them are a block of a trace.
+#: A loop looks once in this many cycles for what is rare; two of them are a block of a trace.
 _SELDOM = BLOCK_ROWS // 2
 
 #: What a loop calls, with the instant of the cycle.
@@ -49,15 +49,12 @@ def run_loop(
     before: Cycle | None = None,
     after: Cycle | None = None,
     seldom: Sequence[Cycle] = (),
-    rare: Sequence[Cycle] = (),
     route: Callable[[Send], Send] | None = None,
 ) -> None:
     """Run an end at 1 kHz.
 
     ports: the one of its samples, and the peer's. route: where samples go to more than one peer.
     before, after: called in each cycle. seldom: called every `_SELDOM` cycles.
-    rare: called every 2 `_SELDOM` cycles, and before `seldom`, which keeps the orders that they
-    took; every other one half way between, to spread the work.
     """
     clock, probe = context.clock, context.probe
     udp = context.listen_own(ports[0])
@@ -90,7 +87,6 @@ def run_loop(
     context.on_flush(fill)
     tick_ns = 0
     wait = _SELDOM
-    turn, next_turn = rare[::2], rare[1::2]
     while not context.stopping:
         sleep_until_ns(schedule.next_deadline_ns)
         now_ns = clock_ns()
@@ -122,9 +118,6 @@ def run_loop(
         wait -= 1
         if not wait:
             wait = _SELDOM
-            for look in turn:
-                look(now_ns)
-            turn, next_turn = next_turn, turn
             for look in seldom:
                 look(now_ns)
         if now_ns >= tick_ns:

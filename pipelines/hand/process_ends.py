@@ -121,8 +121,8 @@ def run_robot(context: Context) -> None:
             follow_stop(kept, end),
             _trace(bus, ROBOT_TRACE_TOPIC, end.trace),
             serve_robot(bus, desk, tasks=tasks),
-            # In the cycle that took an order, so that a restarted controller knows it.
             keep_robot(kept, desk),
+            watch_camera(bus, context.setup, end),
         ]
         if TRAINER_TOPIC in topology.reads(ROBOT):
             control = desk.control
@@ -146,7 +146,6 @@ def run_robot(context: Context) -> None:
             before=before,
             after=tell_wall if mediated else None,
             seldom=seldom,
-            rare=[watch_camera(bus, context.setup, end)],
             route=route,
         )
 
@@ -182,11 +181,9 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
             reads = context.topology.reads(JOYSTICK)
             seldom = [
                 _trace(bus, JOYSTICK_TRACE_TOPIC, end.trace),
+                _status(bus, handle, reads),
+                *([lambda _: end.follow_experiment()] if board else []),
                 keep_joystick(kept, handle),
-            ]
-            status = _status(bus, handle, reads)
-            rare = [
-                both(status, lambda _: end.follow_experiment()) if board else status,
                 look_at_picture(bus, context.topology, handle),
             ]
             if WALL_TOPIC in reads:
@@ -199,13 +196,13 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
             if isinstance(hand, Cosmonaut):
                 seldom.append(looking(bus, hand, handle))
             elif ROBOT_TOPIC in reads and isinstance(device, SimulatedDevice):
-                rare.append(seeing(bus, hand))
+                seldom.append(seeing(bus, hand))
             before = None
             inputs = [topic for topic in (HAND_INPUT_TOPIC, ROS2_HAND_TOPIC) if topic in reads]
             if isinstance(device, PageDevice) and inputs:
                 before = _hand(bus, device, inputs[0])
             ports = session_ports(context.topology, JOYSTICK)
-            run_loop(context, end, ports, before=before, seldom=seldom, rare=rare)
+            run_loop(context, end, ports, before=before, seldom=seldom)
     finally:
         device.close()
 
