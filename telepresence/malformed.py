@@ -1,4 +1,4 @@
-"""What msgspec raises on malformed octets, for whoever reads those of a peer or of a file."""
+"""The errors that msgspec raises on malformed octets of a peer or of a file."""
 
 from typing import Final
 

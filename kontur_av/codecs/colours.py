@@ -14,7 +14,7 @@ _LIKE_BT601 = (BT601, 5, 2)
 
 
 class Scaler(local):
-    """FFmpeg's scaler: another one in each thread, as two in one at once end the process."""
+    """FFmpeg's scaler, one for each thread: two threads in one scaler end the process."""
 
     def __init__(self) -> None:
         self.own = VideoReformatter()

@@ -137,7 +137,7 @@ class VideoSender(PacedSender):
         self._losses.handle_feedback(datagram, now_ns)
 
     def handle_new_viewer(self) -> None:
-        """Make the next picture a key picture: who begins to watch needs one."""
+        """Make the next picture a key picture, for a reader that has just joined."""
         self._keyframe_due = True
 
     def handle_channel(

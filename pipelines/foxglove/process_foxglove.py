@@ -194,7 +194,7 @@ class _Topics:
             source for source in sources_of(topology) if source.content is not Content.CAMERA
         ]
         self._readers: dict[str, Reader] = {}
-        #: Second readers while a client waits: for new readers a stream makes a key picture.
+        #: A second reader of a topic while a client waits: for it the sender makes a key picture.
         self._waiting: dict[str, Reader] = {}
         self._cameras = [
             CameraReader(bus, source, bridge.coder(source))

@@ -1,8 +1,8 @@
 """Updates and orders that come as files: which is taken when, and what became of each. A core.
 
 An archive is `NAME.tar` or `NAME.tar.gz`. An order is a text of one line in a file `NAME.order`.
-Nothing of an archive is unpacked to a disk. Whoever sent it is a stranger until its checksums or
-its signature are verified, so all is bounded.
+Archives are read in memory and never unpacked to a disk. The sender is a stranger until checksums
+or signature are verified, so sizes are bounded.
 """
 
 import tarfile

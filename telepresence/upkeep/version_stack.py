@@ -6,7 +6,7 @@ the fault may be the peer's. The last one that worked comes next, and at the end
 version, which stays until a person orders another one. So two ends whose versions cannot talk walk
 down to a pair that can.
 
-A program tells whoever runs it how it is by one small JSON file, replaced twice a second or so:
+A program tells its state in one small JSON file, which it replaces about twice a second:
 `{"contact": true, "passed": false, "stuck": false}`, as of `VersionStatus`. Any program can write
 it: the path stands in the environment variable `KONTUR_AV_STATUS`.
 """
