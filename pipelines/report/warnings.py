@@ -1,7 +1,7 @@
 """What made a session worse than necessary, and its mend. A core.
 
-A failure is a broken promise of the project. A warning is about the machine: a person can change
-something.
+A failure is a broken promise of the project. A warning is about the machine or the setup: a person
+can change something.
 """
 
 from collections.abc import Iterable, Mapping
@@ -27,6 +27,8 @@ SHOWN_SHARE = 0.8
 _SIGNAL_SHARE, _LOST_SHARE = 0.95, 0.01
 #: A shorter session says nothing about its pictures.
 _LEAST_NS = 3 * NS_PER_S
+#: From this round trip on, a first press is often felt too soft without a rendered wall.
+LONG_NS = 100 * NS_PER_MS
 
 _NO_REAL_TIME = "allow real-time priority: `kontur-av doctor` says how"
 _TOO_SLOW = "use fewer cameras, or a faster machine"
@@ -66,7 +68,24 @@ def find_warnings(
                 if topology.alone is None
                 else None,
             )
+    found += hand_warnings(collector)
     return [*found, *find_path_warnings(collector, topology.segments)]
+
+
+def hand_warnings(collector: Collector) -> list[Warning]:
+    """Whether the hand felt the delayed force alone, where a rendered wall is felt better.
+
+    At one of two machines only the joined report knows the round trip.
+    """
+    setup, latencies = collector.setup, [collector.haptics[way].latency for way in ("down", "up")]
+    trip_ns = sum(latency.percentile(50) for latency in latencies)
+    if setup.hand != "direct" or setup.partner_arm in ("shared", "board"):
+        return []
+    if trip_ns < LONG_NS or not all(latency.count for latency in latencies):
+        return []
+    measured = f"the hand felt forces after a round trip of {trip_ns / NS_PER_MS:.0f} ms"
+    mend = "take `--hand auto`, which renders walls: docs/haptics-controllers.md"
+    return [Warning(what="hand_direct", where="joystick", measured=measured, mend=mend)]
 
 
 def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> list[Warning]:
