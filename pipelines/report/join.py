@@ -36,7 +36,6 @@ from pipelines.report.session_report import skew_reports, stream_latency_ms
 from pipelines.report.sync_figures import sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.trace import TRACED, rows_of
-from pipelines.report.warnings import hand_warnings
 from pipelines.session.figures import DatedEvent
 from pipelines.session.probe import FLUSH_NS, Message, Series
 from pipelines.session.rows import INSTANTS, ClockRow, Row
@@ -130,11 +129,7 @@ def join_reports(
         cpu=_cpu(ground.report.cpu, space.report.cpu),
         processes=ground.report.processes | space.report.processes,
         failures=[*ground.report.failures, *space.report.failures],
-        warnings=[
-            *ground.report.warnings,
-            *space.report.warnings,
-            *hand_warnings(collector),
-        ],
+        warnings=[*ground.report.warnings, *space.report.warnings],
         exercises=_exercises(ends),
         recorder=_recorder(ground.report.recorder, space.report.recorder),
         rtc=ground.report.rtc,

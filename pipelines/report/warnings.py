@@ -73,15 +73,19 @@ def find_warnings(
 
 
 def hand_warnings(collector: Collector) -> list[Warning]:
-    """Whether the hand felt the delayed force alone, where a rendered wall is felt better.
-
-    At one of two machines only the joined report knows the round trip.
-    """
-    setup, latencies = collector.setup, [collector.haptics[way].latency for way in ("down", "up")]
-    trip_ns = sum(latency.percentile(50) for latency in latencies)
+    """Whether the hand felt the delayed force alone, where a rendered wall is felt better."""
+    setup, topology = collector.setup, collector.topology
     if setup.hand != "direct" or setup.partner_arm in ("shared", "board"):
         return []
-    if trip_ns < LONG_NS or not all(latency.count for latency in latencies):
+    if topology.alone is None:
+        ways = [collector.haptics[way].latency for way in ("down", "up")]
+        trip_ns = sum(way.percentile(50) for way in ways) if all(way.count for way in ways) else 0
+    else:
+        # The other machine's clock is known to half of the shortest round trip.
+        link = collector.process(topology.gateway(Segment.SPACE).name).link
+        clock = None if link is None else link.clock
+        trip_ns = 2 * (0 if clock is None else clock.error_ns or 0)
+    if trip_ns < LONG_NS:
         return []
     measured = f"the hand felt forces after a round trip of {trip_ns / NS_PER_MS:.0f} ms"
     mend = "take `--hand auto`, which renders walls: docs/haptics-controllers.md"
