@@ -14,8 +14,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.figures import ChannelFigures
 from telepresence.link.radio.contact import ContactFading
 
-#: After any session.
-_NEVER_NS = 1 << 62
+#: Later than the end of any session.
+FOREVER_NS = 1 << 62
 
 
 class BurstClock:
@@ -83,14 +83,14 @@ class BlackoutClock:
         self, given: Sequence[tuple[int, int]], more: Iterator[tuple[int, int]] | None = None
     ) -> None:
         self._windows = merge(sorted(given), more or ())
-        self._begin_ns = self._end_ns = -_NEVER_NS
+        self._begin_ns = self._end_ns = -FOREVER_NS
         self._past_ns = 0
 
     def state(self, time_ns: int) -> tuple[bool, int]:
         """Return whether there is a blackout, and until when; `time_ns` must not go back."""
         while self._end_ns <= time_ns:
             self._past_ns += self._end_ns - self._begin_ns
-            begin_ns, end_ns = next(self._windows, (_NEVER_NS, _NEVER_NS + 1))
+            begin_ns, end_ns = next(self._windows, (FOREVER_NS, FOREVER_NS + 1))
             # Time that an earlier window covered is not counted twice.
             self._begin_ns = max(begin_ns, self._end_ns)
             self._end_ns = max(end_ns, self._begin_ns)
@@ -100,10 +100,6 @@ class BlackoutClock:
     def dark_ns(self, time_ns: int) -> int:
         """Return the sum of blackouts before `time_ns`, which is not before the last `state`."""
         return self._past_ns + max(0, min(time_ns, self._end_ns) - self._begin_ns)
-
-
-#: Later than the end of any session.
-FOREVER_NS = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
