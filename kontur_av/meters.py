@@ -158,7 +158,7 @@ def rank_of(p: float, count: int) -> int:
     return max(ceil(count * p / 100), 1)
 
 
-class _Window:
+class SlidingWindow:
     """The octets of the last `length_ns`, and the largest number so far."""
 
     def __init__(self, length_ns: int) -> None:
@@ -169,15 +169,31 @@ class _Window:
 
     def add(self, now_ns: int, octets: int) -> None:
         events = self._events
-        gone_ns = now_ns - self.length_ns
-        while events and events[0][0] <= gone_ns:
-            self.octets -= events.popleft()[1]
+        self._forget(now_ns)
         if events and events[-1][0] == now_ns:
             events[-1] = (now_ns, events[-1][1] + octets)
         else:
             events.append((now_ns, octets))
         self.octets += octets
         self.most_octets = max(self.most_octets, self.octets)
+
+    def room_ns(self, room_octets: int, octets: int, now_ns: int) -> int:
+        """Return from when on `octets` fit into a window of `room_octets`: `now_ns` or later."""
+        self._forget(now_ns)
+        excess = self.octets + octets - room_octets
+        if excess <= 0:
+            return now_ns
+        for event_ns, event_octets in self._events:
+            excess -= event_octets
+            if excess <= 0:
+                return event_ns + self.length_ns
+        # More than the window can hold: wait until it is empty.
+        return self._events[-1][0] + self.length_ns if self._events else now_ns
+
+    def _forget(self, now_ns: int) -> None:
+        gone_ns = now_ns - self.length_ns
+        while self._events and self._events[0][0] <= gone_ns:
+            self.octets -= self._events.popleft()[1]
 
     def octets_until(self, end_ns: int) -> int:
         """Return the octets of the window that ends at `end_ns`, or at a later last event."""
@@ -196,7 +212,7 @@ class RateMeter:
     """
 
     def __init__(self, windows_ns: tuple[int, ...] = (NS_PER_S, 100_000_000)) -> None:
-        self._windows = {length_ns: _Window(length_ns) for length_ns in windows_ns}
+        self._windows = {length_ns: SlidingWindow(length_ns) for length_ns in windows_ns}
         self.octets = 0
         self.events = 0
         self.first_ns: int | None = None
