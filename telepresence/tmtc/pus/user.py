@@ -148,6 +148,7 @@ class PusUser:
         if timeout_ns <= 0 or not timeout_ns <= patience_ns < 60 * NS_PER_S:
             raise ConfigError("telecommands need a timeout above 0, and a patience below 60 s")
         self.garbage = 0
+        #: Reports about what is not open, and of applications that are in no table.
         self.unexpected = 0
         self.reports = 0
         self.dropped_events = 0
