@@ -35,10 +35,11 @@ class Histogram:
 
     def __init__(self) -> None:
         self._counts: NDArray[np.int64] = np.zeros(0, np.int64)
-        self._count = 0
+        self.count = 0
         self._sum = 0
         self._min = _LARGEST
-        self._max = 0
+        #: The largest value, exactly; 0 when nothing was counted.
+        self.max = 0
         #: How many values were negative; each was counted as 0.
         self.negative = 0
 
@@ -60,10 +61,10 @@ class Histogram:
         index = shift * _SUB + (value >> shift) + extra
         self._reach(index)
         self._counts[index] += 1
-        self._count += 1
+        self.count += 1
         self._sum += value
         self._min = min(self._min, value)
-        self._max = max(self._max, value)
+        self.max = max(self.max, value)
 
     def _reach(self, index: int) -> None:
         """Grow the memory until it has this bucket."""
@@ -85,46 +86,37 @@ class Histogram:
         indices = shift * _SUB + (flat >> shift) + np.where(fine, 0, _EXTRA)
         self._reach(int(indices.max()))
         np.add.at(self._counts, indices, 1)
-        self._count += int(flat.size)
+        self.count += int(flat.size)
         self._sum += int(flat.sum(dtype=object)) if flat.max() > 2**40 else int(flat.sum())
         self._min = min(self._min, int(flat.min()))
-        self._max = max(self._max, int(flat.max()))
+        self.max = max(self.max, int(flat.max()))
 
     def merge(self, other: "Histogram") -> None:
         """Add the counts of `other`."""
         self._reach(len(other._counts) - 1)
         self._counts[: len(other._counts)] += other._counts
-        self._count += other._count
+        self.count += other.count
         self._sum += other._sum
         self._min = min(self._min, other._min)
-        self._max = max(self._max, other._max)
+        self.max = max(self.max, other.max)
         self.negative += other.negative
-
-    @property
-    def count(self) -> int:
-        return self._count
 
     @property
     def min(self) -> int:
         """The smallest value, exactly; 0 when nothing was counted."""
-        return self._min if self._count else 0
-
-    @property
-    def max(self) -> int:
-        """The largest value, exactly; 0 when nothing was counted."""
-        return self._max
+        return self._min if self.count else 0
 
     @property
     def mean(self) -> float:
         """The mean; 0 when nothing was counted."""
-        return self._sum / self._count if self._count else 0.0
+        return self._sum / self.count if self.count else 0.0
 
     def percentile(self, p: float) -> float:
         """Return the smallest counted value that at least `p` percent of all do not exceed.
 
         p: from 0 to 100, else ValueError. 0 when nothing was counted.
         """
-        return self.ranked(rank_of(p, self._count)) if self._count else 0.0
+        return self.ranked(rank_of(p, self.count)) if self.count else 0.0
 
     def ranked(self, rank: int) -> float:
         """Return the value of this rank; 1 is the smallest one, `count` the largest."""
@@ -136,7 +128,7 @@ class Histogram:
             shift = min(max(index // _SUB - 1, 0), _WIDEST)
         lowest = (index - shift * _SUB) << shift
         middle = lowest + ((1 << shift) - 1) / 2
-        return float(min(max(middle, self._min), self._max))
+        return float(min(max(middle, self._min), self.max))
 
     def summary_ms(self) -> dict[str, float]:
         """Return p50, p95, p99 and the exact max in milliseconds, of values in nanoseconds."""

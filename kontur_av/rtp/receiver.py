@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
+from kontur_av.modular import signed
 from kontur_av.rtp.reception import ReceptionLog
 from kontur_av.rtp.reordering import REORDER_DEPTH_NS, ReorderDepth
 from kontur_av.rtp.sender_clock import SenderClock
@@ -430,20 +431,17 @@ class RtpReceiver:
                 for ssrc in packet.sources:
                     if ssrc == self.ssrc:
                         self.ended = known = True
-                    else:
-                        self._forget(ssrc)
+                        continue
+                    # Packets of another source must not start a stream any more.
+                    self._clock.reports.pop(ssrc, None)
+                    if self._candidates and self._candidates[0].packet.ssrc == ssrc:
+                        self._drop_candidates()
                 self._try_vouched(now_ns)
             elif isinstance(packet, RtcpRrPacket):
                 known = True  # of a peer that sends no media now (RFC 3550 section 6.4)
         if not (dates or known):
             self.counts.garbage += 1
         return dates
-
-    def _forget(self, ssrc: int) -> None:
-        """Another source said goodbye: its packets must not start a stream any more."""
-        self._clock.reports.pop(ssrc, None)
-        if self._candidates and self._candidates[0].packet.ssrc == ssrc:
-            self._drop_candidates()
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up the gaps that are due by `now_ns`. Drain `next_event` afterwards."""
@@ -478,7 +476,7 @@ class RtpReceiver:
 
 def _ahead(packet: RtpPacket, other: RtpPacket) -> int:
     """Return the sequence number of `packet` less that of `other`, from -2^15 to 2^15 - 1."""
-    return ((packet.sequence_number - other.sequence_number + 0x8000) & 0xFFFF) - 0x8000
+    return signed(packet.sequence_number - other.sequence_number, 16)
 
 
 def _fits(held: _Waiting, packet: RtpPacket, now_ns: int) -> bool:

@@ -2,8 +2,9 @@
 
 from kontur_av.clock import NS_PER_S, unix_ns_from_ntp
 from kontur_av.errors import ProtocolError
+from kontur_av.modular import signed
 from kontur_av.rtp.header_extensions import elements_of, read_capture_time
-from kontur_av.rtp.wire import RtcpSrPacket, RtpPacket, signed_32
+from kontur_av.rtp.wire import RtcpSrPacket, RtpPacket
 
 #: Timestamps that step back by more, or otherwise than time by more, no longer belong to a report.
 _STEP_BACK_NS, _STEP_NS = NS_PER_S, 10 * NS_PER_S
@@ -41,7 +42,7 @@ class SenderClock:
 
     def ticks_ns(self, timestamp: int, since: int) -> int:
         """Return the time between two timestamps, in ns."""
-        return signed_32(timestamp - since) * NS_PER_S // self._rate_hz
+        return signed(timestamp - since) * NS_PER_S // self._rate_hz
 
     def handle_source(self, ssrc: int) -> tuple[RtcpSrPacket, int] | None:
         """A source is accepted. Return its report, if one came already, and when it came."""
@@ -121,7 +122,7 @@ class SenderClock:
                 return None
             info = kept[0].sender_info
             anchor = info.rtp_timestamp * self.scale, info.ntp_timestamp
-        ticks = signed_32(timestamp - anchor[0])
+        ticks = signed(timestamp - anchor[0])
         anchor_ns = unix_ns_from_ntp(anchor[1]) - self._wall_offset_ns
         told_ns = anchor_ns + round(ticks * NS_PER_S / self._rate_hz)
         return told_ns if self._bend is None else told_ns + self._bent_ns(timestamp, *self._bend)

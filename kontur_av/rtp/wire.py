@@ -24,6 +24,7 @@ from aiortc.rtp import pack_remb_fci as pack_remb_fci
 from aiortc.rtp import unpack_remb_fci as unpack_remb_fci
 
 from kontur_av.errors import ProtocolError
+from kontur_av.modular import signed
 from kontur_av.rtp.header_extensions import header_octets
 
 SDES_CNAME, SDES_TOOL = 1, 6  # RFC 3550 sections 6.5.1 and 6.5.6
@@ -128,11 +129,6 @@ def receiver_report(ssrc: int, block: RtcpReceiverInfo | None, cname: bytes) -> 
     return bytes(RtcpRrPacket(ssrc, blocks)) + cname_packet(ssrc, cname, tool=TOOL)
 
 
-def signed_32(difference: int) -> int:
-    """Return the difference of two 32-bit timestamps as a signed number: -2^31 to 2^31 - 1."""
-    return ((difference + 0x8000_0000) & 0xFFFF_FFFF) - 0x8000_0000
-
-
 class TimestampUnwrapper:
     """Removes the wrap-around from 32-bit timestamps. The first one becomes 0."""
 
@@ -147,6 +143,6 @@ class TimestampUnwrapper:
         """
         if self._origin is None:
             self._origin = timestamp
-        ticks = self._latest + signed_32(timestamp - self._origin - self._latest)
+        ticks = self._latest + signed(timestamp - self._origin - self._latest)
         self._latest = max(self._latest, ticks)
         return ticks

@@ -36,7 +36,9 @@ def check_microphone(device: str) -> None:
     The check opens the device briefly and records one sample.
     """
     program = _arecord()
-    mend = f"choose from `kontur-av devices`, or try alsa:{_converted(device)}"
+    # With ALSA's conversion of rate, channels and format.
+    converted = f"plug{device}" if device.startswith("hw:") else "plughw:0"
+    mend = f"choose from `kontur-av devices`, or try alsa:{converted}"
     try:
         done = subprocess.run(
             [*_command(program, device), "-s", "1"],
@@ -61,11 +63,6 @@ def check_microphone(device: str) -> None:
         raise ConfigError(
             f"microphone {device!r} records at {int(other[1])} Hz, not at {AUDIO_CLOCK_HZ}: {mend}"
         )
-
-
-def _converted(device: str) -> str:
-    """The name of a device with ALSA's conversion of rate, channels and format."""
-    return f"plug{device}" if device.startswith("hw:") else "plughw:0"
 
 
 def _arecord() -> str:

@@ -95,7 +95,8 @@ class PipeVideo(StampingSource):
 
     def _fetch(self, give_up_ns: int) -> bool:
         """Wait for octets and read them; False if `give_up_ns` has passed."""
-        free_ns = self._free_at_ns()
+        # A credit of two pictures, so that a live writer's jitter is never throttled.
+        free_ns = self._paid_until_ns - 2 * self._period_ns()
         now_ns = self._clock.now_ns()
         if free_ns > now_ns:
             self._clock.sleep_until_ns(min(free_ns, give_up_ns))
@@ -118,8 +119,12 @@ class PipeVideo(StampingSource):
             return True
         if octets:
             self._reader.handle_written(octets)
-        else:
-            self._handle_writer_gone()
+            return True
+        if self._reader.header is not None:
+            self._fault("the writer has gone")
+        self._reader.handle_end()
+        # A FIFO without a writer reports end of file until it is opened again.
+        self._reopen()
         return True
 
     def _period_ns(self) -> int:
@@ -127,11 +132,6 @@ class PipeVideo(StampingSource):
         header = self._reader.header
         stated_hz = header.rate_hz if header else None
         return int(NS_PER_S / (stated_hz if stated_hz and stated_hz >= _LEAST_HZ else self._fps))
-
-    def _free_at_ns(self) -> int:
-        """When the writer may be read again."""
-        # A credit of two pictures, so that a live writer's jitter is never throttled.
-        return self._paid_until_ns - 2 * self._period_ns()
 
     def _write(self, picture: Y4mPicture, into: I420) -> bool:
         header = picture.header
@@ -149,13 +149,6 @@ class PipeVideo(StampingSource):
             self._fault(error)
             return False
         return True
-
-    def _handle_writer_gone(self) -> None:
-        if self._reader.header is not None:
-            self._fault("the writer has gone")
-        self._reader.handle_end()
-        # A FIFO without a writer reports end of file until it is opened again.
-        self._reopen()
 
     def _reopen(self) -> None:
         # Open the new end before closing the old one, so that a writer never finds the FIFO without

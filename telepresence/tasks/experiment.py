@@ -282,17 +282,13 @@ class Experiment:
                 given = self._ending if self._ending[1] == event.reason else None
                 self._finish(*(given or (event.result, event.reason)), now_ns)
             elif self._phase is Phase.PREPARING:
-                self._offer(now_ns)
+                assert self._task is not None
+                self._log(RunStep.PREPARED, now_ns)
+                self._phase, self._since_ns, self._told = Phase.OFFERED, now_ns, self._task
+                self._tell(self._task)
+                self._log(RunStep.TOLD, now_ns)
             else:
                 self._finish(TaskResult.FINISHED, "", now_ns)
-
-    def _offer(self, now_ns: int) -> None:
-        task = self._task
-        assert task is not None
-        self._log(RunStep.PREPARED, now_ns)
-        self._phase, self._since_ns, self._told = Phase.OFFERED, now_ns, task
-        self._tell(task)
-        self._log(RunStep.TOLD, now_ns)
 
     def _finish(self, result: TaskResult, reason: str, now_ns: int) -> None:
         task = self._task
