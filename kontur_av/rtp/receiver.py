@@ -245,7 +245,7 @@ class RtpReceiver:
         if extended == self._next:
             if self._waiting:
                 self._depth.handle_late(now_ns - self._gap_since_ns(), now_ns)
-            self._deliver(packet, extended, now_ns, lost_before=0)
+            self._emit(packet, extended, now_ns)
             self._drain(now_ns)
             return
         self._waiting[extended] = _Waiting(packet, now_ns)
@@ -270,29 +270,17 @@ class RtpReceiver:
             return
         counts.rtp_packets += 1
         counts.rtp_payload_octets += len(packet.payload)
-        self._emit(packet, extended, now_ns, lost_before=0)
-
-    def _deliver(
-        self, packet: RtpPacket, extended: int, received_ns: int, *, lost_before: int
-    ) -> None:
-        self._emit(packet, extended, received_ns, lost_before=lost_before)
-        self._next = extended + 1
+        self._emit(packet, extended, now_ns)
 
     def _emit(
-        self, packet: RtpPacket, extended: int, received_ns: int, *, lost_before: int
+        self, packet: RtpPacket, extended: int, received_ns: int, lost_before: int = 0
     ) -> None:
+        payload, timestamp, restart = packet.payload, packet.timestamp, self._restart
         self._events.append(
-            RtpReceived(
-                packet,
-                packet.payload,
-                extended,
-                packet.timestamp,
-                received_ns,
-                lost_before,
-                self._restart,
-            )
+            RtpReceived(packet, payload, extended, timestamp, received_ns, lost_before, restart)
         )
         self._restart = False
+        self._next = max(self._next, extended + 1)
 
     def _gap_since_ns(self) -> int:
         return min(waiting.received_ns for waiting in self._waiting.values())
@@ -300,7 +288,7 @@ class RtpReceiver:
     def _drain(self, now_ns: int) -> None:
         """Deliver packets whose predecessor has come, and set the deadline of the next gap."""
         while (ready := self._waiting.pop(self._next, None)) is not None:
-            self._deliver(ready.packet, self._next, ready.received_ns, lost_before=0)
+            self._emit(ready.packet, self._next, ready.received_ns)
         if not self._waiting:
             self._gap_deadline_ns = None
         else:
@@ -317,7 +305,7 @@ class RtpReceiver:
             number: missed for number, missed in self._given_up.items() if number >= oldest
         }
         behind = self._waiting.pop(extended)
-        self._deliver(behind.packet, extended, behind.received_ns, lost_before=lost)
+        self._emit(behind.packet, extended, behind.received_ns, lost)
         self._drain(now_ns)
 
     def _try_candidate(self, packet: RtpPacket, now_ns: int, source: Any) -> None:
