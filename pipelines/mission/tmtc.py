@@ -240,9 +240,11 @@ class TmtcEnd:
                 pus_sent_octets=node.sent_octets,
                 pus_received=node.received,
                 pus_garbage=node.garbage + user.garbage + self._k2aci.garbage + self._garbage,
+                pus_unexpected=user.unexpected + self._k2aci.unexpected,
                 pus_delayed=node.delayed,
                 pus_dropped=sum(one.dropped_reports for one in applications)
                 + user.dropped_events
+                + self._k2aci.dropped_answers
                 + self._dropped,
                 pus_telecommands=user.sent,
                 pus_telecommands_repeated=user.repeated,

@@ -225,6 +225,7 @@ def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> Hapti
         saved_bps=None if left_out is None else haptic_bps(profile, left_out, seconds),
         receiver=received,
         latency_ms=spread_ms(figures.latency),
+        unmatched=figures.unmatched,
         pauses_s=_pauses_s(figures.pauses, collector),
         lateness_us=punctuality_us(sender.lateness),
         loop=sender.total(LoopFigures),
