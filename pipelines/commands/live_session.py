@@ -83,7 +83,6 @@ def with_status(
     """
     tell = status_teller()
     attached = ExperimentWatch(collector, attached=True)
-    gateway = collector.topology.gateway(end).name
     notes: NotesReader | None = None
 
     def show_and_tell(launcher: Launcher) -> None:
@@ -99,7 +98,7 @@ def with_status(
             events = [event for event in log.events if event.what == UPKEEP]
             with suppress(OSError):
                 write_now(launcher.session, SessionNow(experiment=experiment, events=events))
-        link = collector.process(gateway).link
+        link = collector.gateway(end).link
         if tell is not None and link is not None:
             tell(replace(status_of(link.supervision), busy=bool(experiment)))
         show(launcher)

@@ -264,7 +264,7 @@ def clock_words(peer: str, clock: ClockFigures) -> str:
 def clock_lines(collector: Collector) -> Iterator[str]:
     """The line of each gateway of this session whose peer is on another machine."""
     for segment in Segment:
-        link = collector.process(collector.topology.gateway(segment).name).link
+        link = collector.gateway(segment).link
         if link is not None and link.clock is not None:
             yield clock_words(segment.peer.value, link.clock)
 

@@ -147,8 +147,7 @@ def skew_reports(collector: Collector) -> dict[str, SkewReport | None]:
 
 def _radio_epoch_ns(collector: Collector) -> int:
     """When the radio's time began: with its gateway."""
-    first = collector.topology.segments[0]
-    for link in collector.process(collector.topology.gateway(first).name).links():
+    for link in collector.gateway(collector.topology.segments[0]).links():
         return link.supervision.begun_ns
     return 0
 
