@@ -164,7 +164,6 @@ def server_info(name: str, session: str, *, commands: bool) -> str:
 
 
 def advertise(rows: Iterable[ChannelRow]) -> str:
-    """Return the message that names the channels."""
     channels = []
     for row in rows:
         schema, channel = row.records()
@@ -182,7 +181,6 @@ def advertise(rows: Iterable[ChannelRow]) -> str:
 
 
 def advertise_services(rows: Iterable[ServiceRow]) -> str:
-    """Return the message that names the services."""
     services = [
         {
             "id": row.number,
@@ -222,12 +220,10 @@ def parameter_values(values: Mapping[str, Value], request: str | None = None) ->
 
 
 def status(words: str) -> str:
-    """Return a warning."""
     return _text("status", level=WARNING, message=words)
 
 
 def message_data(subscription: int, log_ns: int, data: bytes) -> bytes:
-    """Return a message of a channel."""
     return _DATA_HEAD.pack(_DATA, subscription, log_ns) + data
 
 

@@ -34,7 +34,6 @@ class ReplayTime:
         self._recorded_ns, self._replayed_ns, self._speed = recorded_ns, replayed_ns, speed
 
     def at(self, recorded_ns: int) -> int:
-        """Return the instant in the replay."""
         since_ns = recorded_ns - self._recorded_ns
         if self._speed != 1.0:
             since_ns = round(since_ns / self._speed)

@@ -55,7 +55,6 @@ class Screen:
             self._draw(now_ns)
 
     def next_event(self) -> Drawing | None:
-        """Return what to draw now, or None."""
         drawing, self._drawing = self._drawing, None
         return drawing
 
@@ -108,7 +107,6 @@ class Showing:
             screen.handle_time(now_ns)
 
     def next_event(self) -> Drawing | None:
-        """Return what to draw now, or None."""
         for screen in self._screens.values():
             drawing = screen.next_event()
             if drawing is not None:

@@ -256,7 +256,6 @@ class ProcessSupervisor:
         self._complete()
 
     def poll_transmit(self) -> ProcessOrder | None:
-        """Return the next order for the launcher, or None."""
         return self._orders.popleft() if self._orders else None
 
     def next_event(self) -> FunctionDone | RaiseEvent | SetValues | None:

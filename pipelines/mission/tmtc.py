@@ -207,7 +207,6 @@ class TmtcEnd:
         return self._node.next_local()
 
     def next_event(self) -> TmtcNews | None:
-        """Return the next news for the processes of this segment, or None."""
         return self._news.popleft() if self._news else None
 
     def _collect(self, now_ns: int) -> None:

@@ -319,7 +319,6 @@ def update_words(update: CommandUpdate) -> str:
 
 
 def selection_error(camera: str, update: CommandUpdate) -> str:
-    """Why a camera is not selected."""
     if update.verified or update.stage == "refused":
         return update.reason
     if update.reason == SUPERSEDED:

@@ -86,7 +86,6 @@ class CodedContainer:
         return self._write(self._sound, data, (ticks, ticks), rate_hz, True, duration)
 
     def close(self) -> None:
-        """Finish the file."""
         try:
             self._container.close()
         except av.FFmpegError as error:

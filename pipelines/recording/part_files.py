@@ -114,7 +114,6 @@ def _old_parts(path: Path) -> Iterator[Path]:
 
 
 def _is_being_written(path: Path) -> bool:
-    """Whether a recorder has it open."""
     with suppress(OSError), path.open("rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -159,7 +158,6 @@ class PartFiles:
 
     @property
     def newest(self) -> Path:
-        """The file of the newest part."""
         return part_path(self._path, max(1, self._last))
 
     @property

@@ -248,7 +248,6 @@ class SessionMessages:
         return ChannelMessage(source.channels[0], pack(picture), wall_ns, number, at)
 
     def of_event(self, event: RecordedEvent, now_ns: int) -> tuple[ChannelMessage, ChannelMessage]:
-        """Return an event, and its line for people."""
         at = Instants(now_ns, now_ns)
         wall_ns = event.session_ns + self._offset_ns
         level = LogLevel.WARNING if event.what in _WARNINGS else LogLevel.INFO

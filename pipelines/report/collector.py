@@ -87,7 +87,6 @@ class Collector:
         return self.process(self.topology.media(stream).display).total(DisplayFigures, stream)
 
     def received(self, stream: str) -> ReceiverCounts:
-        """The packets that came of a stream."""
         figures = self.process(self.topology.media(stream).receiver)
         found = figures.find(VideoReceiverCounts) or figures.find(VoiceReceiverCounts)
         return ReceiverCounts() if found is None else found.rtp

@@ -305,6 +305,5 @@ class LinkScreen:
         self._shown = len(lines)
 
     def show_lines(self, lines: Sequence[str]) -> None:
-        """Lines that stay."""
         if not self._quiet:
             say("\n".join(lines))

@@ -96,7 +96,6 @@ def task_runs(collector: Collector, epoch_ns: int) -> list[TaskRow] | None:
 
 
 def run_since(epoch_ns: int, run: TaskRow) -> TaskRow:
-    """Return a run with its instants since `epoch_ns`."""
     change = msgspec.structs.replace
     steps = [change(one, at_ns=one.at_ns - epoch_ns) for one in run.steps]
     return change(run, selected_ns=run.selected_ns - epoch_ns, steps=steps)
@@ -270,7 +269,6 @@ def clock_lines(collector: Collector) -> Iterator[str]:
 
 
 def cpu_report(cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float) -> CpuReport:
-    """The CPU time of a session of `seconds`."""
     total_s = sum(cpu_s.values()) + launcher_cpu_s
     return CpuReport(
         total_s=round(total_s, 2),

@@ -162,7 +162,6 @@ def _pauses_s(pauses: Pauses, collector: Collector) -> list[tuple[float, float]]
 def stream_report(
     stream: VideoStream | VoiceStream, collector: Collector, seconds: float
 ) -> StreamReport:
-    """One media stream in a session that ran for `seconds`."""
     figures = collector.streams[stream.name]
     row = collector.topology.media(stream.name)
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
@@ -211,7 +210,6 @@ def joystick_report(collector: Collector) -> JoystickFigures | None:
 
 
 def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> HapticReport:
-    """One direction of haptics in a session that ran for `seconds`."""
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     profile, figures = collector.setup.profile(row.direction), collector.haptics[row.key]
     sent, received = sender.total(SamplesSent), receiver.total(SamplesReceived)
@@ -303,6 +301,5 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
 
 
 def latency_ms(figures: StreamFigures) -> float | None:
-    """The latency of what was displayed last."""
     newest = figures.last_latency_ns
     return None if newest is None else newest / NS_PER_MS

@@ -102,7 +102,6 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
 
 
 def find_loop_warnings(collector: Collector, process: str) -> list[Warning]:
-    """The warnings of a process if it is a loop of 1 kHz."""
     if collector.topology.process(process).priority != LOOP_PRIORITY:
         return []
     figures = collector.process(process)

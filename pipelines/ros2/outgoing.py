@@ -100,7 +100,6 @@ class JoinedStream:
             self._release()
 
     def next_event(self) -> KeyPictureWanted | None:
-        """Return the key picture that is wanted, once, or None."""
         if self._told:
             return None
         self._told = True

@@ -467,7 +467,6 @@ class Seat:
             self._tell_state(now_ns)
 
     def _tell_mission(self) -> None:
-        """Send the pages what changed of the mission."""
         for kind, text in self.mission.poll_texts().items():
             for page in self._pages.values():
                 page.queue.put_newest(kind, text)

@@ -159,7 +159,6 @@ class StudyDesk:
         )
 
     def show(self, now_ns: int) -> StudyShown:
-        """What the page says."""
         title, words, main, other = self._said()
         return StudyShown(
             screen=self._screen,

@@ -92,7 +92,6 @@ class SessionArchive(Closing):
         return True
 
     def sessions(self) -> list[ArchivedSession]:
-        """All sessions, oldest first."""
         rows = self._base.execute(
             "select id, written, name, setup, seconds, failures from session order by written, id"
         )
@@ -121,7 +120,6 @@ class SessionArchive(Closing):
         ).fetchall()
 
     def close(self) -> None:
-        """Close the file."""
         self._base.close()
 
 

@@ -258,7 +258,6 @@ class LoaderKeeper:
         self._update = None
 
     def _obey(self, now_ns: Callable[[], int], order: str) -> str:
-        """Do an order that came into the inbox."""
         assert self._loader is not None
         self._act(self._loader, now_ns(), order)
         return "done"

@@ -67,11 +67,9 @@ class SessionWatch(Closing):
         self._announced = now.events[-1].number if now is not None and now.events else 0
 
     def runs(self) -> bool:
-        """Whether the session still runs."""
         return any(self.name in running_sessions(tmtc_socket_name(end)) for end in Segment)
 
     def contact(self) -> bool:
-        """Whether the gateway here has a signal."""
         for reader in self._links:
             octets = _newest(reader, wait=False)
             if octets is not None:
@@ -108,7 +106,6 @@ class SessionWatch(Closing):
             add_note(self.name, note)
 
     def close(self) -> None:
-        """Leave the session."""
         self._bus.close()
 
 

@@ -178,7 +178,6 @@ class VersionKeeper:
         return "added and started"
 
     def _obey(self, switch: VersionSwitch, now_ns: Callable[[], int], order: str) -> str:
-        """Do an order that came into the inbox."""
         self._act(switch, order, now_ns())
         word, _, name = order.partition(" ")
         if word == "remove":

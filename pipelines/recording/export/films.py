@@ -62,7 +62,6 @@ class FilmUnits:
             yield from self.handle_end()
 
     def handle_facts(self, message: JoinedMessage) -> Iterator[FilmUnit]:
-        """Take a message with facts."""
         held = self._held
         try:
             facts = unpack(UnitFacts, message.data)

@@ -401,7 +401,6 @@ class _Writing:
         return colours
 
     def end(self) -> None:
-        """Write the tables."""
         import pyarrow as pa
 
         rows = {key: np.concatenate([one[key] for one in self._rows]) for key in self._rows[0]}

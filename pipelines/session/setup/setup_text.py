@@ -65,7 +65,6 @@ def _voice(stream: VideoStream | VoiceStream) -> Iterator[str]:
 
 
 def _toml(value: str | float | tuple[str, ...]) -> str:
-    """A value of TOML."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, bool):
@@ -74,6 +73,5 @@ def _toml(value: str | float | tuple[str, ...]) -> str:
 
 
 def _text(text: str) -> str:
-    """A basic string of TOML."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
