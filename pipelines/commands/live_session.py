@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog
 from pipelines.report.model import ReplayReport
@@ -38,10 +38,8 @@ def made_directory(path: Path | None) -> Path | None:
     """The directory for snapshots, which is made if need be; ConfigError if it cannot be."""
     if path is None:
         return None
-    try:
+    with refused(f"--snapshots {path}"):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--snapshots {path}: {error.strerror or error}") from None
     if not os.access(path, os.W_OK):
         raise ConfigError(f"--snapshots {path}: cannot be written to; choose another directory")
     return path.absolute()

@@ -10,7 +10,7 @@ from typing import Annotated, Final, NamedTuple
 
 import msgspec
 
-from kontur_av.errors import ProtocolError
+from kontur_av.errors import ProtocolError, refused
 from pipelines.recording.channels import ChannelRow
 from telepresence.malformed import MALFORMED
 
@@ -118,11 +118,9 @@ Value = bool | int | float | str | list["Value"] | dict[str, "Value"] | None
 
 def parse_text(text: str) -> ClientText:
     """Return a client's request; ProtocolError for anything else."""
-    try:
+    with refused("no request of a client", *MALFORMED, to=ProtocolError):
         request: ClientText = _TEXTS.decode(text)
         return request
-    except MALFORMED as error:
-        raise ProtocolError(f"no request of a client: {error}") from None
 
 
 def parse_octets(octets: bytes) -> ServiceCall:
@@ -140,10 +138,8 @@ def parse_fields(row: ServiceRow, call: ServiceCall) -> Mapping[str, str]:
     """Return the fields of a request; ProtocolError for anything else."""
     if call.encoding != JSON:
         raise ProtocolError(f"{row.name} takes {JSON}, not {call.encoding[:20]!r}")
-    try:
+    with refused(row.name, *MALFORMED, to=ProtocolError):
         given = msgspec.json.decode(call.data or b"{}", type=dict[_Name, _Name])
-    except MALFORMED as error:
-        raise ProtocolError(f"{row.name}: {error}") from None
     if set(given) != set(row.fields):
         needs = ", ".join(row.fields) or "nothing"
         raise ProtocolError(f"{row.name} takes {needs}")

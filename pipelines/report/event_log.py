@@ -20,7 +20,7 @@ from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.task_journal import KEPT, OPEN
 from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
 from telepresence.haptics.figures import JoystickFigures
-from telepresence.haptics.ownership import OwnershipFigures
+from telepresence.haptics.ownership import OwnerEvent, OwnershipFigures
 from telepresence.link.figures import SupervisionFigures
 from telepresence.link.peer.figures import PeerFigures
 from telepresence.tasks.experiment import RunStep
@@ -134,7 +134,7 @@ class EventLog:
             yield from self._dated(name, told.events, "telemetry")
 
     def _dated(
-        self, who: str, events: Sequence[DatedEvent], *kind: str
+        self, who: str, events: Sequence[DatedEvent | OwnerEvent], *kind: str
     ) -> Iterator[tuple[int, str, str]]:
         record = [(event.at_ns, event.what) for event in events]
         return self._fresh("session", who, record, who, *kind)

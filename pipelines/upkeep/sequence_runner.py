@@ -14,7 +14,7 @@ from typing import TextIO
 import msgspec
 
 from kontur_av.closing import Closing
-from kontur_av.errors import ConfigError
+from kontur_av.errors import refused
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.link.figures import unpack_link
 from pipelines.mission.tmtc_socket import tmtc_socket_name
@@ -125,10 +125,8 @@ class MaintenanceLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
+        with refused(f"--log {path}"):
             self._file: TextIO = path.open("a", encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"--log {path}: {error.strerror or error}") from None
 
     def write(self, what: str, **fields: str | int) -> None:
         """Append a line at once, so that nothing is lost when this program is killed."""

@@ -17,7 +17,7 @@ from kontur_av.codecs.coded_size import (
     coded_size_for,
 )
 from kontur_av.codecs.opus import bitrate_under_cap
-from kontur_av.errors import ConfigError, one_of
+from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import VIDEO_CODECS, VideoCodec, check_size
 from kontur_av.streams.budget import Pacer
 from pipelines.session.setup.segments import Direction
@@ -142,10 +142,8 @@ class VoiceStream:
             raise ConfigError(
                 f"{self.name}: a cap of {self.cap_bps / 1000:g} kbit/s; take at most 128"
             )
-        try:
+        with refused(self.name, ConfigError):
             bitrate_under_cap(self.cap_bps)
-        except ConfigError as error:
-            raise ConfigError(f"{self.name}: {error}") from None
         _check_stale_after(self)
 
 
@@ -373,10 +371,8 @@ class Setup:
                     f"region_points of {camera}: setup {self.name} has no such camera: it has "
                     f"{', '.join(self.cameras)}"
                 )
-            try:
+            with refused(f"region_points of {camera}", ConfigError):
                 BoardView.from_corners(points)
-            except ConfigError as error:
-                raise ConfigError(f"region_points of {camera}: {error}") from None
         if self.region == "off":
             if self.region_points:
                 raise ConfigError('region_points without a region: add region = "stylus"')
