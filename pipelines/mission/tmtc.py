@@ -112,6 +112,8 @@ class TmtcEnd:
             rate_bps=PUS_RATE_BPS,
             epoch_ns=epoch_ns,
         )
+        #: Returns the next packet that stays at this end, or None.
+        self.next_local = self._node.next_local
         self._garbage = 0
         self._dropped = 0
         #: Requests that were handled, with the newest news of each.
@@ -201,10 +203,6 @@ class TmtcEnd:
         """When `poll_transmit` has something next, or None."""
         due = [*self._asked.values(), self._node.poll_timeout(now_ns)]
         return min((one for one in due if one is not None), default=None)
-
-    def next_local(self) -> bytes | None:
-        """Return the next packet that stays at this end, or None."""
-        return self._node.next_local()
 
     def next_event(self) -> TmtcNews | None:
         return self._news.popleft() if self._news else None

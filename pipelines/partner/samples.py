@@ -8,6 +8,7 @@ that tells the other end that this one is there.
 import asyncio
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 
 from aiortc import (
     RTCConfiguration,
@@ -104,11 +105,9 @@ class SamplePeer:
                 waited_s = loop.time() - (self._heard_s if stood else began_s)
                 self.fault = f"nothing has come for {waited_s:.0f} s"
                 break
-            try:
+            with suppress(TimeoutError):
                 async with asyncio.timeout(_TELL_S):
                     await self._ended.wait()
-            except TimeoutError:
-                continue
         await self.close()
 
     async def close(self) -> None:

@@ -18,6 +18,7 @@ from pipelines.hand.hand_topics import unpack_status
 from pipelines.hand.haptic_trace import rows_of
 from pipelines.mission.tmtc_messages import K2aciArrived, unpack_news
 from pipelines.recording.own_pictures import MOST_HELD_OCTETS, KeyPictureWanted, StreamStart
+from pipelines.recording.session_messages import SampleNumbers
 from pipelines.ros2.messages import RosMessages
 from pipelines.ros2.publications import (
     CHAT_TOPIC,
@@ -148,7 +149,7 @@ class OutgoingMessages:
     def __init__(self, messages: RosMessages) -> None:
         self._messages = messages
         self.missed: Counter[str] = Counter()
-        self._sequences: dict[str, int] = {}
+        self._numbers = SampleNumbers()
         #: By source of access units.
         self._streams: dict[RosSource, JoinedStream] = {}
         #: By topic of pictures: when the next one is due.
@@ -158,7 +159,7 @@ class OutgoingMessages:
 
     def handle_joined(self, source: RosSource) -> None:
         """The topic is read from now on."""
-        self._sequences.pop(source.topic, None)
+        self._numbers.forget(source.topic)
 
     def handle_subscriber(self, source: RosSource, now_ns: int) -> None:
         """Somebody has subscribed to access units."""
@@ -189,9 +190,9 @@ class OutgoingMessages:
         """Yield the messages of any other sample. wanted: publications that have subscribers."""
         chosen = [one for one in source.publications if one in wanted]
         if source.content is RosContent.UNIT and not chosen:
-            self._sequences.pop(source.topic, None)
-        else:
-            self._count(source, stamp)
+            self._numbers.forget(source.topic)
+        elif missed := self._numbers.handle_sample(source.topic, stamp.sequence):
+            self.missed[source.topic] += missed
         if source.content is RosContent.UNIT:
             stream, unit = self._stream(source), CodedUnit.unpack(octets)
             stream.handle_unit(unit, stamp, now_ns, subscribed=bool(chosen))
@@ -257,13 +258,6 @@ class OutgoingMessages:
                 yield Outbound(publication, made.wrench(rows, source.name))
             elif self._halves:
                 yield Outbound(publication, made.joy(rows, source.name, self._halves))
-
-    def _count(self, source: RosSource, stamp: CaptureStamp) -> None:
-        before = self._sequences.get(source.topic)
-        self._sequences[source.topic] = stamp.sequence
-        # A smaller number is that of a writer that was started again.
-        if before is not None and stamp.sequence > before + 1:
-            self.missed[source.topic] += stamp.sequence - before - 1
 
 
 def _leaves(figures: object, name: str = "") -> Iterator[tuple[str, object]]:
