@@ -51,7 +51,7 @@ from pipelines.recording.session_messages import (
     SampleNumbers,
     SessionMessages,
 )
-from pipelines.session.figures import SessionEvents
+from pipelines.session.figures import SessionEvents, leaves
 from pipelines.session.seat_roles import VIEWER_WORDS
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Topology
@@ -100,7 +100,7 @@ class Bridge:
         self._events: deque[Sequence[ChannelMessage]] = deque(maxlen=_KEPT_EVENTS)
         self._figures: Mapping[str, Figure] = {}
         self._figures_ns = 0
-        self._setup = dict(_flat("setup", tomllib.loads(setup_toml(topology.setup))))
+        self._setup = dict(leaves(tomllib.loads(setup_toml(topology.setup)), "setup"))
         self.services = Services(topology, life)
         #: By channel, of clients that have gone; missed: of all.
         self._sent: Counter[str] = Counter()
@@ -321,12 +321,3 @@ class Bridge:
         messages = self._messages.of_event(event, now_ns)
         self._events.append(messages)
         self._put(messages, now_ns)
-
-
-def _flat(name: str, value: object) -> Iterator[tuple[str, Value]]:
-    """The values of nested tables, by their whole names."""
-    if isinstance(value, dict):
-        for key, one in value.items():
-            yield from _flat(f"{name}.{key}", one)
-    else:
-        yield name, value  # type: ignore[misc]  # of TOML

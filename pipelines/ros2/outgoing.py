@@ -30,7 +30,7 @@ from pipelines.ros2.publications import (
     RosContent,
     RosSource,
 )
-from pipelines.session.figures import MonitoredSession
+from pipelines.session.figures import MonitoredSession, leaves
 from telepresence.tmtc.k2aci import Chat
 
 #: Units wait no longer for a key picture; then they go out without one.
@@ -228,7 +228,11 @@ class OutgoingMessages:
         news = msgspec.json.decode(told, type=MonitoredSession)
         report = msgspec.json.decode(news.report)
         parts = {
-            f"{part} {name}": dict(_leaves(figures))
+            f"{part} {name}": {
+                key: value
+                for key, value in leaves(figures)
+                if value is not None and not isinstance(value, list)
+            }
             for part in _TOLD
             for name, figures in report.get(part, {}).items()
         }
@@ -258,12 +262,3 @@ class OutgoingMessages:
                 yield Outbound(publication, made.wrench(rows, source.name))
             elif self._halves:
                 yield Outbound(publication, made.joy(rows, source.name, self._halves))
-
-
-def _leaves(figures: object, name: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the numbers and texts of a part of the report, by their keys joined by dots."""
-    if isinstance(figures, dict):
-        for key, value in figures.items():
-            yield from _leaves(value, f"{name}.{key}" if name else key)
-    elif not isinstance(figures, list) and figures is not None:
-        yield name, figures
