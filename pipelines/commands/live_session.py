@@ -34,14 +34,14 @@ def add_live_arguments(parser: argparse.ArgumentParser) -> None:
     loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
 
 
-def made_directory(path: Path | None) -> Path | None:
-    """The directory for snapshots, which is made if need be; ConfigError if it cannot be."""
+def made_directory(path: Path | None, option: str) -> Path | None:
+    """The directory of an option, which is made if need be; ConfigError if it cannot be."""
     if path is None:
         return None
-    with refused(f"--snapshots {path}"):
+    with refused(f"{option} {path}"):
         path.mkdir(parents=True, exist_ok=True)
     if not os.access(path, os.W_OK):
-        raise ConfigError(f"--snapshots {path}: cannot be written to; choose another directory")
+        raise ConfigError(f"{option} {path}: cannot be written to; choose another directory")
     return path.absolute()
 
 

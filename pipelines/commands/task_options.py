@@ -94,7 +94,7 @@ def task_wish(
         catalogue=catalogue,
         plan=plan,
         leds=None if args.leds is None else _address(args.leds),
-        runs=made_directory(args.runs),
+        runs=made_directory(args.runs, "--runs"),
         simulated=simulated,
         two_hands=two_hands,
     )
