@@ -451,7 +451,6 @@ class CodingCosts:
         return max(1, round(cost_ms * NS_PER_MS))
 
     def picture_ns(self, name: str, codec: VideoCodec) -> int:
-        """Return the duration `name` of a picture of this codec, as `ns`."""
         return self.ns(name if codec == "h264" else f"{name}_{codec}")
 
 

@@ -99,8 +99,8 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
     """
     found = []
     for segment in segments:
-        gateway = collector.topology.gateway(segment).name
-        peer = collector.process(gateway).find(PeerFigures)
+        gateway, figures = collector.topology.gateway(segment).name, collector.gateway(segment)
+        peer = figures.find(PeerFigures)
         if peer is not None and not peer.protected:
             found.append(
                 Warning(
@@ -110,8 +110,7 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
                     mend="leave --insecure out at both ends: `kontur-av keys new`",
                 )
             )
-        link = collector.process(gateway).link
-        clock = None if link is None else link.clock
+        clock = None if figures.link is None else figures.link.clock
         if clock is not None and clock.offset_ns is None and clock.messages_received:
             found.append(
                 Warning(
@@ -126,7 +125,6 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
 
 
 def find_loop_warnings(collector: Collector, process: str) -> list[Warning]:
-    """The warnings of a process if it is a loop of 1 kHz."""
     if collector.topology.process(process).priority != LOOP_PRIORITY:
         return []
     figures = collector.process(process)
@@ -211,7 +209,7 @@ def _free_channel(collector: Collector, seconds: float) -> bool:
     if seconds * NS_PER_S < _LEAST_NS:
         return False
     for segment in Segment:
-        for link in collector.process(collector.topology.gateway(segment).name).links():
+        for link in collector.gateway(segment).links():
             heard = link.receive
             lost_share = heard.frames_lost / max(1, heard.frames_received + heard.frames_lost)
             signal_share = link.supervision.contact_ns / (seconds * NS_PER_S)
