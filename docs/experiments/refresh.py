@@ -14,19 +14,22 @@ all pictures with prediction, and what one picture takes more without it, once i
 
 import argparse
 from fractions import Fraction
+from functools import partial
 from random import Random
 
 import av
 import numpy as np
 
 from benchmarks.video.clips import CLIPS, clips
+from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.scaling import shrink
 from kontur_av.media import I420, CaptureStamp, VideoFrame, empty_picture
-from pipelines.bench.video.clips import Clip
+from pipelines.bench.video.clips import Clip, mirrored
 from pipelines.bench.video.figures import psnr_db
+from telepresence.world import render, scripted_state
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 CAP_BPS, CHANNEL_BPS = 85_000, 88_000
@@ -40,6 +43,7 @@ SKIPPED_S = 2
 #: (wave, key picture) each so many seconds. A wave each minute stands for none.
 WAYS = ((60, None), (0.5, None), (1, None), (2, None), (4, None), (8, None), (60, 10), (4, 10))
 SIZES = ((256, 192), (320, 240), (384, 288), (640, 480))
+BOARD = ("static", "rest")
 QUANTISERS = (20, 25, 30, 34, 38, 42, 46, 50)
 LIKE_H264_SETTINGS = (
     "sliced-threads=0:scenecut=0:psy=0:aq-mode=0:weightp=0:partitions=p8x8,i8x8,i4x4"
@@ -47,6 +51,14 @@ LIKE_H264_SETTINGS = (
 )
 
 Units = list[tuple[int, bytes]]
+
+
+def board(name: str, count: int) -> Clip:
+    """The task board; nothing moves in *rest*."""
+    pictures = np.zeros((1 if name == "rest" else count, HEIGHT * 3 // 2, WIDTH), np.uint8)
+    for number, picture in enumerate(pictures):
+        render("static", scripted_state(number * NS_PER_S // FPS), picture, number)
+    return Clip(name, pictures, mirrored(len(pictures), count), tuned_on=True)
 
 
 def coded(clip: Clip, wave_s: float, key_s: float | None) -> tuple[str, Units]:
@@ -150,10 +162,13 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=24.0)
     parser.add_argument("--floor", action="store_true")
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(CLIPS))
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join((*CLIPS, *BOARD)))
     args = parser.parse_args()
     count = round(args.seconds * FPS)
-    for _, make in clips([], WIDTH, HEIGHT, FPS, count, print, only=frozenset(args.names)):
+    wanted = frozenset(args.names)
+    makers = [make for _, make in clips([], WIDTH, HEIGHT, FPS, count, print, only=wanted)]
+    makers += [partial(board, name, count) for name in BOARD if not wanted or name in wanted]
+    for make in makers:
         made = make()
         if args.floor:
             for columns in (1, 2):
