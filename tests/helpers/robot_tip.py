@@ -30,20 +30,11 @@ class Tip:
 
     def way(self, seconds):
         """Return the largest distance (m) from where it was at first, on an axis."""
-        end_s = time.monotonic() + seconds
-        return self.way_until(lambda: time.monotonic() >= end_s, "the end of the time")
-
-    def way_until(self, over, what):
-        """The same, until `over()`."""
-        (x_m, y_m), most_m = self.place(), 0.0
-
-        def looked():
-            nonlocal most_m
+        x_m, y_m = self.place()
+        end_s, most_m = time.monotonic() + seconds, 0.0
+        while time.monotonic() < end_s:
             place = self.place()
             most_m = max(most_m, abs(place[0] - x_m), abs(place[1] - y_m))
-            return over()
-
-        eventually(looked, what)
         return most_m
 
     def wait_until_it_moves(self):

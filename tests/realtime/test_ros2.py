@@ -236,7 +236,7 @@ class Robot:
         eventually(still, "the rest")
         before = self.place()
         time.sleep(0.5)
-        assert self.place() == pytest.approx(before, abs=1e-4)
+        assert self.place() == pytest.approx(before, abs=5e-5)
         return before
 
 
