@@ -10,7 +10,8 @@ the same quality. Each picture still has its share of the cap, so none is late.
 STEPS = 8
 #: From the left to the right this many times.
 _PASSES = 2
-_FIRST_COLUMNS, _MOST_COLUMNS = 2, 8
+#: With two columns in the first picture, it takes up to two shares.
+_FIRST_COLUMNS, _MOST_COLUMNS = 1, 8
 #: How large the pictures should be, in shares of the cap.
 _SHARES = 1.05
 
