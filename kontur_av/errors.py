@@ -1,6 +1,7 @@
 """Error classes, one for each party that can be at fault."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TypeVar
 
 _Choice = TypeVar("_Choice", bound=str)
@@ -12,6 +13,23 @@ class ConfigError(Exception):
 
 class ProtocolError(Exception):
     """Garbage from the peer. Its receiver counts and drops it, and goes on."""
+
+
+@contextmanager
+def refused(
+    what: object,
+    *kinds: type[Exception],
+    to: type[ConfigError] | type[ProtocolError] = ConfigError,
+) -> Iterator[None]:
+    """Within it, an error of these kinds becomes a `to` that says `what`, and the reason.
+
+    kinds: without any, OSError.
+    """
+    caught = kinds or (OSError,)
+    try:
+        yield
+    except caught as error:
+        raise to(f"{what}: {getattr(error, 'strerror', None) or error}") from None
 
 
 def one_of(text: str, choices: Sequence[_Choice], what: str) -> _Choice:

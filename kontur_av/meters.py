@@ -35,10 +35,11 @@ class Histogram:
 
     def __init__(self) -> None:
         self._counts: NDArray[np.int64] = np.zeros(0, np.int64)
-        self._count = 0
+        self.count = 0
         self._sum = 0
         self._min = _LARGEST
-        self._max = 0
+        #: The largest value, exactly; 0 when nothing was counted.
+        self.max = 0
         #: How many values were negative; each was counted as 0.
         self.negative = 0
 
@@ -60,10 +61,10 @@ class Histogram:
         index = shift * _SUB + (value >> shift) + extra
         self._reach(index)
         self._counts[index] += 1
-        self._count += 1
+        self.count += 1
         self._sum += value
         self._min = min(self._min, value)
-        self._max = max(self._max, value)
+        self.max = max(self.max, value)
 
     def _reach(self, index: int) -> None:
         """Grow the memory until it has this bucket."""
@@ -85,46 +86,37 @@ class Histogram:
         indices = shift * _SUB + (flat >> shift) + np.where(fine, 0, _EXTRA)
         self._reach(int(indices.max()))
         np.add.at(self._counts, indices, 1)
-        self._count += int(flat.size)
+        self.count += int(flat.size)
         self._sum += int(flat.sum(dtype=object)) if flat.max() > 2**40 else int(flat.sum())
         self._min = min(self._min, int(flat.min()))
-        self._max = max(self._max, int(flat.max()))
+        self.max = max(self.max, int(flat.max()))
 
     def merge(self, other: "Histogram") -> None:
         """Add the counts of `other`."""
         self._reach(len(other._counts) - 1)
         self._counts[: len(other._counts)] += other._counts
-        self._count += other._count
+        self.count += other.count
         self._sum += other._sum
         self._min = min(self._min, other._min)
-        self._max = max(self._max, other._max)
+        self.max = max(self.max, other.max)
         self.negative += other.negative
-
-    @property
-    def count(self) -> int:
-        return self._count
 
     @property
     def min(self) -> int:
         """The smallest value, exactly; 0 when nothing was counted."""
-        return self._min if self._count else 0
-
-    @property
-    def max(self) -> int:
-        """The largest value, exactly; 0 when nothing was counted."""
-        return self._max
+        return self._min if self.count else 0
 
     @property
     def mean(self) -> float:
         """The mean; 0 when nothing was counted."""
-        return self._sum / self._count if self._count else 0.0
+        return self._sum / self.count if self.count else 0.0
 
     def percentile(self, p: float) -> float:
         """Return the smallest counted value that at least `p` percent of all do not exceed.
 
         p: from 0 to 100, else ValueError. 0 when nothing was counted.
         """
-        return self.ranked(rank_of(p, self._count)) if self._count else 0.0
+        return self.ranked(rank_of(p, self.count)) if self.count else 0.0
 
     def ranked(self, rank: int) -> float:
         """Return the value of this rank; 1 is the smallest one, `count` the largest."""
@@ -136,7 +128,7 @@ class Histogram:
             shift = min(max(index // _SUB - 1, 0), _WIDEST)
         lowest = (index - shift * _SUB) << shift
         middle = lowest + ((1 << shift) - 1) / 2
-        return float(min(max(middle, self._min), self._max))
+        return float(min(max(middle, self._min), self.max))
 
     def summary_ms(self) -> dict[str, float]:
         """Return p50, p95, p99 and the exact max in milliseconds, of values in nanoseconds."""
@@ -158,7 +150,7 @@ def rank_of(p: float, count: int) -> int:
     return max(ceil(count * p / 100), 1)
 
 
-class _Window:
+class SlidingWindow:
     """The octets of the last `length_ns`, and the largest number so far."""
 
     def __init__(self, length_ns: int) -> None:
@@ -169,15 +161,31 @@ class _Window:
 
     def add(self, now_ns: int, octets: int) -> None:
         events = self._events
-        gone_ns = now_ns - self.length_ns
-        while events and events[0][0] <= gone_ns:
-            self.octets -= events.popleft()[1]
+        self._forget(now_ns)
         if events and events[-1][0] == now_ns:
             events[-1] = (now_ns, events[-1][1] + octets)
         else:
             events.append((now_ns, octets))
         self.octets += octets
         self.most_octets = max(self.most_octets, self.octets)
+
+    def room_ns(self, room_octets: int, octets: int, now_ns: int) -> int:
+        """Return from when on `octets` fit into a window of `room_octets`: `now_ns` or later."""
+        self._forget(now_ns)
+        excess = self.octets + octets - room_octets
+        if excess <= 0:
+            return now_ns
+        for event_ns, event_octets in self._events:
+            excess -= event_octets
+            if excess <= 0:
+                return event_ns + self.length_ns
+        # More than the window can hold: wait until it is empty.
+        return self._events[-1][0] + self.length_ns if self._events else now_ns
+
+    def _forget(self, now_ns: int) -> None:
+        gone_ns = now_ns - self.length_ns
+        while self._events and self._events[0][0] <= gone_ns:
+            self.octets -= self._events.popleft()[1]
 
     def octets_until(self, end_ns: int) -> int:
         """Return the octets of the window that ends at `end_ns`, or at a later last event."""
@@ -196,7 +204,7 @@ class RateMeter:
     """
 
     def __init__(self, windows_ns: tuple[int, ...] = (NS_PER_S, 100_000_000)) -> None:
-        self._windows = {length_ns: _Window(length_ns) for length_ns in windows_ns}
+        self._windows = {length_ns: SlidingWindow(length_ns) for length_ns in windows_ns}
         self.octets = 0
         self.events = 0
         self.first_ns: int | None = None

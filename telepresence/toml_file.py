@@ -130,15 +130,14 @@ def _told(wrong: str, path: str, table: Any, kind: type, what: str) -> str:
         else:
             value = value[int(index)]
     if wrong.startswith("Object missing"):
-        needed = [each.name for each in _needed(holder) if each.name not in value]
+        needed = [
+            each.name
+            for each in fields(holder)
+            if each.default is MISSING and each.default_factory is MISSING
+            if each.name not in value
+        ]
         return f"{name or what} needs {' and '.join(needed)}"
     return f"{name} must be {_wanted(wrong, name, field, holder)}, not {_shown(value)}"
-
-
-def _needed(kind: type) -> Iterator[Field[Any]]:
-    for field in fields(kind):
-        if field.default is MISSING and field.default_factory is MISSING:
-            yield field
 
 
 def _wanted(wrong: str, name: str, field: Field[Any] | None, holder: type) -> str:

@@ -53,9 +53,11 @@ class CellFigures:
 
     felt_first, felt_last, felt_restart: stiffness along the wall's normal over that of a coupling
     without delay (%), at the end of the first press of 1.5 s and three round trips, of the last
-    one, and 1 s after a restart in contact. drag_early, drag_late: force against free motion over
-    its speed (N s/m), in the first 3 s of motion and after 6 s. drift_mm: distance of handle and
-    tip after 3 s of rest. touches: number of contacts; three are planned, and those of taps.
+    one, and 1 s after a restart in contact. drag_early, drag_late: force against free motion of
+    handle and tip over its speed (N s/m), in the first 3 s of motion and after 6 s. drift_mm:
+    distance of handle and tip after 3 s of rest; of a hand with a tremor, which the tip follows
+    with a delay, of their mean places over 1 s. touches: number of contacts; three are planned, and
+    those of taps.
     """
 
     cell: Cell
@@ -111,7 +113,10 @@ def figures(cell: Cell, planned: CellPlan, course: Course) -> CellFigures:
     lives = np.diff(course["joystick_lives"], prepend=1.0) > 0.0
     starts = np.flatnonzero(lives | (np.diff(course["robot_lives"], prepend=1.0) > 0.0))
     felt_again = len(starts) > 0 and cell.at == "contact"
-    shares = _felt(cell, course, handle, motor)
+    apart = handle + vectors(course, "offset") - vectors(course, "tip")
+    normal = np.array(cell.normal)
+    depth_m = (apart + vectors(course, "tip")) @ normal - cell.place / 1000.0
+    shares = _felt(cell, depth_m, motor)
 
     def felt_until(end: int) -> float:
         return float(np.mean(shares[max(0, end - _MEAN_MS) : end]))
@@ -123,9 +128,9 @@ def figures(cell: Cell, planned: CellPlan, course: Course) -> CellFigures:
     held = last[1] - planned.hold_ns // NS_PER_MS, last[1]
     swing_n, middle_n = max(_swing(motor, wall, span) for span in (held, rest))
     calm = not cell.bench_hand.tremor_n
-    apart = handle + vectors(course, "offset") - vectors(course, "tip")
     settled = rest[0] + round(1000 * cell.bench_hand.back_s) + 3000
-    early, late = _drags(cell, handle, motor, contact, _span(phases, START)[1])
+    rested = apart[settled - 100 : settled] if calm else apart[settled - 1000 : settled].mean(0)
+    early, late = _drags(cell, handle, depth_m, motor, contact, _span(phases, START)[1])
     credits = min(course[f"{end}_credit"].min() for end in ("joystick", "robot"))
     return CellFigures(
         cell=cell,
@@ -133,7 +138,7 @@ def figures(cell: Cell, planned: CellPlan, course: Course) -> CellFigures:
         network_uj=1e6 * float((course["motor_work"] + course["drive_work"]).max()),
         robot_uj=1e6 * float((course["drive_work"] - taken_j).max()),
         motors_mj=1e3 * float(course["motor_work"].max()),
-        contact_peak_n=float(-(wall @ np.array(cell.normal)).min()),
+        contact_peak_n=float(-(wall @ normal).min()),
         contact_bound_n=contact_bound_n(cell),
         displayed_peak_n=float(np.hypot(*motor.T).max()),
         step_n_ms=float(steps.max()),
@@ -144,7 +149,7 @@ def figures(cell: Cell, planned: CellPlan, course: Course) -> CellFigures:
         felt_restart=felt_until(int(starts[0]) + _FELT_MS) if felt_again else None,
         drag_early=early,
         drag_late=late,
-        drift_mm=1e3 * float(np.hypot(*apart[settled - 100 : settled].T).max()),
+        drift_mm=1e3 * float(np.hypot(*rested.T).max()),
         joystick_lives=int(course["joystick_lives"][-1]),
         touches=int(np.count_nonzero((contact[1:] > 0.0) & (contact[:-1] == 0.0))),
     )
@@ -161,10 +166,9 @@ def _span(phases: Values, phase: str) -> tuple[int, int]:
     return int(rows[0]), int(rows[-1]) + 1
 
 
-def _felt(cell: Cell, course: Course, handle: Values, motor: Values) -> Values:
+def _felt(cell: Cell, depth_m: Values, motor: Values) -> Values:
     """Felt stiffness over the ideal (%) in each millisecond."""
     normal = np.array(cell.normal)
-    depth_m = (handle + vectors(course, "offset")) @ normal - cell.place / 1000.0
     felt: Values = -(motor @ normal) / np.maximum(depth_m, _LEAST_M) / series_n_m(cell.wall)
     return 100.0 * felt
 
@@ -180,13 +184,16 @@ def _swing(motor: Values, wall: Values, span: tuple[int, int]) -> tuple[float, f
 
 
 def _drags(
-    cell: Cell, handle: Values, motor: Values, contact: Values, begin: int
+    cell: Cell, handle: Values, depth_m: Values, motor: Values, contact: Values, begin: int
 ) -> tuple[float | None, float | None]:
-    """Drag in the first 3 s from `begin` on, and after 6 s, far from any contact."""
+    """Drag in the first 3 s from `begin` on, and after 6 s, far from any contact.
+
+    A handle behind the surface feels the rendered wall, before the tip touches it.
+    """
     velocity = np.diff(handle, axis=0) * 1000.0
     after = round(cell.delay + cell.jitter) + 300
     touched = np.convolve(contact > 0.0, np.ones(after))[: len(contact)] > 0.0
-    free = ~touched[1:] & (np.hypot(*velocity.T) > _MOVES_M_S)
+    free = ~touched[1:] & (depth_m[1:] <= 0.0) & (np.hypot(*velocity.T) > _MOVES_M_S)
     at = np.arange(len(velocity)) - begin
     # The force of a row moved the handle to its place in that row.
     power, speed = (motor[1:] * velocity).sum(axis=1), (velocity**2).sum(axis=1)

@@ -18,7 +18,7 @@ from benchmarks.voice.virtual import Heard
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
-from kontur_av.rtp.wire import signed_32
+from kontur_av.modular import signed
 from kontur_av.sources.source import BLOCK_NS
 from pipelines.bench.video.contenders import open_udp_ports
 from pipelines.session.children import ended_alike
@@ -248,7 +248,7 @@ def laid_out(arrivals: Sequence[tuple[int, int, Pcm]]) -> tuple[Pcm, list[tuple[
     line = np.zeros(0, np.int16)
     places, pieces, at = [], [line], 0
     for instant_ns, timestamp, sound in arrivals:
-        missing = signed_32(timestamp - first) - at
+        missing = signed(timestamp - first) - at
         if missing > _ALIGNMENT_NS * AUDIO_CLOCK_HZ // NS_PER_S:
             pieces.append(np.zeros(missing, np.int16))
             at += missing

@@ -395,7 +395,10 @@ class NalDepacketizer:
             by_time = (later and lost) or (new and (self._marked or not self._has_picture))
             by_content = not goes_on and (later or kind in form.slices or kind in form.beginners)
             if by_time or (by_content and self._has_picture):
-                self._finish_before(lost)
+                # The next access unit starts.
+                if self._markers is None and self._has_picture and (self._marked or not lost):
+                    self._markers = self._marked
+                self._finish(complete=self._marked or not lost)
         if not self._open:
             self._begin(packet.timestamp, lost, packet.received_ns)
             self._open = True
@@ -413,12 +416,6 @@ class NalDepacketizer:
         if kind in form.slices:
             self._has_picture = True
             self._has_first |= not goes_on
-
-    def _finish_before(self, lost: int) -> None:
-        """Handle the start of the next access unit. lost: packets lost directly before it."""
-        if self._markers is None and self._has_picture and (self._marked or not lost):
-            self._markers = self._marked
-        self._finish(complete=self._marked or not lost)
 
     def _join_parts(self) -> None:
         if self._parts:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from kontur_av.media import VideoCodec
-from kontur_av.rtp.nal_payload import NalDepacketizer, NalFormat
+from kontur_av.rtp.nal_payload import NalFormat
 
 NAL_SLICE, NAL_IDR, NAL_SEI, NAL_SPS, NAL_PPS, NAL_AUD = 1, 5, 6, 7, 8, 9  # H.264 table 7-1
 STAP_A, FU_A = 24, 28  # RFC 6184 table 3
@@ -49,16 +49,3 @@ nal_type = H264.nal_type
 parameter_sets = H264.parameter_sets
 packetize = H264.packetize
 parse_payload = H264.parse_payload
-
-
-class H264Depacketizer(NalDepacketizer):
-    """Packets to H.264 access units; see `NalDepacketizer`."""
-
-    def __init__(
-        self,
-        parameter_sets: Sequence[bytes] = (),
-        *,
-        marked: bool = False,
-        max_unit_octets: int = 4 << 20,
-    ) -> None:
-        super().__init__(H264, parameter_sets, marked=marked, max_unit_octets=max_unit_octets)

@@ -199,7 +199,11 @@ class PlayoutBuffer:
             self._resync()
             media = self._unwrapper.unwrap(packet.timestamp)
         media = self._in_whole_blocks(packet, media, samples)
-        self._observe(now_ns, now_ns - _ns(media))
+        self._transits.handle_arrival(now_ns, now_ns - _ns(media))
+        ceiling_ns = self._transits.quickest_ns + self._max_delay_ns
+        if self._offset_ns is not None and self._offset_ns > ceiling_ns:
+            # After a stall packets come in a burst: drop all that are too old at once.
+            self._skip_overdue(ceiling_ns, now_ns)
         if self._origin is None:
             self._origin = (packet.timestamp - media) & 0xFFFF_FFFF
         if self._played_up_to is not None and media < self._played_up_to:
@@ -247,13 +251,6 @@ class PlayoutBuffer:
         self.counts.resyncs += 1
         self.counts.dropped += len(self._blocks)
         self._reset()
-
-    def _observe(self, now_ns: int, transit_ns: int) -> None:
-        self._transits.handle_arrival(now_ns, transit_ns)
-        ceiling_ns = self._transits.quickest_ns + self._max_delay_ns
-        if self._offset_ns is not None and self._offset_ns > ceiling_ns:
-            # After a stall packets come in a burst: drop all that are too old at once.
-            self._skip_overdue(ceiling_ns, now_ns)
 
     def _skip_overdue(self, offset_ns: int, now_ns: int) -> None:
         for media in sorted(self._blocks):

@@ -7,11 +7,12 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, unix_ns_from_ntp
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.rtp.header_extensions import elements_of, read_capture_time
+from kontur_av.modular import signed
 from kontur_av.rtp.reception import ReceptionLog
 from kontur_av.rtp.reordering import REORDER_DEPTH_NS, ReorderDepth
+from kontur_av.rtp.sender_clock import SenderClock
 from kontur_av.rtp.wire import (
     RtcpByePacket,
     RtcpReceiverInfo,
@@ -20,7 +21,6 @@ from kontur_av.rtp.wire import (
     RtpPacket,
     parse_rtcp,
     parse_rtp,
-    signed_32,
 )
 
 MAX_DROPOUT = 3000  # RFC 3550 appendix A.1
@@ -34,11 +34,6 @@ _MOST_CANDIDATES = 64
 #: An old number is a new beginning if its timestamp lies this far ahead of the newest one, or this
 #: far behind it.
 _AHEAD_NS, _BEHIND_NS = 200 * NS_PER_MS, 10 * NS_PER_S
-#: Timestamps that step back by more, or otherwise than time by more, no longer belong to a report.
-_STEP_BACK_NS, _STEP_NS = NS_PER_S, 10 * NS_PER_S
-#: A report that dates captures otherwise by more tells of a clock that was set. A smaller error
-#: comes in slowly, by one part in `_BEND` of the stream's time: captures never run back.
-_CLOCK_SET_NS, _BEND = NS_PER_S // 2, 4
 
 
 class RtpReceived(NamedTuple):
@@ -154,10 +149,9 @@ class RtpReceiver:
         )
         self._ordered = ordered
         self._takeover_silence_ns = takeover_silence_ns
-        self._wall_offset_ns = wall_offset_ns
-        self._capture_time_id = capture_time_id
-        #: By SSRC, of the source and one that may follow: an RTP timestamp, and its capture in NTP.
-        self._captured: dict[int, tuple[int, int]] = {}
+        self._clock = SenderClock(
+            clock_rate_hz, wall_offset_ns=wall_offset_ns, capture_time_id=capture_time_id
+        )
         self._log: ReceptionLog | None = None
         self._events: deque[RtpReceived] = deque()
         self._waiting: dict[int, _Waiting] = {}
@@ -168,15 +162,8 @@ class RtpReceiver:
         #: Where the source sends from, and the SSRCs that it no longer uses.
         self._from: Any = None
         self._former: deque[int] = deque(maxlen=_MOST_CANDIDATES)
-        #: By SSRC: the newest report, and when it came.
-        self._reports: dict[int, tuple[RtcpSrPacket, int]] = {}
-        #: The timestamp at the newest report, and by how many ns those before it dated it later.
-        self._bend: tuple[int, int] | None = None
         self._first = self._next = self._highest = 0
         self._restart = False
-        self._last_heard_ns = 0
-        self._newest_timestamp: int | None = None
-        self._scale = 1
         #: Sequence numbers given up, and since when they were missed: they tell a late packet from
         #: a duplicate.
         self._given_up: dict[int, int] = {}
@@ -192,9 +179,7 @@ class RtpReceiver:
 
         Timestamps come out multiplied.
         """
-        self._scale = scale
-        self._newest_timestamp = None
-        self._captured.clear()
+        self._clock.handle_scale(scale)
 
     @property
     def waiting(self) -> int:
@@ -211,15 +196,14 @@ class RtpReceiver:
         except ProtocolError:
             self.counts.garbage += 1
             return
-        if self._scale != 1 and packet.ssrc == self.ssrc:
-            timestamp = packet.timestamp * self._scale & 0xFFFF_FFFF
+        if self._clock.scale != 1 and packet.ssrc == self.ssrc:
+            timestamp = packet.timestamp * self._clock.scale & 0xFFFF_FFFF
             packet = packet._replace(timestamp=timestamp)
         if packet.payload_type != self.payload_type:
             self.counts.garbage += 1
             self.other_payload_type = packet.payload_type
             return
-        if self._capture_time_id is not None:
-            self._take_capture_time(datagram, packet)
+        self._clock.handle_extension(datagram, packet)
         if packet.ssrc != self.ssrc:
             self._try_candidate(packet, now_ns, source)
             return
@@ -236,17 +220,13 @@ class RtpReceiver:
 
     def _begins_anew(self, timestamp: int) -> bool:
         """Return whether a packet with an old number was not sent before."""
-        assert self._newest_timestamp is not None
-        step_ns = signed_32(timestamp - self._newest_timestamp) * NS_PER_S // self.clock_rate_hz
-        return not -_BEHIND_NS <= step_ns <= _AHEAD_NS
+        newest = self._clock.newest
+        assert newest is not None
+        return not -_BEHIND_NS <= self._clock.ticks_ns(timestamp, newest) <= _AHEAD_NS
 
     def _take(self, packet: RtpPacket, extended: int, now_ns: int) -> None:
         counts = self.counts
-        if packet.timestamp != self._newest_timestamp and (
-            extended > self._highest or self._newest_timestamp is None
-        ):
-            self._watch_time(packet.timestamp, now_ns)
-        self._last_heard_ns = now_ns
+        self._clock.handle_packet(packet.timestamp, now_ns, newest=extended > self._highest)
         if self._log is not None:
             self._log.handle_packet(packet.sequence_number, packet.timestamp, now_ns)
         self._drop_candidates()
@@ -265,7 +245,7 @@ class RtpReceiver:
         if extended == self._next:
             if self._waiting:
                 self._depth.handle_late(now_ns - self._gap_since_ns(), now_ns)
-            self._deliver(packet, extended, now_ns, lost_before=0)
+            self._emit(packet, extended, now_ns)
             self._drain(now_ns)
             return
         self._waiting[extended] = _Waiting(packet, now_ns)
@@ -274,23 +254,6 @@ class RtpReceiver:
             self._gap_deadline_ns = now_ns + depth_ns
         if depth_ns == 0 or len(self._waiting) > MAX_WAITING:
             self._give_up_gap(now_ns)
-
-    def _watch_time(self, timestamp: int, now_ns: int) -> None:
-        """Forget what dates the source if its timestamps began anew."""
-        if self._newest_timestamp is not None:
-            ticks = signed_32(timestamp - self._newest_timestamp)
-            step_ns = ticks * NS_PER_S // self.clock_rate_hz
-            passed_ns = now_ns - self._last_heard_ns
-            if step_ns < -_STEP_BACK_NS or abs(step_ns - passed_ns) > _STEP_NS:
-                assert self.ssrc is not None
-                told = self._reports.get(self.ssrc)
-                if told is not None and told[1] <= self._last_heard_ns:
-                    del self._reports[self.ssrc]
-                    self._bend = None
-                told_timestamp, _ = self._captured.get(self.ssrc, (timestamp, 0))
-                if told_timestamp != timestamp:
-                    del self._captured[self.ssrc]
-        self._newest_timestamp = timestamp
 
     def _take_old(self, packet: RtpPacket, extended: int, now_ns: int) -> None:
         counts = self.counts
@@ -307,29 +270,17 @@ class RtpReceiver:
             return
         counts.rtp_packets += 1
         counts.rtp_payload_octets += len(packet.payload)
-        self._emit(packet, extended, now_ns, lost_before=0)
-
-    def _deliver(
-        self, packet: RtpPacket, extended: int, received_ns: int, *, lost_before: int
-    ) -> None:
-        self._emit(packet, extended, received_ns, lost_before=lost_before)
-        self._next = extended + 1
+        self._emit(packet, extended, now_ns)
 
     def _emit(
-        self, packet: RtpPacket, extended: int, received_ns: int, *, lost_before: int
+        self, packet: RtpPacket, extended: int, received_ns: int, lost_before: int = 0
     ) -> None:
+        payload, timestamp, restart = packet.payload, packet.timestamp, self._restart
         self._events.append(
-            RtpReceived(
-                packet,
-                packet.payload,
-                extended,
-                packet.timestamp,
-                received_ns,
-                lost_before,
-                self._restart,
-            )
+            RtpReceived(packet, payload, extended, timestamp, received_ns, lost_before, restart)
         )
         self._restart = False
+        self._next = max(self._next, extended + 1)
 
     def _gap_since_ns(self) -> int:
         return min(waiting.received_ns for waiting in self._waiting.values())
@@ -337,7 +288,7 @@ class RtpReceiver:
     def _drain(self, now_ns: int) -> None:
         """Deliver packets whose predecessor has come, and set the deadline of the next gap."""
         while (ready := self._waiting.pop(self._next, None)) is not None:
-            self._deliver(ready.packet, self._next, ready.received_ns, lost_before=0)
+            self._emit(ready.packet, self._next, ready.received_ns)
         if not self._waiting:
             self._gap_deadline_ns = None
         else:
@@ -354,7 +305,7 @@ class RtpReceiver:
             number: missed for number, missed in self._given_up.items() if number >= oldest
         }
         behind = self._waiting.pop(extended)
-        self._deliver(behind.packet, extended, behind.received_ns, lost_before=lost)
+        self._emit(behind.packet, extended, behind.received_ns, lost)
         self._drain(now_ns)
 
     def _try_candidate(self, packet: RtpPacket, now_ns: int, source: Any) -> None:
@@ -388,7 +339,7 @@ class RtpReceiver:
         for one in held:
             extended = first.sequence_number + _ahead(one.packet, first)
             self._take(one.packet, extended, one.received_ns)
-        self._last_heard_ns = now_ns
+        self._clock.heard_ns = now_ns
 
     def _try_vouched(self, now_ns: int) -> None:
         """Accept the candidate if a sender report of it came (RFC 3550 section 6.2.1).
@@ -403,7 +354,8 @@ class RtpReceiver:
             return
         if now_ns - first.received_ns > _ACCEPTED_WITHIN_NS:
             return
-        if first.packet.ssrc in self._reports and self._is_free(first.packet.ssrc, now_ns):
+        ssrc = first.packet.ssrc
+        if ssrc in self._clock.reports and self._is_free(ssrc, now_ns):
             self._accept(now_ns)
 
     def _is_free(self, ssrc: int, now_ns: int) -> bool:
@@ -412,7 +364,7 @@ class RtpReceiver:
             self.ssrc is None
             or self.ended
             or ssrc == self.ssrc
-            or now_ns - self._last_heard_ns >= self._takeover_silence_ns
+            or now_ns - self._clock.heard_ns >= self._takeover_silence_ns
             or (
                 self._candidate_from is not None
                 and self._candidate_from == self._from
@@ -431,23 +383,17 @@ class RtpReceiver:
         self.counts.sources += 1
         if self.ssrc is not None and self.ssrc != first.ssrc:
             self._former.append(self.ssrc)
-            self._scale = 1
         self._from = self._candidate_from
-        self._newest_timestamp = None
         self._depth.begin(now_ns)
         self.ssrc = first.ssrc
         self._first = self._next = self._highest = first.sequence_number
         self._restart = True
-        self._captured = {ssrc: kept for ssrc, kept in self._captured.items() if ssrc == self.ssrc}
         self._log = ReceptionLog(ssrc=first.ssrc, clock_rate_hz=self.clock_rate_hz)
         self._given_up.clear()
-        self._bend = None
-        self._reports = {
-            ssrc: report for ssrc, report in self._reports.items() if ssrc == self.ssrc
-        }
-        self.counts.rtcp_reports += len(self._reports)
-        for report, came_ns in self._reports.values():
-            self._log.handle_sender_report(report, came_ns)
+        told = self._clock.handle_source(first.ssrc)
+        if told is not None:
+            self.counts.rtcp_reports += 1
+            self._log.handle_sender_report(*told)
 
     def handle_report(self, datagram: bytes, now_ns: int) -> bool:
         """Handle a datagram from the RTCP port. Garbage and foreign reports are counted.
@@ -463,49 +409,27 @@ class RtpReceiver:
         dates = known = False
         for packet in packets:
             if isinstance(packet, RtcpSrPacket):
-                self._take_report(packet, now_ns)
+                if packet.ssrc == self.ssrc and self._log is not None:
+                    self.counts.rtcp_reports += 1
+                    self._log.handle_sender_report(packet, now_ns)
+                self._clock.handle_report(packet, now_ns)
                 self._try_vouched(now_ns)
                 dates |= self.ssrc in (None, packet.ssrc)
             elif isinstance(packet, RtcpByePacket):
                 for ssrc in packet.sources:
                     if ssrc == self.ssrc:
                         self.ended = known = True
-                    else:
-                        self._forget(ssrc)
+                        continue
+                    # Packets of another source must not start a stream any more.
+                    self._clock.reports.pop(ssrc, None)
+                    if self._candidates and self._candidates[0].packet.ssrc == ssrc:
+                        self._drop_candidates()
                 self._try_vouched(now_ns)
             elif isinstance(packet, RtcpRrPacket):
                 known = True  # of a peer that sends no media now (RFC 3550 section 6.4)
         if not (dates or known):
             self.counts.garbage += 1
         return dates
-
-    def _forget(self, ssrc: int) -> None:
-        """Another source said goodbye: its packets must not start a stream any more."""
-        self._reports.pop(ssrc, None)
-        if self._candidates and self._candidates[0].packet.ssrc == ssrc:
-            self._drop_candidates()
-
-    def _take_report(self, report: RtcpSrPacket, now_ns: int) -> None:
-        newest = self._newest_timestamp if report.ssrc == self.ssrc else None
-        before_ns = None if newest is None else self.capture_ns(newest)
-        if report.ssrc == self.ssrc:
-            self.counts.rtcp_reports += 1
-            if self._log is not None:
-                self._log.handle_sender_report(report, now_ns)
-        elif self.ssrc is not None:
-            # The report of a restarted sender may overtake its second packet: keep one.
-            self._reports = {
-                ssrc: kept for ssrc, kept in self._reports.items() if ssrc == self.ssrc
-            }
-        elif len(self._reports) >= 2:
-            self._reports.clear()
-        self._reports[report.ssrc] = report, now_ns
-        if newest is not None:
-            self._bend = None
-            after_ns = self.capture_ns(newest)
-            if before_ns is not None and after_ns is not None:
-                later_ns = before_ns - after_ns
-                self._bend = (newest, later_ns) if abs(later_ns) <= _CLOCK_SET_NS else None
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up the gaps that are due by `now_ns`. Drain `next_event` afterwards."""
@@ -528,34 +452,7 @@ class RtpReceiver:
         timestamp must lie within half its
         range (6.6 hours at 90 kHz) of the last one.
         """
-        if self.ssrc is None:
-            return None
-        anchor = self._captured.get(self.ssrc)
-        if anchor is None:
-            kept = self._reports.get(self.ssrc)
-            if kept is None or not self._dates(*kept):
-                return None
-            info = kept[0].sender_info
-            anchor = info.rtp_timestamp * self._scale, info.ntp_timestamp
-        ticks = signed_32(timestamp - anchor[0])
-        anchor_ns = unix_ns_from_ntp(anchor[1]) - self._wall_offset_ns
-        told_ns = anchor_ns + round(ticks * NS_PER_S / self.clock_rate_hz)
-        return told_ns if self._bend is None else told_ns + self._bent_ns(timestamp, *self._bend)
-
-    def _bent_ns(self, timestamp: int, since: int, later_ns: int) -> int:
-        """Return what is left of a former dating."""
-        passed_ns = signed_32(timestamp - since) * NS_PER_S // self.clock_rate_hz
-        left_ns = max(abs(later_ns) - max(passed_ns, 0) // _BEND, 0)
-        return left_ns if later_ns > 0 else -left_ns
-
-    def _dates(self, report: RtcpSrPacket, came_ns: int) -> bool:
-        """Return whether a report tells the stream's time. Some senders tell 0, or rubbish."""
-        info = report.sender_info
-        if info.ntp_timestamp == 0 or self._newest_timestamp is None:
-            return False
-        ticks = signed_32(self._newest_timestamp - info.rtp_timestamp * self._scale)
-        passed_ns = self._last_heard_ns - came_ns
-        return abs(ticks * NS_PER_S // self.clock_rate_hz - passed_ns) <= _STEP_NS
+        return self._clock.capture_ns(timestamp)
 
     def report_block(self, now_ns: int) -> RtcpReceiverInfo | None:
         """Return the block of a receiver report (RFC 3550 section 6.4.1) since the last one.
@@ -564,23 +461,10 @@ class RtpReceiver:
         """
         return None if self._log is None else self._log.block(now_ns)
 
-    def _take_capture_time(self, datagram: bytes, packet: RtpPacket) -> None:
-        assert self._capture_time_id is not None
-        try:
-            value = elements_of(datagram).get(self._capture_time_id)
-        except ProtocolError:
-            return
-        ntp = None if value is None else read_capture_time(value)
-        if ntp is not None:
-            # A stranger's packets must not grow this.
-            source = packet.ssrc
-            self._captured = {one: at for one, at in self._captured.items() if one == self.ssrc}
-            self._captured[source] = packet.timestamp, ntp
-
 
 def _ahead(packet: RtpPacket, other: RtpPacket) -> int:
     """Return the sequence number of `packet` less that of `other`, from -2^15 to 2^15 - 1."""
-    return ((packet.sequence_number - other.sequence_number + 0x8000) & 0xFFFF) - 0x8000
+    return signed(packet.sequence_number - other.sequence_number, 16)
 
 
 def _fits(held: _Waiting, packet: RtpPacket, now_ns: int) -> bool:

@@ -4,7 +4,8 @@ from collections import OrderedDict
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.rtp.wire import RtcpReceiverInfo, RtcpSrPacket, signed_32
+from kontur_av.modular import signed
+from kontur_av.rtp.wire import RtcpReceiverInfo, RtcpSrPacket
 
 _NTP_SHORT_HZ = 1 << 16
 #: Sender reports that are remembered, to date the answer to one of them.
@@ -21,17 +22,14 @@ class ReceptionLog:
     def __init__(self, *, ssrc: int, clock_rate_hz: int) -> None:
         self._ssrc, self._clock_rate_hz = ssrc, clock_rate_hz
         self._first: int | None = None
-        self._highest = self._received = 0
+        self._highest = 0
+        #: Packets that came, repeated ones included.
+        self.received = 0
         self._expected_before = self._received_before = 0
         self._transit: int | None = None
         self._jitter_16 = 0
         #: Of the last sender report: the middle of its NTP time, and when it came.
         self._last: tuple[int, int] | None = None
-
-    @property
-    def received(self) -> int:
-        """Packets that came, repeated ones included."""
-        return self._received
 
     @property
     def jitter(self) -> int:
@@ -41,7 +39,7 @@ class ReceptionLog:
     @property
     def lost(self) -> int:
         """Packets expected less packets that came; below 0 if some came twice."""
-        return self._expected - self._received
+        return self._expected - self.received
 
     @property
     def _expected(self) -> int:
@@ -49,7 +47,7 @@ class ReceptionLog:
 
     def handle_packet(self, sequence: int, timestamp: int, now_ns: int) -> None:
         """A packet of the source came. sequence: of 16 bits. timestamp: of 32 bits."""
-        self._received += 1
+        self.received += 1
         if self._first is None:
             self._first = self._highest = sequence
         ahead = (sequence - self._highest) & 0xFFFF
@@ -57,7 +55,7 @@ class ReceptionLog:
             self._highest += ahead
         transit = now_ns * self._clock_rate_hz // NS_PER_S - timestamp
         if self._transit is not None:
-            difference = abs(signed_32(transit - self._transit))
+            difference = abs(signed(transit - self._transit))
             self._jitter_16 += difference - ((self._jitter_16 + 8) >> 4)
         self._transit = transit
 
@@ -67,11 +65,11 @@ class ReceptionLog:
 
     def block(self, now_ns: int) -> RtcpReceiverInfo | None:
         """Return the report block of the time since the last one; None if nothing came in it."""
-        if self._received == self._received_before:
+        if self.received == self._received_before:
             return None
         expected = self._expected - self._expected_before
-        received = self._received - self._received_before
-        self._expected_before, self._received_before = self._expected, self._received
+        received = self.received - self._received_before
+        self._expected_before, self._received_before = self._expected, self.received
         lost = max(expected - received, 0)
         since, ago = (0, 0)
         if self._last is not None:

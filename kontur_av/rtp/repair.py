@@ -57,6 +57,8 @@ class PacketHistory:
         """Return the packets to send again. lost: 16-bit sequence numbers of one NACK."""
         self._begin_second(now_ns)
         again: list[bytes] = []
+        # A short burst is always allowed: a stream that has just begun has sent nothing yet.
+        most_octets = max(int(self._sent_octets * self._share), 16_000)
         # A stranger may ask for anything, in any number.
         for sequence in lost[:MOST_MISSING]:
             self.asked += 1
@@ -66,7 +68,7 @@ class PacketHistory:
                 kept is None
                 or now_ns - kept.sent_ns > TOO_OLD_NS
                 or (repeated_ns is not None and now_ns - repeated_ns < self._again_ns)
-                or self._again_octets + len(kept.packet) > self._most_octets()
+                or self._again_octets + len(kept.packet) > most_octets
             ):
                 self.refused += 1
                 continue
@@ -75,10 +77,6 @@ class PacketHistory:
             self.repeated += 1
             again.append(kept.packet)
         return again
-
-    def _most_octets(self) -> int:
-        # A short burst is always allowed: a stream that has just begun has sent nothing yet.
-        return max(int(self._sent_octets * self._share), 16_000)
 
     def _begin_second(self, now_ns: int) -> None:
         if now_ns - self._second_ns >= NS_PER_S:

@@ -7,6 +7,7 @@ import base64
 import binascii
 import ipaddress
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -257,38 +258,20 @@ def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDe
     fields = block[0][1].split()
     if len(fields) < 4 or not _PROFILE.fullmatch(fields[2]):
         return None
-    maps: dict[str, str] = {}
-    parameters: dict[str, str] = {}
-    rtcp_port: int | None = None
-    bandwidth_bps: int | None = None
-    multiplexed = reduced_size = False
-    capture_time_id: int | None = None
+    told: defaultdict[str, list[str]] = defaultdict(list)
     for key, value in block[1:]:
-        attribute, _, rest = value.partition(":")
-        attribute, rest = attribute.strip(), rest.strip()
-        if key == "b" and attribute == "AS":
-            if rate := re.match("[0-9]{1,9}", rest):
-                bandwidth_bps = 1000 * int(rate[0]) or None
-        elif key != "a":
-            continue
-        elif attribute == "rtpmap":
-            payload_type, _, encoding = " ".join(rest.split()).partition(" ")
-            # Both have one clock only (RFC 6184, RFC 7587), whatever some write.
-            maps[payload_type] = encoding.partition("/")[0].lower()
-        elif attribute == "fmtp":
-            payload_type, _, values = rest.partition(" ")
-            parameters[payload_type] = values
-        elif attribute == "rtcp":
-            found = re.match("[0-9]{1,5}", rest)
-            rtcp_port = int(found[0]) if found and 1 <= int(found[0]) <= 65535 else None
-        elif attribute == "rtcp-mux":
-            multiplexed = True
-        elif attribute == "rtcp-rsize":
-            reduced_size = True
-        elif attribute == "extmap" and rest.split()[1:2] == [ABS_CAPTURE_TIME]:
-            # Only ids of one-octet headers are read; the rest of the line may name a direction.
-            number = rest.split()[0].partition("/")[0]
-            capture_time_id = int(number) if number in _IDS else None
+        name_of, _, rest = value.partition(":")
+        told[f"{key}={name_of.strip()}"].append(rest.strip())
+    # Both have one clock only (RFC 6184, RFC 7587), whatever some write.
+    mapped = [" ".join(rest.split()).partition(" ") for rest in told["a=rtpmap"]]
+    maps = {one: encoding.partition("/")[0].lower() for one, _, encoding in mapped}
+    parameters = {one: values for one, _, values in (r.partition(" ") for r in told["a=fmtp"])}
+    rates = [int(rate[0]) for rest in told["b=AS"] if (rate := re.match("[0-9]{1,9}", rest))]
+    control = re.match("[0-9]{1,5}", told["a=rtcp"][-1]) if told["a=rtcp"] else None
+    rtcp_port = int(control[0]) if control and 1 <= int(control[0]) <= 65535 else None
+    # Only ids of one-octet headers are read; the rest of the line may name a direction.
+    extensions = [rest.split()[:2] for rest in told["a=extmap"]]
+    ids = [one[0].partition("/")[0] for one in extensions if one[1:] == [ABS_CAPTURE_TIME]]
     kind: Literal["video", "audio"]
     codec: VideoCodec = "h264"
     for payload_type in fields[3:]:
@@ -316,11 +299,11 @@ def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDe
             # Several ports may be written as 5004/2: only the first is for this stream.
             port=(port := _number(fields[1].partition("/")[0], f"m={kind}, port", 1, 65534)),
             payload_type=_number(payload_type, "m=", 0, 127),
-            rtcp_port=port if multiplexed else rtcp_port,
-            bandwidth_bps=bandwidth_bps,
+            rtcp_port=port if told["a=rtcp-mux"] else rtcp_port,
+            bandwidth_bps=1000 * (rates or [0])[-1] or None,
             feedback="AVPF" in fields[2].upper(),
-            reduced_size=reduced_size,
-            capture_time_id=capture_time_id,
+            reduced_size=bool(told["a=rtcp-rsize"]),
+            capture_time_id=int(ids[-1]) if ids and ids[-1] in _IDS else None,
             codec=codec,
             parameter_sets=sets,
             profile_level_id="" if level == profile_level_id(sets) else level,

@@ -4,60 +4,28 @@ import struct
 from contextlib import suppress
 from typing import NamedTuple
 
-from aiortc.rtp import (
-    RTCP_PSFB_APP,
-    RTCP_PSFB_FIR,
-    RTCP_PSFB_PLI,
-    RTCP_RTPFB_NACK,
-    RTCP_SDES,
-    AnyRtcpPacket,
-    RtcpByePacket,
-    RtcpPacket,
-    RtcpPsfbPacket,
-    RtcpReceiverInfo,
-    RtcpRrPacket,
-    RtcpRtpfbPacket,
-    RtcpSdesPacket,
-    RtcpSenderInfo,
-    RtcpSrPacket,
-    is_rtcp,
-    pack_remb_fci,
-    pack_rtcp_packet,
-    unpack_remb_fci,
-)
+from aiortc.rtp import RTCP_PSFB_APP as RTCP_PSFB_APP
+from aiortc.rtp import RTCP_PSFB_FIR as RTCP_PSFB_FIR
+from aiortc.rtp import RTCP_PSFB_PLI as RTCP_PSFB_PLI
+from aiortc.rtp import RTCP_RTPFB_NACK as RTCP_RTPFB_NACK
+from aiortc.rtp import RTCP_SDES, pack_rtcp_packet
+from aiortc.rtp import AnyRtcpPacket as AnyRtcpPacket
+from aiortc.rtp import RtcpByePacket as RtcpByePacket
+from aiortc.rtp import RtcpPacket as RtcpPacket
+from aiortc.rtp import RtcpPsfbPacket as RtcpPsfbPacket
+from aiortc.rtp import RtcpReceiverInfo as RtcpReceiverInfo
+from aiortc.rtp import RtcpRrPacket as RtcpRrPacket
+from aiortc.rtp import RtcpRtpfbPacket as RtcpRtpfbPacket
+from aiortc.rtp import RtcpSdesPacket as RtcpSdesPacket
+from aiortc.rtp import RtcpSenderInfo as RtcpSenderInfo
+from aiortc.rtp import RtcpSrPacket as RtcpSrPacket
+from aiortc.rtp import is_rtcp as is_rtcp
+from aiortc.rtp import pack_remb_fci as pack_remb_fci
+from aiortc.rtp import unpack_remb_fci as unpack_remb_fci
 
 from kontur_av.errors import ProtocolError
+from kontur_av.modular import signed
 from kontur_av.rtp.header_extensions import header_octets
-
-__all__ = [
-    "RTCP_PSFB_APP",
-    "RTCP_PSFB_FIR",
-    "RTCP_PSFB_PLI",
-    "RTCP_RTPFB_NACK",
-    "SDES_TOOL",
-    "TOOL",
-    "AnyRtcpPacket",
-    "RtcpByePacket",
-    "RtcpPacket",
-    "RtcpPsfbPacket",
-    "RtcpReceiverInfo",
-    "RtcpRrPacket",
-    "RtcpRtpfbPacket",
-    "RtcpSdesPacket",
-    "RtcpSenderInfo",
-    "RtcpSrPacket",
-    "RtpPacket",
-    "TimestampUnwrapper",
-    "cname_packet",
-    "is_rtcp",
-    "pack_remb_fci",
-    "pack_rtp",
-    "parse_rtcp",
-    "parse_rtp",
-    "receiver_report",
-    "signed_32",
-    "unpack_remb_fci",
-]
 
 SDES_CNAME, SDES_TOOL = 1, 6  # RFC 3550 sections 6.5.1 and 6.5.6
 #: The name of this software in its receiver reports.
@@ -161,11 +129,6 @@ def receiver_report(ssrc: int, block: RtcpReceiverInfo | None, cname: bytes) -> 
     return bytes(RtcpRrPacket(ssrc, blocks)) + cname_packet(ssrc, cname, tool=TOOL)
 
 
-def signed_32(difference: int) -> int:
-    """Return the difference of two 32-bit timestamps as a signed number: -2^31 to 2^31 - 1."""
-    return ((difference + 0x8000_0000) & 0xFFFF_FFFF) - 0x8000_0000
-
-
 class TimestampUnwrapper:
     """Removes the wrap-around from 32-bit timestamps. The first one becomes 0."""
 
@@ -180,6 +143,6 @@ class TimestampUnwrapper:
         """
         if self._origin is None:
             self._origin = timestamp
-        ticks = self._latest + signed_32(timestamp - self._origin - self._latest)
+        ticks = self._latest + signed(timestamp - self._origin - self._latest)
         self._latest = max(self._latest, ticks)
         return ticks

@@ -13,7 +13,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources.file import set_up_decoder
 from kontur_av.sources.fit import Fitter
-from kontur_av.sources.source import RETRY_NS
+from kontur_av.sources.source import RETRY_NS, StampingSource
 
 #: A driver that has not opened the camera after this time is considered hung.
 _OPEN_TIMEOUT_S = 5.0
@@ -65,7 +65,7 @@ def _check_node(device: str) -> None:
         raise ConfigError(f"may not open {device!r}: add yourself to the group `video`")
 
 
-class CameraVideo:
+class CameraVideo(StampingSource):
     """Pictures of a camera (a `VideoSource`): the newest one, stamped by the driver.
 
     The driver is asked for the wanted size and rate; other sizes are scaled. A driver can hang in a
@@ -92,15 +92,10 @@ class CameraVideo:
     ) -> None:
         if demuxer == "v4l2":
             _check_node(device)
-        self.faults = 0
-        self.last_fault = ""
-        self._device = device
-        self._name = name
-        self._clock = clock
+        super().__init__(name, clock, device)
         self._demuxer = demuxer
         self._options = {"video_size": f"{width}x{height}", "framerate": str(fps)}
         self._fitter = Fitter(width, height)
-        self._sequence = 0
         self._last_capture_ns = -1
         self._closed = False
         self._arrived = threading.Condition()
@@ -128,9 +123,7 @@ class CameraVideo:
             self._fault(error)
             return None
         self._last_capture_ns = max(capture_ns, self._last_capture_ns + 1)
-        stamp = CaptureStamp(self._last_capture_ns, self._sequence, self._name)
-        self._sequence += 1
-        return stamp
+        return self._stamp(self._last_capture_ns)
 
     def close(self) -> None:
         self._closed = True
@@ -139,10 +132,10 @@ class CameraVideo:
 
     def _open(self) -> av.container.InputContainer:
         try:
-            return av.open(self._device, format=self._demuxer, options=self._options)
+            return av.open(self._place, format=self._demuxer, options=self._options)
         except (av.FFmpegError, ValueError):
             # The driver lacks this size or rate; use its default instead.
-            return av.open(self._device, format=self._demuxer)
+            return av.open(self._place, format=self._demuxer)
 
     def _run(self, container: av.container.InputContainer | None) -> None:
         while not self._closed:
@@ -183,7 +176,3 @@ class CameraVideo:
             if 0 <= now_ns - stated_ns < NS_PER_S // 2:
                 return stated_ns
         return now_ns
-
-    def _fault(self, error: Exception) -> None:
-        self.faults += 1
-        self.last_fault = f"{self._device}: {error}"

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -193,10 +194,7 @@ class FileVideo(LoopedVideo):
     second. So is a single picture, `fps` times a second. Raises ConfigError as `check_file` does.
     """
 
-    @staticmethod
-    def check_source(path: str) -> None:
-        """Raise ConfigError as `check_file` does."""
-        check_file(path, "video")
+    check_source = staticmethod(partial(check_file, kind="video"))
 
     def __init__(
         self, name: str, width: int, height: int, fps: int, clock: Clock, path: str
@@ -205,7 +203,7 @@ class FileVideo(LoopedVideo):
         super().__init__(name, width, height, fps, clock, path)
 
     def _pass(self) -> Iterator[PlayedPicture]:
-        with _opened(self._path) as container:
+        with _opened(self._place) as container:
             reading = _Reading(container, "video")
             if reading.step_s is not None:
                 self._step_ns = int(reading.step_s * NS_PER_S)
@@ -282,10 +280,7 @@ class FileAudio(LoopedAudio):
     Where the file has sound alone, there is no gap at the loop.
     """
 
-    @staticmethod
-    def check_source(path: str) -> None:
-        """Raise ConfigError as `check_file` does."""
-        check_file(path, "audio")
+    check_source = staticmethod(partial(check_file, kind="audio"))
 
     def __init__(self, name: str, clock: Clock, path: str) -> None:
         self.check_source(path)
@@ -294,7 +289,7 @@ class FileAudio(LoopedAudio):
         super().__init__(name, clock, path)
 
     def _pass(self) -> Iterator[Pcm]:
-        with _opened(self._path) as container:
+        with _opened(self._place) as container:
             reading = _Reading(container, "audio")
             resampling, played = _Resampling(), self._surplus
             for packet in reading.packets():

@@ -12,7 +12,7 @@ from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm
 from kontur_av.sources.fit import Fitted, Fitter
 from kontur_av.sources.pace import Pace
-from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS
+from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS, StampingSource
 
 #: A reader that is later than this resumes where it stopped, without decoding what it missed.
 CATCH_UP_NS = NS_PER_S
@@ -31,7 +31,7 @@ class PlayedPicture(NamedTuple):
     aspect: Fraction | None
 
 
-class LoopedVideo(ABC):
+class LoopedVideo(StampingSource, ABC):
     """The pictures of a file (a `VideoSource`), captured at the file's own instants.
 
     It decodes one picture ahead, on one thread. The file is opened again at each end, so that a
@@ -41,11 +41,7 @@ class LoopedVideo(ABC):
     def __init__(
         self, name: str, width: int, height: int, fps: int, clock: Clock, path: str
     ) -> None:
-        self.faults = 0
-        self.last_fault = ""
-        self._path = path
-        self._name = name
-        self._clock = clock
+        super().__init__(name, clock, path)
         self._period_ns = NS_PER_S // fps
         #: How long the last picture of the present pass is shown, at least.
         self._step_ns = self._period_ns
@@ -61,7 +57,6 @@ class LoopedVideo(ABC):
         self._next: tuple[Fitted, int] | None = None
         self._base_ns: int | None = None
         self._retry_ns = clock.now_ns()
-        self._sequence = 0
 
     @abstractmethod
     def _pass(self) -> Iterator[PlayedPicture]:
@@ -83,9 +78,7 @@ class LoopedVideo(ABC):
         self._clock.sleep_until_ns(due_ns)
         self._fitter.write(scaled, into)
         self._next = None
-        stamp = CaptureStamp(due_ns, self._sequence, self._name)
-        self._sequence += 1
-        return stamp
+        return self._stamp(due_ns)
 
     def close(self) -> None:
         self._pictures.close()
@@ -147,24 +140,15 @@ class LoopedVideo(ABC):
             shown = shown._replace(time_ns=shown.time_ns + self._again_ns)
             yield shown
 
-    def _fault(self, error: Exception) -> None:
-        self.faults += 1
-        self.last_fault = f"{self._path}: {error}"
 
-
-class LoopedAudio(ABC):
+class LoopedAudio(StampingSource, ABC):
     """The sound of a file (an `AudioSource`): mono, 48 kHz, without a gap at the loop."""
 
     def __init__(self, name: str, clock: Clock, path: str) -> None:
-        self.faults = 0
-        self.last_fault = ""
-        self._path = path
-        self._name = name
-        self._clock = clock
+        super().__init__(name, clock, path)
         self._blocks = self._play()
         self._retry_ns = clock.now_ns()
         self._pace = Pace(Fraction(NS_PER_S, BLOCK_NS), clock.now_ns(), patience=2)
-        self._sequence = 0
 
     @abstractmethod
     def _pass(self) -> Iterator[Pcm]:
@@ -186,9 +170,7 @@ class LoopedAudio(ABC):
             return None
         self._clock.sleep_until_ns(complete_ns)
         self._pace.handle_taken()
-        stamp = CaptureStamp(complete_ns - BLOCK_NS, self._sequence, self._name)
-        self._sequence += 1
-        return AudioFrame(samples, stamp)
+        return AudioFrame(samples, self._stamp(complete_ns - BLOCK_NS))
 
     def close(self) -> None:
         self._blocks.close()
@@ -211,7 +193,3 @@ class LoopedAudio(ABC):
                 if faults == self.faults:
                     self._fault(ValueError("it holds less than 5 ms of sound"))
                 yield None
-
-    def _fault(self, error: Exception) -> None:
-        self.faults += 1
-        self.last_fault = f"{self._path}: {error}"

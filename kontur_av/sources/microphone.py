@@ -16,8 +16,8 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from kontur_av.errors import ConfigError
-from kontur_av.media import AUDIO_CLOCK_HZ, AudioFrame, CaptureStamp
-from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS
+from kontur_av.media import AUDIO_CLOCK_HZ, AudioFrame
+from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS, StampingSource
 
 _BLOCK_OCTETS = 2 * BLOCK_SAMPLES
 #: More octets than this in the pipe are old sound, because the reader was away.
@@ -36,7 +36,9 @@ def check_microphone(device: str) -> None:
     The check opens the device briefly and records one sample.
     """
     program = _arecord()
-    mend = f"choose from `kontur-av devices`, or try alsa:{_converted(device)}"
+    # With ALSA's conversion of rate, channels and format.
+    converted = f"plug{device}" if device.startswith("hw:") else "plughw:0"
+    mend = f"choose from `kontur-av devices`, or try alsa:{converted}"
     try:
         done = subprocess.run(
             [*_command(program, device), "-s", "1"],
@@ -63,11 +65,6 @@ def check_microphone(device: str) -> None:
         )
 
 
-def _converted(device: str) -> str:
-    """The name of a device with ALSA's conversion of rate, channels and format."""
-    return f"plug{device}" if device.startswith("hw:") else "plughw:0"
-
-
 def _arecord() -> str:
     program = shutil.which("arecord")
     if program is None:
@@ -89,7 +86,7 @@ def _reason(stderr: bytes) -> str:
     return lines[-1].rsplit(": ", 1)[-1] if lines else "no reason given"
 
 
-class MicrophoneAudio:
+class MicrophoneAudio(StampingSource):
     """The sound of a microphone (an `AudioSource`).
 
     A block ends when its last sample leaves the pipe. The device's buffer (10 ms a period) is not
@@ -103,12 +100,7 @@ class MicrophoneAudio:
 
     def __init__(self, name: str, clock: Clock, device: str) -> None:
         check_microphone(device)
-        self.faults = 0
-        self.last_fault = ""
-        self._device = device
-        self._name = name
-        self._clock = clock
-        self._sequence = 0
+        super().__init__(name, clock, device)
         self._rest = b""
         self._complaints = b""
         self._retry_ns = 0
@@ -140,9 +132,8 @@ class MicrophoneAudio:
             self._rest = self._rest[old:]
         block, self._rest = self._rest[:_BLOCK_OCTETS], self._rest[_BLOCK_OCTETS:]
         begun_ns = self._clock.now_ns() - BLOCK_NS - len(self._rest) * BLOCK_NS // _BLOCK_OCTETS
-        stamp = CaptureStamp(begun_ns, self._sequence, self._name)
-        self._sequence += 1
-        return AudioFrame(np.frombuffer(block, "<i2").astype(np.int16, copy=False), stamp)
+        samples = np.frombuffer(block, "<i2").astype(np.int16, copy=False)
+        return AudioFrame(samples, self._stamp(begun_ns))
 
     def close(self) -> None:
         self._stop()
@@ -171,7 +162,7 @@ class MicrophoneAudio:
         self._complaints = b""
         try:
             process = subprocess.Popen(
-                [*_command(_arecord(), self._device), "-q"],
+                [*_command(_arecord(), self._place), "-q"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -181,7 +172,7 @@ class MicrophoneAudio:
             os.set_blocking(process.stderr.fileno(), False)
             self._process = process
         except (OSError, ConfigError) as error:
-            self._fault(str(error))
+            self._fault(error)
             self._stop()
 
     def _stop(self) -> None:
@@ -199,7 +190,3 @@ class MicrophoneAudio:
         for pipe in (process.stdout, process.stderr):
             if pipe is not None:
                 pipe.close()
-
-    def _fault(self, reason: str) -> None:
-        self.faults += 1
-        self.last_fault = f"{self._device}: {reason}"

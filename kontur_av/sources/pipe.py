@@ -16,6 +16,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources.fit import Fitter
+from kontur_av.sources.source import StampingSource
 from kontur_av.sources.y4m import Y4mPicture, Y4mReader
 
 #: Requested pipe size: a picture of 640x480 then needs one wake-up instead of eight.
@@ -42,7 +43,7 @@ def check_fifo(path: str) -> None:
         raise ConfigError(f"cannot read FIFO {path!r}: `chmod u+r {path}`")
 
 
-class PipeVideo:
+class PipeVideo(StampingSource):
     """Pictures that arrive through a FIFO (a `VideoSource`), stamped on arrival.
 
     The writer may leave and return, also with another size; other sizes are scaled. The FIFO may be
@@ -60,16 +61,11 @@ class PipeVideo:
         self, name: str, width: int, height: int, fps: int, clock: Clock, path: str
     ) -> None:
         check_fifo(path)
-        self.faults = 0
-        self.last_fault = ""
-        self._path = path
-        self._name = name
+        super().__init__(name, clock, path)
         self._size = (width, height)
         self._fps = fps
-        self._clock = clock
         self._fitter = Fitter(width, height)
         self._reader = Y4mReader()
-        self._sequence = 0
         self._paid_until_ns = clock.now_ns()
         self._fd = self._open()
 
@@ -78,9 +74,7 @@ class PipeVideo:
         while True:
             picture = self._newest()
             if picture is not None and self._write(picture, into):
-                stamp = CaptureStamp(self._clock.now_ns(), self._sequence, self._name)
-                self._sequence += 1
-                return stamp
+                return self._stamp(self._clock.now_ns())
             if not self._fetch(give_up_ns):
                 return None
 
@@ -91,7 +85,7 @@ class PipeVideo:
             if isinstance(event, Y4mPicture):
                 newest = event
             else:
-                self._fault(str(event))
+                self._fault(event)
         return newest
 
     def close(self) -> None:
@@ -101,7 +95,8 @@ class PipeVideo:
 
     def _fetch(self, give_up_ns: int) -> bool:
         """Wait for octets and read them; False if `give_up_ns` has passed."""
-        free_ns = self._free_at_ns()
+        # A credit of two pictures, so that a live writer's jitter is never throttled.
+        free_ns = self._paid_until_ns - 2 * self._period_ns()
         now_ns = self._clock.now_ns()
         if free_ns > now_ns:
             self._clock.sleep_until_ns(min(free_ns, give_up_ns))
@@ -124,8 +119,12 @@ class PipeVideo:
             return True
         if octets:
             self._reader.handle_written(octets)
-        else:
-            self._handle_writer_gone()
+            return True
+        if self._reader.header is not None:
+            self._fault("the writer has gone")
+        self._reader.handle_end()
+        # A FIFO without a writer reports end of file until it is opened again.
+        self._reopen()
         return True
 
     def _period_ns(self) -> int:
@@ -133,11 +132,6 @@ class PipeVideo:
         header = self._reader.header
         stated_hz = header.rate_hz if header else None
         return int(NS_PER_S / (stated_hz if stated_hz and stated_hz >= _LEAST_HZ else self._fps))
-
-    def _free_at_ns(self) -> int:
-        """When the writer may be read again."""
-        # A credit of two pictures, so that a live writer's jitter is never throttled.
-        return self._paid_until_ns - 2 * self._period_ns()
 
     def _write(self, picture: Y4mPicture, into: I420) -> bool:
         header = picture.header
@@ -152,16 +146,9 @@ class PipeVideo:
             frame = _as_frame(picture)
             self._fitter.write(self._fitter.scale(frame, header.aspect), into)
         except (av.FFmpegError, ValueError) as error:
-            self._fault(str(error))
+            self._fault(error)
             return False
         return True
-
-    def _handle_writer_gone(self) -> None:
-        if self._reader.header is not None:
-            self._fault("the writer has gone")
-        self._reader.handle_end()
-        # A FIFO without a writer reports end of file until it is opened again.
-        self._reopen()
 
     def _reopen(self) -> None:
         # Open the new end before closing the old one, so that a writer never finds the FIFO without
@@ -173,24 +160,20 @@ class PipeVideo:
     def _follow(self) -> None:
         """Open the FIFO anew if another one has its name: a program may remove it and make it."""
         with contextlib.suppress(FileNotFoundError):
-            if not os.path.samestat(Path(self._path).stat(), os.fstat(self._fd)):
+            if not os.path.samestat(Path(self._place).stat(), os.fstat(self._fd)):
                 self._reopen()
 
     def _open(self) -> int:
         """Return its file descriptor; -1 if there is no such FIFO now."""
         try:
-            check_fifo(self._path)
-            fd = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            check_fifo(self._place)
+            fd = os.open(self._place, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         except (ConfigError, OSError):
             return -1
         # Above the user's limit this fails; the default of 64 KiB only costs more wake-ups.
         with contextlib.suppress(OSError):
             fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, PIPE_OCTETS)
         return fd
-
-    def _fault(self, reason: str) -> None:
-        self.faults += 1
-        self.last_fault = f"{self._path}: {reason}"
 
 
 def _as_frame(picture: Y4mPicture) -> av.VideoFrame:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, Literal, NamedTuple
 
@@ -278,10 +279,7 @@ class RecordedVideo(LoopedVideo):
     ConfigError as `check_recording` does.
     """
 
-    @staticmethod
-    def check_source(place: str) -> None:
-        """Raise ConfigError as `check_recording` does."""
-        check_recording(place, "video")
+    check_source = staticmethod(partial(check_recording, kind="video"))
 
     def __init__(
         self, name: str, width: int, height: int, fps: int, clock: Clock, place: str
@@ -297,7 +295,7 @@ class RecordedVideo(LoopedVideo):
         first_ns: int | None = None
         reordered = False
         instants = RisingInstants(self._period_ns)
-        for unit in read_units(self._path, self._channel, instants):
+        for unit in read_units(self._place, self._channel, instants):
             now: VideoCodec = "h265" if unit.format == "h265" else "h264"
             if now != codec:
                 codec, decoder = now, VideoDecoder(now)
@@ -324,10 +322,7 @@ class RecordedAudio(LoopedAudio):
     as `check_recording` does.
     """
 
-    @staticmethod
-    def check_source(place: str) -> None:
-        """Raise ConfigError as `check_recording` does."""
-        check_recording(place, "audio")
+    check_source = staticmethod(partial(check_recording, kind="audio"))
 
     def __init__(self, name: str, clock: Clock, place: str) -> None:
         self.check_source(place)
@@ -339,7 +334,7 @@ class RecordedAudio(LoopedAudio):
         silence = np.zeros(BLOCK_SAMPLES, np.int16)
         due_ns: int | None = None
         instants = RisingInstants(BLOCK_NS)
-        for unit in read_units(self._path, self._channel, instants):
+        for unit in read_units(self._place, self._channel, instants):
             missing = 0
             if due_ns is not None:
                 missing = max(0, int((unit.log_ns - due_ns) / Fraction(BLOCK_NS) + _LATE))

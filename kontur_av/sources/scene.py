@@ -11,7 +11,7 @@ import numpy as np
 from kontur_av.clock import Clock
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm
 from kontur_av.sources.pace import Pace
-from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES
+from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, StampingSource
 
 #: draw(into, sequence, capture_ns): draw the whole picture of that instant into `into`.
 Draw = Callable[[I420, int, int], None]
@@ -20,7 +20,7 @@ Draw = Callable[[I420, int, int], None]
 Sound = Callable[[Pcm, int, int], None]
 
 
-class SceneVideo:
+class SceneVideo(StampingSource):
     """Pictures from a drawing function at a fixed rate (a `VideoSource`).
 
     phase: shift of the capture instants as a share of the period. Cameras that need not capture
@@ -30,13 +30,9 @@ class SceneVideo:
     def __init__(
         self, draw: Draw, *, name: str, fps: int, clock: Clock, phase: float = 0.0
     ) -> None:
-        self.faults = 0
-        self.last_fault = ""
+        super().__init__(name, clock)
         self._draw = draw
-        self._name = name
-        self._clock = clock
         self._pace = Pace(fps, clock.now_ns(), phase=phase)
-        self._sequence = 0
 
     def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
         due_ns = self._sleep(timeout_ns)
@@ -64,27 +60,18 @@ class SceneVideo:
         return due_ns
 
     def _take(self, due_ns: int) -> CaptureStamp:
-        stamp = CaptureStamp(due_ns, self._sequence, self._name)
         self._pace.handle_taken()
-        self._sequence += 1
-        return stamp
-
-    def close(self) -> None:
-        pass
+        return self._stamp(due_ns)
 
 
-class SceneAudio:
+class SceneAudio(StampingSource):
     """Sound from a function, 20 ms at a time in real time (an `AudioSource`)."""
 
     def __init__(self, sound: Sound, *, name: str, clock: Clock) -> None:
-        self.faults = 0
-        self.last_fault = ""
+        super().__init__(name, clock)
         self._sound = sound
-        self._name = name
-        self._clock = clock
         # A patience of two blocks, because a late block of sound is still useful.
         self._pace = Pace(50, clock.now_ns(), patience=2)
-        self._sequence = 0
 
     def read(self, timeout_ns: int) -> AudioFrame | None:
         now_ns = self._clock.now_ns()
@@ -93,12 +80,8 @@ class SceneAudio:
             self._clock.sleep_until_ns(now_ns + timeout_ns)
             return None
         self._clock.sleep_until_ns(complete_ns)
-        stamp = CaptureStamp(complete_ns - BLOCK_NS, self._sequence, self._name)
+        stamp = self._stamp(complete_ns - BLOCK_NS)
         samples = np.zeros(BLOCK_SAMPLES, np.int16)
         self._sound(samples, stamp.sequence, stamp.capture_ns)
         self._pace.handle_taken()
-        self._sequence += 1
         return AudioFrame(samples, stamp)
-
-    def close(self) -> None:
-        pass

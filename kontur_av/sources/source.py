@@ -55,6 +55,32 @@ class AudioSource(Protocol):
         ...
 
 
+class StampingSource:
+    """What the sources here share: stamps in their order, and faults that they survive.
+
+    name: of the input, in every stamp. place: of what is read; `last_fault` begins with it.
+    """
+
+    def __init__(self, name: str, clock: Clock, place: str = "") -> None:
+        self.faults = 0
+        self.last_fault = ""
+        self._name, self._clock, self._place = name, clock, place
+        self._sequence = 0
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def _stamp(self, capture_ns: int) -> CaptureStamp:
+        """Return the stamp of the next picture or block."""
+        stamp = CaptureStamp(capture_ns, self._sequence, self._name)
+        self._sequence += 1
+        return stamp
+
+    def _fault(self, error: Exception | str) -> None:
+        self.faults += 1
+        self.last_fault = f"{self._place}: {error}"
+
+
 #: (name of the input, width, height, fps, clock) -> source. `width` and `height` in pixels.
 VideoSceneFactory = Callable[[str, int, int, int, Clock], VideoSource]
 

@@ -11,44 +11,19 @@ from collections.abc import Sequence
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from kontur_av.meters import RateMeter
+from kontur_av.meters import RateMeter, SlidingWindow
 
 SHORT_WINDOW_NS = 100_000_000
 #: The limit over 100 ms, as a multiple of the share of the cap: 1.5.
 SHORT_WINDOW_SHARE = (3, 2)
 
 
-class _Limit:
-    """At most `most_octets` over any window of `length_ns`."""
+class _Limit(SlidingWindow):
+    """At most `room_octets` over any window of `length_ns`."""
 
-    def __init__(self, length_ns: int, most_octets: int) -> None:
-        self.length_ns = length_ns
-        self.most_octets = most_octets
-        self._spent: deque[tuple[int, int]] = deque()
-        self._sum = 0
-
-    def spend(self, now_ns: int, octets: int) -> None:
-        self._forget(now_ns)
-        self._spent.append((now_ns, octets))
-        self._sum += octets
-
-    def room_ns(self, octets: int, now_ns: int) -> int:
-        """Return from when on `octets` fit: `now_ns` or later."""
-        self._forget(now_ns)
-        excess = self._sum + octets - self.most_octets
-        if excess <= 0:
-            return now_ns
-        for spent_ns, spent_octets in self._spent:
-            excess -= spent_octets
-            if excess <= 0:
-                return spent_ns + self.length_ns
-        # More than the window can hold: wait until it is empty.
-        return self._spent[-1][0] + self.length_ns if self._spent else now_ns
-
-    def _forget(self, now_ns: int) -> None:
-        gone_ns = now_ns - self.length_ns
-        while self._spent and self._spent[0][0] <= gone_ns:
-            self._sum -= self._spent.popleft()[1]
+    def __init__(self, length_ns: int, room_octets: int) -> None:
+        super().__init__(length_ns)
+        self.room_octets = room_octets
 
 
 class Pacer:
@@ -92,7 +67,7 @@ class Pacer:
             _Limit(window_ns + guard_ns, cap_bps * window_ns // (8 * NS_PER_S)),
         )
         #: The largest payload of a packet that fits under this cap.
-        self.max_payload_octets = min(limit.most_octets for limit in self._limits)
+        self.max_payload_octets = min(limit.room_octets for limit in self._limits)
         self._least_cap_bps = cap_bps
         share = cap_bps * picture_ns // (8 * NS_PER_S)
         #: The expected size of the next picture.
@@ -117,8 +92,8 @@ class Pacer:
                 f"cap {cap_bps}, channel {channel_bps}: at least {self._least_cap_bps}"
             )
         short, long = self._limits
-        short.most_octets = _short_octets(cap_bps)
-        long.most_octets = cap_bps * self._window_ns // (8 * NS_PER_S)
+        short.room_octets = _short_octets(cap_bps)
+        long.room_octets = cap_bps * self._window_ns // (8 * NS_PER_S)
         self.picture_octets = self._least_picture_octets * cap_bps // self._least_cap_bps
         self.cap_bps, self.channel_bps = cap_bps, channel_bps
 
@@ -146,7 +121,7 @@ class Pacer:
         self._queue.popleft()
         self._backlog_octets -= octets
         for limit in self._limits:
-            limit.spend(now_ns, octets)
+            limit.add(now_ns, octets)
         self._free_ns = max(self._free_ns, now_ns) + self._on_channel_ns(octets)
         self.released.add(now_ns, octets)
         self.released_packets += 1
@@ -164,7 +139,9 @@ class Pacer:
         """Return when the next picture could start on the channel: `now_ns` or later."""
         wanted = self._backlog_octets + self.picture_octets
         start_ns = max(self._free_ns, now_ns) + self._on_channel_ns(self._backlog_octets)
-        return max(start_ns, *(limit.room_ns(wanted, now_ns) for limit in self._limits))
+        return max(
+            start_ns, *(limit.room_ns(limit.room_octets, wanted, now_ns) for limit in self._limits)
+        )
 
     @property
     def backlog_octets(self) -> int:
@@ -182,7 +159,10 @@ class Pacer:
 
     def _release_ns(self, octets: int, now_ns: int) -> int:
         earliest_ns = max(self._free_ns, now_ns)
-        return max(earliest_ns, *(limit.room_ns(octets, now_ns) for limit in self._limits))
+        return max(
+            earliest_ns,
+            *(limit.room_ns(limit.room_octets, octets, now_ns) for limit in self._limits),
+        )
 
     def _on_channel_ns(self, octets: int) -> int:
         return -(-octets * 8 * NS_PER_S // self.channel_bps)

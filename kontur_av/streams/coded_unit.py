@@ -9,7 +9,9 @@ from kontur_av.media import VideoCodec
 
 #: Flags, an octet without meaning, width, height, lengths of parameter sets and access unit.
 _HEADER = struct.Struct("<BxHHHI")
-_KEY, _DAMAGED, _REFUSED, _DATED, _H265 = 1, 2, 4, 8, 16
+_H265 = 16
+#: By the field of the unit.
+_FLAGS = {"key": 1, "damaged": 2, "refused": 4, "dated": 8}
 
 #: A larger access unit is not published, so that no peer makes shared memory grow.
 MOST_UNIT_OCTETS = 1 << 20
@@ -48,13 +50,8 @@ class CodedUnit:
 
     def pack(self) -> bytes:
         """Return it as octets, for `Writer.publish_octets`."""
-        flags = (
-            _KEY * self.key
-            | _DAMAGED * self.damaged
-            | _REFUSED * self.refused
-            | _DATED * self.dated
-            | _H265 * (self.codec == "h265")
-        )
+        flags = sum(flag for name, flag in _FLAGS.items() if getattr(self, name))
+        flags += _H265 * (self.codec == "h265")
         sets = self.parameter_sets
         header = _HEADER.pack(flags, self.width, self.height, len(sets), len(self.data))
         return header + sets + self.data
@@ -71,10 +68,7 @@ class CodedUnit:
             raise ProtocolError(f"a coded unit of {length} octets in {len(data)}")
         return cls(
             data=data,
-            key=bool(flags & _KEY),
-            damaged=bool(flags & _DAMAGED),
-            refused=bool(flags & _REFUSED),
-            dated=bool(flags & _DATED),
+            **{name: bool(flags & flag) for name, flag in _FLAGS.items()},
             width=width,
             height=height,
             parameter_sets=octets[_HEADER.size : begin],

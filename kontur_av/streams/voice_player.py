@@ -30,7 +30,9 @@ class VoicePlayer:
         sound = self._received(block)
         if sound is not None:
             return self._fitted(sound, block.played_samples), True
-        return self._fitted(self._made_up(block.samples), block.played_samples), False
+        # libopus conceals in steps of 2.5 ms only; the rest is cut off.
+        sound = self._decoder.conceal(-(-block.samples // 120) * 120)[: block.samples]
+        return self._fitted(sound, block.played_samples), False
 
     def _received(self, block: PlayoutBlock) -> Pcm | None:
         if block.payload is None:
@@ -41,11 +43,6 @@ class VoicePlayer:
             return self._decoder.decode(block.payload)
         except ProtocolError:
             return None
-
-    def _made_up(self, samples: int) -> Pcm:
-        # libopus conceals in steps of 2.5 ms only; the rest is cut off.
-        whole = -(-samples // 120) * 120
-        return self._decoder.conceal(whole)[:samples]
 
     def _fitted(self, sound: Pcm, count: int) -> Pcm:
         """Return `sound` resampled to `count` samples by Catmull-Rom interpolation."""

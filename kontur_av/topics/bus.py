@@ -151,8 +151,7 @@ class Writer:
         record = _header(stamp, 0, 0) + data
         ctypes.memmove(sample.user_header_ptr, record, len(record))
         sample.assume_init().send()
-        if self._notifier is not None:
-            self._notifier.notify()
+        self._wake()
 
     def publish_video(self, frame: VideoFrame) -> None:
         """Copy a picture into the topic."""

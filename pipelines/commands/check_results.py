@@ -65,7 +65,6 @@ def _verdict(passed: bool) -> Text:
 
 
 def check_report(result: CheckResult) -> CheckReport:
-    """The row of a report."""
     return CheckReport(
         name=result.name,
         passed=None if result.skipped else result.passed,

@@ -22,6 +22,7 @@ from pipelines.hand.haptic_loop import new_life
 from pipelines.hand.partner_side import run_side, told
 from pipelines.partner.far import Far
 from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path
+from pipelines.session.options import refuse_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide
@@ -91,10 +92,8 @@ def reached(
         with Far(args.rtc, token, servers, who=who) as far:
             yield far.own, far.to_session
         return
-    for option in ("token", "token_file", "ice_server"):
-        if getattr(args, option) is not None:
-            words = option.replace("_", "-")
-            raise ConfigError(f"--{words} is for the way across the Internet: give --rtc URL, too")
+    why = " is for the way across the Internet: give --rtc URL, too"
+    refuse_options(args, why, "token", "token_file", "ice_server")
     own, to_session = _open(args.base_port, who)
     with closing(own):
         yield own, to_session

@@ -4,6 +4,7 @@ import argparse
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import add_key_argument
+from pipelines.session.options import refuse_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from telepresence.haptics.device.spec import SIMULATED
@@ -49,10 +50,8 @@ def check_own_options(args: argparse.Namespace, topology: Topology) -> None:
     if end is Segment.GROUND and args.joystick != SIMULATED:
         raise ConfigError("--joystick: the joystick is in space; give it at --end space")
     if end is Segment.SPACE:
-        for option in ("rtc", "rtc_token_file", "ice_server"):
-            if getattr(args, option) is not None:
-                name = option.replace("_", "-")
-                raise ConfigError(f"--{name}: a partner joins the ground; give it at --end ground")
+        why = ": a partner joins the ground; give it at --end ground"
+        refuse_options(args, why, "rtc", "rtc_token_file", "ice_server")
     here = inputs_here(topology)
     for option in args.source:
         name = option.partition("=")[0]

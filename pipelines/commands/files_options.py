@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from pipelines.files.desk import RATES_BPS
 from pipelines.files.process_files import FilesPlan
 from pipelines.files.service_sockets import ALLOW, LISTEN
@@ -48,10 +48,8 @@ def files_arguments(
     directories = {}
     for segment in segments:
         directory = args.files / segment.value
-        try:
+        with refused(f"--files {directory}"):
             directory.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"--files {directory}: {error.strerror or error}") from None
         if not os.access(directory, os.W_OK | os.X_OK):
             raise ConfigError(f"--files {directory}: cannot be written to; choose another one")
         directories[segment] = directory.absolute()

@@ -4,7 +4,7 @@ import argparse
 import shutil
 from pathlib import Path
 
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ProtocolError, refused
 from pipelines.recording.inventory import inventory_lines, take_inventory
 from pipelines.recording.recording_file import octets_of_file
 
@@ -14,10 +14,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    try:
+    with refused(args.file, ProtocolError):
         inventory = take_inventory(octets_of_file(args.file))
-    except ProtocolError as error:
-        raise ConfigError(f"{args.file}: {error}") from None
     width = shutil.get_terminal_size().columns
     print("\n".join(inventory_lines(inventory, str(args.file), width)))
     return 0

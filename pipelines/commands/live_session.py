@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog
 from pipelines.report.model import ReplayReport
@@ -34,16 +34,14 @@ def add_live_arguments(parser: argparse.ArgumentParser) -> None:
     loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
 
 
-def made_directory(path: Path | None) -> Path | None:
-    """The directory for snapshots, which is made if need be; ConfigError if it cannot be."""
+def made_directory(path: Path | None, option: str) -> Path | None:
+    """The directory of an option, which is made if need be; ConfigError if it cannot be."""
     if path is None:
         return None
-    try:
+    with refused(f"{option} {path}"):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--snapshots {path}: {error.strerror or error}") from None
     if not os.access(path, os.W_OK):
-        raise ConfigError(f"--snapshots {path}: cannot be written to; choose another directory")
+        raise ConfigError(f"{option} {path}: cannot be written to; choose another directory")
     return path.absolute()
 
 
@@ -83,7 +81,6 @@ def with_status(
     """
     tell = status_teller()
     attached = ExperimentWatch(collector, attached=True)
-    gateway = collector.topology.gateway(end).name
     notes: NotesReader | None = None
 
     def show_and_tell(launcher: Launcher) -> None:
@@ -99,7 +96,7 @@ def with_status(
             events = [event for event in log.events if event.what == UPKEEP]
             with suppress(OSError):
                 write_now(launcher.session, SessionNow(experiment=experiment, events=events))
-        link = collector.process(gateway).link
+        link = collector.gateway(end).link
         if tell is not None and link is not None:
             tell(replace(status_of(link.supervision), busy=bool(experiment)))
         show(launcher)

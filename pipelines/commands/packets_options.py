@@ -83,7 +83,6 @@ class PacketsWish(NamedTuple):
 
 
 def parse_packets(text: str) -> PacketsWish:
-    """Return what `text` asks for; ConfigError."""
     udp = text.startswith("udp:")
     fits = "tcp:[HOST:]PORT or udp:HOST:PORT"
     return PacketsWish(_address(text, _OPTION, _UDP if udp else _TCP, fits), udp)

@@ -64,7 +64,7 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
             None if keeper.peer is None else keeper.peer.send_opus(opus, stamp)
         ),
     ) as sources:
-        newest = await keep(args, keeper, look)
+        newest = await keep(args.seconds, keeper, look)
         failed = []
         if not keeper.attempts.stood:
             failed.append(f"no connection to {args.whip}: {keeper.fault or 'none was made'}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from kontur_av.clock import MonotonicClock
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from kontur_av.media import parse_size
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
@@ -107,7 +107,5 @@ def _open_raw(args: argparse.Namespace, stream: StreamDescription) -> RawPicture
 
 
 def _read_text(path: str) -> str:
-    try:
+    with refused(f"--sdp {path!r} cannot be read"):
         return Path(path).read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise ConfigError(f"--sdp {path!r} cannot be read: {error.strerror}") from None

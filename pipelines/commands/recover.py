@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.recording.recording_file import check_new, octets_of_file, write_whole
 from pipelines.recording.recover import Recovery
 from pipelines.session.output import say
@@ -24,10 +24,8 @@ def run(args: argparse.Namespace) -> int:
     octets = octets_of_file(torn)
     if whole.exists() and whole.samefile(torn):
         raise ConfigError(f"--out {whole} is the torn recording itself: give another name")
-    try:
+    with refused(torn, ProtocolError):
         recovery = Recovery(octets)
-    except ProtocolError as error:
-        raise ConfigError(f"{torn}: {error}") from None
     figures = recovery.figures
     if figures.sound:
         line = f"{torn} is whole: there is nothing to mend"

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     check_caps(args.file, setup, recorded, recode=args.recode, speed=args.speed)
     if args.seconds is not None:
         recorded = recorded.begin(args.seconds)
-    snapshots = made_directory(args.snapshots)
+    snapshots = made_directory(args.snapshots, "--snapshots")
     check_writable(args.report)
     clear_dead_sessions()
     check_room(setup, setup.inputs)

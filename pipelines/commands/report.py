@@ -5,7 +5,7 @@ from pathlib import Path
 
 import msgspec
 
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.report.account import account_of
 from pipelines.report.join import join_reports
 from pipelines.report.model import SessionReport, from_json, to_json
@@ -55,24 +55,20 @@ def run(args: argparse.Namespace) -> int:
         print_summary(report)
         return 0
     account = path.with_suffix(".html")
-    try:
+    with refused(f"{account}: cannot be written"):
         write_text(account, account_of(report))
-    except OSError as error:
-        raise ConfigError(f"{account}: cannot be written: {error.strerror or error}") from None
     print(account)
     return 0
 
 
 def _joined(ground: Path, space: Path) -> SessionReport:
-    try:
+    with refused(f"{ground}, {space}: damaged", ProtocolError):
         return join_reports(
             read_report(ground),
             read_report(space),
             read_setup=setup_from_text,
             table_of=topology_of,
         )
-    except ProtocolError as error:
-        raise ConfigError(f"{ground}, {space}: damaged: {error}") from None
 
 
 def read_report(path: Path) -> SessionReport:

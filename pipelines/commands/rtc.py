@@ -106,7 +106,7 @@ async def _serve(args: argparse.Namespace) -> RtcCommandReport:
         ) as sources:
             await server.start()
             newest = None
-            async for _ in driven(args):
+            async for _ in driven(args.seconds):
                 output.flush()
                 sources.wanted = any(peer.connected for peer in programme.peers)
                 sources.handle_wish(programme.wish_bps)

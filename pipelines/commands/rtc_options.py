@@ -8,6 +8,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.partner.ice_servers import IceServer, IceServers, timed_credentials
+from pipelines.session.options import refuse_options
 from telepresence.private_file import read_secret
 
 #: What an HTTP header can carry (RFC 6750 section 2.1).
@@ -78,13 +79,8 @@ def ice_servers_of(
     """
     url, secret_file, user = args.ice_server, args.turn_secret_file, args.turn_user
     if url is None:
-        for option, given in (
-            ("--turn-secret-file", secret_file),
-            ("--turn-user", user),
-            ("--turn-password-file", args.turn_password_file),
-        ):
-            if given is not None:
-                raise ConfigError(f"{option} belongs to a server: give --ice-server turn:HOST, too")
+        why = " belongs to a server: give --ice-server turn:HOST, too"
+        refuse_options(args, why, "turn_secret_file", "turn_user", "turn_password_file")
         servers = IceServers(relay_only=args.ice_relay_only)
         if not may_be_named:
             servers.check()

@@ -2,9 +2,7 @@
 
 import argparse
 import asyncio
-import signal
 from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
 from pathlib import Path
 
 from kontur_av.clock import Clock
@@ -14,7 +12,7 @@ from pipelines.partner.connection_report import RtcConnection, connection_report
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
-from pipelines.session.children import ENDING
+from pipelines.session.children import stopped_by_signals
 from pipelines.session.output import say
 
 _LOOK_S = 0.2
@@ -26,30 +24,21 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 async def driven(
-    args: argparse.Namespace, running: asyncio.Future[None] | None = None
+    seconds: float | None, running: asyncio.Future[None] | None = None
 ) -> AsyncIterator[None]:
     """Yield five times a second, until the time is over, a signal comes, or `running` has ended.
 
     Raises what `running` raises.
     """
-    loop, stop = asyncio.get_running_loop(), asyncio.Event()
-    nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    ending = [number for number in ENDING if not (nohup and number == signal.SIGHUP)]
-    for number in ending:
-        loop.add_signal_handler(number, stop.set)
-    end_s = None if args.seconds is None else loop.time() + args.seconds
-    try:
-        while not stop.is_set() and (end_s is None or loop.time() < end_s):
+    loop = asyncio.get_running_loop()
+    end_s = None if seconds is None else loop.time() + seconds
+    with stopped_by_signals() as stopped:
+        while not stopped() and (end_s is None or loop.time() < end_s):
             if running is not None and running.done():
                 running.result()
                 return
             yield
-            with suppress(TimeoutError):
-                async with asyncio.timeout(_LOOK_S):
-                    await stop.wait()
-    finally:
-        for number in ending:
-            loop.remove_signal_handler(number)
+            await asyncio.sleep(_LOOK_S)
 
 
 def keeper_of(
@@ -71,7 +60,7 @@ def keeper_of(
 
 
 async def keep(
-    args: argparse.Namespace, keeper: Keeper[RtcPeer], look: Callable[[], None]
+    seconds: float | None, keeper: Keeper[RtcPeer], look: Callable[[], None]
 ) -> RtcConnection | None:
     """Keep the connection until the command ends; figures of the newest one.
 
@@ -79,7 +68,7 @@ async def keep(
     """
     newest = None
     running = asyncio.create_task(keeper.run())
-    async for _ in driven(args, running):
+    async for _ in driven(seconds, running):
         look()
         if keeper.peer is not None:
             newest = connection_report(keeper.peer) or newest

@@ -17,6 +17,7 @@ from pipelines.session.options import (
     add_hand_argument,
     add_radio_arguments,
     add_setup_argument,
+    refuse_options,
     setup_changes,
 )
 from pipelines.session.output import output_that_may_fail
@@ -86,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for cost in fields(CodingCosts):
         what = cost.name.removesuffix("_ms").replace("_", " ")
         parser.add_argument(
-            _option(cost.name),
+            f"--{cost.name.replace('_', '-')}",
             type=float,
             default=cost.default,
             metavar="MS",
@@ -117,9 +118,7 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
     for option in ("setup", "seconds"):
         if getattr(args, option) is None:
             raise ConfigError(f"--{option} is missing: a simulation without --replay needs it")
-    for option in ("recode", "cap_kbps"):
-        if getattr(args, option):
-            raise ConfigError(f"--{option.replace('_', '-')} changes a replay: give --replay, too")
+    refuse_options(args, " changes a replay: give --replay, too", "recode", "cap_kbps")
     setup = load_setup(
         args.setup,
         sources=parse_sources(args.source),
@@ -166,9 +165,9 @@ def _check_virtual(option: str, spec: str) -> None:
 
 
 def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
-    for option in ("source", "select", "deadband", "hand", "plan", "robot", "joystick"):
-        if getattr(args, option):
-            raise ConfigError(f"--{option} changes what is sent: a replay sends what was recorded")
+    why = " changes what is sent: a replay sends what was recorded"
+    given = ("source", "select", "deadband", "hand", "plan", "robot", "joystick")
+    refuse_options(args, why, *given)
     session = load_recording(args.replay)
     setup = replay_setup(args, args.replay, session)
     check_caps(args.replay, setup, session, recode=args.recode)
@@ -188,7 +187,3 @@ def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
             recode=str(args.replay) if args.recode else None,
             stopped=stopped,
         )
-
-
-def _option(cost: str) -> str:
-    return f"--{cost.replace('_', '-')}"

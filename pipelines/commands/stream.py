@@ -169,7 +169,7 @@ def run(args: argparse.Namespace) -> int:
     files = files_arguments(args, plan.segments)
     components = load_components(args.telemetry, built_in_dictionary())
     tasks = task_wish(args, setup, plan.segments)
-    snapshots = made_directory(args.snapshots)
+    snapshots = made_directory(args.snapshots, "--snapshots")
     check_writable(args.report)
     wish = wish_of(args, held=False)
     if wish is not None:

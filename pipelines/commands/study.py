@@ -52,7 +52,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="[HOST:]PORT",
         help="where the page is served (default 127.0.0.1:8270, or the next free port)",
     )
-    parser.set_defaults(seconds=None)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -108,7 +107,7 @@ async def _serve(args: argparse.Namespace, plan: StudyPlan, trials: StudyFolder)
             say(f"certificate made for this study, SHA-256 {made}")
         running = asyncio.create_task(server.run())
         try:
-            async for _ in driven(args, running):
+            async for _ in driven(None, running):
                 pass
         finally:
             running.cancel()

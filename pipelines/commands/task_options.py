@@ -7,6 +7,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.live_session import made_directory
+from pipelines.session.options import refuse_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import JOYSTICK, PAGES, TASKS
@@ -63,9 +64,7 @@ def task_wish(
 ) -> TaskWish | None:
     """What the options wish; None for a session without tasks. ConfigError."""
     if args.plan is None and args.tasks is None and not setup.tasks:
-        for option in ("leds", "runs"):
-            if getattr(args, option) is not None:
-                raise ConfigError(f"--{option} is for tasks: give --tasks or --plan, too")
+        refuse_options(args, " is for tasks: give --tasks or --plan, too", "leds", "runs")
         return None
     facts = facts_of(args.robot) if Segment.GROUND in segments else None
     two_hands = facts is not None and facts.two_hands and setup.partner_arm == "second"
@@ -95,7 +94,7 @@ def task_wish(
         catalogue=catalogue,
         plan=plan,
         leds=None if args.leds is None else _address(args.leds),
-        runs=made_directory(args.runs),
+        runs=made_directory(args.runs, "--runs"),
         simulated=simulated,
         two_hands=two_hands,
     )

@@ -56,7 +56,7 @@ async def _watch(args: argparse.Namespace) -> RtcCommandReport:
             )
 
         keeper = keeper_of(args, args.whep, make_peer, clock)
-        newest = await keep(args, keeper, output.flush)
+        newest = await keep(args.seconds, keeper, output.flush)
         pictures, voice = output.pictures(), output.voice()
         failed = output.finish()
         if not keeper.attempts.stood:

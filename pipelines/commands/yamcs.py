@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from pipelines.commands.packets_options import DEFAULT_PACKETS, parse_frames, parse_packets
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.packets.yamcs import instance_files
@@ -60,11 +60,9 @@ def run(args: argparse.Namespace) -> int:
     directory: Path = args.directory
     if taken := [name for name in files if (directory / name).exists()]:
         raise ConfigError(f"{directory / taken[0]} is there already: name another directory")
-    try:
+    with refused(directory):
         for name, text in files.items():
             (directory / name).parent.mkdir(parents=True, exist_ok=True)
             (directory / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{directory}: {error.strerror}") from None
     print_data(f"{directory} is written. In it start org.yamcs.YamcsServer: docs/yamcs.md\n")
     return 0

@@ -51,7 +51,7 @@ from pipelines.recording.session_messages import (
     SampleNumbers,
     SessionMessages,
 )
-from pipelines.session.figures import SessionEvents
+from pipelines.session.figures import SessionEvents, leaves
 from pipelines.session.seat_roles import VIEWER_WORDS
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Topology
@@ -100,7 +100,7 @@ class Bridge:
         self._events: deque[Sequence[ChannelMessage]] = deque(maxlen=_KEPT_EVENTS)
         self._figures: Mapping[str, Figure] = {}
         self._figures_ns = 0
-        self._setup = dict(_flat("setup", tomllib.loads(setup_toml(topology.setup))))
+        self._setup = dict(leaves(tomllib.loads(setup_toml(topology.setup)), "setup"))
         self.services = Services(topology, life)
         #: By channel, of clients that have gone; missed: of all.
         self._sent: Counter[str] = Counter()
@@ -125,7 +125,6 @@ class Bridge:
         return number
 
     def handle_closed(self, number: int) -> None:
-        """A client has gone."""
         client = self._clients.pop(number)
         self._sent += client.sent
         self._dropped += client.dropped
@@ -162,7 +161,6 @@ class Bridge:
             client.put_answer(service_failure(call.service, call.call, error))
 
     def waits(self, number: int) -> bool:
-        """Whether something waits for a client."""
         return self._clients[number].waits
 
     def poll_transmit(self, number: int) -> bytes | str | None:
@@ -220,7 +218,6 @@ class Bridge:
         return video is not None and video.lacks_key(now_ns)
 
     def coder(self, source: Source) -> CameraCoder:
-        """Return what codes the pictures of a camera."""
         return self._coders[source.channels[0]]
 
     def handle_sample(
@@ -294,12 +291,10 @@ class Bridge:
                     continue  # it does not read, and will be closed
 
     def next_event(self) -> KeyAsked | None:
-        """Return a key picture that is to be made, or None."""
         asked = (video.next_event() for video in self._videos.values())
         return next((one for one in asked if one is not None), None)
 
     def figures(self, now_ns: int) -> FoxgloveFigures:
-        """Return what was counted."""
         clients = self._clients.values()
         sent = sum((client.sent for client in clients), self._sent)
         dropped = sum((client.dropped for client in clients), self._dropped)
@@ -326,12 +321,3 @@ class Bridge:
         messages = self._messages.of_event(event, now_ns)
         self._events.append(messages)
         self._put(messages, now_ns)
-
-
-def _flat(name: str, value: object) -> Iterator[tuple[str, Value]]:
-    """The values of nested tables, by their whole names."""
-    if isinstance(value, dict):
-        for key, one in value.items():
-            yield from _flat(f"{name}.{key}", one)
-    else:
-        yield name, value  # type: ignore[misc]  # of TOML

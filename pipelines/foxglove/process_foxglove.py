@@ -210,7 +210,6 @@ class _Topics:
             state.open()
 
     def read(self, now_ns: int) -> None:
-        """Read what has come."""
         bridge = self._bridge
         wanted = {source.topic for source in bridge.wanted}
         for source in self._sources:

@@ -10,7 +10,7 @@ from typing import Annotated, Final, NamedTuple
 
 import msgspec
 
-from kontur_av.errors import ProtocolError
+from kontur_av.errors import ProtocolError, refused
 from pipelines.recording.channels import ChannelRow
 from telepresence.malformed import MALFORMED
 
@@ -118,11 +118,9 @@ Value = bool | int | float | str | list["Value"] | dict[str, "Value"] | None
 
 def parse_text(text: str) -> ClientText:
     """Return a client's request; ProtocolError for anything else."""
-    try:
+    with refused("no request of a client", *MALFORMED, to=ProtocolError):
         request: ClientText = _TEXTS.decode(text)
         return request
-    except MALFORMED as error:
-        raise ProtocolError(f"no request of a client: {error}") from None
 
 
 def parse_octets(octets: bytes) -> ServiceCall:
@@ -140,10 +138,8 @@ def parse_fields(row: ServiceRow, call: ServiceCall) -> Mapping[str, str]:
     """Return the fields of a request; ProtocolError for anything else."""
     if call.encoding != JSON:
         raise ProtocolError(f"{row.name} takes {JSON}, not {call.encoding[:20]!r}")
-    try:
+    with refused(row.name, *MALFORMED, to=ProtocolError):
         given = msgspec.json.decode(call.data or b"{}", type=dict[_Name, _Name])
-    except MALFORMED as error:
-        raise ProtocolError(f"{row.name}: {error}") from None
     if set(given) != set(row.fields):
         needs = ", ".join(row.fields) or "nothing"
         raise ProtocolError(f"{row.name} takes {needs}")
@@ -164,7 +160,6 @@ def server_info(name: str, session: str, *, commands: bool) -> str:
 
 
 def advertise(rows: Iterable[ChannelRow]) -> str:
-    """Return the message that names the channels."""
     channels = []
     for row in rows:
         schema, channel = row.records()
@@ -182,7 +177,6 @@ def advertise(rows: Iterable[ChannelRow]) -> str:
 
 
 def advertise_services(rows: Iterable[ServiceRow]) -> str:
-    """Return the message that names the services."""
     services = [
         {
             "id": row.number,
@@ -222,12 +216,10 @@ def parameter_values(values: Mapping[str, Value], request: str | None = None) ->
 
 
 def status(words: str) -> str:
-    """Return a warning."""
     return _text("status", level=WARNING, message=words)
 
 
 def message_data(subscription: int, log_ns: int, data: bytes) -> bytes:
-    """Return a message of a channel."""
     return _DATA_HEAD.pack(_DATA, subscription, log_ns) + data
 
 

@@ -13,7 +13,6 @@ from pipelines.session.topology import (
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
-    """The process of `--foxglove`."""
     return (
         ProcessRow(
             name=FOXGLOVE,

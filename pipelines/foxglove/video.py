@@ -70,7 +70,6 @@ class LiveVideo:
         self._codec: VideoCodec = "h264"
 
     def handle_unit(self, unit: CodedUnit, stamp: CaptureStamp, at: Instants) -> None:
-        """A unit of the stream."""
         now_ns, self._codec = at.now_ns, unit.codec
         takers = []
         if self._held is None and (self._key_ns is None or now_ns - self._key_ns >= _APART_NS):
@@ -125,7 +124,6 @@ class LiveVideo:
         )
 
     def next_event(self) -> KeyAsked | None:
-        """Return the key picture that is to be made, or None."""
         asked, self._asked = self._asked, None
         return asked
 

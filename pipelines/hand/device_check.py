@@ -333,7 +333,6 @@ def speed(reading: JoystickReading | RobotReading) -> float:
 
 
 def along(axis: int, size: float) -> tuple[float, float]:
-    """Return a vector of this size along an axis."""
     return (0.0, size) if axis else (size, 0.0)
 
 

@@ -187,7 +187,6 @@ class RobotEnd(_End[RobotSide]):
             self._probe.tell(self._ownership.report())
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
-        """One cycle, which moves the robot on by `advance_ns`."""
         self._cycle(now_ns, advance_ns)
         robot = self.side.robot
         changed = robot.contact != (self._contact_since_ns is not None)
@@ -214,7 +213,6 @@ class RobotEnd(_End[RobotSide]):
             self._add_row(now_ns)
 
     def next_event(self) -> WorldState | None:
-        """Return the state to publish, or None."""
         state = self._state
         if state is not None:
             self._state = None
@@ -289,7 +287,6 @@ class JoystickEnd(_End[JoystickSide]):
         operation.partner = self._link.hearing and (russian or session.partner_there)
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
-        """One cycle, which moves the joystick on by `advance_ns`."""
         feedback = self._latest(now_ns)
         if feedback is not None:
             self._feel(now_ns, feedback.fx_n, feedback.fy_n, feedback.contact)

@@ -14,6 +14,8 @@ from telepresence.haptics.device.handle import OperatedHandle
 #: An unchanged state is told at this interval.
 _ANEW_NS = 100 * NS_PER_MS
 
+_Answer = tuple[int | None, str]
+
 
 class JoystickStatusTeller(WatchedTopic):
     """Call `handle_request` for each request and `poll_status` every few cycles.
@@ -26,24 +28,23 @@ class JoystickStatusTeller(WatchedTopic):
         self._handle = handle
         self._told: tuple[object, ...] | None = None
         self._anew_ns = 0
-        self._answered: int | None = None
-        self._refusal = ""
-        self._commanded: int | None = None
-        self._command_refusal = ""
+        #: Number of the newest command, and why it was refused: of persons, and by telecommand.
+        self._answered: _Answer = (None, "")
+        self._commanded: _Answer = (None, "")
 
     def handle_request(self, data: bytes) -> None:
         """Carry out the command in `data`; malformed input is ignored."""
-        request = unpack_request(data)
-        if request is not None:
-            self._refusal = self._handle.handle_command(request.event)[:MOST_CHARACTERS]
-            self._answered = request.number
+        self._answered = self._carried_out(data) or self._answered
 
     def handle_telecommand(self, data: bytes) -> None:
         """The same for a telecommand, which has numbers of its own."""
+        self._commanded = self._carried_out(data) or self._commanded
+
+    def _carried_out(self, data: bytes) -> _Answer | None:
         request = unpack_request(data)
-        if request is not None:
-            self._command_refusal = self._handle.handle_command(request.event)[:MOST_CHARACTERS]
-            self._commanded = request.number
+        if request is None:
+            return None
+        return request.number, self._handle.handle_command(request.event)[:MOST_CHARACTERS]
 
     def poll_status(self, now_ns: int) -> bytes | None:
         """Return the state as octets if it is due, or None."""
@@ -53,11 +54,11 @@ class JoystickStatusTeller(WatchedTopic):
         operation = handle.operation
         reason = operation.prompt or operation.reason or operation.supervisor.reason
         test = operation.test
-        numbers = (self._answered, self._commanded)
+        (answered, refusal), (commanded, command_refusal) = self._answered, self._commanded
         robot = (handle.robot_waits, handle.robot_stopped)
         experiment = (operation.experiment, operation.partner)
         hand = (operation.state, handle.dead_man, handle.pressed, reason)
-        present = (*hand, test, *experiment, *numbers, *robot)
+        present = (*hand, test, *experiment, answered, commanded, *robot)
         if present == self._told and now_ns < self._anew_ns:
             return None
         self._told, self._anew_ns = present, now_ns + _ANEW_NS
@@ -71,10 +72,10 @@ class JoystickStatusTeller(WatchedTopic):
             device=facts.name[:MOST_CHARACTERS],
             half_width_m=found.half_width_m,
             half_height_m=found.half_height_m,
-            answered=self._answered,
-            refusal=self._refusal,
-            commanded=self._commanded,
-            command_refusal=self._command_refusal,
+            answered=answered,
+            refusal=refusal,
+            commanded=commanded,
+            command_refusal=command_refusal,
             temperature_c=operation.reading.temperature_c,
             x_m=handle.x_m,
             y_m=handle.y_m,

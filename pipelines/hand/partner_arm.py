@@ -43,17 +43,19 @@ def run_second_robot(context: Context) -> None:
     """
     robot = open_robot(context.topology.options.second_robot)
     with closing(robot), context.open_bus() as bus:
-        writer = NumberedTopic(bus, SECOND_ROBOT_TOPIC, max_octets=STATE_OCTETS)
-
-        def publish(state: WorldState) -> None:
-            writer.publish_octets(pack_state(state), state.time_ns)
-
+        publish = state_publisher(bus, SECOND_ROBOT_TOPIC)
         envelope = SafetyEnvelope(within(context.setup.safety, robot.facts))
         end = RobotEnd(context.probe, robot_side(envelope, life=new_life(), robot=robot))
         watch, recover = keep_powered(robot, envelope)
         stop = follow_stop(KeptOrders(context.session), end)
         ports = partner_ports(context.setup)
         run_loop(context, end, ports, publish, before=watch, seldom=[stop, recover])
+
+
+def state_publisher(bus: TopicBus, topic: str) -> Callable[[WorldState], None]:
+    """Return what publishes the states of a robot."""
+    writer = NumberedTopic(bus, topic, max_octets=STATE_OCTETS)
+    return lambda state: writer.publish_octets(pack_state(state), state.time_ns)
 
 
 def keep_powered(robot: Robot, envelope: SafetyEnvelope) -> tuple[Cycle, Cycle]:

@@ -4,7 +4,13 @@ from collections.abc import Sequence
 from contextlib import closing
 
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.hand_topics import STATUS_OCTETS, JoystickOrders, RobotOrders, unpack_input
+from pipelines.hand.hand_topics import (
+    STATUS_OCTETS,
+    HandInputFigures,
+    JoystickOrders,
+    RobotOrders,
+    unpack_input,
+)
 from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
@@ -15,6 +21,7 @@ from pipelines.hand.partner_arm import (
     open_partner,
     route_to_owner,
     serve_board,
+    state_publisher,
 )
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.hand.safety_ends import (
@@ -29,7 +36,6 @@ from pipelines.hand.safety_ends import (
 )
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
-from pipelines.session.robot_state import STATE_OCTETS, pack_state
 from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
@@ -61,7 +67,6 @@ from telepresence.haptics.robot_spec import open_robot
 from telepresence.haptics.udp_robot import UdpRobot
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
 from telepresence.tasks.definitions import ControlMode
-from telepresence.world import WorldState
 
 #: Commands of a person that can wait; all that the topic can hold.
 _REQUESTS = 8
@@ -76,11 +81,6 @@ def run_robot(context: Context) -> None:
     with closing(robot), context.open_bus() as bus:
         if isinstance(robot, DrivenRobot):
             _tell_datagrams(context, robot.device)
-        writer = NumberedTopic(bus, ROBOT_TOPIC, max_octets=STATE_OCTETS)
-
-        def publish(state: WorldState) -> None:
-            writer.publish_octets(pack_state(state), state.time_ns)
-
         setup, topology = context.setup, context.topology
         tasks = topology.options.tasks
         mediated = setup.hand != "direct"
@@ -142,7 +142,7 @@ def run_robot(context: Context) -> None:
             context,
             end,
             session_ports(topology, ROBOT),
-            publish,
+            state_publisher(bus, ROBOT_TOPIC),
             before=before,
             after=tell_wall if mediated else None,
             seldom=seldom,
@@ -200,7 +200,7 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
             before = None
             inputs = [topic for topic in (HAND_INPUT_TOPIC, ROS2_HAND_TOPIC) if topic in reads]
             if isinstance(device, PageDevice) and inputs:
-                before = _hand(bus, device, inputs[0])
+                before = _hand(context, bus, device, inputs[0])
             ports = session_ports(context.topology, JOYSTICK)
             run_loop(context, end, ports, before=before, seldom=seldom)
     finally:
@@ -263,9 +263,10 @@ def _walls(bus: TopicBus, end: JoystickEnd) -> Cycle:
     return take
 
 
-def _hand(bus: TopicBus, device: PageDevice, topic: str) -> Cycle:
+def _hand(context: Context, bus: TopicBus, device: PageDevice, topic: str) -> Cycle:
     """Return what takes the newest input of the page or node that holds the handle."""
     latest = bus.reader(topic).latest_octets
+    context.on_flush(lambda: context.probe.tell(HandInputFigures(inputs_ignored=device.ignored)))
 
     def take(now_ns: int) -> None:
         octets = latest()

@@ -34,7 +34,6 @@ class ReplayTime:
         self._recorded_ns, self._replayed_ns, self._speed = recorded_ns, replayed_ns, speed
 
     def at(self, recorded_ns: int) -> int:
-        """Return the instant in the replay."""
         since_ns = recorded_ns - self._recorded_ns
         if self._speed != 1.0:
             since_ns = round(since_ns / self._speed)
@@ -49,13 +48,15 @@ class ReplayScript:
     recorded_ns: instants of capture of the items, in order, on the recorded clock.
     cost_ns: an item is due this long after its capture.
     now_ns: items that are due before it are left out, so a restarted process repeats nothing.
+
+    left_out: how many these are.
     """
 
     def __init__(
         self, recorded_ns: Sequence[int], time: ReplayTime, *, cost_ns: int, now_ns: int
     ) -> None:
         self._recorded_ns, self._time, self._cost_ns = recorded_ns, time, cost_ns
-        self._next = bisect_left(recorded_ns, now_ns, key=self._due_ns)
+        self.left_out = self._next = bisect_left(recorded_ns, now_ns, key=self._due_ns)
 
     def poll_timeout(self) -> int | None:
         """When the next item is due; None after the last."""

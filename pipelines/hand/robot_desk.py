@@ -126,7 +126,6 @@ class RobotDesk:
         return self.status(now_ns)
 
     def status(self, now_ns: int) -> RobotStatus:
-        """Return what the controller does now."""
         if now_ns - self._counted_ns >= _RATE_NS:
             steps = self.control.steps
             self._step_hz = (steps - self._steps) / ((now_ns - self._counted_ns) / NS_PER_S)

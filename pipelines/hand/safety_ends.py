@@ -61,7 +61,6 @@ class CameraWatch:
         self._captured_ns: int | None = None
 
     def handle_choice(self, camera: str) -> None:
-        """`camera` is selected."""
         if self._camera is not None and camera != self._camera:
             self._changed()
         self._camera = camera

@@ -77,7 +77,6 @@ class GatewayEnd:
         self.poll_transmit = gateway.radio.poll_transmit
 
     def handle_frame(self, frame: bytes, now_ns: int) -> None:
-        """A frame of the peer has come."""
         if self._radio_in is None:
             self.gateway.handle_radio(frame, now_ns)
         else:

@@ -9,7 +9,7 @@ import secrets
 from collections.abc import Sequence
 from pathlib import Path
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
 from telepresence.private_file import OTHERS_WRITE, read_private
 
@@ -81,10 +81,8 @@ def trusted_identities(key_path: Path) -> list[MachineIdentity]:
         text = line.partition("#")[0].strip()
         if not text:
             continue
-        try:
+        with refused(f"{path}, line {number}", ConfigError):
             found.append(MachineIdentity.parse(text))
-        except ConfigError as error:
-            raise ConfigError(f"{path}, line {number}: {error}") from None
     return found
 
 
@@ -134,7 +132,7 @@ def pinned_peer(key_path: Path, chosen: str | None) -> MachineIdentity:
 def _write_trusted(key_path: Path, identities: Sequence[MachineIdentity]) -> None:
     path = trusted_path(key_path)
     unfinished = path.with_name(f"{path.name}.{os.getpid()}")
-    try:
+    with refused(f"{path} cannot be written"):
         try:
             descriptor = os.open(
                 unfinished, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o600
@@ -146,5 +144,3 @@ def _write_trusted(key_path: Path, identities: Sequence[MachineIdentity]) -> Non
             unfinished.replace(path)
         finally:
             unfinished.unlink(missing_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be written: {error.strerror}") from None

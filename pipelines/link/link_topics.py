@@ -55,7 +55,6 @@ class LinkTopics:
         self._batches = _SELDOM - 1
 
     def handle_time(self, now_ns: int) -> None:
-        """Publish what has readers."""
         self.due_ns = now_ns + _BATCH_NS
         gateway = self._gateway
         if gateway.frames_sent:

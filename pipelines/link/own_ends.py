@@ -18,6 +18,7 @@ from pipelines.session.datagrams import (
     reaches,
 )
 from pipelines.session.launcher import hold_port
+from pipelines.session.options import refuse_options
 from pipelines.session.topology import Segment, Topology
 
 _ANY = "0.0.0.0"
@@ -36,11 +37,8 @@ class EndChoice:
 def chosen_end(args: argparse.Namespace, topology: Topology) -> EndChoice | None:
     """The end that the options name; None: both run here. ConfigError if it cannot work."""
     if args.end is None:
-        for option in ("listen", "peer", "key", "identity", "insecure"):
-            if getattr(args, option):
-                raise ConfigError(
-                    f"--{option} is for one end alone: add --end ground or --end space"
-                )
+        why = " is for one end alone: add --end ground or --end space"
+        refuse_options(args, why, "listen", "peer", "key", "identity", "insecure")
         return None
     segment = Segment(args.end)
     bind, peer = _addresses(args, topology)

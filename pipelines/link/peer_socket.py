@@ -83,7 +83,6 @@ class PeerSocket:
         return self._take(datagram, source, self._clock_ns())
 
     def send(self, frame: bytes) -> None:
-        """Send a frame to wherever the peer is."""
         sealed = self._seal(frame, self._clock_ns())
         if sealed is None:
             return

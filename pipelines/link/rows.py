@@ -13,7 +13,6 @@ from pipelines.session.topology import (
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
-    """One gateway a segment."""
     return tuple(
         ProcessRow(
             name=session.link(segment.transmits).sender,

@@ -1,7 +1,5 @@
 """The process of an input: from its source, or from a browser page, into its topic."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -17,7 +15,6 @@ from pipelines.session.robot_state import newest_state
 from pipelines.session.setup.table import VideoStream
 from pipelines.session.topic_ends import new_exercises
 from pipelines.session.topology import MISSION_LEDS_TOPIC, TRAINER_TOPIC, InputRow
-from pipelines.session.training import Exercises
 from telepresence.world import audio_scenes, video_scenes
 
 #: How long to wait for the input's own source while a page has the input. It is read on, so that it
@@ -37,8 +34,6 @@ def run_camera(context: Context, *, name: str, stream: VideoStream) -> None:
     """
     with context.open_bus() as bus:
         camera = _Camera(context, bus, name, stream)
-        if TRAINER_TOPIC in context.topology.reads(context.topology.input(name).process):
-            camera.follow(new_exercises(bus))
         while not context.stopping:
             camera.handle_next()
             context.tick(context.clock.now_ns())
@@ -88,17 +83,13 @@ class _Camera:
         self._capturing = Capturing(context.probe)
         context.on_flush(self._tell)
         self._name = name
-        self._exercises: Callable[[], Exercises | None] | None = None
+        self._new_exercises = new_exercises(bus) if TRAINER_TOPIC in reads else None
         self._lost_until_ns = 0
         self._loan = self._writer.loan_picture(*self._size)
 
-    def follow(self, take: Callable[[], Exercises | None]) -> None:
-        """Heed a trainer's exercises. take: returns them after a change."""
-        self._exercises = take
-
     def handle_next(self) -> None:
         """Capture the next picture, or wait for it at most `PATIENCE_NS`."""
-        exercises = None if self._exercises is None else self._exercises()
+        exercises = None if self._new_exercises is None else self._new_exercises()
         if exercises is not None:
             self._lost_until_ns = exercises.cameras_ns.get(self._name, 0)
         page, now_ns = self._page, self._clock.now_ns()

@@ -19,11 +19,9 @@ def run_snapshots(context: Context) -> None:
         context.topology, started_ns=context.started_ns, now_ns=clock.now_ns()
     )
     written = failed = 0
-
-    def fill() -> None:
-        probe.tell(SnapshotFigures(snapshots=written, snapshots_failed=failed))
-
-    context.on_flush(fill)
+    context.on_flush(
+        lambda: probe.tell(SnapshotFigures(snapshots=written, snapshots_failed=failed))
+    )
     with context.open_bus() as bus:
         while not context.stopping:
             now_ns = clock.now_ns()

@@ -18,11 +18,9 @@ def run_stereo(context: Context) -> None:
     clock, video, topology = context.clock, context.setup.uplink_video, context.topology
     pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
     merger = StereoMerger()
-
-    def fill() -> None:
-        context.probe.tell(StereoFigures(paired=pairer.paired, single=pairer.single))
-
-    context.on_flush(fill)
+    context.on_flush(
+        lambda: context.probe.tell(StereoFigures(paired=pairer.paired, single=pairer.single))
+    )
     with context.open_bus() as bus:
         writer = bus.writer(
             topology.camera(STEREO).topic, max_octets=video.width * video.height * 3 // 2

@@ -40,7 +40,6 @@ class SendShell:
         self._sent_ns = Histogram()
 
     def run(self, seconds: float | None) -> SendReport:
-        """Send until the end; the report."""
         start_ns = self._clock.now_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
         next_line_ns = start_ns + NS_PER_S

@@ -55,7 +55,6 @@ class Screen:
             self._draw(now_ns)
 
     def next_event(self) -> Drawing | None:
-        """Return what to draw now, or None."""
         drawing, self._drawing = self._drawing, None
         return drawing
 
@@ -76,8 +75,7 @@ class Showing:
     def __init__(
         self, setup: Setup, streams: Sequence[VideoStream | VoiceStream], probe: Probe
     ) -> None:
-        #: The probe for the figures.
-        self.probe = self._probe = probe
+        self.probe = probe
         self._shown = {stream.name: 0 for stream in streams}
         #: By stream.
         self.staleness = {stream.name: _staleness(setup, stream) for stream in streams}
@@ -108,7 +106,6 @@ class Showing:
             screen.handle_time(now_ns)
 
     def next_event(self) -> Drawing | None:
-        """Return what to draw now, or None."""
         for screen in self._screens.values():
             drawing = screen.next_event()
             if drawing is not None:
@@ -122,11 +119,10 @@ class Showing:
         damaged = stamp.quality is Quality.DAMAGED
         self.staleness[stream].handle_shown(stamp.capture_ns, now_ns, damaged=damaged)
         row = ShownRow(stamp.rtp_timestamp, stamp.capture_ns, now_ns)
-        self._probe.series(ShownRow, stream).add(row)
+        self.probe.series(ShownRow, stream).add(row)
 
     def tell(self, now_ns: int) -> None:
         """Put the counters into the probe. `handle_shown` was called for all up to `now_ns`."""
-        probe = self._probe
         for stream, staleness in self.staleness.items():
             staleness.handle_time(now_ns)
             stale, frozen, damaged = staleness.stale, staleness.frozen, staleness.damaged
@@ -141,7 +137,7 @@ class Showing:
                 age_ns=staleness.age_ns(now_ns),
                 state=staleness.state(now_ns),
             )
-            probe.tell(told, stream)
+            self.probe.tell(told, stream)
 
 
 def _staleness(setup: Setup, stream: VideoStream | VoiceStream) -> Staleness:

@@ -59,7 +59,6 @@ class SnapshotSchedule:
         self._due_ns = _next_ns(now_ns - self._started_ns)
 
     def next_event(self) -> Snapshot | None:
-        """Return the next picture to keep, or None."""
         return self._snapshots.pop() if self._snapshots else None
 
 

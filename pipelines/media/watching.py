@@ -81,7 +81,6 @@ class Recall:
         self.captured_ns: dict[int, int] = {}
 
     def add(self, timestamp: int, capture_ns: int) -> None:
-        """Add one; the oldest is dropped."""
         self.captured_ns[timestamp] = capture_ns
         if len(self.captured_ns) > self._depth:
             del self.captured_ns[next(iter(self.captured_ns))]

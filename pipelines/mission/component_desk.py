@@ -94,7 +94,6 @@ class ComponentDesk:
                 self._set(name, value)
 
     def handle_time(self, now_ns: int) -> None:
-        """Read the component, if it is due."""
         if now_ns >= self._due_ns:
             self._due_ns = now_ns + READ_NS
             self._read(now_ns)

@@ -20,6 +20,8 @@ class TmtcFigures:
     pus_received: int = 0
     #: Unreadable packets and requests.
     pus_garbage: int = 0
+    #: Reports and messages that nothing here waits for, or of an earlier life.
+    pus_unexpected: int = 0
     #: Packets that waited for the token bucket.
     pus_delayed: int = 0
     #: Reports and news dropped: too many waited.

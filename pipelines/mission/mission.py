@@ -173,7 +173,6 @@ class MissionGround:
         return refusal
 
     def handle_message(self, message: K2aciMessage, now_ns: int) -> None:
-        """A message of the panel."""
         self.experiment.handle_message(message, now_ns)
         self._settle(now_ns)
 
@@ -217,7 +216,6 @@ class MissionGround:
         return self._orders.popleft() if self._orders else None
 
     def poll_message(self) -> K2aciMessage | None:
-        """Return the next message for the panel, or None."""
         return self._messages.popleft() if self._messages else None
 
     def _select(self, name: str, now_ns: int) -> str:

@@ -111,14 +111,16 @@ def _supervising(table: Application, rows: Sequence[ProcessRow]) -> Application:
             for number, one in enumerate(gauges, len(parameters) + 1)
         ]
         ill = _event(row.name, "off_nominal", names)
-        limited = [f"{names[row.name]}_{one.name}" for one in gauges if one.high is not None]
+        limits = {
+            f"{names[row.name]}_{one.name}": one.high for one in gauges if one.high is not None
+        }
         state = f"{names[row.name]}_state"
         events += [
             EventDefinition(
                 name=ill,
                 number=len(events) + 1,
                 severity="medium",
-                arguments=(state, *limited),
+                arguments=(state, *limits),
                 text="it ended by itself, is silent, too busy or leaves cycles out",
             ),
             EventDefinition(
@@ -130,14 +132,7 @@ def _supervising(table: Application, rows: Sequence[ProcessRow]) -> Application:
         ]
         monitors += [
             Monitor(name=name, number=number, parameter=name, high=high, above=ill, repeat=_REPEAT)
-            for number, (name, high) in enumerate(
-                (
-                    (f"{names[row.name]}_{one.name}", one.high)
-                    for one in gauges
-                    if one.high is not None
-                ),
-                len(monitors) + 1,
-            )
+            for number, (name, high) in enumerate(limits.items(), len(monitors) + 1)
         ]
     return replace(
         table,
@@ -256,7 +251,6 @@ class ProcessSupervisor:
         self._complete()
 
     def poll_transmit(self) -> ProcessOrder | None:
-        """Return the next order for the launcher, or None."""
         return self._orders.popleft() if self._orders else None
 
     def next_event(self) -> FunctionDone | RaiseEvent | SetValues | None:

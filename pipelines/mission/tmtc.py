@@ -112,6 +112,8 @@ class TmtcEnd:
             rate_bps=PUS_RATE_BPS,
             epoch_ns=epoch_ns,
         )
+        #: Returns the next packet that stays at this end, or None.
+        self.next_local = self._node.next_local
         self._garbage = 0
         self._dropped = 0
         #: Requests that were handled, with the newest news of each.
@@ -202,12 +204,7 @@ class TmtcEnd:
         due = [*self._asked.values(), self._node.poll_timeout(now_ns)]
         return min((one for one in due if one is not None), default=None)
 
-    def next_local(self) -> bytes | None:
-        """Return the next packet that stays at this end, or None."""
-        return self._node.next_local()
-
     def next_event(self) -> TmtcNews | None:
-        """Return the next news for the processes of this segment, or None."""
         return self._news.popleft() if self._news else None
 
     def _collect(self, now_ns: int) -> None:
@@ -240,9 +237,11 @@ class TmtcEnd:
                 pus_sent_octets=node.sent_octets,
                 pus_received=node.received,
                 pus_garbage=node.garbage + user.garbage + self._k2aci.garbage + self._garbage,
+                pus_unexpected=user.unexpected + self._k2aci.unexpected,
                 pus_delayed=node.delayed,
                 pus_dropped=sum(one.dropped_reports for one in applications)
                 + user.dropped_events
+                + self._k2aci.dropped_answers
                 + self._dropped,
                 pus_telecommands=user.sent,
                 pus_telecommands_repeated=user.repeated,

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import msgspec
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from telepresence.malformed import MALFORMED
 from telepresence.tmtc.k2aci import CLASSES, K2aciMessage
 from telepresence.tmtc.pus.dictionary import Application
@@ -225,10 +225,8 @@ def k2aci_message(kind: str, given: Mapping[str, FieldValue]) -> K2aciMessage:
     known = [one.name for one in fields(cls)]
     if unknown := set(given) - set(known):
         raise ConfigError(f"{kind} has no {', '.join(sorted(unknown))}: it has {', '.join(known)}")
-    try:
+    with refused(kind, msgspec.ValidationError):
         return msgspec.convert(given, cls)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"{kind}: {error}") from None
 
 
 #: In place of a function; each with its verb in `SendCommand`.
@@ -319,7 +317,6 @@ def update_words(update: CommandUpdate) -> str:
 
 
 def selection_error(camera: str, update: CommandUpdate) -> str:
-    """Why a camera is not selected."""
     if update.verified or update.stage == "refused":
         return update.reason
     if update.reason == SUPERSEDED:

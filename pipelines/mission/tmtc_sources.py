@@ -44,7 +44,6 @@ class GatewaySource:
         self._signal: bool | None = None
 
     def handle_values(self, values: Values, now_ns: int) -> None:
-        """What the gateway counts."""
         signal = bool(values.get("signal"))
         self._end.handle_values(self._application, values, now_ns)
         if self._signal is not None and signal != self._signal:
@@ -220,7 +219,6 @@ class JoystickSource:
 
 
 def _application(status: JoystickStatus, state: JoystickState) -> str:
-    """Which application has the handle."""
     if status.test == Outcome.RUNNING:
         return "joystick test"
     return status.experiment if state is JoystickState.APPLICATION else "none"

@@ -265,7 +265,6 @@ class PacketBridge:
             self._editions.handle_end(report, edition)
 
     def handle_connection(self) -> int:
-        """A connection was opened; return its number."""
         self._add(outside_peers=1)
         self._connections += 1
         return self._connections

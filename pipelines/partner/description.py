@@ -29,7 +29,7 @@ from aiortc.sdp import (
     candidate_to_sdp,
 )
 
-from kontur_av.errors import ProtocolError
+from kontur_av.errors import ProtocolError, refused
 from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE
 from kontur_av.rtp.header_extensions import ABS_SEND_TIME, MID, PLAYOUT_DELAY
 
@@ -257,11 +257,9 @@ def read_description(text: str, *, answers: bool, ssrcs: dict[Kind, int]) -> Off
     """
     if len(text) > MOST_SDP_OCTETS:
         raise ProtocolError(f"a description of {len(text)} octets: {MOST_SDP_OCTETS} are most")
-    try:
+    with refused("not a session description", *MALFORMED, to=ProtocolError):
         parsed = SessionDescription.parse(_readable(clean_candidates(text)))
         return _read(parsed, answers=answers, ssrcs=ssrcs)
-    except MALFORMED as error:
-        raise ProtocolError(f"not a session description: {error}") from error
 
 
 def common_line(offered: MediaLine, *, sends: bool, receives: bool) -> MediaLine | None:
@@ -308,10 +306,8 @@ def read_candidates(text: str) -> Transport:
     said = [line.strip().partition(":") for line in clean_candidates(text).splitlines()]
     ufrag = next((value for key, _, value in said if key == "a=ice-ufrag" and value), "")
     password = next((value for key, _, value in said if key == "a=ice-pwd" and value), "")
-    try:
+    with refused("not a candidate of ICE", *MALFORMED, to=ProtocolError):
         candidates = [candidate_from_sdp(value) for key, _, value in said if key == "a=candidate"]
-    except MALFORMED as error:
-        raise ProtocolError(f"not a candidate of ICE: {error}") from error
     if not ufrag or not password:
         raise ProtocolError("a fragment without ICE's user name and password")
     return Transport(

@@ -7,6 +7,7 @@ ends, a colon and any name; the password is the Base64 of its HMAC-SHA1 under a 
 import base64
 import hmac
 import re
+from contextlib import suppress
 from dataclasses import dataclass
 
 from aiortc import RTCIceServer
@@ -98,14 +99,7 @@ def servers_of_links(values: list[str]) -> tuple[IceServer, ...]:
             parameters = {name: quoted or bare for name, quoted, bare in _PARAMETER.findall(rest)}
             if parameters.get("rel") != "ice-server":
                 continue
-            try:
-                found.append(
-                    IceServer(
-                        url=url,
-                        username=parameters.get("username", ""),
-                        credential=parameters.get("credential", ""),
-                    )
-                )
-            except ConfigError:
-                continue
+            user, word = parameters.get("username", ""), parameters.get("credential", "")
+            with suppress(ConfigError):
+                found.append(IceServer(url=url, username=user, credential=word))
     return tuple(found[:4])

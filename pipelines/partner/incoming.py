@@ -11,7 +11,6 @@ from kontur_av.rtp.header_extensions import ABS_SEND_TIME, elements_of
 from kontur_av.rtp.rate_feedback import rate_message
 from kontur_av.rtp.reordering import REORDER_DEPTH_NS
 from kontur_av.rtp.repair import TOO_OLD_NS, LossAsker
-from kontur_av.rtp.wire import RtcpReceiverInfo
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.partner.description import MediaLine
@@ -34,6 +33,10 @@ class _Incoming:
         self.line = line
         self.source: int | None = None
         self._receiver = receiver
+        self.handle_report = receiver.handle_report
+        #: What is due. Drain the stream's units or blocks afterwards.
+        self.handle_timeout = receiver.handle_timeout
+        self.block = receiver.report_block
 
     def handle_packet(self, packet: bytes, now_ns: int) -> None:
         """Handle an RTP packet of this stream. Drain the stream's units or blocks afterwards."""
@@ -41,19 +44,9 @@ class _Incoming:
         # The connection is the partner's alone, so another SSRC is the same sender begun anew.
         self._receiver.handle_packet(packet, now_ns, source=self.line.mid)
 
-    def handle_report(self, datagram: bytes, now_ns: int) -> None:
-        self._receiver.handle_report(datagram, now_ns)
-
-    def handle_timeout(self, now_ns: int) -> None:
-        """Handle what is due. Drain the stream's units or blocks afterwards."""
-        self._receiver.handle_timeout(now_ns)
-
     def poll_timeout(self) -> int | None:
         """Return when to call `handle_timeout`; None: not yet."""
         return self._receiver.poll_timeout()
-
-    def block(self, now_ns: int) -> RtcpReceiverInfo | None:
-        return self._receiver.report_block(now_ns)
 
 
 class IncomingPicture(_Incoming):

@@ -171,7 +171,6 @@ class OutgoingTrack:
         return self._stamped(packet, now_ns)
 
     def poll_report(self, now_ns: int) -> bytes | None:
-        """Return the sender report for now, or None."""
         report = self._rtp.poll_report(now_ns)
         if report is not None:
             self._reader.handle_report_sent(int.from_bytes(report[8:16], "big"), now_ns)

@@ -6,6 +6,7 @@ How the descriptions travel (WHIP, WHEP, a media server's own way) is the caller
 import asyncio
 import secrets
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
@@ -206,11 +207,9 @@ class RtcPeer:
         wait_s = (media.poll_timeout(now_ns) - self._clock.now_ns()) / NS_PER_S
         self._wake.clear()
         if wait_s > 0:
-            try:
+            with suppress(TimeoutError):
                 async with asyncio.timeout(wait_s):
                     await self._wake.wait()
-            except TimeoutError:
-                return
         else:
             # The loop's other work goes on.
             await asyncio.sleep(0)
@@ -241,11 +240,9 @@ class RtcPeer:
         )
 
     async def _finish_quietly(self, peer: Transport) -> None:
-        try:
+        # The partner begins anew if it wants to.
+        with suppress(ConnectionError):
             await self._transport.finish_restart(peer)
-        except ConnectionError:
-            # The partner begins anew if it wants to.
-            return
 
     def _handle_rtp(self, packet: bytes) -> None:
         if self.media is not None:

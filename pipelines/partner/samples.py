@@ -8,6 +8,7 @@ that tells the other end that this one is there.
 import asyncio
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 
 from aiortc import (
     RTCConfiguration,
@@ -18,7 +19,7 @@ from aiortc import (
 )
 from aiortc.exceptions import InvalidAccessError, InvalidStateError
 
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.partner.description import MALFORMED, MOST_SDP_OCTETS
 from pipelines.partner.ice_servers import IceServers
 from pipelines.session.datagrams import OwnOutlet, listen_alone, newest_sample
@@ -104,11 +105,9 @@ class SamplePeer:
                 waited_s = loop.time() - (self._heard_s if stood else began_s)
                 self.fault = f"nothing has come for {waited_s:.0f} s"
                 break
-            try:
+            with suppress(TimeoutError):
                 async with asyncio.timeout(_TELL_S):
                     await self._ended.wait()
-            except TimeoutError:
-                continue
         await self.close()
 
     async def close(self) -> None:
@@ -122,10 +121,8 @@ class SamplePeer:
             raise ProtocolError(f"an {kind} for samples has one section, the data channel's")
         if not sections[0].startswith("m=application "):
             raise ProtocolError(f"an {kind} without a data channel")
-        try:
+        with refused("not a session description", *_UNUSABLE, to=ProtocolError):
             await self._connection.setRemoteDescription(RTCSessionDescription(text, kind))
-        except _UNUSABLE as error:
-            raise ProtocolError(f"not a session description: {error}") from error
 
     def _take(self, channel: RTCDataChannel) -> None:
         if self._channel is not None or channel.label != _LABEL:

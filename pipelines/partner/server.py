@@ -187,7 +187,16 @@ class RtcServer:
 
     async def _begin(self, offer: str, programme: Programme | None) -> web.Response:
         """Take the partner's media, or send it a programme."""
-        peer = self._peer(programme)
+        peer: RtcPeer = RtcPeer(
+            clock=self._clock,
+            sends={} if programme is None else programme.sends,
+            receives=("audio", "video") if programme is None else (),
+            handle=self._handle or (lambda _: None),
+            want_key=lambda: None if programme is None else programme.want_key(peer),
+            servers=self._servers(),
+            most_bps=self._most_bps,
+            offers=False,
+        )
 
         async def join() -> None:
             if programme is not None:
@@ -208,21 +217,6 @@ class RtcServer:
             for link in self._servers().link_headers():
                 response.headers.add("Link", link)
         return response
-
-    def _peer(self, programme: Programme | None) -> RtcPeer:
-        want_key: list[RtcPeer] = []
-        peer = RtcPeer(
-            clock=self._clock,
-            sends={} if programme is None else programme.sends,
-            receives=("audio", "video") if programme is None else (),
-            handle=self._handle or (lambda _: None),
-            want_key=lambda: None if programme is None else programme.want_key(want_key[0]),
-            servers=self._servers(),
-            most_bps=self._most_bps,
-            offers=False,
-        )
-        want_key.append(peer)
-        return peer
 
     async def _begin_hand(self, offer: str, samples: SamplePorts) -> web.Response:
         """Take the partner's joystick; a newer connection takes the place of the older."""

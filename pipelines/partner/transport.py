@@ -333,17 +333,12 @@ async def _end(connection: Connection) -> None:
 async def _add(
     connection: Connection, candidates: tuple[RTCIceCandidate, ...], *, last: bool
 ) -> None:
-    for one in candidates:
-        # aioice takes UDP only; a browser also tells its TCP ports.
-        if one.component == 1 and one.protocol.lower() == "udp":
-            candidate: Candidate = candidate_to_aioice(one)
-            try:
+    # ValueError: of candidates that come after the last one.
+    with suppress(ValueError):
+        for one in candidates:
+            # aioice takes UDP only; a browser also tells its TCP ports.
+            if one.component == 1 and one.protocol.lower() == "udp":
+                candidate: Candidate = candidate_to_aioice(one)
                 await connection.add_remote_candidate(candidate)
-            except ValueError:
-                # Candidates that come after the last one.
-                return
-    if last:
-        try:
+        if last:
             await connection.add_remote_candidate(None)
-        except ValueError:
-            return

@@ -112,10 +112,8 @@ class WhipClient:
         """End the session; a server that does not answer is left alone."""
         resource, self._resource = self._resource, None
         if resource is not None:
-            try:
+            with suppress(ConnectionError, ProtocolError, ConfigError):
                 await self._ask("DELETE", resource, b"", {})
-            except (ConnectionError, ProtocolError, ConfigError):
-                return
 
     async def _ask(
         self, method: str, url: str, body: bytes, headers: Mapping[str, str]

@@ -60,7 +60,6 @@ class RecorderDesk:
 
     @property
     def terminals(self) -> list[int]:
-        """Those to read from."""
         return list(self._lines)
 
     def handle_terminal(self, terminal: int) -> None:
@@ -108,7 +107,6 @@ class RecorderDesk:
             self._events.append(Stop(None))
 
     def next_event(self) -> Reply | Start | Stop | Ask | None:
-        """Return what is to be done next, or None."""
         return self._events.popleft() if self._events else None
 
     def _handle_line(self, terminal: int, line: bytes) -> None:

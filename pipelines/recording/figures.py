@@ -56,6 +56,14 @@ class RecorderFigures:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayFigures:
+    """A process that sends again what was recorded."""
+
+    #: Units or packets due before it was there; after a restart also those that it had sent.
+    items_left_out: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FoxgloveFigures:
     """Clients of `--foxglove`."""
 

@@ -1,6 +1,7 @@
 """What is in a recording, gaps and losses included, and its lines for a terminal. A core."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from kontur_av.errors import ProtocolError
 from pipelines.recording.facts import FACTS, MENDED, RecordingFacts
 from pipelines.recording.messages import RecorderLosses, unpack
 from pipelines.recording.recover import check_format
-from pipelines.recording.scan import FoundMessage, Scan, ScanFigures
+from pipelines.recording.scan import Scan, ScanFigures
 from pipelines.session.topology.tables import Table
 
 _UNITS = ((1_000_000_000, "GB"), (1_000_000, "MB"), (1000, "kB"))
@@ -78,11 +79,14 @@ def take_inventory(octets: memoryview) -> Inventory:
     """Read a file; ProtocolError if it is no MCAP file, or a recording of a newer format."""
     scan = Scan(octets)
     channels: dict[int, ChannelInventory] = {}
-    facts, losses, mended = None, None, dict[str, str]()
+    facts: RecordingFacts | None = None
+    losses: RecorderLosses | None = None
+    mended: dict[str, str] = {}
     for item in scan.items():
         if isinstance(item, Metadata):
             if item.name == FACTS:
-                facts = _facts(item) or facts
+                with suppress(ProtocolError):
+                    facts = RecordingFacts.of(item.metadata)
             elif item.name == MENDED:
                 mended = item.metadata
             continue
@@ -90,10 +94,11 @@ def take_inventory(octets: memoryview) -> Inventory:
             continue
         channel = item.channel
         if channel.id not in channels:
-            channels[channel.id] = ChannelInventory(channel.topic, _schema_name(item))
+            channels[channel.id] = ChannelInventory(channel.topic, item.kind)
         channels[channel.id].handle_message(item.message)
-        if channels[channel.id].schema == RecorderLosses.schema.full_name:
-            losses = _losses(item.message.data) or losses
+        if item.kind == RecorderLosses.schema.full_name:
+            with suppress(ProtocolError):
+                losses = unpack(RecorderLosses, item.message.data)
     check_format(scan)
     for channel in scan.channels.values():
         if channel.id not in channels:
@@ -101,7 +106,7 @@ def take_inventory(octets: memoryview) -> Inventory:
             name = "" if schema is None else schema.name
             channels[channel.id] = ChannelInventory(channel.topic, name)
     return Inventory(
-        library="" if scan.header is None else scan.header.library,
+        library=scan.library,
         ours=scan.ours,
         facts=facts,
         mended=mended,
@@ -109,24 +114,6 @@ def take_inventory(octets: memoryview) -> Inventory:
         figures=scan.figures,
         channels=sorted(channels.values(), key=lambda each: each.topic),
     )
-
-
-def _facts(record: Metadata) -> RecordingFacts | None:
-    try:
-        return RecordingFacts.of(record.metadata)
-    except ProtocolError:
-        return None
-
-
-def _losses(data: bytes) -> RecorderLosses | None:
-    try:
-        return unpack(RecorderLosses, data)
-    except ProtocolError:
-        return None
-
-
-def _schema_name(found: FoundMessage) -> str:
-    return "" if found.schema is None else found.schema.name
 
 
 def inventory_lines(inventory: Inventory, name: str, width: int) -> list[str]:

@@ -56,10 +56,11 @@ class Part:
 
     def messages(self, part: int) -> Iterator[JoinedMessage]:
         """Its messages in the order of the file; part: its number among those joined."""
-        for schema, channel, message in _found(self.octets):
+        for found in _found(self.octets):
+            message = found.message
             yield JoinedMessage(
-                channel.topic,
-                "" if schema is None else schema.name,
+                found.channel.topic,
+                found.kind,
                 message.log_time - self.wall_offset_ns,
                 message.publish_time - self.wall_offset_ns,
                 message.sequence,
@@ -102,6 +103,16 @@ class JoinedRecording:
             for channel in part.inventory.channels:
                 found[channel.topic] = found.get(channel.topic, 0) + channel.messages
         return found
+
+    @property
+    def schemas(self) -> Mapping[str, str]:
+        """By channel that has messages: the name of its schema."""
+        return {
+            channel.topic: channel.schema
+            for part in self.parts
+            for channel in part.inventory.channels
+            if channel.messages
+        }
 
     def messages(self) -> Iterator[JoinedMessage]:
         """All messages, part by part in the order of the files; wrong instants are moved."""
@@ -202,12 +213,12 @@ def _first_ns(part: Part, topics: Sequence[str] | None = None) -> int:
 
 
 def _offset_of_messages(octets: memoryview) -> int:
-    for schema, _, message in _found(octets):
-        name = "" if schema is None else schema.name
+    for found in _found(octets):
+        message = found.message
         try:
-            if name == EVENT.full_name:
+            if found.kind == EVENT.full_name:
                 return message.log_time - unpack(RecordedEvent, message.data).session_ns
-            if name == HAPTIC_SAMPLES.full_name:
+            if found.kind == HAPTIC_SAMPLES.full_name:
                 return message.log_time - int(unpack_haptics(message.data)["time_ns"][0])
         except (ProtocolError, IndexError):
             continue

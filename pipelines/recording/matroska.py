@@ -13,7 +13,7 @@ from av.container import InputContainer, OutputContainer
 from av.stream import Stream
 
 from kontur_av.codecs.decoder_guard import DecoderGuard
-from kontur_av.errors import ConfigError
+from kontur_av.errors import refused
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, VideoCodec
 from kontur_av.rtp.nal_formats import parameter_sets_of
 from pipelines.recording.recording_file import open_alone
@@ -86,7 +86,6 @@ class CodedContainer:
         return self._write(self._sound, data, (ticks, ticks), rate_hz, True, duration)
 
     def close(self) -> None:
-        """Finish the file."""
         try:
             self._container.close()
         except av.FFmpegError as error:
@@ -197,10 +196,8 @@ class MatroskaWriter:
     needs_key = False
 
     def __init__(self, path: str, codec: VideoCodec = "h264") -> None:
-        try:
+        with refused(f"--save {path!r} cannot be written"):
             self._remuxer = Remuxer(MatroskaFile(Path(path)), codec)
-        except OSError as error:
-            raise ConfigError(f"--save {path!r} cannot be written: {error.strerror}") from None
         self._path = path
         #: Why the file cannot be written any more; empty if it can.
         self.fault = ""

@@ -221,7 +221,6 @@ class McapStream:
         self._emit(record)
 
     def handle_end(self) -> None:
-        """End the file with its summary."""
         self._end_chunk()
         self._emit(octets_of(DataEnd(data_section_crc=self._crc)))
         self._emit(self._summary())

@@ -15,7 +15,7 @@ from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.errors import ProtocolError
+from kontur_av.errors import ProtocolError, refused
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand import haptic_trace
@@ -103,8 +103,6 @@ class LogLine(Recorded):
 
 @record("UnitFacts", "what the access unit of the same sequence number does not say itself")
 class UnitFacts(Recorded):
-    """What an access unit does not say itself; fields as in the schema."""
-
     capture_ns: Annotated[Int64, "instant of capture, session clock; 0 if not dated"]
     key: Annotated[Bool, "an IDR picture, at which any decoder can start"]
     damaged: Annotated[Bool, "packets of it are missing"]
@@ -145,8 +143,6 @@ class RecordedPacket(Recorded):
 
 @record("Experiment", "where the experiment is; told when it changes")
 class RecordedExperiment(Recorded):
-    """Where the experiment is; fields as in the schema."""
-
     session_ns: Annotated[Int64, "session clock"]
     phase: Annotated[Text, "`idle`, `preparing`, `offered`, `running`, `ending`"]
     task: Annotated[Text, "present task; empty without"]
@@ -174,8 +170,6 @@ class RecordedExperiment(Recorded):
 
 @record("LedPanel", "what the LED panel shows; told when it changes")
 class RecordedLeds(Recorded):
-    """What the LED panel shows; fields as in the schema."""
-
     session_ns: Annotated[Int64, "session clock"]
     pattern: Annotated[Text, "`dark`, `leds`, `spot`, `contour`, `line`, `spring`, `free`"]
     leds: Annotated[Uint32, "a bit for each lit LED"]
@@ -231,8 +225,6 @@ class QueueState:
 
 @record("LinkSent", "a direction of the link at its sender; counts are since its process began")
 class LinkSent(Recorded):
-    """A direction of the link at its sender; fields as in the schema."""
-
     session_ns: Annotated[Int64, "session clock"]
     capacity_bps: Annotated[Uint32, "of the channel, bit/s"]
     frames: Annotated[Uint64, "frames sent"]
@@ -286,8 +278,6 @@ class LinkSent(Recorded):
     "LinkReceived", "a direction of the link at its receiver; counts are since its process began"
 )
 class LinkReceived(Recorded):
-    """A direction of the link at its receiver; fields as in the schema."""
-
     session_ns: Annotated[Int64, "session clock"]
     frames: Annotated[Uint64, "good frames"]
     frames_lost: Annotated[Uint64, "frames that are missing"]
@@ -343,8 +333,6 @@ class ChannelLoss:
     "what the recorder could not keep since it began; written when a count has changed",
 )
 class RecorderLosses(Recorded):
-    """What the recorder could not keep since it began."""
-
     session_ns: Annotated[Int64, "session clock"]
     losses: Annotated[Sequence[ChannelLoss], "by channel"]
 
@@ -369,8 +357,6 @@ class RecordedFigure:
     "Figures", "figures of the session that have changed since the message before; at first all"
 )
 class RecordedFigures(Recorded):
-    """Figures of the session that have changed."""
-
     session_ns: Annotated[Int64, "session clock"]
     figures: Annotated[Sequence[RecordedFigure], "one for each"]
 
@@ -413,19 +399,15 @@ def unpack(kind: type[Value], octets: bytes) -> Value:
             )
         else:
             found[row.name] = tuple(value) if row.repeated else value
-    try:
+    with refused(kind.schema.full_name, ValueError, to=ProtocolError):
         return kind(**found)
-    except ValueError as error:
-        raise ProtocolError(f"{kind.schema.full_name}: {error}") from None
 
 
 def parse_message(schema: MessageSchema, octets: bytes) -> Any:
     """Return protobuf's message; ProtocolError for octets of something else."""
     message = message_class(schema)()
-    try:
+    with refused(schema.full_name, DecodeError, to=ProtocolError):
         message.ParseFromString(octets)
-    except DecodeError as error:
-        raise ProtocolError(f"{schema.full_name}: {error}") from None
     return message
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ConfigError, ProtocolError, refused
 from kontur_av.sources.spec import played_file
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.recording_file import check_new, octets_of_file
@@ -65,12 +65,10 @@ def check_recordable(path: Path, *, overwrite: bool, sources: Iterable[str] = ()
     for present in present_parts(path).values():
         check_new(present, overwrite=overwrite)
     trial = path.with_name(path.name + _TRIAL)
-    try:
+    with refused(f"{path} cannot be written"):
         with trial.open("wb"):
             pass
         trial.unlink()
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def check_disk(path: Path, setup: Setup, seconds: float) -> None:
@@ -93,11 +91,9 @@ def check_disk(path: Path, setup: Setup, seconds: float) -> None:
 
 def clear_parts(path: Path) -> None:
     """Remove an earlier recording of this name, after `check_recordable`; else ConfigError."""
-    try:
+    with refused(f"{path} cannot be replaced"):
         for old in _old_parts(path):
             old.unlink()
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be replaced: {error.strerror}") from None
 
 
 def _old_parts(path: Path) -> Iterator[Path]:
@@ -114,7 +110,6 @@ def _old_parts(path: Path) -> Iterator[Path]:
 
 
 def _is_being_written(path: Path) -> bool:
-    """Whether a recorder has it open."""
     with suppress(OSError), path.open("rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -159,7 +154,6 @@ class PartFiles:
 
     @property
     def newest(self) -> Path:
-        """The file of the newest part."""
         return part_path(self._path, max(1, self._last))
 
     @property

@@ -23,6 +23,7 @@ from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked
+from pipelines.recording.figures import ReplayFigures
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.recorded_session import RecordedSession, SentPacket, SentUnit
 from pipelines.recording.rows import Script, replay_topology
@@ -61,12 +62,14 @@ class ReplayStart:
         self, context: Context, items: Sequence[SentUnit] | Sequence[SentPacket], cost_ns: int
     ) -> ReplayScript:
         """When a process that starts now sends `items`, `cost_ns` after their instants."""
-        return ReplayScript(
+        script = ReplayScript(
             [item[0] for item in items],
             self.time_of(context),
             cost_ns=cost_ns,
             now_ns=context.clock.now_ns(),
         )
+        context.probe.tell(ReplayFigures(items_left_out=script.left_out))
+        return script
 
 
 def _wait_ns(now_ns: int, *dues_ns: int | None) -> int:

@@ -15,7 +15,7 @@ from av.video.reformatter import VideoReformatter
 
 from kontur_av.codecs.colours import is_full_range
 from kontur_av.codecs.decoder import DecodedPicture
-from kontur_av.errors import ConfigError
+from kontur_av.errors import refused
 from kontur_av.media import BLACK_LUMA, NEUTRAL_CHROMA
 from kontur_av.sources.fit import fitted_size, letterbox, plane_pixels, same_shape
 from kontur_av.sources.pipe import PIPE_OCTETS
@@ -55,15 +55,13 @@ class RawPictures:
         self._waiting: bytearray | None = None
         #: Of a picture that is written. Fresh memory for each one would cost its page faults.
         self._spare = bytearray()
-        try:
+        with refused(f"--raw {path!r} cannot be written"):
             self._is_fifo = Path(path).exists() and stat.S_ISFIFO(Path(path).stat().st_mode)
             if self._is_fifo:
                 if not os.access(path, os.W_OK):
                     raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             else:
                 self._fd = open_alone(Path(path))
-        except OSError as error:
-            raise ConfigError(f"--raw {path!r} cannot be written: {error.strerror}") from None
 
     def handle_picture(self, picture: DecodedPicture) -> None:
         """Write this picture, or as much of it as the reader takes at once."""

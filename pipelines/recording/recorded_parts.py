@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.recording.joined import JoinedRecording, Part, chosen_parts, read_part
 from pipelines.recording.part_files import part_path, present_parts
 from pipelines.recording.recording_file import octets_of_file
@@ -35,7 +35,5 @@ def read_recording(first: Path) -> tuple[list[Path], JoinedRecording]:
 
 
 def _part(path: Path) -> Part:
-    try:
+    with refused(path, ProtocolError):
         return read_part(octets_of_file(path))
-    except ProtocolError as error:
-        raise ConfigError(f"{path}: {error}") from None

@@ -90,7 +90,6 @@ class RecordedSession:
         return min(found), max(found)
 
     def begin(self, seconds: float) -> "RecordedSession":
-        """The first `seconds` of the recording."""
         end_ns = self.instants_ns[0] + round(seconds * NS_PER_S)
         pictures, voices = (
             {name: kept for name, units in each.items() if (kept := _before(units, end_ns))}

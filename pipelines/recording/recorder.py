@@ -167,7 +167,6 @@ class Recorder:
             self.handle_event(event, now_ns)
 
     def coder(self, source: Source) -> CameraCoder:
-        """Return what codes the pictures of a camera."""
         whole = self._setup.recorded_cameras == "all"
         coder = CameraCoder(self._setup.stream_of(source.name).fps) if whole else CameraCoder()
         return self._coders.setdefault(source.name, coder)
@@ -189,14 +188,12 @@ class Recorder:
         self._events_due.append((event, now_ns))
 
     def _write_events(self, until_ns: int | None = None) -> None:
-        """Write the events until this instant, or all."""
         due = self._events_due
         due.sort(key=lambda each: each[0].session_ns)
         while due and (until_ns is None or due[0][0].session_ns <= until_ns):
             self._put(self._told.of_event(*due.pop(0)))
 
     def handle_figures(self, figures: Mapping[str, Figure], session_ns: int, now_ns: int) -> None:
-        """The figures of the session at `session_ns`, by name."""
         if self._stream is not None:
             self._put([self._told.of_figures(figures, session_ns, now_ns)])
 
@@ -233,7 +230,6 @@ class Recorder:
             self._give_up(held)
 
     def next_event(self) -> KeyPictureWanted | None:
-        """Return the next key picture that is wanted, or None."""
         return self._wanted.popleft() if self._wanted else None
 
     def handle_key_picture(self, number: int, key: bytes | None) -> None:
@@ -252,7 +248,6 @@ class Recorder:
         self.handle_key_picture(held.wanted.number, None)
 
     def _release(self, held: _Held, key: bytes) -> None:
-        """Write a key picture, and what has waited for it."""
         self._put(self._told.of_key(held.source, held.unit, key, held.stamp, held.at))
         self._put(held.messages)
 

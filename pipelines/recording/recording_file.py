@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 
 
 def _unfinished(path: Path) -> Path:
@@ -32,13 +32,10 @@ def octets_of_file(path: Path) -> memoryview:
     """Return what is in a file, without reading it yet; ConfigError if that is not possible."""
     if path.exists() and not path.is_file():
         raise ConfigError(f"{path} is no file: give a recording")
-    try:
-        with path.open("rb") as file:
-            if not os.fstat(file.fileno()).st_size:
-                return memoryview(b"")
-            return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be read: {error.strerror}") from None
+    with refused(f"{path} cannot be read"), path.open("rb") as file:
+        if not os.fstat(file.fileno()).st_size:
+            return memoryview(b"")
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
 def open_alone(path: Path) -> int:
@@ -72,7 +69,7 @@ def write_whole(path: Path, pieces: Iterable[bytes], *, overwrite: bool) -> None
     """
     check_new(path, overwrite=overwrite)
     unfinished = _unfinished(path)
-    try:
+    with refused(f"{path} cannot be written"):
         try:
             # A recording is for its user alone: it has pictures, voices and the hand.
             flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC
@@ -83,8 +80,6 @@ def write_whole(path: Path, pieces: Iterable[bytes], *, overwrite: bool) -> None
             _finish(path, overwrite=overwrite)
         finally:
             unfinished.unlink(missing_ok=True)
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
 
 
 class Outputs:

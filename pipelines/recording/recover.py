@@ -73,7 +73,7 @@ def check_ours(scan: Scan) -> None:
     check_format(scan)
     refuse_foreign(
         ours=scan.ours,
-        library="" if scan.header is None else scan.header.library,
+        library=scan.library,
         messages=scan.figures.messages,
     )
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.recording.recorded_parts import read_recording
 from pipelines.recording.recorded_session import (
     RecordedSession,
@@ -38,10 +38,8 @@ def load_recording(path: Path) -> RecordedSession:
     Raises ConfigError if the file is no recording.
     """
     _, recording = read_recording(path)
-    try:
+    with refused(path, ProtocolError):
         session = read_session(recording)
-    except ProtocolError as error:
-        raise ConfigError(f"{path}: {error}") from None
     for topic, count in session.moved.items():
         line = f"{count} instants were not after the one before, and were moved"
         print(f"kontur-av: {path}: {topic}: {line}", file=sys.stderr)

@@ -58,6 +58,11 @@ class FoundMessage(NamedTuple):
     channel: Channel
     message: Message
 
+    @property
+    def kind(self) -> str:
+        """The name of its schema; "" without one."""
+        return "" if self.schema is None else self.schema.name
+
 
 @dataclass(slots=True)
 class ScanFigures:
@@ -114,6 +119,11 @@ class Scan:
         # Chunks repeat the same few records over and over.
         self._read_schema = lru_cache(_KNOWN_RECORDS)(partial(parse_record, Schema))
         self._read_channel = lru_cache(_KNOWN_RECORDS)(partial(parse_record, Channel))
+
+    @property
+    def library(self) -> str:
+        """Who wrote the file; "" if that is not known."""
+        return "" if self.header is None else self.header.library
 
     @property
     def ours(self) -> bool:

@@ -30,19 +30,6 @@ OWN, FOXGLOVE = "kontur_av", "foxglove"
 T = TypeVar("T")
 
 _Proto = descriptor_pb2.FieldDescriptorProto
-_SCALARS = {
-    "bool": _Proto.TYPE_BOOL,
-    "bytes": _Proto.TYPE_BYTES,
-    "double": _Proto.TYPE_DOUBLE,
-    "fixed32": _Proto.TYPE_FIXED32,
-    "float": _Proto.TYPE_FLOAT,
-    "int64": _Proto.TYPE_INT64,
-    "sfixed32": _Proto.TYPE_SFIXED32,
-    "sfixed64": _Proto.TYPE_SFIXED64,
-    "string": _Proto.TYPE_STRING,
-    "uint32": _Proto.TYPE_UINT32,
-    "uint64": _Proto.TYPE_UINT64,
-}
 _TIMESTAMP_FILE = "google/protobuf/timestamp.proto"
 
 
@@ -208,12 +195,12 @@ def _field(row: FieldRow, schema: MessageSchema, scope: str) -> Any:
         number=row.number,
         label=_Proto.LABEL_REPEATED if row.repeated else _Proto.LABEL_OPTIONAL,
     )
-    if row.type in _SCALARS:
-        field.type = _SCALARS[row.type]
-    elif row.type == "Level":
+    if row.type == "Level":
         field.type, field.type_name = _Proto.TYPE_ENUM, f"{scope}.Level"
     elif row.type == TIMESTAMP:
         field.type, field.type_name = _Proto.TYPE_MESSAGE, f".{TIMESTAMP}"
-    else:
+    elif any(row.type == inner.name for inner in schema.nested):
         field.type, field.type_name = _Proto.TYPE_MESSAGE, f"{scope}.{row.type}"
+    else:
+        field.type = _Proto.Type.Value(f"TYPE_{row.type.upper()}")
     return field

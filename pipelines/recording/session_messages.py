@@ -140,64 +140,44 @@ class SessionMessages:
         self, source: Source, octets: bytes, stamp: CaptureStamp, at: Instants
     ) -> Sequence[ChannelMessage]:
         """Return what a sample becomes, other than an access unit or a camera's picture."""
+        at_ns = stamp.capture_ns
         if source.content is Content.HAPTICS:
-            return self._of_haptics(source, octets, stamp, at)
-        if source.content is Content.SOUND:
+            rows = rows_of(octets)
+            if not len(rows):
+                return []
+            told = [pack_haptics(haptic_samples(rows, rows[way])) for way in (SENT, RECEIVED)]
+            at_ns = int(rows["time_ns"][0])
+        elif source.content is Content.SOUND:
             # A receiver that has no sender report yet cannot date its packets.
-            wall_ns = (stamp.capture_ns or at.published_ns) + self._offset_ns
-            told = [pack(RecordedSound(wall_ns=wall_ns, data=octets))]
+            at_ns = stamp.capture_ns or at.published_ns
+            told = [pack(RecordedSound(wall_ns=at_ns + self._offset_ns, data=octets))]
         elif source.content is Content.PACKET:
-            at_ns, what = stamp.capture_ns, packet_words(octets)
-            told = [pack(RecordedPacket(session_ns=at_ns, data=octets, what=what))]
-            wall_ns = at_ns + self._offset_ns
+            packet = RecordedPacket(session_ns=at_ns, data=octets, what=packet_words(octets))
+            told = [pack(packet)]
         elif source.content is Content.GATEWAY:
             found = msgspec.msgpack.decode(octets, type=GatewayFigures)
-            at_ns, state = stamp.capture_ns, found.supervision
+            state = found.supervision
             sent = LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
             received = LinkReceived.of(found.receive, state, session_ns=at_ns)
             told = [pack(sent), pack(received)]
-            wall_ns = at_ns + self._offset_ns
         elif source.content in (Content.EXPERIMENT, Content.LEDS):
             if self._shown.get(source.topic) == octets:
                 return []
             self._shown[source.topic] = octets
-            at_ns = stamp.capture_ns
             if source.content is Content.EXPERIMENT:
                 told = [pack(RecordedExperiment.of(unpack(ExperimentShown, octets), at_ns))]
             else:
                 told = [pack(RecordedLeds.of(unpack(LedsShown, octets), at_ns))]
-            wall_ns = at_ns + self._offset_ns
         elif source.content is Content.FRAMES:
             frames = unpack_frames(octets)
             if not frames:
                 return []
             times, data = zip(*frames, strict=True)
             told = [pack(RecordedFrames(time_ns=times, data=data))]
-            wall_ns = times[0] + self._offset_ns
+            at_ns = times[0]
         else:
             raise ValueError(f"{source.topic}: its samples are not octets")
-        return [
-            ChannelMessage(channel, data, wall_ns, stamp.sequence, at)
-            for channel, data in zip(source.channels, told, strict=True)
-        ]
-
-    def _of_haptics(
-        self, source: Source, octets: bytes, stamp: CaptureStamp, at: Instants
-    ) -> Sequence[ChannelMessage]:
-        rows = rows_of(octets)
-        if not len(rows):
-            return []
-        wall_ns = int(rows["time_ns"][0]) + self._offset_ns
-        return [
-            ChannelMessage(
-                channel,
-                pack_haptics(haptic_samples(rows, rows[way])),
-                wall_ns,
-                stamp.sequence,
-                at,
-            )
-            for channel, way in zip(source.channels, (SENT, RECEIVED), strict=True)
-        ]
+        return _messages(source.channels, told, at_ns + self._offset_ns, stamp.sequence, at)
 
     def touches(self, source: Source, octets: bytes) -> Sequence[RecordedEvent]:
         """Return the touches in a sample of the robot's haptics."""
@@ -210,33 +190,25 @@ class SessionMessages:
 
     def of_unit(
         self, source: Source, unit: CodedUnit, data: bytes, stamp: CaptureStamp, at: Instants
-    ) -> tuple[ChannelMessage, ChannelMessage]:
+    ) -> Sequence[ChannelMessage]:
         """Return an access unit and its facts. data: what takes its place."""
-        channel, facts_channel = source.channels
         wall_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns
         picture = RecordedPicture(
             wall_ns=wall_ns, frame_id=source.name, data=data, format=unit.codec
         )
-        facts = UnitFacts.of(unit, stamp)
-        return (
-            ChannelMessage(channel, pack(picture), wall_ns, stamp.sequence, at),
-            ChannelMessage(facts_channel, pack(facts), wall_ns, stamp.sequence, at),
-        )
+        told = [pack(picture), pack(UnitFacts.of(unit, stamp))]
+        return _messages(source.channels, told, wall_ns, stamp.sequence, at)
 
     def of_key(
         self, source: Source, unit: CodedUnit, key: bytes, stamp: CaptureStamp, at: Instants
-    ) -> tuple[ChannelMessage, ChannelMessage]:
+    ) -> Sequence[ChannelMessage]:
         """Return a key picture that is added ahead of a unit, and its facts."""
         added = replace(unit, key=True, damaged=False)
-        (_, _, log_ns, sequence, _), _ = self.of_unit(source, unit, b"", stamp, at)
-        log_ns, sequence = log_ns - _AHEAD_NS, max(0, sequence - 1)
+        log_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns - _AHEAD_NS
         picture = RecordedPicture(wall_ns=log_ns, frame_id=source.name, data=key)
         facts = replace(UnitFacts.of(added, stamp), octets=len(key), added=True)
-        channel, facts_channel = source.channels
-        return (
-            ChannelMessage(channel, pack(picture), log_ns, sequence, at),
-            ChannelMessage(facts_channel, pack(facts), log_ns, sequence, at),
-        )
+        told = [pack(picture), pack(facts)]
+        return _messages(source.channels, told, log_ns, max(0, stamp.sequence - 1), at)
 
     def of_camera(
         self, source: Source, unit: bytes, stamp: CaptureStamp, number: int, now_ns: int
@@ -247,17 +219,13 @@ class SessionMessages:
         at = Instants(now_ns, now_ns)
         return ChannelMessage(source.channels[0], pack(picture), wall_ns, number, at)
 
-    def of_event(self, event: RecordedEvent, now_ns: int) -> tuple[ChannelMessage, ChannelMessage]:
-        """Return an event, and its line for people."""
-        at = Instants(now_ns, now_ns)
+    def of_event(self, event: RecordedEvent, now_ns: int) -> Sequence[ChannelMessage]:
         wall_ns = event.session_ns + self._offset_ns
         level = LogLevel.WARNING if event.what in _WARNINGS else LogLevel.INFO
         line = LogLine(wall_ns=wall_ns, level=level, message=event.text, name=event.what)
         self._events += 1
-        return (
-            ChannelMessage(EVENTS, pack(event), wall_ns, self._events, at),
-            ChannelMessage(LOG_LINES, pack(line), wall_ns, self._events, at),
-        )
+        told, at = [pack(event), pack(line)], Instants(now_ns, now_ns)
+        return _messages((EVENTS, LOG_LINES), told, wall_ns, self._events, at)
 
     def handle_fresh(self) -> None:
         """Who reads the messages from now on has no figures, and nothing of tasks."""
@@ -280,3 +248,13 @@ class SessionMessages:
         self._figures += 1
         at, wall_ns = Instants(now_ns, now_ns), session_ns + self._offset_ns
         return ChannelMessage(SESSION_FIGURES, pack(told), wall_ns, self._figures, at)
+
+
+def _messages(
+    channels: Sequence[str], told: Sequence[bytes], log_ns: int, sequence: int, at: Instants
+) -> list[ChannelMessage]:
+    """One message in each channel."""
+    return [
+        ChannelMessage(channel, data, log_ns, sequence, at)
+        for channel, data in zip(channels, told, strict=True)
+    ]

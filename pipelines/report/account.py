@@ -22,11 +22,12 @@ def account_of(report: SessionReport) -> str:
     """The whole page: what fell short, the story, latency, rates, skew and tasks, in words too."""
     title = f"Session {report.setup}, {report.seconds:.1f} s"
     line = " · ".join(first_line(report, _WIDE).split("  "))
+    happened = events_of(report)
     parts = [
         f"<h1>{escape(title)}</h1><p>{escape(line)}</p>",
         *section("What fell short", _shortcomings(report)),
         *section("What happened, over the time of the session", _times(report)),
-        *section("Events", table(("s", "what"), _events(report))),
+        *section("Events", table(("s", "what"), ((f"{s:.1f}", what) for s, what in happened))),
         *section("Latency, ms", _latencies(report)),
         *section("Rates, as parts of their caps", _rates(report)),
         *section("Skew, ms", table(("first to second", "p50", "p95", "p99"), _skews(report))),
@@ -88,11 +89,6 @@ def _times_of(found: Sequence[object]) -> str:
 
 def _ended_s(run: TaskRow) -> float:
     return max([run.selected_ns, *(step.at_ns for step in run.steps)]) / NS_PER_S
-
-
-def _events(report: SessionReport) -> Iterator[tuple[str, str]]:
-    for at_s, words in events_of(report):
-        yield f"{at_s:.1f}", words
 
 
 def events_of(report: SessionReport) -> list[tuple[float, str]]:

@@ -28,7 +28,14 @@ from pipelines.session.rows import (
     SendingRow,
     ShownRow,
 )
-from pipelines.session.topology import RTC_CAMERA, RTC_DISPLAY, RTC_VOICE, SECOND_ROBOT, Topology
+from pipelines.session.topology import (
+    RTC_CAMERA,
+    RTC_DISPLAY,
+    RTC_VOICE,
+    SECOND_ROBOT,
+    Segment,
+    Topology,
+)
 from telepresence.link.clock.estimator import ClockHistory
 
 #: Rows with stamps that travelled from the other end.
@@ -72,12 +79,14 @@ class Collector:
             figures = self.processes[name] = ProcessFigures()
         return figures
 
+    def gateway(self, segment: Segment) -> ProcessFigures:
+        return self.process(self.topology.gateway(segment).name)
+
     def shown(self, stream: str) -> DisplayFigures:
         """The counts of the display that shows a stream."""
         return self.process(self.topology.media(stream).display).total(DisplayFigures, stream)
 
     def received(self, stream: str) -> ReceiverCounts:
-        """The packets that came of a stream."""
         figures = self.process(self.topology.media(stream).receiver)
         found = figures.find(VideoReceiverCounts) or figures.find(VoiceReceiverCounts)
         return ReceiverCounts() if found is None else found.rtp

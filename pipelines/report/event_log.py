@@ -15,12 +15,12 @@ from pipelines.mission.figures import ComponentFigures, TaskFigures
 from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
 from pipelines.report.upkeep_now import UPKEEP, UpkeepNow
-from pipelines.session.figures import Event, TrainerFigures
+from pipelines.session.figures import DatedEvent, Event, TrainerFigures
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.task_journal import KEPT, OPEN
 from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
 from telepresence.haptics.figures import JoystickFigures
-from telepresence.haptics.ownership import OwnershipFigures
+from telepresence.haptics.ownership import OwnerEvent, OwnershipFigures
 from telepresence.link.figures import SupervisionFigures
 from telepresence.link.peer.figures import PeerFigures
 from telepresence.tasks.experiment import RunStep
@@ -81,7 +81,6 @@ class EventLog:
             *self._session(switch),
             *self._recorded(),
             *self._tasks(now_ns),
-            *self._components(),
             *self._passes(started_ns, now_ns),
             *self._cameras(),
             *self._restarted(processes, now_ns),
@@ -112,10 +111,10 @@ class EventLog:
             yield switch.changed_ns, "session", text
 
     def _recorded(self) -> Iterator[tuple[int, str, str]]:
-        """What processes record with its instants: of the link, its path, trainer and owners."""
+        """What processes record with its instants."""
         for segment in Segment:
             end = segment.value
-            gateway = self._collector.process(self._collector.topology.gateway(segment).name)
+            gateway = self._collector.gateway(segment)
             if gateway.link is not None:
                 # Each kind for itself: a loss is dated back to the last frame before it.
                 for kind, record in _supervised(gateway.link.supervision).items():
@@ -124,20 +123,21 @@ class EventLog:
             if peer is not None:
                 events = [(peer.begun_ns + event.at_ns, event.what) for event in peer.events]
                 yield from self._fresh("link", end, events, end, "path")
-        trainer = self._collector.process(TRAINER).total(TrainerFigures)
-        exercises = [(event.at_ns, event.what) for event in trainer.exercises]
-        yield from self._fresh("session", "trainer", exercises, "trainer")
-        arm = self._collector.process("robot").find(OwnershipFigures)
-        owners = [] if arm is None else [(event.at_ns, event.what) for event in arm.events]
-        yield from self._fresh("session", "robot", owners, "robot")
-
-    def _components(self) -> Iterator[tuple[int, str, str]]:
-        """Events of users' components in telemetry, and their faults."""
+        process = self._collector.process
+        arm = process("robot").find(OwnershipFigures)
+        yield from self._dated("trainer", process(TRAINER).total(TrainerFigures).exercises)
+        yield from self._dated("robot", () if arm is None else arm.events)
+        # Events of users' components in telemetry, and their faults.
         for component in self._collector.topology.options.components:
             name = component.application.name
-            told = self._collector.process(component_process(name)).total(ComponentFigures)
-            events = [(event.at_ns, event.what) for event in told.events]
-            yield from self._fresh("session", name, events, name, "telemetry")
+            told = process(component_process(name)).total(ComponentFigures)
+            yield from self._dated(name, told.events, "telemetry")
+
+    def _dated(
+        self, who: str, events: Sequence[DatedEvent | OwnerEvent], *kind: str
+    ) -> Iterator[tuple[int, str, str]]:
+        record = [(event.at_ns, event.what) for event in events]
+        return self._fresh("session", who, record, who, *kind)
 
     def _fresh(
         self, what: str, who: str, record: Sequence[tuple[int, str]], *key: str
@@ -172,8 +172,7 @@ class EventLog:
 
     def _passes(self, started_ns: int, now_ns: int) -> Iterator[tuple[int, str, str]]:
         """Begin and end of the pass, as the orbit predicts them, and what is announced."""
-        first = self._collector.topology.segments[0]
-        link = self._collector.process(self._collector.topology.gateway(first).name).link
+        link = self._collector.gateway(self._collector.topology.segments[0]).link
         channel = None if link is None else link.radio.channel
         contact = None if channel is None else channel.contact
         for at_ns, text in self.upkeep.handle_look(contact, started_ns, now_ns):

@@ -349,6 +349,11 @@ class HapticFigures:
         #: The newest batches of (sequence, instant) of what was received.
         self._lately: deque[NDArray[np.int64]] = deque(maxlen=_LATELY_BATCHES)
 
+    @property
+    def unmatched(self) -> int:
+        """Samples received of which the instant of sending never became known."""
+        return self._matcher.unmatched
+
     def handle_sent(self, rows: NDArray[np.int64], now_ns: int) -> None:
         self._matcher.handle_sent(tuple(row) for row in rows.tolist())
         self._match(now_ns)

@@ -111,12 +111,11 @@ class LinkView:
         ]
 
     def _end(self, collector: Collector, end: Segment, width: int | None) -> str:
-        figures = collector.process(collector.topology.gateway(end).name)
+        figures = collector.gateway(end)
         link = figures.link
         if link is None:
             return f"{end.value}: starting"
-        up = end is Segment.GROUND
-        profile = self._setup.uplink if up else self._setup.downlink
+        profile = self._setup.profile(end.transmits)
         sent, received = link.transmit, link.receive
         seen = self._seen[end]
         rates = _rates_kbps(sent, seen, profile)
@@ -250,13 +249,11 @@ RecordT = TypeVar("RecordT")
 def link_figures(collector: Collector, direction: str) -> DirectionReport:
     """One direction of the link, from what its two gateways have reported."""
     setup = collector.setup
-    up = direction == "uplink"
     link = collector.topology.link(Direction(direction))
     near, far = collector.process(link.sender), collector.process(link.receiver)
     sent = _all_lives(SenderFigures(), [life.transmit for life in near.links()])
     received = _all_lives(ReceiverFigures(), [life.receive for life in far.links()])
-    need = setup.need_up() if up else setup.need_down()
-    profile = setup.uplink if up else setup.downlink
+    need, profile = setup.need(link.direction), setup.profile(link.direction)
     return DirectionReport(
         # Known even if the sender is on another machine.
         sender=replace(sent, capacity_bps=profile.capacity_bps),
@@ -306,7 +303,7 @@ def ledger_percent(octets: Mapping[str, int]) -> dict[str, float]:
 
 def gateway_figures(collector: Collector, end: str) -> GatewayReport:
     """What only this end knows: the link of its last life, and its sockets."""
-    figures = collector.process(collector.topology.gateway(Segment(end)).name)
+    figures = collector.gateway(Segment(end))
     last = next(reversed(list(figures.links())), None)
     return GatewayReport(
         supervision=None if last is None else last.supervision,
@@ -332,10 +329,5 @@ def peer_words(figures: PeerFigures) -> str:
 def punctuality_us(histogram: Histogram) -> Punctuality:
     """Percentiles of values in ns, in µs."""
     summary = histogram.summary_ms()
-    return Punctuality(
-        p50=round(summary["p50"] * 1000, 1),
-        p95=round(summary["p95"] * 1000, 1),
-        p99=round(summary["p99"] * 1000, 1),
-        max=round(summary["max"] * 1000, 1),
-        p99_9=round(histogram.percentile(99.9) / NS_PER_US, 1),
-    )
+    us = {name: round(summary[name] * 1000, 1) for name in ("p50", "p95", "p99", "max")}
+    return Punctuality(**us, p99_9=round(histogram.percentile(99.9) / NS_PER_US, 1))

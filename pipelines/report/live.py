@@ -19,7 +19,7 @@ from pipelines.media.marking import age_words
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import StreamFigures
 from pipelines.report.link_report import LinkView, peer_words
-from pipelines.report.result import Column, fitted_line, fitted_table
+from pipelines.report.result import fitted_line, fitted_table
 from pipelines.report.sections import clock_lines, recording_line, rtc_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import last_bps, shown_now, silences
@@ -33,17 +33,17 @@ from telepresence.haptics.figures import SamplesReceived
 from telepresence.link.peer.figures import PeerFigures
 
 #: The columns, with the rank by which they are left out on a narrow terminal.
-_COLUMNS = (
-    ("stream", 0),
-    ("kbit/s", 1),
-    ("max 1 s", 6),
-    ("cap", 5),
-    ("shown", 4),
-    ("lost", 3),
-    ("latency ms", 2),
-    ("p99 ms", 7),
-    ("age", 2),
-)
+_COLUMNS = {
+    "stream": 0,
+    "kbit/s": 1,
+    "max 1 s": 6,
+    "cap": 5,
+    "shown": 4,
+    "lost": 3,
+    "latency ms": 2,
+    "p99 ms": 7,
+    "age": 2,
+}
 _COLOURS = {
     State.FRESH: "green",
     State.DAMAGED: "yellow",
@@ -102,7 +102,7 @@ class LiveView:
 def first_line(launcher: Launcher, collector: Collector, width: int) -> str:
     """The session's name and time, the link's state, radio and camera, as many of them as fit."""
     topology = collector.topology
-    link = collector.process(topology.gateway(topology.segments[0]).name).link
+    link = collector.gateway(topology.segments[0]).link
     state = "starting" if link is None else link.supervision.state
     parts = [
         f"{launcher.session}   {launcher.seconds:.0f} s",
@@ -119,7 +119,7 @@ def path_line(collector: Collector) -> str:
     alone = collector.topology.alone
     if alone is None:
         return ""
-    peer = collector.process(collector.topology.gateway(alone).name).find(PeerFigures)
+    peer = collector.gateway(alone).find(PeerFigures)
     return f"{alone.value} end alone: {'starting' if peer is None else peer_words(peer)}"
 
 
@@ -133,10 +133,7 @@ def streams_table(launcher: Launcher, collector: Collector, width: int) -> Table
         *(_stream_row(launcher, collector, stream) for stream in launcher.setup.streams),
         *(_haptic_row(launcher, collector, row) for row in collector.topology.haptics),
     ]
-    columns = []
-    for index, (heading, rank) in enumerate(_COLUMNS):
-        columns.append(Column(heading, rank, [row[index] for row in rows]))
-    return fitted_table(columns, width)
+    return fitted_table(_COLUMNS, rows, width)
 
 
 def _stream_row(
@@ -308,6 +305,5 @@ class LinkScreen:
         self._shown = len(lines)
 
     def show_lines(self, lines: Sequence[str]) -> None:
-        """Lines that stay."""
         if not self._quiet:
             say("\n".join(lines))

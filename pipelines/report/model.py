@@ -164,6 +164,8 @@ class HapticReport(Report, frozen=True, kw_only=True):
     receiver: Received[Flat[SamplesReceived]]
     #: From one end's loop to the other's.
     latency_ms: Spread
+    #: Samples received of which the instant of sending never became known.
+    unmatched: Received[int]
     #: Begin and end of each time over 0.2 s without a sample, in session time.
     pauses_s: list[tuple[float, float]]
     #: How late the sender's cycles of 1 ms began.
@@ -449,7 +451,6 @@ class CodingCosts:
         return max(1, round(cost_ms * NS_PER_MS))
 
     def picture_ns(self, name: str, codec: VideoCodec) -> int:
-        """Return the duration `name` of a picture of this codec, as `ns`."""
         return self.ns(name if codec == "h264" else f"{name}_{codec}")
 
 

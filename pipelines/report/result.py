@@ -19,35 +19,30 @@ from pipelines.session.figures import Report
 _GAP = "   "
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One column. rank: where the width is too small, columns of the highest rank go first."""
+def fitted_table(
+    ranks: Mapping[str, int], rows: Sequence[Sequence[str | Text]], width: int
+) -> Table:
+    """A table of the columns that fit into `width` characters; the first column always stays.
 
-    heading: str
-    rank: int
-    cells: Sequence[str | Text]
-
-    @property
-    def width(self) -> int:
-        """The cells and their padding, in characters."""
-        return 2 + max(Text.from_markup(self.heading).cell_len, *map(_cell_len, self.cells), 0)
-
-
-def fitted_table(columns: Sequence[Column], width: int) -> Table:
-    """A table of the columns that fit into `width` characters; the first column always stays."""
-    kept = list(columns)
-    while len(kept) > 1 and _table_width(kept) > width:
-        kept.remove(max(kept[1:], key=lambda column: column.rank))
+    ranks: by heading. Where the width is too small, columns of the highest rank go first.
+    """
+    columns = list(zip(ranks, *rows, strict=True))
+    # The heading and the cells, and a border.
+    widths = [3 + max(Text.from_markup(h).cell_len, *map(_cell_len, c), 0) for h, *c in columns]
+    kept = list(range(len(columns)))
+    while len(kept) > 1 and 1 + sum(widths[at] for at in kept) > width:
+        kept.remove(max(kept[1:], key=lambda at: [*ranks.values()][at]))
     table = Table()
-    for column in kept:
-        table.add_column(
-            column.heading,
-            justify="left" if column is columns[0] else "right",
-            no_wrap=True,
-            min_width=column.width - 2,
-        )
-    for row in zip(*(column.cells for column in kept), strict=True):
-        table.add_row(*row)
+    for at, heading in enumerate(ranks):
+        if at in kept:
+            table.add_column(
+                heading,
+                justify="right" if at else "left",
+                no_wrap=True,
+                min_width=widths[at] - 3,
+            )
+    for row in rows:
+        table.add_row(*(row[at] for at in kept))
     return table
 
 
@@ -62,10 +57,6 @@ def fitted_line(parts: Sequence[str], width: int | None, *, gap: str = _GAP) -> 
             continue
         line += gap + part
     return line
-
-
-def _table_width(columns: Sequence[Column]) -> int:
-    return 1 + sum(1 + column.width for column in columns)
 
 
 def _cell_len(cell: str | Text) -> int:

@@ -4,7 +4,6 @@ from pipelines.session.topology import METRICS, ProcessRow, Stage, Topology
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
-    """The process of `--metrics`."""
     return (
         ProcessRow(
             name=METRICS,

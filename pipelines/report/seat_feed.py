@@ -236,10 +236,7 @@ def end_trace(collector: Collector, launcher: Launcher) -> EndTrace:
     """What a join with the other end's report needs of this one."""
     assert collector.trace is not None
     (segment,) = collector.topology.segments
-    links = [
-        link.supervision
-        for link in collector.process(collector.topology.gateway(segment).name).links()
-    ]
+    links = [link.supervision for link in collector.gateway(segment).links()]
     return EndTrace(
         setup=setup_toml(launcher.setup),
         wall_offset_ns=launcher.clock.wall_offset_ns,

@@ -96,7 +96,6 @@ def task_runs(collector: Collector, epoch_ns: int) -> list[TaskRow] | None:
 
 
 def run_since(epoch_ns: int, run: TaskRow) -> TaskRow:
-    """Return a run with its instants since `epoch_ns`."""
     change = msgspec.structs.replace
     steps = [change(one, at_ns=one.at_ns - epoch_ns) for one in run.steps]
     return change(run, selected_ns=run.selected_ns - epoch_ns, steps=steps)
@@ -264,13 +263,12 @@ def clock_words(peer: str, clock: ClockFigures) -> str:
 def clock_lines(collector: Collector) -> Iterator[str]:
     """The line of each gateway of this session whose peer is on another machine."""
     for segment in Segment:
-        link = collector.process(collector.topology.gateway(segment).name).link
+        link = collector.gateway(segment).link
         if link is not None and link.clock is not None:
             yield clock_words(segment.peer.value, link.clock)
 
 
 def cpu_report(cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float) -> CpuReport:
-    """The CPU time of a session of `seconds`."""
     total_s = sum(cpu_s.values()) + launcher_cpu_s
     return CpuReport(
         total_s=round(total_s, 2),

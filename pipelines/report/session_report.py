@@ -147,8 +147,7 @@ def skew_reports(collector: Collector) -> dict[str, SkewReport | None]:
 
 def _radio_epoch_ns(collector: Collector) -> int:
     """When the radio's time began: with its gateway."""
-    first = collector.topology.segments[0]
-    for link in collector.process(collector.topology.gateway(first).name).links():
+    for link in collector.gateway(collector.topology.segments[0]).links():
         return link.supervision.begun_ns
     return 0
 
@@ -163,7 +162,6 @@ def _pauses_s(pauses: Pauses, collector: Collector) -> list[tuple[float, float]]
 def stream_report(
     stream: VideoStream | VoiceStream, collector: Collector, seconds: float
 ) -> StreamReport:
-    """One media stream in a session that ran for `seconds`."""
     figures = collector.streams[stream.name]
     row = collector.topology.media(stream.name)
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
@@ -212,7 +210,6 @@ def joystick_report(collector: Collector) -> JoystickFigures | None:
 
 
 def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> HapticReport:
-    """One direction of haptics in a session that ran for `seconds`."""
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     profile, figures = collector.setup.profile(row.direction), collector.haptics[row.key]
     sent, received = sender.total(SamplesSent), receiver.total(SamplesReceived)
@@ -225,6 +222,7 @@ def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> Hapti
         saved_bps=None if left_out is None else haptic_bps(profile, left_out, seconds),
         receiver=received,
         latency_ms=spread_ms(figures.latency),
+        unmatched=figures.unmatched,
         pauses_s=_pauses_s(figures.pauses, collector),
         lateness_us=punctuality_us(sender.lateness),
         loop=sender.total(LoopFigures),
@@ -304,6 +302,5 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
 
 
 def latency_ms(figures: StreamFigures) -> float | None:
-    """The latency of what was displayed last."""
     newest = figures.last_latency_ns
     return None if newest is None else newest / NS_PER_MS

@@ -92,7 +92,7 @@ def signal_ns(segment: str, collector: Collector) -> int:
     Very large if no gateway has reported its contacts; 0 if the radio has lost so many frames that
     hardly a picture can have come whole, or if fades often end the lock now, near the horizon.
     """
-    figures = collector.process(collector.topology.gateway(Segment(segment)).name)
+    figures = collector.gateway(Segment(segment))
     link = figures.link
     if link is None:
         return _FOR_EVER_NS
@@ -110,7 +110,7 @@ def never_met(collector: Collector, seconds: float) -> list[str]:
     """Each gateway here that has not met the other one, and why, although it should have."""
     found = []
     for segment in collector.topology.segments:
-        link = collector.process(collector.topology.gateway(segment).name).link
+        link = collector.gateway(segment).link
         if link is None or seconds * NS_PER_S < _MEET_NS:
             continue
         supervision = link.supervision

@@ -18,7 +18,7 @@ from pipelines.report.model import (
     StreamReport,
     SyncReport,
 )
-from pipelines.report.result import Column, fitted_line, fitted_table
+from pipelines.report.result import fitted_line, fitted_table
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
 from pipelines.session.task_journal import TaskRow
@@ -26,19 +26,20 @@ from pipelines.session.topology import Segment
 
 #: What stands where there is no sample.
 NO_SAMPLE = "–"
-#: The columns after the name, with the rank by which they are left out on a narrow terminal.
-_COLUMNS = (
-    ("cap", 4),
-    ("mean", 5),
-    ("max 1 s", 3),
-    ("max 0.1 s", 9),
-    ("shown/s", 1),
-    ("lost", 2),
-    ("p50", 0),
-    ("p95", 7),
-    ("p99", 6),
-    ("max ms", 8),
-)
+#: The columns, with the rank by which they are left out on a narrow terminal.
+_COLUMNS = {
+    "stream": 0,
+    "cap": 4,
+    "mean": 5,
+    "max 1 s": 3,
+    "max 0.1 s": 9,
+    "shown/s": 1,
+    "lost": 2,
+    "p50": 0,
+    "p95": 7,
+    "p99": 6,
+    "max ms": 8,
+}
 
 
 def task_line(run: TaskRow) -> str:
@@ -147,16 +148,13 @@ def first_line(report: SessionReport, width: int) -> str:
 def streams_table(report: SessionReport, width: int) -> Table:
     """A row for each stream and each direction of haptics; columns that fit `width`."""
     rows = [
-        *((name, _stream_cells(stream)) for name, stream in report.streams.items()),
+        *([name, *_stream_cells(stream)] for name, stream in report.streams.items()),
         *(
-            (f"haptic_{name}", _haptic_cells(haptic, report.running_s))
+            [f"haptic_{name}", *_haptic_cells(haptic, report.running_s)]
             for name, haptic in report.haptic.items()
         ),
     ]
-    columns = [Column("stream", 0, [name for name, _ in rows])]
-    for index, (heading, rank) in enumerate(_COLUMNS):
-        columns.append(Column(heading, rank, [cells[index] for _, cells in rows]))
-    return fitted_table(columns, width)
+    return fitted_table(_COLUMNS, rows, width)
 
 
 def _stream_cells(stream: StreamReport) -> list[str]:

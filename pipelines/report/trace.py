@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kontur_av.errors import ProtocolError
+from kontur_av.errors import ProtocolError, refused
 from pipelines.report.model import TraceBlock, TraceSeries
 from pipelines.session.probe import Series
 from pipelines.session.rows import INSTANTS, LatenessRow, OutRow, Row, SendingRow
@@ -102,12 +102,10 @@ def rows_of(series: TraceSeries) -> NDArray[np.int64]:
 
 def _unpack(block: TraceBlock, width: int, name: str) -> NDArray[np.int64]:
     size = block.rows * width * 8
-    try:
+    with refused(name, binascii.Error, ValueError, zlib.error, to=ProtocolError):
         packed = base64.b64decode(block.octets, validate=True)
         opener = zlib.decompressobj()
         octets = opener.decompress(packed, size + 1)
-    except (binascii.Error, ValueError, zlib.error) as error:
-        raise ProtocolError(f"{name}: {error}") from None
     if len(octets) != size:
         raise ProtocolError(f"{name}: a block of {block.rows} rows has {len(octets)} octets")
     planes = np.frombuffer(octets, np.uint8).reshape(width, 8, block.rows)

@@ -153,7 +153,7 @@ class ExperimentWatch:
     def _attached_words(self) -> str:
         samples = 0
         for segment in self._collector.topology.segments:
-            link = self._collector.process(self._collector.topology.gateway(segment).name).link
+            link = self._collector.gateway(segment).link
             if link is not None:
                 sent = link.transmit.haptic_sent + link.transmit.haptic_superseded
                 samples += sent + link.receive.haptic_received
@@ -172,9 +172,8 @@ class BandwidthWatch:
 
     def handle_time(self, now_ns: int) -> Iterator[str]:
         """Yield a line when a shortage begins, and when it is over."""
-        topology = self._collector.topology
-        for segment in topology.segments:
-            link = self._collector.process(topology.gateway(segment).name).link
+        for segment in self._collector.topology.segments:
+            link = self._collector.gateway(segment).link
             queues = {} if link is None else link.transmit.queue
             for level in _MEDIA:
                 key = segment.transmits.value, level

@@ -1,7 +1,7 @@
 """What made a session worse than necessary, and its mend. A core.
 
-A failure is a broken promise of the project. A warning is about the machine: a person can change
-something.
+A failure is a broken promise of the project. A warning is about the machine or the setup: a person
+can change something.
 """
 
 from collections.abc import Iterable, Mapping
@@ -27,6 +27,8 @@ SHOWN_SHARE = 0.8
 _SIGNAL_SHARE, _LOST_SHARE = 0.95, 0.01
 #: A shorter session says nothing about its pictures.
 _LEAST_NS = 3 * NS_PER_S
+#: From this round trip on, a first press is often felt too soft without a rendered wall.
+LONG_NS = 100 * NS_PER_MS
 
 _NO_REAL_TIME = "allow real-time priority: `kontur-av doctor` says how"
 _TOO_SLOW = "use fewer cameras, or a faster machine"
@@ -66,7 +68,28 @@ def find_warnings(
                 if topology.alone is None
                 else None,
             )
+    found += hand_warnings(collector)
     return [*found, *find_path_warnings(collector, topology.segments)]
+
+
+def hand_warnings(collector: Collector) -> list[Warning]:
+    """Whether the hand felt the delayed force alone, where a rendered wall is felt better."""
+    setup, topology = collector.setup, collector.topology
+    if setup.hand != "direct" or setup.partner_arm in ("shared", "board"):
+        return []
+    if topology.alone is None:
+        ways = [collector.haptics[way].latency for way in ("down", "up")]
+        trip_ns = sum(way.percentile(50) for way in ways) if all(way.count for way in ways) else 0
+    else:
+        # The other machine's clock is known to half of the shortest round trip.
+        link = collector.process(topology.gateway(Segment.SPACE).name).link
+        clock = None if link is None else link.clock
+        trip_ns = 2 * (0 if clock is None else clock.error_ns or 0)
+    if trip_ns < LONG_NS:
+        return []
+    measured = f"the hand felt forces after a round trip of {trip_ns / NS_PER_MS:.0f} ms"
+    mend = "take `--hand auto`, which renders walls: docs/haptics-controllers.md"
+    return [Warning(what="hand_direct", where="joystick", measured=measured, mend=mend)]
 
 
 def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> list[Warning]:
@@ -76,8 +99,8 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
     """
     found = []
     for segment in segments:
-        gateway = collector.topology.gateway(segment).name
-        peer = collector.process(gateway).find(PeerFigures)
+        gateway, figures = collector.topology.gateway(segment).name, collector.gateway(segment)
+        peer = figures.find(PeerFigures)
         if peer is not None and not peer.protected:
             found.append(
                 Warning(
@@ -87,8 +110,7 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
                     mend="leave --insecure out at both ends: `kontur-av keys new`",
                 )
             )
-        link = collector.process(gateway).link
-        clock = None if link is None else link.clock
+        clock = None if figures.link is None else figures.link.clock
         if clock is not None and clock.offset_ns is None and clock.messages_received:
             found.append(
                 Warning(
@@ -103,7 +125,6 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
 
 
 def find_loop_warnings(collector: Collector, process: str) -> list[Warning]:
-    """The warnings of a process if it is a loop of 1 kHz."""
     if collector.topology.process(process).priority != LOOP_PRIORITY:
         return []
     figures = collector.process(process)
@@ -188,7 +209,7 @@ def _free_channel(collector: Collector, seconds: float) -> bool:
     if seconds * NS_PER_S < _LEAST_NS:
         return False
     for segment in Segment:
-        for link in collector.process(collector.topology.gateway(segment).name).links():
+        for link in collector.gateway(segment).links():
             heard = link.receive
             lost_share = heard.frames_lost / max(1, heard.frames_received + heard.frames_lost)
             signal_share = link.supervision.contact_ns / (seconds * NS_PER_S)

@@ -111,7 +111,6 @@ class Ros2Hand:
         self._velocity = velocity
 
     def poll_transmit(self, now_ns: int) -> PageInput | None:
-        """Return what to tell the joystick, or None."""
         since_ns, self._polled_ns = self._polled_ns, now_ns
         heard_ns = self._hand.heard_ns
         if heard_ns is None or not self._hand.fresh(now_ns):

@@ -47,7 +47,6 @@ class RosMessages:
         self._store.register(get_types_from_msg(_VIDEO_FIELDS, VIDEO))
 
     def type_hash(self, name: str) -> str:
-        """Return the hash of a type, `RIHS01_` and 64 digits."""
         return self._store.hash_rihs01(name)
 
     def image(self, jpeg: NDArray[np.uint8], name: str, session_ns: int) -> bytes:

@@ -18,6 +18,7 @@ from pipelines.hand.hand_topics import unpack_status
 from pipelines.hand.haptic_trace import rows_of
 from pipelines.mission.tmtc_messages import K2aciArrived, unpack_news
 from pipelines.recording.own_pictures import MOST_HELD_OCTETS, KeyPictureWanted, StreamStart
+from pipelines.recording.session_messages import SampleNumbers
 from pipelines.ros2.messages import RosMessages
 from pipelines.ros2.publications import (
     CHAT_TOPIC,
@@ -29,7 +30,7 @@ from pipelines.ros2.publications import (
     RosContent,
     RosSource,
 )
-from pipelines.session.figures import MonitoredSession
+from pipelines.session.figures import MonitoredSession, leaves
 from telepresence.tmtc.k2aci import Chat
 
 #: Units wait no longer for a key picture; then they go out without one.
@@ -100,7 +101,6 @@ class JoinedStream:
             self._release()
 
     def next_event(self) -> KeyPictureWanted | None:
-        """Return the key picture that is wanted, once, or None."""
         if self._told:
             return None
         self._told = True
@@ -149,7 +149,7 @@ class OutgoingMessages:
     def __init__(self, messages: RosMessages) -> None:
         self._messages = messages
         self.missed: Counter[str] = Counter()
-        self._sequences: dict[str, int] = {}
+        self._numbers = SampleNumbers()
         #: By source of access units.
         self._streams: dict[RosSource, JoinedStream] = {}
         #: By topic of pictures: when the next one is due.
@@ -159,7 +159,7 @@ class OutgoingMessages:
 
     def handle_joined(self, source: RosSource) -> None:
         """The topic is read from now on."""
-        self._sequences.pop(source.topic, None)
+        self._numbers.forget(source.topic)
 
     def handle_subscriber(self, source: RosSource, now_ns: int) -> None:
         """Somebody has subscribed to access units."""
@@ -190,9 +190,9 @@ class OutgoingMessages:
         """Yield the messages of any other sample. wanted: publications that have subscribers."""
         chosen = [one for one in source.publications if one in wanted]
         if source.content is RosContent.UNIT and not chosen:
-            self._sequences.pop(source.topic, None)
-        else:
-            self._count(source, stamp)
+            self._numbers.forget(source.topic)
+        elif missed := self._numbers.handle_sample(source.topic, stamp.sequence):
+            self.missed[source.topic] += missed
         if source.content is RosContent.UNIT:
             stream, unit = self._stream(source), CodedUnit.unpack(octets)
             stream.handle_unit(unit, stamp, now_ns, subscribed=bool(chosen))
@@ -228,7 +228,11 @@ class OutgoingMessages:
         news = msgspec.json.decode(told, type=MonitoredSession)
         report = msgspec.json.decode(news.report)
         parts = {
-            f"{part} {name}": dict(_leaves(figures))
+            f"{part} {name}": {
+                key: value
+                for key, value in leaves(figures)
+                if value is not None and not isinstance(value, list)
+            }
             for part in _TOLD
             for name, figures in report.get(part, {}).items()
         }
@@ -258,19 +262,3 @@ class OutgoingMessages:
                 yield Outbound(publication, made.wrench(rows, source.name))
             elif self._halves:
                 yield Outbound(publication, made.joy(rows, source.name, self._halves))
-
-    def _count(self, source: RosSource, stamp: CaptureStamp) -> None:
-        before = self._sequences.get(source.topic)
-        self._sequences[source.topic] = stamp.sequence
-        # A smaller number is that of a writer that was started again.
-        if before is not None and stamp.sequence > before + 1:
-            self.missed[source.topic] += stamp.sequence - before - 1
-
-
-def _leaves(figures: object, name: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the numbers and texts of a part of the report, by their keys joined by dots."""
-    if isinstance(figures, dict):
-        for key, value in figures.items():
-            yield from _leaves(value, f"{name}.{key}" if name else key)
-    elif not isinstance(figures, list) and figures is not None:
-        yield name, figures

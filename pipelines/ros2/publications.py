@@ -77,7 +77,6 @@ class Node:
         return f"{self.domain}/{topic}/{kind}/{endpoint.type_hash}"
 
     def token(self) -> str:
-        """Return the liveliness token of the node."""
         return self._token(0, "NN")
 
     def publisher_token(self, number: int, endpoint: Endpoint) -> str:
@@ -191,7 +190,6 @@ class RosSource:
 
 
 def sources_of(topology: Topology) -> tuple[RosSource, ...]:
-    """Return what is read of a session."""
     return tuple(_sources(topology))
 
 

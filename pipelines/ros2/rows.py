@@ -14,7 +14,6 @@ from telepresence.haptics.device.spec import ROS2_HAND
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
-    """The process of `--ros2`."""
     steers = session.options.joystick == ROS2_HAND
     return (
         ProcessRow(

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from kontur_av.errors import ProtocolError
+from kontur_av.errors import ProtocolError, refused
 from kontur_av.figures import Newest
 from telepresence.malformed import MALFORMED
 
@@ -63,11 +63,9 @@ class FiguresLog:
 
     def handle_figures(self, text: bytes) -> None:
         """The launcher's newest message. ProtocolError for anything else."""
-        try:
+        with refused("no figures", *MALFORMED, to=ProtocolError):
             told = msgspec.json.decode(text, type=_Figures)
             self._newest = msgspec.json.decode(text, type=dict[str, msgspec.Raw])
-        except MALFORMED as error:
-            raise ProtocolError(f"no figures: {error}") from None
         # Copied, because they would keep the whole message.
         self._events.extend(event.copy() for event in told.events)
         self._figures = told.figures

@@ -190,7 +190,6 @@ class JoystickDesk:
             self._answer("the joystick does not answer")
 
     def poll_transmit(self, now_ns: int) -> HandRequest | None:
-        """Return the next command for the joystick, or None."""
         if self._open is not None or not self._waiting:
             return None
         self._open = self._waiting.popleft()

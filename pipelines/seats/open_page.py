@@ -150,6 +150,8 @@ class ClientQueue:
         self._haptics: dict[int, deque[bytes]] = {}
         self._sounds: dict[int, deque[bytes]] = {}
         self._previews: dict[int, bytes] = {}
+        self.put_pong, self.put_state = self._pongs.append, self._state.append
+        self.put_figures = self._figures.append
 
     def __len__(self) -> int:
         others = len(self._newest) + len(self._figures) + len(self._previews)
@@ -178,18 +180,9 @@ class ClientQueue:
         else:
             self._answers.append(text)
 
-    def put_pong(self, message: bytes) -> None:
-        self._pongs.append(message)
-
-    def put_state(self, text: str) -> None:
-        self._state.append(text)
-
     def put_newest(self, kind: str, text: str) -> None:
         """A text that holds all that is known of its kind."""
         self._newest[kind] = text
-
-    def put_figures(self, text: str) -> None:
-        self._figures.append(text)
 
     def put_haptics(self, end: int, message: bytes) -> None:
         self._haptics.setdefault(end, deque(maxlen=_MOST_HAPTICS)).append(message)

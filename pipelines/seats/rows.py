@@ -30,50 +30,38 @@ from pipelines.session.topology import (
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
     """One page server a segment: what it shows, and what its people tell, film and say."""
-    return (
+    shown: dict[Segment, tuple[Topic, ...]] = {
+        Segment.GROUND: (
+            MISSION_GROUND_TOPIC,
+            ROBOT_STATUS_TOPIC,
+            RTC_CODED_CAMERA_TOPIC,
+            RTC_DECODED_CAMERA_TOPIC,
+            RTC_VOICE_TOPIC,
+            *_own_cameras(session),
+            SELECTED_TOPIC,
+            ROBOT_TRACE_TOPIC,
+        ),
+        Segment.SPACE: (MISSION_PANEL_TOPIC, JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC),
+    }
+    told: dict[Segment, tuple[Topic, ...]] = {
+        Segment.GROUND: (),
+        Segment.SPACE: (HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC),
+    }
+    return tuple(
         ProcessRow(
-            name=PAGES[Segment.GROUND],
+            name=PAGES[segment],
             when=session.options.pages,
-            segment=Segment.GROUND,
+            segment=segment,
             stage=Stage.SINK,
             run="pipelines.seats.process_page:run_page",
             # Its emergency stop must be there.
             stoppable=False,
-            arguments={"segment": Segment.GROUND},
-            reads=(
-                *_received(session, Segment.GROUND),
-                MISSION_GROUND_TOPIC,
-                ROBOT_STATUS_TOPIC,
-                RTC_CODED_CAMERA_TOPIC,
-                RTC_DECODED_CAMERA_TOPIC,
-                RTC_VOICE_TOPIC,
-                *_own_cameras(session),
-                SELECTED_TOPIC,
-                ROBOT_TRACE_TOPIC,
-                TRAINER_TOPIC,
-            ),
-            writes=_taken_over(session, Segment.GROUND),
-            what="serves ground's page",
-        ),
-        ProcessRow(
-            name=PAGES[Segment.SPACE],
-            when=session.options.pages,
-            segment=Segment.SPACE,
-            stage=Stage.SINK,
-            run="pipelines.seats.process_page:run_page",
-            # Its emergency stop must be there.
-            stoppable=False,
-            arguments={"segment": Segment.SPACE},
-            reads=(
-                *_received(session, Segment.SPACE),
-                MISSION_PANEL_TOPIC,
-                JOYSTICK_STATE_TOPIC,
-                JOYSTICK_TRACE_TOPIC,
-                TRAINER_TOPIC,
-            ),
-            writes=(HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC, *_taken_over(session, Segment.SPACE)),
-            what="serves the operator's page",
-        ),
+            arguments={"segment": segment},
+            reads=(*_received(session, segment), *shown[segment], TRAINER_TOPIC),
+            writes=(*told[segment], *_taken_over(session, segment)),
+            what=f"serves {whose} page",
+        )
+        for segment, whose in ((Segment.GROUND, "ground's"), (Segment.SPACE, "the operator's"))
     )
 
 

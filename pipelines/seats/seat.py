@@ -38,7 +38,6 @@ from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, place_name, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
-from pipelines.session.training import TrainerRequest
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import (
     REQUESTS,
@@ -48,28 +47,14 @@ from telepresence.haptics.device.states import (
 )
 
 
-class RecordingAsked(NamedTuple):
-    """The recorder is to begin or to end; pass its answer to `Seat.handle_answered`."""
+class Asked(NamedTuple):
+    """What a page asks of recorder, trainer or file transfer.
+
+    Pass the answer to `Seat.handle_answered`.
+    """
 
     page: int
-    request: int
-    begin: bool
-
-
-class ExerciseAsked(NamedTuple):
-    """The trainer is to give an exercise; pass its answer to `Seat.handle_answered`."""
-
-    page: int
-    request: int
-    wish: TrainerRequest
-
-
-class FetchAsked(NamedTuple):
-    """A file of the other end is to be fetched; pass the answer to `Seat.handle_answered`."""
-
-    page: int
-    request: int
-    inbox: str
+    request: RecordingRequest | ExerciseRequest | FetchRequest
 
 
 class StopAsked(NamedTuple):
@@ -81,16 +66,7 @@ class StopAsked(NamedTuple):
 
 #: What to tell: the joystick of the hand or of a command, the launcher of an order; recorder,
 #: trainer and the TM/TC end of this segment of what is asked.
-SeatEvent = (
-    PageInput
-    | HandRequest
-    | Order
-    | RecordingAsked
-    | ExerciseAsked
-    | FetchAsked
-    | StopAsked
-    | TmtcRequest
-)
+SeatEvent = PageInput | HandRequest | Order | Asked | StopAsked | TmtcRequest
 
 #: Pages that are open at a time: of viewers, and of all who may act.
 MOST_VIEWERS, MOST_ACTING = 12, 12
@@ -324,16 +300,8 @@ class Seat:
                 by = f"the {page.role.words} at the page of {segment.value}"
                 self._events.append(StopAsked(request.action == "stop", by))
                 return ""
-            case RecordingRequest():
-                begin = request.action == "start"
-                self._events.append(RecordingAsked(number, request.request, begin))
-            case ExerciseRequest():
-                wish = TrainerRequest(
-                    exercise=request.exercise, seconds=request.seconds, camera=request.camera
-                )
-                self._events.append(ExerciseAsked(number, request.request, wish))
-            case FetchRequest():
-                self._events.append(FetchAsked(number, request.request, request.inbox))
+            case RecordingRequest() | ExerciseRequest() | FetchRequest():
+                self._events.append(Asked(number, request))
         return None
 
     # What topics and the launcher tell
@@ -400,11 +368,9 @@ class Seat:
             self.camera = camera
             self._tell_state(now_ns)
 
-    def handle_answered(
-        self, asked: RecordingAsked | ExerciseAsked | FetchAsked, error: str
-    ) -> None:
+    def handle_answered(self, asked: Asked, error: str) -> None:
         """The answer of recorder, trainer or file transfer. error: "" if it does what was asked."""
-        self._answer(Answered(asked.page, asked.request, error))
+        self._answer(Answered(asked.page, asked.request.request, error))
 
     def handle_figures(self, text: bytes, now_ns: int) -> None:
         """A message of the launcher; pages get it unchanged."""
@@ -467,7 +433,6 @@ class Seat:
             self._tell_state(now_ns)
 
     def _tell_mission(self) -> None:
-        """Send the pages what changed of the mission."""
         for kind, text in self.mission.poll_texts().items():
             for page in self._pages.values():
                 page.queue.put_newest(kind, text)

@@ -31,8 +31,8 @@ from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import SeatStream, Unpack
-from pipelines.seats.seat import ExerciseAsked, FetchAsked, RecordingAsked, Seat, StopAsked
-from pipelines.seats.texts import Via
+from pipelines.seats.seat import Asked, Seat, StopAsked
+from pipelines.seats.texts import FetchRequest, RecordingRequest, Via
 from pipelines.seats.upkeep_watch import ask_process, fetch
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
@@ -54,7 +54,7 @@ from pipelines.session.topology import (
     TMTC_TOPICS,
     Segment,
 )
-from pipelines.session.training import TRAINER_DESK, TrainerAnswer
+from pipelines.session.training import TRAINER_DESK, TrainerAnswer, TrainerRequest
 from telepresence.haptics.device.page import PageInput
 from telepresence.link.backlog import Backlog
 
@@ -360,7 +360,7 @@ class SeatDeeds:
                         self._orders.stop(event.by)
                     else:
                         self._orders.release()
-                case RecordingAsked() | ExerciseAsked() | FetchAsked():
+                case Asked():
                     self._serving.begin(self._ask(event))
                 case _:
                     # One that is not taken now is repeated.
@@ -380,14 +380,17 @@ class SeatDeeds:
         loan.payload[:] = np.frombuffer(given.data, np.uint8)
         loan.publish(given.stamp)
 
-    async def _ask(self, asked: RecordingAsked | ExerciseAsked | FetchAsked) -> None:
-        session = self._context.session
-        if isinstance(asked, FetchAsked):
-            error = await fetch(session, self._seat.plan.segment, asked.inbox)
-        elif isinstance(asked, RecordingAsked):
-            error = await ask_recorder(session, begin=asked.begin)
+    async def _ask(self, asked: Asked) -> None:
+        session, request = self._context.session, asked.request
+        if isinstance(request, FetchRequest):
+            error = await fetch(session, self._seat.plan.segment, request.inbox)
+        elif isinstance(request, RecordingRequest):
+            error = await ask_recorder(session, begin=request.action == "start")
         else:
-            said = await ask_process(session, TRAINER_DESK, asked.wish, TrainerAnswer)
+            wish = TrainerRequest(
+                exercise=request.exercise, seconds=request.seconds, camera=request.camera
+            )
+            said = await ask_process(session, TRAINER_DESK, wish, TrainerAnswer)
             error = said if isinstance(said, str) else "" if said.ok else said.text
         self._seat.handle_answered(asked, error)
         self._settle()

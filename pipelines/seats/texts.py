@@ -9,7 +9,7 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 
 import msgspec
 
-from kontur_av.errors import ProtocolError
+from kontur_av.errors import ProtocolError, refused
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.segments import Segment
 from telepresence.malformed import MALFORMED
@@ -535,7 +535,5 @@ def parse_media_request(text: str) -> InputRequest:
 
 
 def _parsed(decoder: msgspec.json.Decoder[_Asked], text: str) -> _Asked:
-    try:
+    with refused("no request", *MALFORMED, to=ProtocolError):
         return decoder.decode(text)
-    except MALFORMED as error:
-        raise ProtocolError(f"no request: {error}") from None

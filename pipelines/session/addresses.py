@@ -4,7 +4,7 @@ import ipaddress
 import re
 import socket
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 
 #: Connections that wait for the session to take them.
 _WAITING = 8
@@ -62,10 +62,6 @@ def check_reachable(address: tuple[str, int]) -> None:
     """Raise ConfigError if this machine has no route to `address`."""
     version = ipaddress.ip_address(address[0].partition("%")[0]).version
     family = socket.AF_INET6 if version == 6 else socket.AF_INET
-    with socket.socket(family, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(address)
-        except OSError as error:
-            raise ConfigError(
-                f"--to {address[0]}:{address[1]} cannot be reached: {error.strerror}"
-            ) from None
+    why = f"--to {address[0]}:{address[1]} cannot be reached"
+    with socket.socket(family, socket.SOCK_DGRAM) as probe, refused(why):
+        probe.connect(address)

@@ -4,8 +4,9 @@ A record is told by `Probe.tell`, and held by the report. A process that was sta
 from 0; `kontur_av.figures` says how its lives are joined.
 """
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -101,3 +102,12 @@ class ProcessState(msgspec.Struct, frozen=True, kw_only=True):
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What all parts of a report have in common."""
+
+
+def leaves(values: object, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested tables, by their keys joined by dots."""
+    if isinstance(values, Mapping):
+        for key, below in values.items():
+            yield from leaves(below, f"{name}.{key}" if name else key)
+    else:
+        yield name, values

@@ -13,7 +13,6 @@ STATE, CANCEL, STATUS = "state", "cancel", "status"
 
 
 def desk_name(segment: Segment) -> str:
-    """The name of the Unix socket."""
     return f"files.{segment.value}"
 
 

@@ -24,7 +24,7 @@ from typing import Protocol
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.session.children import ENDING
+from pipelines.session.children import ENDING, handled
 from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
@@ -168,36 +168,25 @@ class Launcher:
         wake_read, wake_write = socket.socketpair()
         wake_read.setblocking(False)
         wake_write.setblocking(False)
-        # Under nohup(1) a closed terminal must not end the session.
-        nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-        previous = {
-            number: signal.signal(number, self._handle_signal)
-            for number in ENDING
-            if not (nohup and number == signal.SIGHUP)
-        }
         previous_wakeup = signal.set_wakeup_fd(wake_write.fileno())
         self._selector.register(wake_read, selectors.EVENT_READ, wake_read)
         # Present objects are never freed. Frozen, they are not walked, and their pages not copied.
         gc.collect()
         gc.freeze()
-        try:
-            self.started_ns = self.clock.now_ns()
-            for child in self.children:
-                self._start(child)
-                if child.row.name == self.awaited:
-                    self._await(child)
-            end_ns = None if seconds is None else self.started_ns + round(seconds * NS_PER_S)
-            self._watch(end_ns)
-            self.ended_ns = self.clock.now_ns()
-            self.switch.handle_end(self.ended_ns)
-        finally:
-            self._end_all()
-            signal.set_wakeup_fd(previous_wakeup)
-            for number, handler in previous.items():
-                signal.signal(number, handler)
-            self._selector.close()
-            wake_read.close()
-            wake_write.close()
+        with handled(self._handle_signal), wake_read, wake_write, self._selector:
+            try:
+                self.started_ns = self.clock.now_ns()
+                for child in self.children:
+                    self._start(child)
+                    if child.row.name == self.awaited:
+                        self._await(child)
+                end_ns = None if seconds is None else self.started_ns + round(seconds * NS_PER_S)
+                self._watch(end_ns)
+                self.ended_ns = self.clock.now_ns()
+                self.switch.handle_end(self.ended_ns)
+            finally:
+                self._end_all()
+                signal.set_wakeup_fd(previous_wakeup)
 
     def cpu_s(self) -> dict[str, float]:
         return {child.row.name: child.cpu_s() for child in self.children}
@@ -316,9 +305,7 @@ class Launcher:
             except OSError:
                 data = b""
             if not data:
-                self._selector.unregister(child.link)
-                child.link.close()
-                child.link = None
+                self._close_link(child)
                 return
             now_ns = self.clock.now_ns()
             message = Message.unpack(data)
@@ -397,10 +384,7 @@ class Launcher:
         assert child.pid is not None
         if child.link is not None:
             self._receive(child)
-        if child.link is not None:
-            self._selector.unregister(child.link)
-            child.link.close()
-            child.link = None
+        self._close_link(child)
         self._selector.unregister(child.pidfd)
         os.close(child.pidfd)
         _, status, usage = os.wait4(child.pid, 0)
@@ -418,6 +402,12 @@ class Launcher:
             child.policy.handle_stop(self.clock.now_ns())
         else:
             child.policy.handle_end(self.clock.now_ns())
+
+    def _close_link(self, child: Child) -> None:
+        if child.link is not None:
+            self._selector.unregister(child.link)
+            child.link.close()
+            child.link = None
 
     def _await(self, child: Child) -> None:
         """Wait until a process has reported, or does not within its time."""

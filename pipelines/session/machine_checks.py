@@ -1,8 +1,7 @@
 """Checks that this machine has what a session needs; each names the mend.
 
 Each check tries the thing itself: it codes a picture, publishes a sample, or keeps a 1 kHz
-schedule. Its verdict is `ok`; `missing`
-(a session cannot run); or `advice` (a session runs, but can be better).
+schedule. Its verdict is `ok`; `missing` (a session cannot run); or `advice` (it can be better).
 """
 
 import os
@@ -205,22 +204,11 @@ def check_real_time() -> Finding:
     """Try SCHED_FIFO in a child, so that this process stays what it is."""
     if not hasattr(os, "sched_setscheduler"):
         return Finding("advice", "no SCHED_FIFO on this system", "use Linux for a real robot")
-    attempt = subprocess.run(
-        [
-            sys.executable,
-            "-I",
-            "-S",
-            "-c",
-            f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({_RT_PRIORITY}))",
-        ],
-        capture_output=True,
-        timeout=10,
-        check=False,
-    )
+    tried = f"import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param({_RT_PRIORITY}))"
+    command = [sys.executable, "-I", "-S", "-c", tried]
+    attempt = subprocess.run(command, capture_output=True, timeout=10, check=False)
     if attempt.returncode == 0:
         return Finding("ok", f"SCHED_FIFO priority {_RT_PRIORITY} granted")
-    import resource
-
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[1]
     return Finding(
         "advice",

@@ -15,7 +15,7 @@ from typing import Annotated, Literal, TypeVar
 
 import msgspec
 
-from kontur_av.errors import ProtocolError
+from kontur_av.errors import ProtocolError, refused
 from telepresence.malformed import MALFORMED
 from telepresence.tasks.definitions import ControlMode, Pattern
 from telepresence.tasks.panel_picture import PanelPicture
@@ -199,8 +199,6 @@ def unpack(kind: type[MessageT], octets: bytes) -> MessageT:
     """Return what `pack` packed; ProtocolError for anything else."""
     if len(octets) > MISSION_OCTETS:
         raise ProtocolError(f"{kind.__name__} has {len(octets)} octets: at most {MISSION_OCTETS}")
-    try:
+    with refused(kind.__name__, *MALFORMED, to=ProtocolError):
         return msgspec.msgpack.decode(octets, type=kind)
     # text that is not UTF-8; lists in lists in the place of a field that nobody knows.
-    except MALFORMED as error:
-        raise ProtocolError(f"{kind.__name__}: {error}") from None

@@ -9,6 +9,13 @@ from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile_file import load_radio
 
 
+def refuse_options(args: argparse.Namespace, why: str, *options: str) -> None:
+    """Raise ConfigError for the first of these options that is given. why: follows its name."""
+    for option in options:
+        if getattr(args, option) not in (None, False, []):
+            raise ConfigError(f"--{option.replace('_', '-')}{why}")
+
+
 def add_setup_argument(
     parser: argparse.ArgumentParser, *, default: str | None = None, needed: bool = True
 ) -> None:

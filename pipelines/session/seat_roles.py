@@ -21,7 +21,6 @@ class Role(Enum):
 
     @property
     def words(self) -> str:
-        """As a person says it."""
         return "systems operator" if self is Role.SYSTEMS else self.value
 
 

@@ -16,6 +16,7 @@ from socket import socket
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.session.addresses import resolve
+from pipelines.session.options import refuse_options
 from pipelines.session.output import say
 from pipelines.session.page_certificate import certificate_for, check_certificate
 from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
@@ -200,13 +201,10 @@ def bound_pages(args: argparse.Namespace, segments: Sequence[Segment] = _SEATS) 
     and for a certificate that no browser would take.
     """
     if args.no_page:
-        for option, given in (
-            ("--open", args.open),
-            ("--page-cert", args.page_cert),
-            ("--joystick page", args.joystick == "page"),
-        ):
-            if given:
-                raise ConfigError(f"{option} needs the pages: leave --no-page out")
+        why = " needs the pages: leave --no-page out"
+        refuse_options(args, why, "open", "page_cert")
+        if args.joystick == "page":
+            raise ConfigError(f"--joystick page{why}")
         return None
     host, port = parse_page(args.page)
     if args.page_cert is not None:

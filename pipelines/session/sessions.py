@@ -88,7 +88,6 @@ def _lock_new(session: str) -> int | None:
 
 
 def is_alive(session: str) -> bool:
-    """Whether a launcher holds the session."""
     try:
         lock = os.open(session_root(session) / _LOCK, os.O_RDWR)
     except OSError:

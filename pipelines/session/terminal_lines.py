@@ -17,7 +17,6 @@ _Content = TypeVar("_Content", bound=msgspec.Struct)
 
 
 def pack_line(content: msgspec.Struct) -> bytes:
-    """Return a request or an answer as a line."""
     return msgspec.json.encode(content) + b"\n"
 
 

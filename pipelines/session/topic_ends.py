@@ -23,7 +23,6 @@ class NumberedTopic:
         self.has_readers = self._writer.has_readers
 
     def publish_octets(self, octets: bytes, now_ns: int) -> None:
-        """Publish a sample of this instant."""
         self._writer.publish_octets(octets, CaptureStamp(now_ns, next(self._numbers), self._topic))
 
 

@@ -159,27 +159,23 @@ class Trainer:
         if wrong:
             return TrainerAnswer(ok=False, text=wrong, mistake=True)
         until_ns = now_ns + round(request.seconds * NS_PER_S)
-        change = msgspec.structs.replace
-        now, text = self.exercises, f"for {request.seconds:g} s"
-        if request.exercise == LOS:
-            self.exercises = change(now, los_ns=until_ns)
-            text = f"no signal {text}"
-        elif request.exercise == JOYSTICK:
-            self.exercises = change(now, joystick_ns=until_ns)
-            text = f"joystick error {text}"
-        elif request.exercise == ROBOT:
-            self.exercises = change(now, robot_ns=until_ns)
-            text = f"robot fault {text}"
-        elif request.exercise == TASK:
-            self.exercises = change(now, tasks_ns=until_ns)
-            text = f"tasks fail {text}"
-        elif request.exercise == CAMERA:
-            cameras_ns = {**now.cameras_ns, request.camera: until_ns}
-            self.exercises = change(now, cameras_ns=cameras_ns)
-            text = f"{request.camera} gives no pictures {text}"
+        if request.exercise == END:
+            self.exercises, text = Exercises(), "all exercises ended"
         else:
-            self.exercises = Exercises()
-            text = "all exercises ended"
+            changes: dict[str, tuple[str, object, str]] = {
+                LOS: ("los_ns", until_ns, "no signal"),
+                JOYSTICK: ("joystick_ns", until_ns, "joystick error"),
+                ROBOT: ("robot_ns", until_ns, "robot fault"),
+                TASK: ("tasks_ns", until_ns, "tasks fail"),
+                CAMERA: (
+                    "cameras_ns",
+                    {**self.exercises.cameras_ns, request.camera: until_ns},
+                    f"{request.camera} gives no pictures",
+                ),
+            }
+            field, value, words = changes[request.exercise]
+            self.exercises = msgspec.structs.replace(self.exercises, **{field: value})
+            text = f"{words} for {request.seconds:g} s"
         self._events.append(DatedEvent(at_ns=now_ns, what=text))
         return TrainerAnswer(ok=True, text=text)
 

@@ -12,7 +12,7 @@ from math import hypot
 import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.errors import ProtocolError
+from kontur_av.errors import ProtocolError, refused
 from pipelines.study.plan import HandleCondition, StudyPlan, trials_of
 from pipelines.study.trial import StudyTrial, TrialResult
 from telepresence.haptics.device.page import PageDevice
@@ -84,10 +84,8 @@ class StudyPress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def parse_press(text: str) -> StudyPress:
     """What a page sends as text; ProtocolError for anything else."""
-    try:
+    with refused("no press of a button", msgspec.DecodeError, RecursionError, to=ProtocolError):
         return msgspec.json.decode(text, type=StudyPress)
-    except (msgspec.DecodeError, RecursionError) as error:
-        raise ProtocolError(f"no press of a button: {error}") from None
 
 
 class StudyDesk:
@@ -159,7 +157,6 @@ class StudyDesk:
         )
 
     def show(self, now_ns: int) -> StudyShown:
-        """What the page says."""
         title, words, main, other = self._said()
         return StudyShown(
             screen=self._screen,

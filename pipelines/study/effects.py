@@ -257,7 +257,6 @@ def summary_of(report: StudyReport) -> Iterator[str]:
 
 
 def account_of_study(report: StudyReport) -> str:
-    """The whole page."""
     found = [one for one in report.effects if one.differs]
     rows = map(effect_words, [*found, *(one for one in report.effects if not one.differs)])
     parts = [

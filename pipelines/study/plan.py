@@ -237,7 +237,6 @@ class PlannedTrial:
 
 
 def trials_of(plan: StudyPlan, participant: int) -> list[PlannedTrial]:
-    """All trials of a participant, from 1, in their order."""
     conditions, square = plan.handle.conditions, latin_square(len(plan.handle.conditions))
     # Random: each participant's row, and the handle behind each number.
     chance = Random(plan.seed)

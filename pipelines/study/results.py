@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from pipelines.recording.export.columns import Column
 from pipelines.recording.export.mat_file import write_v5
 from pipelines.report.report_file import write_text
@@ -38,10 +38,8 @@ class _Head(msgspec.Struct, frozen=True, kw_only=True):
 def load_study(path: Path) -> StudyPlan:
     """The plan in a file. ConfigError names file and mend."""
     table = read_toml(path, "study")
-    try:
+    with refused(f"study {path}", ConfigError):
         return typed(table, StudyPlan, "a study")
-    except ConfigError as error:
-        raise ConfigError(f"study {path}: {error}") from None
 
 
 def check_scipy() -> None:
@@ -128,15 +126,13 @@ def write_tables(path: Path, results: Sequence[TrialResult], report: StudyReport
     names = tuple(field.name for field in fields(report.effects[0])) if report.effects else ()
     effects = [names, *(astuple(one) for one in report.effects)]
     found = [path / name for name in ("trials.csv", "effects.csv", "study.mat", "report.html")]
-    try:
+    with refused(f"{path}: cannot be written"):
         for file, table in zip(found, (trials, effects), strict=False):
             text = io.StringIO()
             csv.writer(text).writerows(table)
             write_text(file, text.getvalue())
         write_v5(found[2], {"trials": _columns(results)})
         write_text(found[3], account_of_study(report))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror or error}") from None
     return found
 
 

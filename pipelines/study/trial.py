@@ -102,7 +102,6 @@ class StudyTrial:
 
     @property
     def moves(self) -> bool:
-        """Whether the target moves."""
         return not isinstance(self.task, Aiming) or self.task.speed_m_s > 0.0
 
     def step(self, x_m: float, y_m: float, force_n: float) -> None:

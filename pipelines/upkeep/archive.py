@@ -4,13 +4,14 @@ Other programs may read it: the tables are `session`, `figure` and `event`, as `
 """
 
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
+from pipelines.session.figures import leaves
 
 #: "KAva", by which a file is known as an archive.
 _APPLICATION = 0x4B417661
@@ -84,7 +85,12 @@ class SessionArchive(Closing):
             if not cursor.rowcount:
                 return False
             number = cursor.lastrowid
-            figures = ((number, key, value) for key, value in figures_of(report))
+            # Lists and texts are left out.
+            figures = (
+                (number, key, float(value))
+                for key, value in leaves(report)
+                if isinstance(value, int | float)
+            )
             base.executemany("insert into figure values (?, ?, ?)", figures)
             base.executemany(
                 "insert into event values (?, ?, ?)", ((number, *one) for one in events)
@@ -92,7 +98,6 @@ class SessionArchive(Closing):
         return True
 
     def sessions(self) -> list[ArchivedSession]:
-        """All sessions, oldest first."""
         rows = self._base.execute(
             "select id, written, name, setup, seconds, failures from session order by written, id"
         )
@@ -121,14 +126,4 @@ class SessionArchive(Closing):
         ).fetchall()
 
     def close(self) -> None:
-        """Close the file."""
         self._base.close()
-
-
-def figures_of(report: Any, key: str = "") -> Iterator[tuple[str, float]]:
-    """Each number of a report with its dotted key; lists and texts are left out."""
-    if isinstance(report, Mapping):
-        for name, value in report.items():
-            yield from figures_of(value, f"{key}.{name}" if key else name)
-    elif isinstance(report, int | float):
-        yield key, float(report)

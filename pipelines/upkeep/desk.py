@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from pipelines.upkeep.disk_store import DiskStore
 from telepresence.upkeep.file_store import StoredFile, replace_file
 from telepresence.upkeep.inbox import (
@@ -106,10 +106,8 @@ class InboxFolder:
         add: Callable[[str, Mapping[str, StoredFile]], str],
         order: Callable[[str], str],
     ) -> None:
-        try:
+        with refused(f"--inbox {folder}"):
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"--inbox {folder}: {error.strerror or error}") from None
         self._folder, self._store = folder, DiskStore(folder)
         self._add, self._order = add, order
         told = b""

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from telepresence.upkeep.file_store import FileStore, StoredFile, fill_folder
 from telepresence.upkeep.manifest import RUN
 from telepresence.upkeep.sfv import SFV, fault_of, parse_sfv
@@ -112,10 +112,8 @@ def serve_ftp(
     authorizer = DummyAuthorizer()
     authorizer.add_user(USER, password, str(folder), perm=_RIGHTS)
     handler = type("Handler", (FTPHandler,), {"authorizer": authorizer, "banner": "kontur-av"})
-    try:
+    with refused(f"{address[0]}:{address[1]} cannot be used"):
         server = FTPServer(address, handler)
-    except OSError as error:
-        raise ConfigError(f"{address[0]}:{address[1]} cannot be used: {error.strerror}") from None
     server.max_cons, server.max_cons_per_ip = 16, 8
     host, port = server.address
     try:

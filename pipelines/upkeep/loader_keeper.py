@@ -70,6 +70,7 @@ class LoaderKeeper:
 
     def __init__(self, path: Path, say: Callable[[str], None]) -> None:
         self.path, self._say = path, say
+        self._now_ns = MonotonicClock().now_ns
         self.store = DiskStore(path)
         self._loader: AppLoader | None = None
         self._program = Program(path / _STATUS, ())
@@ -132,29 +133,23 @@ class LoaderKeeper:
             self._ftp, self._device = ftp, device
             self._program = Program(self.path / _STATUS, arguments)
             try:
-                self._run(MonotonicClock().now_ns, stopped, inbox)
+                self._run(stopped, inbox)
             finally:
                 self._program.stop()
 
-    def _run(
-        self, now_ns: Callable[[], int], stopped: Callable[[], bool], inbox: Path | None
-    ) -> None:
+    def _run(self, stopped: Callable[[], bool], inbox: Path | None) -> None:
+        now_ns = self._now_ns
         self._loader = AppLoader(self._device, now_ns())
         box = None
         if inbox is not None:
-            box = InboxFolder(
-                inbox,
-                ("copy",),
-                add=partial(self._take, now_ns),
-                order=partial(self._obey, now_ns),
-            )
+            box = InboxFolder(inbox, ("copy",), add=self._take, order=self._obey)
         flash = FlashCheck(self.store, Copy.FLASH.value, now_ns(), _FLASH_NS)
         told_ns, told_step = now_ns(), None
         while not self._over:
-            loader = self._work(now_ns)
+            loader = self._work()
             if box is not None and not self._over:
                 box.work(busy=self._busy, now_ns=now_ns())
-                loader = self._work(now_ns)
+                loader = self._work()
                 box.tell(*self._summary(loader))
             if loader.step is not told_step or now_ns() >= told_ns:
                 told_ns, told_step = now_ns() + _HOUSEKEEPING_NS, loader.step
@@ -164,7 +159,7 @@ class LoaderKeeper:
             time.sleep(_POLL_NS / NS_PER_S)
             if stopped():
                 loader.handle_shutdown(now_ns())
-            answer_order(self.path, partial(self._act, loader, now_ns()))
+            answer_order(self.path, partial(self._act, loader))
             code = self._program.exit_code()
             told = self._program.news()
             if told is not None:
@@ -179,15 +174,15 @@ class LoaderKeeper:
             loader.handle_time(now_ns())
             flash.handle_time(now_ns())
 
-    def _work(self, now_ns: Callable[[], int]) -> AppLoader:
+    def _work(self) -> AppLoader:
         """Do all that is to be done; return the loader, which may be another one by then."""
         assert self._loader is not None
         while not self._over and (event := self._loader.next_event()) is not None:
-            self._do(event, self._loader, now_ns)
+            self._do(event, self._loader)
         return self._loader
 
-    def _do(self, event: LoaderEvent, loader: AppLoader, now_ns: Callable[[], int]) -> None:
-        store = self.store
+    def _do(self, event: LoaderEvent, loader: AppLoader) -> None:
+        store, now_ns = self.store, self._now_ns
         if isinstance(event, LoadMode):
             loader.handle_mode(read_mode(store), now_ns())
         elif isinstance(event, FindFtp):
@@ -231,7 +226,7 @@ class LoaderKeeper:
             return fetch_copies(self._ftp, self.store, copies)
         return any(self.store.files(copy.value) for copy in _FTP_COPIES)
 
-    def _take(self, now_ns: Callable[[], int], name: str, files: Mapping[str, StoredFile]) -> str:
+    def _take(self, name: str, files: Mapping[str, StoredFile]) -> str:
         """Write an update that came into the inbox to prime, and start it."""
         if SFV not in files:
             raise ConfigError(f"the update has no {SFV}: `kontur-av apploader sfv FOLDER`")
@@ -239,8 +234,8 @@ class LoaderKeeper:
         self._say(f"update {name} waits: the software is ended")
         assert self._loader is not None
         self._update, self._refusal = files, ""
-        self._loader.handle_update(now_ns())
-        self._work(now_ns)
+        self._loader.handle_update(self._now_ns())
+        self._work()
         assert self._update is None
         if self._refusal:
             raise ConfigError(self._refusal)
@@ -257,10 +252,9 @@ class LoaderKeeper:
             self._refusal = f"the disk: {error.strerror or error}"
         self._update = None
 
-    def _obey(self, now_ns: Callable[[], int], order: str) -> str:
-        """Do an order that came into the inbox."""
+    def _obey(self, order: str) -> str:
         assert self._loader is not None
-        self._act(self._loader, now_ns(), order)
+        self._act(self._loader, order)
         return "done"
 
     def _summary(self, loader: AppLoader) -> tuple[str, str, dict[str, str]]:
@@ -270,11 +264,11 @@ class LoaderKeeper:
         states = {copy.value: wrong.get(copy, "valid") for copy in copies}
         return "" if loader.copy is None else loader.copy.value, loader.step.value, states
 
-    def _act(self, loader: AppLoader, now_ns: int, order: str) -> None:
+    def _act(self, loader: AppLoader, order: str) -> None:
         if order == "copy":
             copy_to_backup(self.store, loader.device)
         elif order == "shutdown":
-            loader.handle_shutdown(now_ns)
+            loader.handle_shutdown(self._now_ns())
         else:
             raise ConfigError(f"no order is called {order!r}")
 

@@ -31,7 +31,6 @@ class Program:
         self._seen: tuple[int, int] | None = None
 
     def start(self, folder: Path) -> bool:
-        """Start the program in a folder; whether that was possible."""
         self.stop()
         self._status.unlink(missing_ok=True)
         self._seen = None

@@ -14,7 +14,7 @@ from typing import TextIO
 import msgspec
 
 from kontur_av.closing import Closing
-from kontur_av.errors import ConfigError
+from kontur_av.errors import refused
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.link.figures import unpack_link
 from pipelines.mission.tmtc_socket import tmtc_socket_name
@@ -67,11 +67,9 @@ class SessionWatch(Closing):
         self._announced = now.events[-1].number if now is not None and now.events else 0
 
     def runs(self) -> bool:
-        """Whether the session still runs."""
         return any(self.name in running_sessions(tmtc_socket_name(end)) for end in Segment)
 
     def contact(self) -> bool:
-        """Whether the gateway here has a signal."""
         for reader in self._links:
             octets = _newest(reader, wait=False)
             if octets is not None:
@@ -108,7 +106,6 @@ class SessionWatch(Closing):
             add_note(self.name, note)
 
     def close(self) -> None:
-        """Leave the session."""
         self._bus.close()
 
 
@@ -128,10 +125,8 @@ class MaintenanceLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
+        with refused(f"--log {path}"):
             self._file: TextIO = path.open("a", encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"--log {path}: {error.strerror or error}") from None
 
     def write(self, what: str, **fields: str | int) -> None:
         """Append a line at once, so that nothing is lost when this program is killed."""

@@ -43,6 +43,7 @@ class VersionKeeper:
         self, path: Path, trusted: Collection[MachineIdentity], say: Callable[[str], None]
     ) -> None:
         self.path, self._say = path, say
+        self._now_ns = MonotonicClock().now_ns
         self.store = DiskStore(path)
         self.versions = VersionDirectory(self.store, trusted)
         self._busy = False
@@ -98,45 +99,38 @@ class VersionKeeper:
                     f"the elementary version is missing: {error}; add it with "
                     f"`kontur-av versions add {self.path} FOLDER --name {ELEMENTARY}`"
                 ) from None
-            clock = MonotonicClock()
+            now_ns = self._now_ns
             program = Program(self.path / _STATUS, arguments)
-            switch = VersionSwitch(self.read(), clock.now_ns(), limits)
+            switch = VersionSwitch(self.read(), now_ns(), limits)
+            take, obey = partial(self._take, switch), partial(self._obey, switch)
             box = None
             if inbox is not None:
-                box = InboxFolder(
-                    inbox,
-                    _INBOX_WORDS,
-                    add=partial(self._take, switch, clock.now_ns),
-                    order=partial(self._obey, switch, clock.now_ns),
-                )
+                box = InboxFolder(inbox, _INBOX_WORDS, add=take, order=obey)
             try:
                 while not stopped():
-                    self._do(switch, program, clock.now_ns)
-                    answer_order(
-                        self.path,
-                        lambda text: self._act(switch, text, clock.now_ns()),
-                    )
+                    self._do(switch, program)
+                    answer_order(self.path, partial(self._act, switch))
                     if box is not None:
-                        box.work(busy=self._busy, now_ns=clock.now_ns())
-                    self._do(switch, program, clock.now_ns)
+                        box.work(busy=self._busy, now_ns=now_ns())
+                    self._do(switch, program)
                     if box is not None:
                         box.tell(switch.record.current, switch.reason, _states(switch.record))
-                    left_ns = switch.poll_timeout() - clock.now_ns()
+                    left_ns = switch.poll_timeout() - now_ns()
                     time.sleep(max(0, min(left_ns, _POLL_NS)) / NS_PER_S)
                     if program.exit_code() is not None:
-                        switch.handle_exit(clock.now_ns())
+                        switch.handle_exit(now_ns())
                         continue
                     told = program.news()
                     status = None if told is None else parse_status(told)
                     if status is None:
-                        switch.handle_time(clock.now_ns())
+                        switch.handle_time(now_ns())
                     else:
                         self._busy = status.busy
-                        switch.handle_status(status, clock.now_ns())
+                        switch.handle_status(status, now_ns())
             finally:
                 program.stop()
 
-    def _do(self, switch: VersionSwitch, program: Program, now_ns: Callable[[], int]) -> None:
+    def _do(self, switch: VersionSwitch, program: Program) -> None:
         while (event := switch.next_event()) is not None:
             if isinstance(event, StoreRecord):
                 self.versions.store(event.record)
@@ -145,48 +139,40 @@ class VersionKeeper:
             elif isinstance(event, StartVersion):
                 self._say(f"version {event.name} starts ({switch.reason})")
                 self._busy = False
-                self._start(event.name, switch, program, now_ns)
+                self._start(event.name, switch, program)
 
-    def _start(
-        self, name: str, switch: VersionSwitch, program: Program, now_ns: Callable[[], int]
-    ) -> None:
+    def _start(self, name: str, switch: VersionSwitch, program: Program) -> None:
         try:
             self.versions.check(name)
         except ValueError as error:
             self._say(f"version {name} is damaged: {error}")
             if name != ELEMENTARY:
-                switch.handle_broken(now_ns())
+                switch.handle_broken(self._now_ns())
                 return
         if not program.start(self.path / name):
-            switch.handle_exit(now_ns())
+            switch.handle_exit(self._now_ns())
 
-    def _take(
-        self,
-        switch: VersionSwitch,
-        now_ns: Callable[[], int],
-        name: str,
-        files: Mapping[str, StoredFile],
-    ) -> str:
+    def _take(self, switch: VersionSwitch, name: str, files: Mapping[str, StoredFile]) -> str:
         """Add a version that came into the inbox, and start it."""
         if self.versions.holds(name, files, switch.record):
             return "it is there already"
         # Refused before anything is written, if there is another one of this name.
         switch.record.added(name)
         self.versions.add(name, files)
-        self._act(switch, f"add {name}", now_ns())
-        self._act(switch, f"start {name}", now_ns())
+        self._act(switch, f"add {name}")
+        self._act(switch, f"start {name}")
         return "added and started"
 
-    def _obey(self, switch: VersionSwitch, now_ns: Callable[[], int], order: str) -> str:
-        """Do an order that came into the inbox."""
-        self._act(switch, order, now_ns())
+    def _obey(self, switch: VersionSwitch, order: str) -> str:
+        self._act(switch, order)
         word, _, name = order.partition(" ")
         if word == "remove":
             self.versions.store(switch.record)
             self.versions.forget(name)
         return "done"
 
-    def _act(self, switch: VersionSwitch, order: str, now_ns: int) -> None:
+    def _act(self, switch: VersionSwitch, order: str) -> None:
+        now_ns = self._now_ns()
         word, _, name = order.partition(" ")
         if word == "start":
             switch.handle_order(name, now_ns)

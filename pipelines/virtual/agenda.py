@@ -68,6 +68,8 @@ class Telling:
         self._collector = collector
         self._probes: dict[str, Probe] = {}
         self._fills: list[Callable[[], object]] = []
+        #: Takes a function to call before each flush, which puts counters into its probe.
+        self.add = self._fills.append
 
     @property
     def processes(self) -> list[str]:
@@ -76,10 +78,6 @@ class Telling:
     def probe(self, process: str) -> Probe:
         probe = self._probes[process] = Probe()
         return probe
-
-    def add(self, fill: Callable[[], object]) -> None:
-        """Call `fill` before each flush, to put counters into its probe."""
-        self._fills.append(fill)
 
     def flush(self, now_ns: int) -> None:
         for fill in self._fills:

@@ -184,7 +184,7 @@ class Simulation:
         self._media = self._make_media(scene) if media else None
         self._consumers: dict[str, Consumer] = {
             **(self._media.consumers if self._media else {}),
-            TELECOMMAND: self._take_telecommand,
+            TELECOMMAND: partial(tmtc.handle_packet, Segment.GROUND),
             TELEMETRY: self._take_telemetry,
         }
         self.files = SimulatedFiles(scene) if files else None
@@ -426,9 +426,6 @@ class Simulation:
     def _take_update(self, news: TmtcNews, _now_ns: int) -> None:
         if isinstance(news, CommandUpdate) and news.client == _SCRIPT:
             self.answers[news.id] = news
-
-    def _take_telecommand(self, data: bytes, now_ns: int) -> None:
-        self.tmtc.handle_packet(Segment.GROUND, data, now_ns)
 
     def _take_telemetry(self, data: bytes, now_ns: int) -> None:
         if self.tmtc.handle_packet(Segment.SPACE, data, now_ns):

@@ -139,6 +139,11 @@ class Transfer:
     #: The last sign of life, in the time in contact.
     heard_ns: int = 0
 
+    @property
+    def over(self) -> bool:
+        """Whether it is done, or has failed."""
+        return self.state in (DONE, FAILED)
+
 
 class FileEntity:
     """A CFDP entity. Call `put` and `ask` for a user; hand over PDUs and the state of the link.
@@ -236,7 +241,7 @@ class FileEntity:
     def cancel(self, number: int, now_ns: int) -> Transfer:
         """Give up a transfer that was asked for here, at both ends. ConfigError if it is over."""
         transfer = self.transfers.get(number)
-        if transfer is None or transfer.state in (DONE, FAILED):
+        if transfer is None or transfer.over:
             raise ConfigError(f"no transfer {number} is under way: see kontur-av file status")
         key, at_ns = Key(self._entity, self._peer, number), self._time(now_ns)
         if (sender := self._senders.get(key)) is not None:
@@ -338,8 +343,7 @@ class FileEntity:
 
     def state_of(self, transfer: Transfer) -> str:
         """How it is with a transfer, with the link as it is now."""
-        open_yet = transfer.state in (WAITING, RUNNING)
-        return SUSPENDED if open_yet and not self._heard else transfer.state
+        return transfer.state if transfer.over or self._heard else SUSPENDED
 
     def unanswered(self, transfer: Transfer, now_ns: int) -> bool:
         """Whether nothing at all was heard for a while since a transfer began."""
@@ -379,7 +383,7 @@ class FileEntity:
         if kind == PUT:
             transfer.size = len(octets)
         if len(self.transfers) >= _REMEMBERED:
-            ended = (key for key, one in self.transfers.items() if one.state in (DONE, FAILED))
+            ended = (key for key, one in self.transfers.items() if one.over)
             del self.transfers[next(ended)]
         self.transfers[key.number] = transfer
         if kind in (GET, LIST):
@@ -527,8 +531,7 @@ class FileEntity:
             self.counts.file_octets_sent += sender.sent_octets - before[0]
             self.counts.file_octets_resent += sender.resent_octets - before[1]
             transfer = self.transfers.get(key.number)
-            open_yet = transfer is not None and transfer.state in (WAITING, RUNNING)
-            if transfer is not None and open_yet and transfer.kind == PUT:
+            if transfer is not None and not transfer.over and transfer.kind == PUT:
                 transfer.state, transfer.octets = RUNNING, sender.sent_octets
             if pdu is not None:
                 self._senders.move_to_end(key)
@@ -557,12 +560,10 @@ class FileEntity:
                 self._end(transfer, "the other end fell silent")
 
     def _close(self, key: Key, sender: FileSender, at_ns: int) -> None:
-        done, reason = sender.done, sender.failure
-        if done is not None:
-            reason = _reason(done)
+        reason = sender.failure if sender.done is None else _reason(sender.done)
         self._count(good=not reason)
         transfer = self.transfers.get(key.number)
-        if transfer is None or transfer.state in (DONE, FAILED):
+        if transfer is None or transfer.over:
             return
         if not reason and transfer.kind in (GET, LIST):
             transfer.heard_ns = at_ns

@@ -253,8 +253,7 @@ def pack_pdu(pdu: Pdu) -> bytes:
     )
     match pdu:
         case FileData():
-            params = FileDataParams(file_data=pdu.data, offset=pdu.offset)
-            return bytes(FileDataPdu(conf, params).pack())
+            made = FileDataPdu(conf, FileDataParams(file_data=pdu.data, offset=pdu.offset))
         case Metadata():
             whole = MetadataParams(
                 closure_requested=False,
@@ -263,20 +262,18 @@ def pack_pdu(pdu: Pdu) -> bytes:
                 source_file_name=pdu.source or None,
                 dest_file_name=pdu.destination or None,
             )
-            return bytes(MetadataPdu(conf, whole, _options(pdu)).pack())
+            made = MetadataPdu(conf, whole, _options(pdu))
         case Eof():
-            eof = EofPdu(conf, pdu.checksum, pdu.size, condition_code=ConditionCode(pdu.condition))
-            return bytes(eof.pack())
+            condition = ConditionCode(pdu.condition)
+            made = EofPdu(conf, pdu.checksum, pdu.size, condition_code=condition)
         case Ack():
             status = TransactionStatus.ACTIVE if pdu.active else TransactionStatus.TERMINATED
-            ack = AckPdu(conf, DirectiveType(pdu.of), ConditionCode(pdu.condition), status)
-            return bytes(ack.pack())
+            made = AckPdu(conf, DirectiveType(pdu.of), ConditionCode(pdu.condition), status)
         case Nak():
             requests = [*([(0, 0)] if pdu.metadata else []), *pdu.ranges]
-            end = pdu.ranges[-1][1] if pdu.ranges else 0
-            return bytes(NakPdu(conf, 0, end, requests).pack())
+            made = NakPdu(conf, 0, pdu.ranges[-1][1] if pdu.ranges else 0, requests)
         case KeepAlive():
-            return bytes(KeepAlivePdu(conf, pdu.octets).pack())
+            made = KeepAlivePdu(conf, pdu.octets)
         case Finished():
             finished = FinishedParams(
                 condition_code=ConditionCode(pdu.condition),
@@ -284,7 +281,8 @@ def pack_pdu(pdu: Pdu) -> bytes:
                 file_status=FileStatus(pdu.status),
                 file_store_responses=_responses(pdu),
             )
-            return bytes(FinishedPdu(conf, finished).pack())
+            made = FinishedPdu(conf, finished)
+    return bytes(made.pack())
 
 
 def _options(pdu: Metadata) -> list[CfdpTlv]:

@@ -120,6 +120,7 @@ class JoystickController(PortController):
             model.rate_n_s,
             model.velocity_s,
             model.acceleration_m_s2 * _CYCLE_S * _CYCLE_S,
+            model.rate_n_s + model.damping_rate_n_s,
         )
 
     @property
@@ -136,7 +137,7 @@ class JoystickController(PortController):
         x_m, y_m: position of the handle (m).
         The first step returns no force.
         """
-        scale, rate, velocity_s, margin = self._constants
+        scale, rate, velocity_s, margin, most_rate = self._constants
         dt_s = dt_ns / NS_PER_S
         port, last = self.port, self._last
         self._last = (x_m, y_m)
@@ -183,12 +184,14 @@ class JoystickController(PortController):
             share = rate * dt_s / change
             change_x *= share
             change_y *= share
+            change = rate * dt_s
         gx += change_x
         gy += change_y
         lacking_x, lacking_y = self._goal_x - gx, self._goal_y - gy
         if lacking_x * lacking_x + lacking_y * lacking_y < _RETURNED_N * _RETURNED_N:
             self._regaining = False
-        bx, by = self._damped(vx, vy, dt_s)
+        most = min(self.model.damping_rate_n_s * dt_s, most_rate * dt_s - change)
+        bx, by = self._damped(vx, vy, most)
         fx, fy = gx + bx, gy + by
         force = sqrt(fx * fx + fy * fy)
         if force > self.limit_n:
@@ -251,12 +254,11 @@ class JoystickController(PortController):
         wanted = model.damping_n_s_m + (model.most_damping_n_s_m - model.damping_n_s_m) * lack
         self.damping_n_s_m += (wanted - self.damping_n_s_m) * dt_s / (dt_s + model.damping_s)
 
-    def _damped(self, vx: float, vy: float, dt_s: float) -> tuple[float, float]:
-        """Return the damping force (N, N), which changes by `damping_rate_n_s` at most."""
+    def _damped(self, vx: float, vy: float, most: float) -> tuple[float, float]:
+        """Return the damping force (N, N), which changes by `most` (N) at most."""
         damping, bx, by = self.damping_n_s_m, self._bx, self._by
         change_x, change_y = -damping * vx - bx, -damping * vy - by
         change = sqrt(change_x * change_x + change_y * change_y)
-        most = self.model.damping_rate_n_s * dt_s
         share = most / change if change > most else 1.0
         return bx + change_x * share, by + change_y * share
 

@@ -22,6 +22,9 @@ from telepresence.haptics.sample import STATE_APPLICATION, Command
 
 #: A step that dissipates less counts as no step.
 _NO_COST_J = 1e-18
+#: A tip that catches up would overshoot the reference's greatest speed. Beyond this share of that
+#: speed, the force along the tip's motion is at most so much for each m/s that is left.
+_FAST, _SLOWING_N_S_M = 0.8, 250.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -185,6 +188,14 @@ class RobotController(PortController):
                 dx = dy = vx = vy = 0.0
                 fx, fy = _within(still_x, limit), _within(still_y, limit)
         port.handle_flow(fx * dx + fy * dy)
+        tip_m_s = sqrt(vx_m_s * vx_m_s + vy_m_s * vy_m_s)
+        if tip_m_s > _FAST * self.model.speed_m_s:
+            # The rest of the spring's force is lost as in a brake; the port pays for it.
+            along = (fx * vx_m_s + fy * vy_m_s) / tip_m_s
+            over = along - max(0.0, _SLOWING_N_S_M * (self.model.speed_m_s - tip_m_s))
+            if over > 0.0:
+                fx -= over * vx_m_s / tip_m_s
+                fy -= over * vy_m_s / tip_m_s
         self._vx, self._vy = vx, vy
         self.reference_x_m, self.reference_y_m = reference_x + dx, reference_y + dy
         surplus_j = port.credit_j - self.model.spare_j

@@ -179,8 +179,14 @@ class Gateway:
             message = supervisor.poll_transmit(now_ns)
             self._follow_supervision()
         clock = self.clock
-        if clock is not None and message is None and now_ns >= clock.next_ns:
-            message = self._clock_message(clock, now_ns)
+        if (
+            clock is not None
+            and message is None
+            and supervisor.peer_hears
+            and now_ns >= clock.next_ns
+        ):
+            # It leaves this machine after the radio's simulated delay.
+            message = clock.poll_transmit(now_ns, self.radio.arrival_ns(now_ns))
         frame = sender.poll_transmit(now_ns, message)
         slot = self._slot
         self._slot = slot + 1 if slot + 1 < COUNTED_SLOTS else 0
@@ -226,13 +232,6 @@ class Gateway:
                 supervisor.handle_message(event.message, event.now_ns)
                 self._follow_supervision()
         return None if self._reports is None else self._reports.next_event()
-
-    def _clock_message(self, clock: ClockExchange, now_ns: int) -> bytes | None:
-        """The message CLOCK for this slot; None while the peer does not hear it."""
-        if not self.supervisor.peer_hears:
-            return None
-        # It leaves this machine after the radio's simulated delay.
-        return clock.poll_transmit(now_ns, self.radio.arrival_ns(now_ns))
 
     def _is_of_clock(self, message: bytes, now_ns: int) -> bool:
         """Take a message CLOCK of the peer; False for all others, which supervision judges."""

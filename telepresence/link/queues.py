@@ -96,6 +96,11 @@ class _Waiting(NamedTuple):
     flow: int
     data: bytes
 
+    @property
+    def charge(self) -> int:
+        """The octets for which it counts."""
+        return max(len(self.data), LEAST_CHARGE_OCTETS)
+
 
 class PacketQueue:
     """The packets of one level: those that wait whole, and the one of which a part was sent.
@@ -151,11 +156,12 @@ class PacketQueue:
     def handle_packet(self, flow: int, data: bytes, now_ns: int, *, rtcp: bool = False) -> bool:
         """Queue `data`; return False if the policy rejects it. Older packets may be dropped."""
         self._drop_too_old(now_ns, _MOST_EXPIRED_AT_INPUT)
-        charge = max(len(data), LEAST_CHARGE_OCTETS)
+        packet = _Waiting(now_ns, flow, data)
+        charge = packet.charge
         if not self._make_room(charge, rtcp=rtcp):
             self.drops["full"] += 1
             return False
-        (self._rtcp if rtcp else self._others).append(_Waiting(now_ns, flow, data))
+        (self._rtcp if rtcp else self._others).append(packet)
         self.octets += charge
         if rtcp:
             self._rtcp_octets += charge
@@ -189,10 +195,9 @@ class PacketQueue:
 
     def _remove(self, line: deque[_Waiting]) -> _Waiting:
         packet = line.popleft()
-        charge = max(len(packet.data), LEAST_CHARGE_OCTETS)
-        self.octets -= charge
+        self.octets -= packet.charge
         if line is self._rtcp:
-            self._rtcp_octets -= charge
+            self._rtcp_octets -= packet.charge
         return packet
 
     def _in_time(self, packet: _Waiting, now_ns: int) -> bool:
@@ -227,8 +232,7 @@ class PacketQueue:
         packet = self._find(now_ns)
         if packet is None or self._bucket is None:
             return packet is not None
-        charge = max(len(packet.data), LEAST_CHARGE_OCTETS)
-        if self._bucket.holds(charge, now_ns):
+        if self._bucket.holds(packet.charge, now_ns):
             return True
         if self._held_ns is None:
             self._held_ns = now_ns
@@ -258,9 +262,8 @@ class PacketQueue:
         packet = self._remove(line)
         self._rtcp_was_last = line is self._rtcp
         if self._bucket is not None:
-            charge = max(len(packet.data), LEAST_CHARGE_OCTETS)
-            if self._bucket.holds(charge, now_ns):
-                self._bucket.take(charge, now_ns)
+            if self._bucket.holds(packet.charge, now_ns):
+                self._bucket.take(packet.charge, now_ns)
             if self._held_ns is not None and self._held_ns < now_ns:
                 self.delayed += 1
             self._held_ns = None

@@ -50,23 +50,6 @@ class StrangerFrame(NamedTuple):
     lasts_ns: int
 
 
-def _skipped(skipped: int, slot_ns: int, now_ns: int, *, due_ns: int, last_ns: int) -> int | None:
-    """Return `skipped` frames if a stream can have them before a frame at `now_ns`, else None.
-
-    due_ns: when the next frame of the stream was expected. last_ns: when its last one came.
-    """
-    silence_ns = now_ns - last_ns
-    early_ns = due_ns + skipped * slot_ns - now_ns
-    behind_ns = silence_ns - (skipped + 1) * slot_ns
-    if (
-        early_ns <= _EARLY_NS + (silence_ns >> _EARLY_SHIFT)
-        and behind_ns <= _BEHIND_NS + (silence_ns >> _BEHIND_SHIFT)
-        and silence_ns <= _LONGEST_SILENCE_NS
-    ):
-        return skipped
-    return None
-
-
 def _add(counts: dict[str, int], reason: str, number: int) -> None:
     """Add to a count; a reason without any has no entry."""
     counts[reason] = counts.get(reason, 0) + number
@@ -141,7 +124,7 @@ class LinkReceiver:
         """
         parsed = self._parse(frame)
         if isinstance(parsed, str):
-            self._drop_frame(parsed)
+            _add(self.frames_dropped, parsed, 1)
             return False
         count24, sample, pointer, zone = parsed
         self.stranger = None
@@ -246,7 +229,7 @@ class LinkReceiver:
     def _find_skipped(self, count24: int, now_ns: int) -> int | None:
         """Return how many frames of the stream are missing before this one.
 
-        None if it does not belong to the stream.
+        None if it does not belong to the stream: it cannot have that many by now.
         """
         if self._next24 < 0:
             if self.cautious:
@@ -256,13 +239,16 @@ class LinkReceiver:
             # The first frame sets the time of all others.
             self._due_ns = now_ns
             return 0
-        return _skipped(
-            count24 - self._next24 & COUNT_MASK,
-            self._slot_ns,
-            now_ns,
-            due_ns=self._due_ns,
-            last_ns=self._last_ns,
+        skipped = count24 - self._next24 & COUNT_MASK
+        silence_ns = now_ns - self._last_ns
+        early_ns = self._due_ns + skipped * self._slot_ns - now_ns
+        behind_ns = silence_ns - (skipped + 1) * self._slot_ns
+        fits = (
+            early_ns <= _EARLY_NS + (silence_ns >> _EARLY_SHIFT)
+            and behind_ns <= _BEHIND_NS + (silence_ns >> _BEHIND_SHIFT)
+            and silence_ns <= _LONGEST_SILENCE_NS
         )
+        return skipped if fits else None
 
     def _handle_stranger(self, frame: bytes, count24: int, now_ns: int) -> None:
         """Drop a frame that is not of the stream, and note it if it may be of another one."""
@@ -307,9 +293,6 @@ class LinkReceiver:
             self.haptic_unapproved += events
         elif isinstance(event, PacketReceived):
             _add(self.packets.dropped, "unapproved", events)
-
-    def _drop_frame(self, reason: str) -> None:
-        self.frames_dropped[reason] = self.frames_dropped.get(reason, 0) + 1
 
     def report(self) -> ReceiverFigures:
         """Return frames, samples and packets: received, lost, and dropped by reason."""

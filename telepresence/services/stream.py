@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
+from kontur_av.modular import signed
 from telepresence.services.datagrams import (
-    OFFSETS,
     PART_OCTETS,
     OpenService,
     ResetReason,
@@ -139,13 +139,14 @@ class ServiceStream:
     def handle_part(self, part: StreamPart, now_ns: int) -> None:
         """A part of the other end; ProtocolError if it cannot be one of this stream."""
         received = self._taken + len(self.ready)
-        offset = _near(part.offset, received)
+        offset = received + signed(part.offset - received)
         fresh = part.data or part.last
         end = offset + len(part.data)
         most = received if self._last_came else self._taken + WINDOW_OCTETS
         if fresh and not 0 <= offset <= end <= most:
             raise ProtocolError("beyond the window or the end")
-        self._acknowledged(_near(part.ack, self._acked), part.window, part.gap, now_ns)
+        ack = self._acked + signed(part.ack - self._acked)
+        self._acknowledged(ack, part.window, part.gap, now_ns)
         self.answer = part.answer
         self._asked_ns = now_ns
         self._waiting_ns = now_ns if self._flights else None
@@ -314,9 +315,3 @@ class ServiceStream:
         self.ready += fresh
         self.received_octets += len(fresh)
         self._last_came = last and offset + len(data) == received + len(fresh)
-
-
-def _near(offset: int, known: int) -> int:
-    """Return the full offset nearest to `known` that travels as `offset`."""
-    half = OFFSETS // 2
-    return known + (offset - known + half) % OFFSETS - half

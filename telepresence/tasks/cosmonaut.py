@@ -6,7 +6,7 @@ miss. It feels the spring by the pull of its own muscles. All parameters are cho
 """
 
 from dataclasses import dataclass
-from math import hypot
+from math import dist, hypot
 from random import Random
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -205,14 +205,14 @@ class Cosmonaut(Hand):
         if not self._curve:
             self._curve = curve_points(curve)
             self._at = float(
-                min(range(len(self._curve)), key=lambda k: _apart_m(self._curve[k], tip_m))
+                min(range(len(self._curve)), key=lambda k: dist(self._curve[k], tip_m))
             )
         points, closed = self._curve, curve is Curve.CONTOUR
         ahead = round(self._at) + (_AHEAD if self._onwards else -_AHEAD)
         ahead = ahead % len(points) if closed else max(0, min(ahead, len(points) - 1))
-        step_m = _apart_m(points[ahead - 1], points[ahead])
+        step_m = dist(points[ahead - 1], points[ahead])
         # It waits for a tip that stays behind.
-        if _apart_m(points[ahead], tip_m) < _BEHIND_M:
+        if dist(points[ahead], tip_m) < _BEHIND_M:
             step = self.skill.follow_m_s * LOOK_NS / NS_PER_S / max(step_m, 1e-6)
             self._at += step if self._onwards else -step
             # At the end of a line it goes back over what it may have missed.
@@ -235,7 +235,7 @@ class Cosmonaut(Hand):
     def _go(self, place: tuple[float, float], *, speed_m_s: float) -> None:
         self._track_m_s = 0.0
         self._begin, self._end = (self.x_m, self.y_m), place
-        way_m = _apart_m(self._begin, place)
+        way_m = dist(self._begin, place)
         self._begun_ns = self._now_ns
         # A minimum-jerk movement is no shorter than a twitch.
         self._lasts_ns = max(80 * NS_PER_MS, round(way_m / speed_m_s * NS_PER_S))
@@ -277,7 +277,3 @@ class Cosmonaut(Hand):
         self.vx_m_s, self.vy_m_s = (share * d * NS_PER_S / dt_ns for d in (dx, dy))
         self.x_m += share * dx
         self.y_m += share * dy
-
-
-def _apart_m(a: tuple[float, float], b: tuple[float, float]) -> float:
-    return hypot(a[0] - b[0], a[1] - b[1])

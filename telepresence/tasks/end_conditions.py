@@ -3,6 +3,7 @@
 `CHECKS` has the end condition of each kind of Elemop.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import hypot
 from typing import Any
@@ -32,7 +33,7 @@ from telepresence.tasks.definitions import (
 )
 from telepresence.tasks.panel_picture import PanelPicture
 from telepresence.tasks.places import curve_points, spot_at
-from telepresence.tmtc.k2aci import TaskGoal, TaskProgress
+from telepresence.tmtc.k2aci import TaskGoal, TaskProgress, TaskResult
 
 #: Between two ticks the tip's way is checked at steps of this length (m).
 _STEP_M = 0.002
@@ -124,6 +125,15 @@ class View:
         """Whether the cosmonaut's hand leads the robot."""
         return self.powered and self.mode is ControlMode.TELEPRESENCE
 
+    @property
+    def obstacle(self) -> tuple[TaskResult, str] | None:
+        """How a run ends now, and why; None if it can go on."""
+        if not self.signal:
+            return TaskResult.LOST_SIGNAL, "the signal was lost"
+        if self.fault:
+            return TaskResult.ABORTED, f"the robot has a fault: {self.fault}"
+        return (TaskResult.ABORTED, "the joystick is halted") if self.halted else None
+
 
 class EndCondition:
     """The end condition of one Elemop that has begun, and its order."""
@@ -148,132 +158,119 @@ class EndCondition:
         return None
 
 
-class _PowerCheck(EndCondition):
-    elemop: SetPower
+class _OrderCheck(EndCondition):
+    """Orders something, and ends when it is there."""
+
+    def __init__(self, elemop: Elemop, now_ns: int) -> None:
+        super().__init__(elemop, now_ns)
+        self._order, self._there = _ordered(elemop)
 
     def holds(self, view: View, now_ns: int) -> bool:
-        return view.powered is self.elemop.on
+        return self._there(view)
 
-    def order(self, now_ns: int) -> Order | None:
-        return PowerRobot(self.elemop.on)
-
-
-class _ModeCheck(EndCondition):
-    elemop: SetMode
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.mode is self.elemop.mode
-
-    def order(self, now_ns: int) -> Order | None:
-        return ControlRobot(self.elemop.mode)
+    def order(self, now_ns: int) -> Order:
+        return self._order
 
 
-class _CameraCheck(EndCondition):
-    elemop: SelectCamera
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.camera == self.elemop.camera
-
-    def order(self, now_ns: int) -> Order | None:
-        return ChooseCamera(self.elemop.camera)
-
-
-class _ShowCheck(EndCondition):
-    elemop: Show
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.shown
-
-    def order(self, now_ns: int) -> Order | None:
-        mask = sum(1 << led for led in set(self.elemop.leds))
-        picture = PanelPicture(self.elemop.pattern, mask)
-        if self.elemop.pattern is Pattern.SPOT:
-            picture = replace(picture, spot_m=LIGHTS_M[0])
-        if self.elemop.pattern is Pattern.DARK:
-            picture = replace(picture, colour=(0, 0, 0))
-        return ShowPicture(picture)
+def _ordered(elemop: Elemop) -> tuple[Order, Callable[[View], bool]]:
+    """Return an Elemop's order, and how it is seen that it was carried out."""
+    match elemop:
+        case SetPower(on=on):
+            return PowerRobot(on), lambda view: view.powered is on
+        case SetMode(mode=mode):
+            return ControlRobot(mode), lambda view: view.mode is mode
+        case SelectCamera(camera=camera):
+            return ChooseCamera(camera), lambda view: view.camera == camera
+        case MoveTo(x_mm=x_mm, y_mm=y_mm):
+            goal = x_mm / 1e3, y_mm / 1e3
+            return MoveRobot(*goal), lambda view: view.goal_m == goal
+        case Show():
+            return ShowPicture(_picture(elemop)), lambda view: view.shown
+    on = isinstance(elemop, StartLog)
+    return Record(on), lambda view: view.recording is on
 
 
-class _MoveCheck(EndCondition):
-    elemop: MoveTo
-
-    def _goal(self) -> tuple[float, float]:
-        return self.elemop.x_mm / 1e3, self.elemop.y_mm / 1e3
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.goal_m == self._goal()
-
-    def order(self, now_ns: int) -> Order | None:
-        return MoveRobot(*self._goal())
+def _picture(elemop: Show) -> PanelPicture:
+    picture = PanelPicture(elemop.pattern, sum(1 << led for led in set(elemop.leds)))
+    if elemop.pattern is Pattern.SPOT:
+        return replace(picture, spot_m=LIGHTS_M[0])
+    return replace(picture, colour=(0, 0, 0)) if elemop.pattern is Pattern.DARK else picture
 
 
-class _RecordCheck(EndCondition):
-    def _on(self) -> bool:
-        return isinstance(self.elemop, StartLog)
+class _HeldCheck(EndCondition):
+    """Ends when `fits` has held for a time without a break. told: the goal, without times."""
 
-    def holds(self, view: View, now_ns: int) -> bool:
-        return view.recording is self._on()
+    elemop: Reach | Pull | Meet | HoldBall
 
-    def order(self, now_ns: int) -> Order | None:
-        return Record(self._on())
-
-
-class _Held:
-    """Whether a condition has held for a time without a break."""
-
-    def __init__(self, hold_s: float) -> None:
-        self._hold_ns = round(hold_s * NS_PER_S)
+    def __init__(self, elemop: Reach | Pull | Meet | HoldBall, now_ns: int) -> None:
+        super().__init__(elemop, now_ns)
+        self._hold_ns = round(elemop.hold_s * NS_PER_S)
         self._since_ns: int | None = None
 
-    def handle(self, holds: bool, now_ns: int) -> bool:
-        if not holds:
+    def fits(self, view: View) -> bool:
+        raise NotImplementedError
+
+    def told(self) -> TaskProgress:
+        raise NotImplementedError
+
+    def holds(self, view: View, now_ns: int) -> bool:
+        if not self.fits(view):
             self._since_ns = None
             return False
         if self._since_ns is None:
             self._since_ns = now_ns
         return now_ns - self._since_ns >= self._hold_ns
 
-    def progress(self, told: TaskProgress, now_ns: int) -> TaskProgress:
-        """Return `told` with how long the condition must hold, and has."""
+    def progress(self, now_ns: int) -> TaskProgress:
         held_ms = 0 if self._since_ns is None else max(1, (now_ns - self._since_ns) // NS_PER_MS)
-        return replace(told, hold_ms=self._hold_ns // NS_PER_MS, held_ms=held_ms)
+        return replace(self.told(), hold_ms=self._hold_ns // NS_PER_MS, held_ms=held_ms)
 
 
-class _ReachCheck(EndCondition):
+class _ReachCheck(_HeldCheck):
     elemop: Reach
 
-    def __init__(self, elemop: Reach, now_ns: int) -> None:
-        super().__init__(elemop, now_ns)
-        self._held = _Held(elemop.hold_s)
-
-    def holds(self, view: View, now_ns: int) -> bool:
+    def fits(self, view: View) -> bool:
         x, y = LIGHTS_M[self.elemop.led]
-        near = hypot(view.x_m - x, view.y_m - y) <= self.elemop.within_mm / 1e3
-        return self._held.handle(near, now_ns)
+        return hypot(view.x_m - x, view.y_m - y) <= self.elemop.within_mm / 1e3
 
-    def progress(self, now_ns: int) -> TaskProgress:
-        place_um = _um(LIGHTS_M[self.elemop.led])
-        return self._held.progress(_told(TaskGoal.REACH, place_um=place_um), now_ns)
+    def told(self) -> TaskProgress:
+        return _told(TaskGoal.REACH, place_um=_um(LIGHTS_M[self.elemop.led]))
 
 
-class _PursueCheck(EndCondition):
-    elemop: Pursue
+class _PullCheck(_HeldCheck):
+    elemop: Pull
 
-    def _spot(self, now_ns: int) -> tuple[float, float]:
-        return spot_at(self.elemop.path, (now_ns - self.began_ns) / NS_PER_S / self.elemop.turn_s)
+    def fits(self, view: View) -> bool:
+        return abs(view.push_n - self.elemop.force_n) <= self.elemop.within_n
 
-    def holds(self, view: View, now_ns: int) -> bool:
-        return now_ns - self.began_ns >= round(self.elemop.seconds * NS_PER_S)
+    def told(self) -> TaskProgress:
+        return _told(TaskGoal.SPRING, force_mn=round(self.elemop.force_n * 1e3))
 
-    def order(self, now_ns: int) -> Order | None:
-        return ShowPicture(PanelPicture(Pattern.SPOT, spot_m=self._spot(now_ns)))
 
-    @property
-    def lasts_s(self) -> float:
-        return self.elemop.seconds
+class _MeetCheck(_HeldCheck):
+    elemop: Meet
 
-    def progress(self, now_ns: int) -> TaskProgress:
-        return _told(TaskGoal(self.elemop.path), turn_ms=round(self.elemop.turn_s * 1e3))
+    def fits(self, view: View) -> bool:
+        other, elemop = view.other, self.elemop
+        return (
+            other is not None
+            and min(view.push_n, other.push_n) >= elemop.force_n
+            and hypot(view.x_m - other.x_m, view.y_m - other.y_m) <= elemop.within_mm / 1e3
+        )
+
+    def told(self) -> TaskProgress:
+        return _told(TaskGoal.HANDS, force_mn=round(self.elemop.force_n * 1e3))
+
+
+class _HoldBallCheck(_HeldCheck):
+    elemop: HoldBall
+
+    def fits(self, view: View) -> bool:
+        hands = view.holds, view.other is not None and view.other.holds
+        return hands == ((True, False) if self.elemop.hand is Hands.ROBOT else (False, True))
+
+    def told(self) -> TaskProgress:
+        return _told(TaskGoal.BALL)
 
 
 class _FollowCheck(EndCondition):
@@ -307,61 +304,8 @@ class _FollowCheck(EndCondition):
         return _told(goal, percent=min(100, int(20 * share) * 5))
 
 
-class _PullCheck(EndCondition):
-    elemop: Pull
-
-    def __init__(self, elemop: Pull, now_ns: int) -> None:
-        super().__init__(elemop, now_ns)
-        self._held = _Held(elemop.hold_s)
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        right = abs(view.push_n - self.elemop.force_n) <= self.elemop.within_n
-        return self._held.handle(right, now_ns)
-
-    def progress(self, now_ns: int) -> TaskProgress:
-        told = _told(TaskGoal.SPRING, force_mn=round(self.elemop.force_n * 1e3))
-        return self._held.progress(told, now_ns)
-
-
-class _MeetCheck(EndCondition):
-    elemop: Meet
-
-    def __init__(self, elemop: Meet, now_ns: int) -> None:
-        super().__init__(elemop, now_ns)
-        self._held = _Held(elemop.hold_s)
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        other, elemop = view.other, self.elemop
-        pushed = (
-            other is not None
-            and min(view.push_n, other.push_n) >= elemop.force_n
-            and hypot(view.x_m - other.x_m, view.y_m - other.y_m) <= elemop.within_mm / 1e3
-        )
-        return self._held.handle(pushed, now_ns)
-
-    def progress(self, now_ns: int) -> TaskProgress:
-        told = _told(TaskGoal.HANDS, force_mn=round(self.elemop.force_n * 1e3))
-        return self._held.progress(told, now_ns)
-
-
-class _HoldBallCheck(EndCondition):
-    elemop: HoldBall
-
-    def __init__(self, elemop: HoldBall, now_ns: int) -> None:
-        super().__init__(elemop, now_ns)
-        self._held = _Held(elemop.hold_s)
-
-    def holds(self, view: View, now_ns: int) -> bool:
-        hands = view.holds, view.other is not None and view.other.holds
-        wanted = (True, False) if self.elemop.hand is Hands.ROBOT else (False, True)
-        return self._held.handle(hands == wanted, now_ns)
-
-    def progress(self, now_ns: int) -> TaskProgress:
-        return self._held.progress(_told(TaskGoal.BALL), now_ns)
-
-
 class _WaitCheck(EndCondition):
-    elemop: Wait
+    elemop: Wait | Pursue
 
     def holds(self, view: View, now_ns: int) -> bool:
         return now_ns - self.began_ns >= round(self.elemop.seconds * NS_PER_S)
@@ -372,6 +316,18 @@ class _WaitCheck(EndCondition):
 
     def progress(self, now_ns: int) -> TaskProgress:
         return _told(TaskGoal.FREE)
+
+
+class _PursueCheck(_WaitCheck):
+    elemop: Pursue
+
+    def order(self, now_ns: int) -> Order:
+        turns = (now_ns - self.began_ns) / NS_PER_S / self.elemop.turn_s
+        spot_m = spot_at(self.elemop.path, turns)
+        return ShowPicture(PanelPicture(Pattern.SPOT, spot_m=spot_m))
+
+    def progress(self, now_ns: int) -> TaskProgress:
+        return _told(TaskGoal(self.elemop.path), turn_ms=round(self.elemop.turn_s * 1e3))
 
 
 def _told(goal: TaskGoal, **values: Any) -> TaskProgress:
@@ -385,13 +341,9 @@ def _um(place_m: tuple[float, float]) -> tuple[int, int]:
 #: Elemops that the cosmonaut carries out.
 BY_COSMONAUT = (Reach, Pursue, Follow, Pull, Meet, HoldBall, Wait)
 CHECKS: dict[type[Elemop], type[EndCondition]] = {
-    SetPower: _PowerCheck,
-    SetMode: _ModeCheck,
-    SelectCamera: _CameraCheck,
-    Show: _ShowCheck,
-    MoveTo: _MoveCheck,
-    StartLog: _RecordCheck,
-    StopLog: _RecordCheck,
+    **dict.fromkeys(
+        (SetPower, SetMode, SelectCamera, Show, MoveTo, StartLog, StopLog), _OrderCheck
+    ),
     Reach: _ReachCheck,
     Pursue: _PursueCheck,
     Follow: _FollowCheck,

@@ -188,7 +188,11 @@ class Experiment:
                 reason = message.reason.rstrip(".") or "the panel has an error"
                 self._end(TaskResult.ABORTED, reason, now_ns)
             elif message.mode is PanelMode.WAIT_TASK and task is not None:
-                self._handle_forgotten(task, now_ns)
+                # The panel was restarted, or has not got this task yet.
+                if self._phase is Phase.OFFERED:
+                    self._tell(task)
+                elif self._phase is Phase.RUNNING:
+                    self._end(TaskResult.ABORTED, "the panel was restarted", now_ns)
         elif isinstance(message, StartTask) and task is not None:
             ours = (message.task, message.run) == (task.name, self._run)
             if ours and self._phase is Phase.OFFERED:
@@ -197,7 +201,11 @@ class Experiment:
     def handle_view(self, view: View, now_ns: int) -> None:
         """What there is to see of robot, panel, record and link; call it ten times a second."""
         if self._phase is Phase.OFFERED:
-            self._watch(view, now_ns)
+            # While the cosmonaut has not started, the kernel executes nothing.
+            if view.obstacle is not None:
+                self._end(*view.obstacle, now_ns)
+            elif now_ns - self._since_ns > self._patience_ns:
+                self._end(TaskResult.TIMED_OUT, "the cosmonaut did not start", now_ns)
         elif self._phase is Phase.RUNNING and view.telepresent:
             self._log(RunStep.TELEPRESENCE, now_ns)
         self.kernel.handle_view(view, now_ns)
@@ -227,13 +235,6 @@ class Experiment:
         self.kernel.start(self._task.exec, now_ns)
         self._drain(now_ns)
 
-    def _handle_forgotten(self, task: Task, now_ns: int) -> None:
-        """The panel waits for a task: it was restarted, or has not got this one yet."""
-        if self._phase is Phase.OFFERED:
-            self._tell(task)
-        elif self._phase is Phase.RUNNING:
-            self._end(TaskResult.ABORTED, "the panel was restarted", now_ns)
-
     def _tell(self, task: Task) -> None:
         start_um = round(task.start_x_mm * 1000), round(task.start_y_mm * 1000)
         self._messages.append(
@@ -258,17 +259,6 @@ class Experiment:
             self._progress, self._progress_ns = kept, now_ns
             self._messages.append(told)
 
-    def _watch(self, view: View, now_ns: int) -> None:
-        """While the cosmonaut has not started, the kernel executes nothing."""
-        if not view.signal:
-            self._end(TaskResult.LOST_SIGNAL, "the signal was lost", now_ns)
-        elif view.fault:
-            self._end(TaskResult.ABORTED, f"the robot has a fault: {view.fault}", now_ns)
-        elif view.halted:
-            self._end(TaskResult.ABORTED, "the joystick is halted", now_ns)
-        elif now_ns - self._since_ns > self._patience_ns:
-            self._end(TaskResult.TIMED_OUT, "the cosmonaut did not start", now_ns)
-
     def _end(self, result: TaskResult, reason: str, now_ns: int) -> None:
         if self._phase in (Phase.PREPARING, Phase.RUNNING):
             self._ending = result, reason
@@ -292,17 +282,13 @@ class Experiment:
                 given = self._ending if self._ending[1] == event.reason else None
                 self._finish(*(given or (event.result, event.reason)), now_ns)
             elif self._phase is Phase.PREPARING:
-                self._offer(now_ns)
+                assert self._task is not None
+                self._log(RunStep.PREPARED, now_ns)
+                self._phase, self._since_ns, self._told = Phase.OFFERED, now_ns, self._task
+                self._tell(self._task)
+                self._log(RunStep.TOLD, now_ns)
             else:
                 self._finish(TaskResult.FINISHED, "", now_ns)
-
-    def _offer(self, now_ns: int) -> None:
-        task = self._task
-        assert task is not None
-        self._log(RunStep.PREPARED, now_ns)
-        self._phase, self._since_ns, self._told = Phase.OFFERED, now_ns, task
-        self._tell(task)
-        self._log(RunStep.TOLD, now_ns)
 
     def _finish(self, result: TaskResult, reason: str, now_ns: int) -> None:
         task = self._task

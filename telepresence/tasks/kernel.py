@@ -141,7 +141,9 @@ class TopKernel:
         late_ns = now_ns - self._tick_ns
         self._tick_ns = now_ns
         if self._ending is None:
-            self._watch(view, late_ns, now_ns)
+            stopped = TaskResult.ABORTED, "the kernel was stopped"
+            if obstacle := stopped if late_ns > _LATE_NS else view.obstacle:
+                self._end(*obstacle, now_ns)
         check = self._check
         assert check is not None
         if check.holds(view, now_ns):
@@ -170,16 +172,6 @@ class TopKernel:
     def next_event(self) -> KernelEvent | None:
         """The oldest event that was not fetched, or None."""
         return self._events.popleft() if self._events else None
-
-    def _watch(self, view: View, late_ns: int, now_ns: int) -> None:
-        if late_ns > _LATE_NS:
-            self._end(TaskResult.ABORTED, "the kernel was stopped", now_ns)
-        elif not view.signal:
-            self._end(TaskResult.LOST_SIGNAL, "the signal was lost", now_ns)
-        elif view.fault:
-            self._end(TaskResult.ABORTED, f"the robot has a fault: {view.fault}", now_ns)
-        elif view.halted:
-            self._end(TaskResult.ABORTED, "the joystick is halted", now_ns)
 
     def _end(self, result: TaskResult, reason: str, now_ns: int) -> None:
         """Go on with what brings the robot to rest."""

@@ -94,7 +94,6 @@ class MissionPanel:
         self._known = False
         self._words = self._reason = ""
         self._dead_man = False
-        self._place = 0.0, 0.0
         self._held_since_ns = self._now_ns = 0
         self._progress: TaskProgress | None = None
         self._told_ns = 0
@@ -166,7 +165,9 @@ class MissionPanel:
         elif isinstance(message, TaskProgress):
             if self._known and message.run == self._task.run:
                 self._progress, self._told_ns = message, now_ns
-        elif isinstance(message, TaskFinished) and self._concerns(message):
+        elif isinstance(message, TaskFinished):
+            if not self._known or (message.task, message.run) != (self._task.task, self._task.run):
+                return
             if message.result is TaskResult.FINISHED:
                 score = f": {message.reason}" if message.reason else ""
                 self._words = f"Finished in {message.duration_ms / 1e3:.1f} s{score}."
@@ -190,12 +191,13 @@ class MissionPanel:
 
         dead_man: pressed. halted: why the joystick cannot be used; "" if it can.
         """
-        self._now_ns, self._place, self._dead_man = now_ns, (x_m, y_m), dead_man
+        self._now_ns, self._dead_man = now_ns, dead_man
         if halted and self.mode in _BUSY:
             self._fail(halted, halted)
         if self.mode not in _AT_HANDLE:
             return
-        if self._distance_m > START_WITHIN_M:
+        start_x_m, start_y_m = self._start_m
+        if hypot(x_m - start_x_m, y_m - start_y_m) > START_WITHIN_M:
             self._go(PanelMode.MOVE_TO_START)
         elif self.mode is PanelMode.MOVE_TO_START:
             self._held_since_ns = now_ns
@@ -215,14 +217,6 @@ class MissionPanel:
     def _start_m(self) -> tuple[float, float]:
         x_um, y_um = self._task.start_um
         return x_um / 1e6, y_um / 1e6
-
-    @property
-    def _distance_m(self) -> float:
-        (x_m, y_m), (start_x_m, start_y_m) = self._place, self._start_m
-        return hypot(x_m - start_x_m, y_m - start_y_m)
-
-    def _concerns(self, message: TaskFinished) -> bool:
-        return self._known and (message.task, message.run) == (self._task.task, self._task.run)
 
     def _why(self, message: TaskFinished) -> str:
         """Why it did not finish; of a step that took too long, its number and not its name."""

@@ -37,19 +37,15 @@ def load_tasks(files: Sequence[Path] = ()) -> Catalogue:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Task:
-    name: str
-    repeat: int = 1
-
-
-@dataclass(frozen=True, kw_only=True)
 class _File:
     skill: float = 0.7
     again: bool = False
     files: tuple[str, ...] = field(
         default=(), metadata={"like": 'a list of texts, like ["mine.xml"]'}
     )
-    task: tuple[_Task, ...] = field(default=(), metadata={"like": "tables, each headed [[task]]"})
+    task: tuple[PlannedTask, ...] = field(
+        default=(), metadata={"like": "tables, each headed [[task]]"}
+    )
 
 
 def load_plan(path: Path) -> tuple[SessionPlan, Catalogue]:
@@ -66,8 +62,7 @@ def load_plan(path: Path) -> tuple[SessionPlan, Catalogue]:
     try:
         entry = typed(table, _File, "a plan")
         catalogue = load_tasks([path.parent / name for name in entry.files])
-        tasks = tuple(PlannedTask(name=one.name, repeat=one.repeat) for one in entry.task)
-        plan = SessionPlan(tasks=tasks, again=entry.again, skill=entry.skill)
+        plan = SessionPlan(tasks=entry.task, again=entry.again, skill=entry.skill)
         for planned in plan.tasks:
             catalogue.task(planned.name)
     except ConfigError as error:

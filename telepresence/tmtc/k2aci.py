@@ -15,9 +15,9 @@ below it.
 """
 
 from collections import deque
-from dataclasses import dataclass, fields
-from enum import StrEnum
-from typing import Any, NamedTuple
+from dataclasses import MISSING, dataclass, field, fields
+from enum import EnumType, StrEnum
+from typing import Any, NamedTuple, cast, get_args
 
 import cbor2
 
@@ -86,93 +86,88 @@ class ChatRole(StrEnum):
     OPERATOR = "operator"
 
 
+def _text(least: int, most: int, default: Any = MISSING) -> Any:
+    """A field with one printable line of so many octets of UTF-8."""
+    return field(default=default, metadata={"octets": (least, most)})
+
+
+@dataclass(frozen=True, slots=True)
+class _Checked:
+    """Its fields are checked when it is made. ConfigError."""
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value, kind = getattr(self, one.name), cast(Any, one.type)
+            if kind is int:
+                _check_count(one.name, value)
+            elif kind is str:
+                _check_text(one.name, value, *one.metadata["octets"])
+            elif kind == tuple[int, int]:
+                _check_place(one.name, value)
+            elif isinstance(kind, EnumType) and type(value) is not kind:
+                raise ConfigError(f"{one.name} is {value!r}: choose one of {', '.join(kind)}")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TaskSelected:
+class TaskSelected(_Checked):
     """To the panel: the robot is ready for this task.
 
     task: its name. run: its number in the session. start_um: where the handle begins, (x, y) in
     micrometres from the centre of the workspace. text: instructions, one line, may be empty.
     """
 
-    task: str
+    task: str = _text(1, MAX_NAME_OCTETS)
     run: int
     start_um: tuple[int, int] = (0, 0)
-    text: str = ""
-
-    def __post_init__(self) -> None:
-        _check_text("task", self.task, MAX_NAME_OCTETS, least=1)
-        _check_count("run", self.run)
-        _check_place("start_um", self.start_um)
-        _check_text("text", self.text, MAX_TEXT_OCTETS)
+    text: str = _text(0, MAX_TEXT_OCTETS, default="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StartTask:
+class StartTask(_Checked):
     """To the robot: the cosmonaut holds the start position with the dead-man pressed."""
 
-    task: str
+    task: str = _text(1, MAX_NAME_OCTETS)
     run: int
-
-    def __post_init__(self) -> None:
-        _check_text("task", self.task, MAX_NAME_OCTETS, least=1)
-        _check_count("run", self.run)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TaskFinished:
+class TaskFinished(_Checked):
     """To the panel: the run has ended.
 
     duration_ms: since its start; 0 if it never started. reason: why it did not finish, or how well
     it was done.
     """
 
-    task: str
+    task: str = _text(1, MAX_NAME_OCTETS)
     run: int
     result: TaskResult
     duration_ms: int = 0
-    reason: str = ""
-
-    def __post_init__(self) -> None:
-        _check_text("task", self.task, MAX_NAME_OCTETS, least=1)
-        _check_count("run", self.run)
-        _check_member("result", self.result, TaskResult)
-        _check_count("duration_ms", self.duration_ms)
-        _check_text("reason", self.reason, MAX_TEXT_OCTETS)
+    reason: str = _text(0, MAX_TEXT_OCTETS, default="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PanelState:
+class PanelState(_Checked):
     """To the ground: what the panel shows.
 
     task and run: "" and 0 while there is none. reason: why the panel ended the run.
     """
 
     mode: PanelMode
-    task: str = ""
+    task: str = _text(0, MAX_NAME_OCTETS, default="")
     run: int = 0
-    reason: str = ""
-
-    def __post_init__(self) -> None:
-        _check_member("mode", self.mode, PanelMode)
-        _check_text("task", self.task, MAX_NAME_OCTETS)
-        _check_count("run", self.run)
-        _check_text("reason", self.reason, MAX_TEXT_OCTETS)
+    reason: str = _text(0, MAX_TEXT_OCTETS, default="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Chat:
+class Chat(_Checked):
     """One line of chat, at most 200 octets of UTF-8."""
 
     sender: ChatRole
-    text: str
-
-    def __post_init__(self) -> None:
-        _check_member("sender", self.sender, ChatRole)
-        _check_text("text", self.text, MAX_CHAT_OCTETS, least=1)
+    text: str = _text(1, MAX_CHAT_OCTETS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TaskProgress:
+class TaskProgress(_Checked):
     """To the panel: what has to be done now, and how far it is. Sent at each change.
 
     step, steps: this goal is one of so many. place_um: of what is to be reached, or of the hand
@@ -194,11 +189,7 @@ class TaskProgress:
     left_ms: int = 0
 
     def __post_init__(self) -> None:
-        _check_member("goal", self.goal, TaskGoal)
-        _check_place("place_um", self.place_um)
-        for field in fields(self):
-            if field.name not in ("goal", "place_um"):
-                _check_count(field.name, getattr(self, field.name))
+        _Checked.__post_init__(self)
         if self.turn_ms == 0 and self.goal in (TaskGoal.CIRCLE, TaskGoal.EIGHT):
             raise ConfigError("turn_ms is 0: a spot needs the time of a turn")
 
@@ -206,24 +197,11 @@ class TaskProgress:
 K2aciMessage = TaskSelected | StartTask | TaskFinished | PanelState | Chat | TaskProgress
 
 #: A class's place is its kind on the wire, from 1.
-CLASSES: tuple[type[K2aciMessage], ...] = (
-    TaskSelected,
-    StartTask,
-    TaskFinished,
-    PanelState,
-    Chat,
-    TaskProgress,
-)
-_ENUMS: dict[str, type[StrEnum]] = {
-    "result": TaskResult,
-    "mode": PanelMode,
-    "sender": ChatRole,
-    "goal": TaskGoal,
-}
+CLASSES: tuple[type[K2aciMessage], ...] = get_args(K2aciMessage)
 
 
 @dataclass(frozen=True, slots=True)
-class Numbered:
+class Numbered(_Checked):
     """A message as it is sent. life, number, oldest: as in the module's table."""
 
     life: int
@@ -232,22 +210,17 @@ class Numbered:
     message: K2aciMessage
 
     def __post_init__(self) -> None:
-        for name in ("life", "number", "oldest"):
-            _check_count(name, getattr(self, name))
+        _Checked.__post_init__(self)
         if self.oldest > self.number:
             raise ConfigError(f"oldest {self.oldest} is above the number {self.number}")
 
 
 @dataclass(frozen=True, slots=True)
-class Acknowledgement:
+class Acknowledgement(_Checked):
     """The message `number` of `life` has been handed to the application."""
 
     life: int
     number: int
-
-    def __post_init__(self) -> None:
-        _check_count("life", self.life)
-        _check_count("number", self.number)
 
 
 def pack_body(body: Numbered | Acknowledgement) -> bytes:
@@ -255,7 +228,7 @@ def pack_body(body: Numbered | Acknowledgement) -> bytes:
     if isinstance(body, Acknowledgement):
         return cbor2.dumps([_ACK, body.life, body.number], canonical=True)
     message = body.message
-    values = [_plain(getattr(message, field.name)) for field in fields(message)]
+    values = [_plain(getattr(message, one.name)) for one in fields(message)]
     kind = CLASSES.index(type(message)) + 1
     octets = cbor2.dumps([kind, body.life, body.number, body.oldest, *values], canonical=True)
     if len(octets) > MAX_BODY_OCTETS:
@@ -299,10 +272,12 @@ def _build(values: list[Any]) -> Numbered | Acknowledgement:
     if type(kind) is not int or not 1 <= kind <= len(CLASSES):
         raise ProtocolError(f"K2ACI: unknown kind {kind!r}")
     cls = CLASSES[kind - 1]
-    names = [field.name for field in fields(cls)]
-    if len(values) != 4 + len(names):
+    known = fields(cls)
+    if len(values) != 4 + len(known):
         raise ProtocolError(f"K2ACI: {cls.__name__} with {len(values)} values")
-    given = {name: _typed(name, value) for name, value in zip(names, values[4:], strict=True)}
+    given = {
+        one.name: _typed(one.type, value) for one, value in zip(known, values[4:], strict=True)
+    }
     return Numbered(values[1], values[2], values[3], cls(**given))
 
 
@@ -312,11 +287,10 @@ def _plain(value: object) -> object:
     return str(value) if isinstance(value, StrEnum) else value
 
 
-def _typed(name: str, value: Any) -> Any:
+def _typed(kind: Any, value: Any) -> Any:
     if type(value) is list:
         return tuple(value)
-    members = _ENUMS.get(name)
-    return members(value) if members and value in set(members) else value
+    return kind(value) if isinstance(kind, EnumType) and value in set(kind) else value
 
 
 def fitted_line(text: str) -> str:
@@ -325,7 +299,7 @@ def fitted_line(text: str) -> str:
     return line.encode()[:MAX_TEXT_OCTETS].decode(errors="ignore")
 
 
-def _check_text(name: str, value: object, most: int, *, least: int = 0) -> None:
+def _check_text(name: str, value: object, least: int, most: int) -> None:
     if type(value) is not str or not value.isprintable():
         raise ConfigError(f"{name} is {value!r}: give one line of printable text")
     if not least <= len(value.encode()) <= most:
@@ -343,11 +317,6 @@ def _check_place(name: str, value: object) -> None:
 def _check_count(name: str, value: object) -> None:
     if type(value) is not int or not 0 <= value <= _MOST:
         raise ConfigError(f"{name} is {value!r}: give an integer from 0 to {_MOST}")
-
-
-def _check_member(name: str, value: object, members: type[StrEnum]) -> None:
-    if type(value) is not members:
-        raise ConfigError(f"{name} is {value!r}: choose one of {', '.join(members)}")
 
 
 class Arrived(NamedTuple):

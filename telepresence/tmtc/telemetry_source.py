@@ -6,7 +6,7 @@ verification, and XTCE derive from the table that `application_of` makes.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from typing import NamedTuple
 
@@ -150,6 +150,10 @@ class Component(NamedTuple):
     application: Application
 
 
+#: What a component's parameter has of its application's.
+_SHARED = ("name", "type", "unit", "choices", "size", "low", "high", "writable", "text")
+
+
 def load_telemetry(spec: str) -> TelemetrySource:
     """Return the component that `spec` names: `module:Class` or an entry point of `DOOR`.
 
@@ -212,39 +216,20 @@ def application_of(source: TelemetrySource, apid: int) -> Application:
         end="ground",
         text=source.text,
         fresh_s=FRESH_S,
-        parameters=tuple(_parameter(one, at) for at, one in enumerate(source.parameters, 1)),
+        parameters=tuple(
+            Parameter(number=at, **{name: getattr(one, name) for name in _SHARED})
+            for at, one in enumerate(source.parameters, 1)
+        ),
         events=tuple(
-            EventDefinition(
-                name=one.name,
-                number=at,
-                severity=one.severity,
-                arguments=one.arguments,
-                text=one.text,
-            )
-            for at, one in enumerate(source.events, 1)
+            EventDefinition(number=at, **asdict(one)) for at, one in enumerate(source.events, 1)
         ),
         functions=tuple(
-            FunctionDefinition(name=one.name, number=at, arguments=one.arguments, text=one.text)
+            FunctionDefinition(number=at, **asdict(one))
             for at, one in enumerate(source.functions, 1)
         ),
         monitors=tuple(_monitors(source.parameters)),
     )
     return replace(table, structures=tuple(_structures(source.parameters, table)))
-
-
-def _parameter(one: TelemetryParameter, number: int) -> Parameter:
-    return Parameter(
-        name=one.name,
-        number=number,
-        type=one.type,
-        unit=one.unit,
-        choices=one.choices,
-        size=one.size,
-        low=one.low,
-        high=one.high,
-        writable=one.writable,
-        text=one.text,
-    )
 
 
 def _structures(parameters: Sequence[TelemetryParameter], table: Application) -> list[Structure]:

@@ -34,9 +34,7 @@ def signed_manifest(version: str, files: Mapping[str, StoredFile], key: MachineK
     """Return the manifest of these files. Raises ConfigError if they are no version."""
     if RUN not in files or not files[RUN].executable:
         raise ConfigError(f"version {version} has no executable file {RUN!r}, which starts it")
-    sums = {
-        path: sha256(file.octets).hexdigest() for path, file in files.items() if path != MANIFEST
-    }
+    sums = _sums(files)
     public = key.private.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
     signature = key.private.sign(_signed(version, sums))
     manifest = Manifest(version=version, files=sums, key=public.hex(), signature=signature.hex())
@@ -69,9 +67,7 @@ def check_version(
         raise ValueError(f"it is signed by {identity}, which is not trusted")
     if manifest.version != version:
         raise ValueError(f"its manifest is that of version {manifest.version}")
-    sums = {
-        path: sha256(file.octets).hexdigest() for path, file in files.items() if path != MANIFEST
-    }
+    sums = _sums(files)
     for path in sorted(sums.keys() ^ manifest.files.keys()):
         raise ValueError(f"its file {path} is {'extra' if path in sums else 'missing'}")
     for path, digest in manifest.files.items():
@@ -79,6 +75,12 @@ def check_version(
             raise ValueError(f"its file {path} is damaged")
     if not files[RUN].executable:
         raise ValueError(f"its file {RUN} is not executable")
+
+
+def _sums(files: Mapping[str, StoredFile]) -> dict[str, str]:
+    return {
+        path: sha256(file.octets).hexdigest() for path, file in files.items() if path != MANIFEST
+    }
 
 
 def _signed(version: str, files: Mapping[str, str]) -> bytes:

@@ -71,8 +71,6 @@ class Room:
         self._click = _click(seed)
         self._touched_ns: int | None = None
         self._begun = False
-        #: Clicks whose begin lay in a block that had been produced already.
-        self.late_clicks = 0
         self._tail: NDArray[np.float64] = np.zeros(0)
 
     def fill(self, samples: Pcm, sequence: int, capture_ns: int) -> None:
@@ -107,7 +105,6 @@ class Room:
                 sounding[begin : begin + len(self._click)] += self._click
             elif begun:
                 # The contact was reported late: play the rest of the click at its right time.
-                self.late_clicks += 1
                 rest = self._click[-begin:]
                 sounding[: len(rest)] += rest
             self._touched_ns = touched_ns

@@ -15,7 +15,30 @@ SETUP = """
 cameras = ["stereo", "static", "head"]
 uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
 """
-TASKS = 6
+#: Those whose length is fixed take 20 s in the catalogue, in which nobody learns more.
+SHORT = """<Tasks>
+  <Pursue name="pursueShortly" path="eight" seconds="5" turn_s="10"/>
+  <Operation name="execShortPursuit">
+    <Operation ref="beginTelepresence"/>
+    <Elemop ref="highlightSpot"/>
+    <Elemop ref="pursueShortly"/>
+    <Elemop ref="darkLeds"/>
+    <Operation ref="endTelepresence"/>
+  </Operation>
+  <Task name="shortPursuit" start="startPursuit" exec="execShortPursuit"
+        start_x_mm="-45" start_y_mm="0" text="Keep the tip on the moving spot."/>
+  <Wait name="moveShortly" seconds="5"/>
+  <Operation name="execShortFree">
+    <Operation ref="beginTelepresence"/>
+    <Elemop ref="moveShortly"/>
+    <Elemop ref="darkLeds"/>
+    <Operation ref="endTelepresence"/>
+  </Operation>
+  <Task name="shortFree" start="startFree" exec="execShortFree"
+        start_x_mm="-45" start_y_mm="0" text="Explore the board as you like."/>
+</Tasks>"""
+#: By their place in the list, in which those of two hands come before ours.
+TASKS = (0, 2, 3, 4, 8, 9)
 #: The words of the page, and of one box on it, as a person sees them.
 SEEN = "return document.querySelector('main').innerText"
 BOX = """
@@ -44,14 +67,15 @@ EDGE = 20
 @pytest.fixture
 def session(tmp_path):
     (tmp_path / "board.toml").write_text(SETUP)
-    options = ("--tasks", "--page", "24140", "--joystick", "page")
+    (tmp_path / "short.xml").write_text(SHORT)
+    options = ("--tasks", "short.xml", "--page", "24140", "--joystick", "page")
     with RunningSession(str(tmp_path / "board.toml"), *options, directory=tmp_path) as running:
         yield running
         code, report = running.interrupt()
         assert code == 0, running.errors()
         assert report["failures"] == []
         results = [run["result"] for run in report["tasks"]]
-        assert results.count("finished") == TASKS, report["tasks"]
+        assert results.count("finished") == len(TASKS), report["tasks"]
 
 
 class Newcomer:
@@ -196,13 +220,13 @@ def test_a_newcomer_finishes_every_task_by_what_the_pages_say(session, start_bro
         end = running_session.eventually(lambda: ENDS.search(panel.act()), what, 400.0)
         return end.group() == "Finished"
 
-    for number in range(TASKS):
+    for done, number in enumerate(TASKS, 1):
         # On a full machine pages let go of the handle often, and a task waits only so long.
         assert any(do(number) for _ in range(5))
         print(f"task {number} was done after {time.monotonic() - began:.0f} s")
         panel.release()
         runs = eventually(lambda: "✓ finished" in top.read("runs") and top.read("runs"), "the run")
-        assert runs.count("finished") == number + 1
+        assert runs.count("finished") == done
         steps = top.read("steps")
         assert (steps.count("●"), steps.count("○")) == (12, 0)
     assert panel.led == {*LEADS}

@@ -20,11 +20,12 @@ def test_the_systems_operator_sees_files_software_and_milestones_and_restarts_a_
     monkeypatch.setenv("KONTUR_AV_STATUS", str(status))
     ends = tmp_path / "ends"
     (ends / "ground").mkdir(parents=True)
-    (ends / "ground" / "image.bin").write_bytes(Random(1).randbytes(40_000))
+    (ends / "ground" / "image.bin").write_bytes(Random(1).randbytes(8_000))
     joystick = ends / "space" / "joystick"
     joystick.mkdir(parents=True)
     (joystick / TOLD).write_bytes(UpdateInbox(("copy",)).told("sd/2", "run", {"sd/1": "valid"}))
     script = tmp_path / "night.txt"
+    script.write_text("milestone the page is open\ntc robot ping\n")
 
     def busy():
         return json.loads(status.read_text())["busy"]
@@ -38,16 +39,19 @@ def test_the_systems_operator_sees_files_software_and_milestones_and_restarts_a_
         page.wait(SAYS.format("software-table", "joystick: sd/2 (backup)"))
         assert busy() is False
 
+        eventually(lambda: session.ask("task", "select", "aiming").returncode == 0, "an experiment")
+        page.wait(SAYS.format("upkeep-panel", "updates wait"))
+        eventually(busy, "the keeper's program is busy")
+        assert session.ask("maintain", str(script), "--yes").returncode == 1
+        assert session.ask("task", "abort").returncode == 0
+
+        # Meanwhile the experiment rests, which it must for 10 s.
         put = Transfer(session, "put", "image.bin")
         page.wait(SAYS.format("transfer-table", "put image.bin"))
         page.wait(SAYS.format("transfer-table", "running"))
         assert session.ask("trainer", "los", "3").returncode == 0
         page.wait(SAYS.format("transfer-table", "suspended"))
         page.wait(SAYS.format("transfer-table", "running"))
-
-        script.write_text("milestone the page is open\ntc robot ping\n")
-        assert session.ask("maintain", str(script), "--yes").returncode == 0
-        page.wait(SAYS.format("milestone-list", "the page is open"))
 
         page.run(
             "document.querySelector('process-control select').value = arguments[0]",
@@ -62,13 +66,9 @@ def test_the_systems_operator_sees_files_software_and_milestones_and_restarts_a_
         fetched = ends / "ground" / "fetched" / "joystick" / TOLD
         eventually(fetched.exists, "what runs in space")
 
-        eventually(lambda: session.ask("task", "select", "aiming").returncode == 0, "an experiment")
-        page.wait(SAYS.format("upkeep-panel", "updates wait"))
-        eventually(busy, "the keeper's program is busy")
-        assert session.ask("maintain", str(script), "--yes").returncode == 1
-        assert session.ask("task", "abort").returncode == 0
         eventually(lambda: not busy(), "the end of the experiment")
-
+        assert session.ask("maintain", str(script), "--yes").returncode == 0
+        page.wait(SAYS.format("milestone-list", "the page is open"))
         assert put.end() == 0, put.said()
         page.wait(SAYS.format("transfer-table", "none is under way"))
         code, report = session.interrupt()

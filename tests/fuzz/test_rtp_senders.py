@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.payload_h264 import H264Depacketizer
+from kontur_av.rtp.nal_payload import NalDepacketizer
+from kontur_av.rtp.payload_h264 import H264
 from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
 
@@ -116,7 +117,7 @@ def test_any_way_to_packetize_gives_the_same_pictures(pictures, way, first):
         # The first picture shows how the sender marks.
         pictures = [(pictures[0][0], [*pictures[0][1], b"\x41\x22\x07"]), *pictures[1:]]
     receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
-    depacketizer = H264Depacketizer()
+    depacketizer = NalDepacketizer(H264)
     units = []
     for number, packet in enumerate(packets_of(pictures, way)):
         receiver.handle_packet(rtp(*packet, first + number), number)
@@ -137,7 +138,10 @@ def test_any_way_to_packetize_gives_the_same_pictures(pictures, way, first):
 @given(st.lists(PICTURE, min_size=4, max_size=12), WAY, st.sets(st.integers(0, 200), min_size=1))
 def test_markers_amid_pictures_cost_one_picture_at_most(pictures, way, astray):
     way = way | {"markers": "last", "empty_packets": False, "heads_earlier": 0, "end_bit": True}
-    depacketizer, receiver = H264Depacketizer(), RtpReceiver(payload_type=96, clock_rate_hz=90_000)
+    depacketizer, receiver = (
+        NalDepacketizer(H264),
+        RtpReceiver(payload_type=96, clock_rate_hz=90_000),
+    )
     for number, (payload, timestamp, marker) in enumerate(packets_of(pictures, way)):
         receiver.handle_packet(rtp(payload, timestamp, marker or number in astray, number), number)
         while (event := receiver.next_event()) is not None:

@@ -23,6 +23,15 @@ from pipelines.session.setup.table import PORTS, RtcLeg
 from pipelines.table import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
+#: The same for a session, which tells its figures in ten lines a second, as many tests await one.
+_SESSION = """
+import sys
+from pipelines.session import launcher
+launcher._SHOW_NS //= 10
+from pipelines.cli import main
+sys.exit(main())
+"""
+SESSION_COMMAND = (sys.executable, "-c", _SESSION)
 #: Protects against a hang; no test result depends on it.
 PATIENCE_S = 90.0
 _LIVE_STREAM = re.compile(r"(\w+) [\d.]+/[\d.]+ kbit/s (\d+) shown")
@@ -135,7 +144,7 @@ class RunningSession:
         self.base_port = free_base_port()
         self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
         self.names = [row.name for row in processes]
-        command = [*self.prefix, *COMMAND, *words, "--report", str(self.report_path)]
+        command = [*self.prefix, *SESSION_COMMAND, *words, "--report", str(self.report_path)]
         command += ["--base-port", str(self.base_port)]
         self._out = (self.directory / "out.txt").open("w+")
         self._error = (self.directory / "error.txt").open("w+")

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import time
@@ -35,8 +36,8 @@ SYSTEM_PYTHON = "/usr/bin/python3"
 #: Pictures that are not shown. FFmpeg's and GStreamer's demuxers are not sure of the last one
 #: before the end. VLC looks at a stream before it shows it. FFmpeg as a relay keeps the newest.
 KEPT = {"ffmpeg": 1, "gstreamer": 1, "vlc": 12, "relayed": 6}
-#: FFmpeg ends by itself after 7 s without a packet. A signal would cost it the last pictures.
-UNTIL_SILENT = "?timeout=7000000"
+#: FFmpeg ends by itself after 4 s without a packet. A signal would cost it the last pictures.
+UNTIL_SILENT = "?timeout=4000000"
 
 
 def needs_vlc() -> None:
@@ -182,7 +183,8 @@ def test_three_players_take_the_stream_by_srt_from_gstreamers_relay(tmp_path):
         ):
             sent = send(tmp_path, receiver.port)
             assert_shown("gstreamer", third, sent)
-            relaying.kill()
+            # So it ends the connections, whose players would else wait for 5 s.
+            relaying.send_signal(signal.SIGINT)
             assert_shown("ffmpeg", other, sent)
             assert_shown("vlc", one, sent)
             assert_handed_on(receiver, sent)

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import socket
-import subprocess
 import time
 import wave
 from fractions import Fraction
@@ -30,12 +29,6 @@ from kontur_av.rtp.sdp import StreamDescription, write_sdp
 pytestmark = pytest.mark.interop
 
 WIDTH, HEIGHT, FPS = 320, 240, 30
-
-
-def finish_or_kill(process, seconds: float = 8) -> None:
-    """For a pipeline with rtpbin: about one in ten of them hangs after everything was sent."""
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        finish(process, seconds)
 
 
 def scene(number: int) -> np.ndarray:
@@ -189,9 +182,9 @@ def test_we_play_what_gstreamer_sends(tmp_path, aggregate, codec):
     )
     with process as receiver:
         wait_for_line(receiver, "waiting")
-        with started("gst-launch-1.0", "-q", *pipeline.split()) as player:
-            finish_or_kill(player)
-        finish(receiver)
+        # About one pipeline with rtpbin in ten hangs after everything was sent, so it is killed.
+        with started("gst-launch-1.0", "-q", *pipeline.split()):
+            finish(receiver)
     report = json.loads(report_file.read_text())
     assert report["frames_decoded"] >= 74
     assert (report["rtp_lost"], report["frames_damaged"], report["frames_corrupt"]) == (0, 0, 0)

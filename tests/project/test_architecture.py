@@ -289,7 +289,10 @@ LIBRARIES = {
     "telepresence/link/protection/handshake.py": ({"hmac"}, "nonces from a secret"),
     "telepresence/link/protection/identity.py": ({"datetime"}, "dates of a certificate; no clock"),
     "telepresence/link/protection/segment.py": ({"hmac"}, "codes, compared in constant time"),
-    "telepresence/link/radio/orbit.py": ({"sgp4"}, "the model of orbits"),
+    "telepresence/link/radio/orbit.py": (
+        {"datetime", "sgp4"},
+        "orbits and their calendar; no clock",
+    ),
     "telepresence/haptics/udp_protocol.py": ({"hmac"}, "codes, compared in constant time"),
     "kontur_av/parts.py": ({"inspect", "pathlib", "sys"}, "a user's module"),
     "telepresence/link/radio/profile_file.py": ({"pathlib"}, "a file"),

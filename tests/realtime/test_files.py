@@ -9,7 +9,7 @@ from running_session import RunningSession, assert_sound, eventually
 
 from kontur_av.clock import NS_PER_S
 
-DOWN = Random(1).randbytes(150_000)
+DOWN = Random(1).randbytes(90_000)
 UP = Random(2).randbytes(1_500)
 
 

@@ -225,12 +225,18 @@ class Robot:
         return state.x_m, state.y_m
 
     def rests(self):
-        """Its place, after it has not moved for a second."""
+        """Its place, after it has come to rest and not moved for half a second."""
         eventually(lambda: not self.held(), "the release")
-        time.sleep(1)
+
+        def still():
+            before = self.place()
+            time.sleep(0.1)
+            return self.place() == pytest.approx(before, abs=1e-5)
+
+        eventually(still, "the rest")
         before = self.place()
-        time.sleep(1)
-        assert self.place() == pytest.approx(before, abs=1e-4)
+        time.sleep(0.5)
+        assert self.place() == pytest.approx(before, abs=5e-5)
         return before
 
 

@@ -13,7 +13,9 @@ from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.board import WALL_X_M, Board, WallModel
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, HandModel, Waypoint
+from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.mediated.renderer import RendererModel
+from telepresence.haptics.mediated.wall import Wall, WallMessage, pack_wall
 from telepresence.haptics.sample import Feedback
 
 MS = 1_000_000
@@ -187,6 +189,20 @@ def test_a_joystick_that_starts_while_the_hand_moves_makes_no_jump(into_ms):
     started = len(pair.rows)
     pair.run(1.5)
     assert np.abs(np.diff(pair.rows[started:, 1])).max() < 1.1
+
+
+def test_wall_rest_and_damping_together_change_the_force_by_1_1_n_a_ms():
+    controller = MediatedController(residual=True)
+    controller.handle_wall(pack_wall(WallMessage(1, Wall(0.0, 0.0, 1500.0)), 1))
+    before, largest = (0.0, 0.0), 0.0
+    for ms in range(4000):
+        # There is energy enough, so nothing but the rates bounds a change; the damping is whole.
+        controller.port.credit_j = controller.renderer.tank_j = 0.5
+        feedback = Feedback(4.0 * (-1) ** (ms // 40), 0.0, 0, True, acted=True)
+        now = controller.step(feedback, 0.004 + 0.006 * sin(0.07 * ms), 0.0, MS)
+        largest = max(largest, hypot(now[0] - before[0], now[1] - before[1]))
+        before = now
+    assert 1.0 < largest <= 1.1
 
 
 def test_a_robot_that_starts_in_contact_finds_a_soft_wall_while_it_lets_go():

@@ -166,7 +166,6 @@ _FIGURES: tuple[tuple[str, str, Callable[[ContenderFigures], float | None]], ...
 
 
 def notes(name: str, found: ContenderFigures) -> list[str]:
-    """What disturbed this run."""
     said = []
     if found.guessed or found.unreadable:
         said.append(

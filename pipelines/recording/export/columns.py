@@ -201,7 +201,6 @@ def _frames(message: JoinedMessage) -> tuple[Sequence[int], Rows]:
 
 
 def _each_part(message: JoinedMessage) -> tuple[list[int], Rows]:
-    """A row for each nested message."""
     schema = _BY_NAME[message.schema]
     (inner,) = schema.nested
     parsed = parse_message(schema, message.data)

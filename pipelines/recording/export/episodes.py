@@ -104,7 +104,6 @@ class TaskRuns:
             self._told.setdefault(key, (recorded.session_ns, found))
 
     def runs(self) -> list[Run]:
-        """Return the runs that began, in order."""
         starts, ends = self._of(_STARTS, StartTask), self._of(_ENDS, TaskFinished)
         found = []
         for key, (begin_ns, _) in starts.items():

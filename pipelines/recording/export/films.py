@@ -62,7 +62,6 @@ class FilmUnits:
             yield from self.handle_end()
 
     def handle_facts(self, message: JoinedMessage) -> Iterator[FilmUnit]:
-        """Take a message with facts."""
         held = self._held
         try:
             facts = unpack(UnitFacts, message.data)
@@ -144,12 +143,7 @@ class MatroskaExport:
 
     def __init__(self, directory: Path, recording: JoinedRecording) -> None:
         self._directory = directory
-        channels = {
-            channel.topic: channel.schema
-            for part in recording.parts
-            for channel in part.inventory.channels
-            if channel.messages
-        }
+        channels = recording.schemas
         pictures = [topic for topic, schema in channels.items() if schema == VIDEO.full_name]
         sounds = [topic for topic, schema in channels.items() if schema == AUDIO.full_name]
         if not pictures and not sounds:

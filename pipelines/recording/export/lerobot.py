@@ -79,20 +79,12 @@ class LeRobotExport:
             raise ConfigError(f"{directory} exists: give a directory that is new or empty")
         if fps is not None and not 1 <= fps <= 1000:
             raise ConfigError(f"--fps {fps}: give 1 to 1000 rows a second")
-        channels = {
-            channel.topic: channel.schema
-            for part in recording.parts
-            for channel in part.inventory.channels
-            if channel.messages
-        }
+        channels = recording.schemas
         stream = next((topic for topic in _STREAM if topic in channels), None)
         if stream is None:
             raise ConfigError("the recording has no pictures of the robot (/uplink_video/sent)")
-        cameras = [
-            topic
-            for topic, schema in channels.items()
-            if topic.startswith(_CAMERA) and schema == VIDEO.full_name
-        ]
+        videos = [topic for topic, schema in channels.items() if schema == VIDEO.full_name]
+        cameras = [topic for topic in videos if topic.startswith(_CAMERA)]
         self._cameras = [
             _Camera(topic, with_facts=f"{topic}{_FACTS}" in channels)
             for topic in (stream, *sorted(cameras))
@@ -401,7 +393,6 @@ class _Writing:
         return colours
 
     def end(self) -> None:
-        """Write the tables."""
         import pyarrow as pa
 
         rows = {key: np.concatenate([one[key] for one in self._rows]) for key in self._rows[0]}

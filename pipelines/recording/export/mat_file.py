@@ -171,7 +171,6 @@ class _Texts:
         self._references: dict[str, object] = {}
 
     def reference(self, text: str) -> object:
-        """Return a reference to a text."""
         if text not in self._references:
             group = self._file.require_group(_REFERENCES)
             name = f"t{len(self._references)}"

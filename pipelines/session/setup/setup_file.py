@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kontur_av.codecs.coded_size import PREFERENCES
-from kontur_av.errors import ConfigError, one_of
+from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import VIDEO_CODECS, parse_size
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
@@ -137,10 +137,8 @@ def _values_of(name: str) -> dict[str, Any]:
     if name in BUILT_IN:
         return {each.name: getattr(BUILT_IN[name], each.name) for each in fields(Setup)}
     table = _table_of(name)
-    try:
+    with refused(f"setup {name}", ConfigError):
         return _values(table)
-    except ConfigError as error:
-        raise ConfigError(f"setup {name}: {error}") from None
 
 
 def _table_of(name: str) -> Mapping[str, Any]:

@@ -17,19 +17,12 @@ def setup_toml(setup: Setup) -> str:
 def _plain(setup: Setup) -> Iterator[str]:
     radio = setup.radio_profile
     yield f"# radio: {radio!r}".replace("\n", " ")
-    yield f"name = {_text(setup.name)}"
-    yield f"cameras = [{', '.join(map(_text, setup.cameras))}]"
-    yield f"radio = {_text(setup.radio if isinstance(setup.radio, str) else radio.name)}"
-    yield f"radio_delay_ms = {float(setup.radio_delay_ms)!r}"
-    yield f"deadband = {_text(setup.deadband)}"
-    yield f"hand = {_text(setup.hand)}"
-    yield f"axes = {setup.axes}"
-    yield f"gripper = {str(setup.gripper).lower()}"
-    yield f"partner_arm = {_text(setup.partner_arm)}"
-    yield f"tasks = {'true' if setup.tasks else 'false'}"
-    yield f"recorded_cameras = {_text(setup.recorded_cameras)}"
-    yield f"region = {_text(setup.region)}"
-    yield f"base_port = {setup.base_port}"
+    for each in fields(Setup):
+        value = getattr(setup, each.name)
+        if each.name == "radio":
+            value = value if isinstance(value, str) else radio.name
+        if isinstance(value, str | bool | int | float | tuple):
+            yield f"{each.name} = {_toml(value)}"
 
 
 def _tables(setup: Setup) -> Iterator[str]:
@@ -71,7 +64,14 @@ def _voice(stream: VideoStream | VoiceStream) -> Iterator[str]:
         yield f"stale_after_ms = {float(stream.stale_after_ms)!r}"
 
 
+def _toml(value: str | float | tuple[str, ...]) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _text(value) if isinstance(value, str) else repr(value)
+
+
 def _text(text: str) -> str:
-    """A basic string of TOML."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from kontur_av.sources import check_spec
 from kontur_av.sources.page import PAGE
 from pipelines.session.machine_checks import (
@@ -37,10 +37,8 @@ def check_sources(setup: Setup, inputs: Sequence[str], *, pages: bool = True) ->
     _check_shared(setup, inputs)
     for name in inputs:
         kind = setup.kind_of(name)
-        try:
+        with refused(f"input {name}", ConfigError):
             check_spec(setup.source(name), kind, scenes[kind])
-        except ConfigError as error:
-            raise ConfigError(f"input {name}: {error}") from None
     for name in inputs:
         if setup.source(name) == PAGE and not pages:
             raise ConfigError(

@@ -17,7 +17,7 @@ from kontur_av.codecs.coded_size import (
     coded_size_for,
 )
 from kontur_av.codecs.opus import bitrate_under_cap
-from kontur_av.errors import ConfigError, one_of
+from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import VIDEO_CODECS, VideoCodec, check_size
 from kontur_av.streams.budget import Pacer
 from pipelines.session.setup.segments import Direction
@@ -26,6 +26,7 @@ from telepresence.haptics.envelope import SafetyLimits
 from telepresence.haptics.mediated.wall import WALL_OCTETS
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.link.arithmetic import (
+    RESERVE_BPS,
     RESERVE_DOWN_BPS,
     ChannelNeed,
     StreamNeed,
@@ -141,10 +142,8 @@ class VoiceStream:
             raise ConfigError(
                 f"{self.name}: a cap of {self.cap_bps / 1000:g} kbit/s; take at most 128"
             )
-        try:
+        with refused(self.name, ConfigError):
             bitrate_under_cap(self.cap_bps)
-        except ConfigError as error:
-            raise ConfigError(f"{self.name}: {error}") from None
         _check_stale_after(self)
 
 
@@ -311,8 +310,8 @@ class Setup:
         for name in self.inputs:
             self.source(name)
         self._check_region()
-        self.need_up()
-        self.need_down()
+        for direction in Direction:
+            self.need(direction)
 
     @cached_property
     def radio_profile(self) -> RadioProfile:
@@ -372,10 +371,8 @@ class Setup:
                     f"region_points of {camera}: setup {self.name} has no such camera: it has "
                     f"{', '.join(self.cameras)}"
                 )
-            try:
+            with refused(f"region_points of {camera}", ConfigError):
                 BoardView.from_corners(points)
-            except ConfigError as error:
-                raise ConfigError(f"region_points of {camera}: {error}") from None
         if self.region == "off":
             if self.region_points:
                 raise ConfigError('region_points without a region: add region = "stylus"')
@@ -474,17 +471,16 @@ class Setup:
         every = (self.uplink_video, self.uplink_voice, self.downlink_video, self.downlink_voice)
         return tuple(stream for stream in every if stream is not None)
 
-    def need_up(self) -> ChannelNeed:
-        """What the uplink carries with all streams at their caps; ConfigError if too much."""
-        return check_fit(self.uplink, self._needs_up())
+    def need(self, direction: Direction) -> ChannelNeed:
+        """What a direction carries with all streams at their caps; ConfigError if too much."""
+        streams, reserve_bps = self._needs(direction)
+        return check_fit(self.profile(direction), streams, reserve_bps=reserve_bps)
 
-    def need_down(self) -> ChannelNeed:
-        """What the downlink carries with all streams at their caps; ConfigError if too much."""
-        streams = _needs(self.downlink_voice, self.downlink_video)
-        return check_fit(self.downlink, streams, reserve_bps=RESERVE_DOWN_BPS)
-
-    def _needs_up(self) -> list[StreamNeed]:
-        return [*_needs(self.uplink_voice, self.uplink_video), *self._walls]
+    def _needs(self, direction: Direction) -> tuple[list[StreamNeed], int]:
+        """What the streams of a direction need, and what is kept beside them (bit/s)."""
+        if direction is Direction.UPLINK:
+            return [*_needs(self.uplink_voice, self.uplink_video), *self._walls], RESERVE_BPS
+        return _needs(self.downlink_voice, self.downlink_video), RESERVE_DOWN_BPS
 
     @property
     def _walls(self) -> tuple[StreamNeed, ...]:
@@ -507,11 +503,9 @@ class Setup:
         return max(gain_bps, freed_need_bps(self.profile_of(stream), needs))
 
     def channel_table(self, direction: Direction) -> tuple[TableLine, ...]:
-        """The arithmetic of `need_up` or `need_down`, line by line."""
-        if direction is Direction.UPLINK:
-            return channel_table(self.uplink, self._needs_up())
-        streams = _needs(self.downlink_voice, self.downlink_video)
-        return channel_table(self.downlink, streams, reserve_bps=RESERVE_DOWN_BPS)
+        """The arithmetic of `need`, line by line."""
+        streams, reserve_bps = self._needs(direction)
+        return channel_table(self.profile(direction), streams, reserve_bps=reserve_bps)
 
 
 def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:

@@ -134,7 +134,6 @@ class Topology:
         return tuple(row.name for row in self.streams if row.receiver == process)
 
     def ports_of(self, process: str) -> tuple[int, ...]:
-        """The UDP ports on which a process listens."""
         radio = (link.port for link in self.links if link.receiver == process)
         out = {link.direction for link in self.links if link.sender == process}
         entries = (row.entry_port for row in self.streams if row.direction in out)

@@ -111,7 +111,6 @@ class _Session:
 def session_results(
     tasks: Sequence[SessionTask], *, jobs: int, cluster: Cluster | None
 ) -> Generator[tuple[int, Result], None, None]:
-    """As `run_sessions`, on the cluster if there is one."""
     if cluster is None:
         return run_sessions(tasks, jobs=jobs)
     return cluster.results(run_session, tasks)

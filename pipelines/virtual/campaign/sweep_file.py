@@ -13,7 +13,7 @@ from math import prod
 from pathlib import Path
 from typing import Any
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from pipelines.session.setup.setup_file import setup_from_table, setup_table
 from pipelines.session.setup.table import (
     GROUND_MIC,
@@ -62,10 +62,8 @@ class _File:
 def load_sweep(path: Path) -> Sweep:
     """The sweep in a file; ConfigError."""
     table = read_toml(path, "sweep")
-    try:
+    with refused(f"sweep {path}", ConfigError):
         return _sweep(path, typed(table, _File, "a sweep"))
-    except ConfigError as error:
-        raise ConfigError(f"sweep {path}: {error}") from None
 
 
 def _sweep(path: Path, file: _File) -> Sweep:

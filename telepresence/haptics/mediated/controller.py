@@ -21,8 +21,8 @@ _tuple = tuple.__new__
 #: Less damping than `direct`: the wall's force takes its energy from the tank, not from the robot.
 _MODEL = JoystickControllerModel(most_damping_n_s_m=8.0)
 _RENDERING = RendererModel(limit_j=0.5, steepest_n_m=2000.0)
-#: Fastest change of wall and rest together.
-_MOST_N_S = 1000.0
+#: Fastest change of wall and rest together, and with the damping.
+_MOST_N_S, _ALL_N_S = 1000.0, 1090.0
 #: What the rest may give out at first beyond what the hand put in. The robot never gets it.
 _START_J = 0.003
 #: Damping at the start, until the robot is heard or a wall is felt, and its longest time. A hand
@@ -94,9 +94,10 @@ class MediatedController(JoystickController):
         felt = feedback is None or not feedback[7]
         held_x, held_y = renderer.force_n
         wall_x, wall_y = renderer.step(x_m, y_m, dt_ns, felt=felt)
-        left_n_s = _MOST_N_S - hypot(wall_x - held_x, wall_y - held_y) * NS_PER_S / dt_ns
-        rate_n_s = max(0.0, min(self.model.rate_n_s, left_n_s))
-        self._constants = (self._constants[0], rate_n_s, *self._constants[2:])
+        turned_n_s = hypot(wall_x - held_x, wall_y - held_y) * NS_PER_S / dt_ns
+        rate_n_s = max(0.0, min(self.model.rate_n_s, _MOST_N_S - turned_n_s))
+        most_n_s = max(0.0, _ALL_N_S - turned_n_s)
+        self._constants = (self._constants[0], rate_n_s, *self._constants[2:4], most_n_s)
         if feedback is not None and (not self.residual or (self._unknown and (wall_x or wall_y))):
             feedback = _tuple(Feedback, (0.0, 0.0, *feedback[2:]))
         self.limit_n = limit_n - hypot(wall_x, wall_y)

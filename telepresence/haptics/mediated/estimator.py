@@ -74,7 +74,8 @@ class EstimatorModel:
     stiffness, and one of the angle, that is told.
     apart_ns: the least time between two messages. repeat_ns: the time to the next without a change;
     pressed_ns, unheard_ns: while the tip touches something, and while no joystick is heard then. A
-    joystick that starts meanwhile soon has the wall.
+    joystick that starts meanwhile soon has the wall. first: of the messages after a start of either
+    end so many are `apart_ns` apart, because some are lost.
     """
 
     least_n: float = 0.05
@@ -102,6 +103,7 @@ class EstimatorModel:
     repeat_ns: int = NS_PER_S
     pressed_ns: int = 500 * NS_PER_MS
     unheard_ns: int = 250 * NS_PER_MS
+    first: int = 3
 
 
 class WallEstimator:
@@ -118,6 +120,7 @@ class WallEstimator:
         self._changed = False
         #: When the newest message was sent; None: the next one is due.
         self._sent_ns: int | None = None
+        self._first = self.model.first
         self._last: tuple[int, float, float] | None = None
         self._free = False
         #: Position, velocity and force of the samples of this contact, the newest last.
@@ -185,7 +188,7 @@ class WallEstimator:
 
     def tell_again(self) -> None:
         """The joystick has started: it knows no wall."""
-        self._sent_ns = None
+        self._sent_ns, self._first = None, self.model.first
 
     def poll_transmit(self, now_ns: int, *, heard: bool = True) -> bytes | None:
         """Return the message to send now, or None. Without a change it is repeated, rarely.
@@ -197,7 +200,7 @@ class WallEstimator:
         if self.wall is None and self.told is None and not self._changed:
             return None
         model = self.model
-        if self._changed:
+        if self._changed or self._first > 0:
             wait_ns = model.apart_ns
         elif self._free:
             wait_ns = model.repeat_ns
@@ -208,7 +211,7 @@ class WallEstimator:
         data = pack_wall(WallMessage(now_ns // NS_PER_MS, self.wall), self.sent)
         self.sent += 1
         self.told, self._changed = self.wall, False
-        self._sent_ns = now_ns
+        self._sent_ns, self._first = now_ns, self._first - 1
         return data
 
     def _estimate(self) -> None:

@@ -13,6 +13,7 @@ from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from kontur_av.modular import signed
 from telepresence.link.clock.estimator import ClockEstimate, ClockEstimator
 from telepresence.link.clock.message import (
     NO_AGE_US,
@@ -66,7 +67,7 @@ class _WholeClock:
         if pieces and now_ns - self._newest_ns > _FORGET_NS:
             pieces.clear()
         self._newest_ns = now_ns
-        later_us = _signed(stamp_us - self._newest_us) if pieces else 0
+        later_us = signed(stamp_us - self._newest_us) if pieces else 0
         # 1: the stamp has begun anew. -1: the message was sent before that, and came after.
         turns = (later_us > 0 and stamp_us < self._newest_us) - (
             later_us < 0 and stamp_us > self._newest_us
@@ -202,11 +203,6 @@ class ClockExchange:
 def _part(above: int, part: int) -> int:
     """Return one of the parts in which what is above the stamps is told."""
     return above >> part * PART_BITS & (1 << PART_BITS) - 1
-
-
-def _signed(difference_us: int) -> int:
-    """Return the difference of two stamps that is nearest to 0."""
-    return (difference_us + _STAMPS // 2) % _STAMPS - _STAMPS // 2
 
 
 #: Sender report: its RTCP packet type; where its NTP timestamp is.

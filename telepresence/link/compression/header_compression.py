@@ -72,6 +72,13 @@ _CONTEXT_COST_OCTETS = CONTEXT_OCTETS - 2
 _CANDIDATE_NS = NS_PER_S
 #: Forms of headers in the report.
 _NAMES = ("bare", "short", "near", "long", "wide", "context", "raw")
+_NAME_OF = {
+    KIND_WIDE: "wide",
+    KIND_BARE: "bare",
+    **dict.fromkeys(range(KIND_SHORT, KIND_NEAR), "short"),
+    **dict.fromkeys(range(KIND_NEAR, KIND_LONG), "near"),
+    **dict.fromkeys(range(KIND_LONG, 16), "long"),
+}
 #: Contexts may have cost this many octets more than they saved; what earlier ones saved counts up
 #: to the same number. It suffices for the retries of the first second.
 _TRUST_OCTETS = 4 * _CONTEXT_COST_OCTETS
@@ -85,7 +92,8 @@ class RtpCompressor:
     def __init__(self, flow: Flow, slot_ns: int) -> None:
         self._flow = flow
         self._forms = RtpForms(flow, slot_ns)
-        self._source: RtpSource | None = None
+        #: Made with the first packet of each SSRC.
+        self._source: RtpSource
         self._ssrc = -1
         #: Contexts that the receiver may hold, oldest first. See also `_may_hold_none`.
         self._possible: list[HeaderContext] = []
@@ -159,11 +167,11 @@ class RtpCompressor:
         if len(data) < RTP_HEADER_OCTETS or data[0] != PLAIN_RTP:
             return self._raw(data)
         _, second, sequence, timestamp, ssrc = RTP_HEADER.unpack_from(data)
-        source = self._source
-        if source is None or ssrc != self._ssrc:
-            source = self._source = RtpSource(self._flow, self._forms, sequence, timestamp)
+        if ssrc != self._ssrc:
+            self._source = RtpSource(self._flow, self._forms, sequence, timestamp)
             self._ssrc = ssrc
             self._candidate, self._rehearsed = None, 0
+        source = self._source
         source.handle_packet(sequence, timestamp, count)
         self._drop_expired(count)
         fields = (second >> 7, sequence, timestamp)
@@ -181,7 +189,7 @@ class RtpCompressor:
             kind, residue = header
             saved = RTP_HEADER_OCTETS - len(residue)
             self._balance = min(self._balance + saved, _TRUST_OCTETS)
-            self._count_header(_name(kind), len(residue))
+            self._count_header(_NAME_OF[kind], len(residue))
             return kind, residue + data[RTP_HEADER_OCTETS:], len(residue)
         context = source.context(self._next_number(), count, fields[0], payload_type, ssrc)
         self._possible.append(context)
@@ -200,20 +208,16 @@ class RtpCompressor:
 
     def _drop_expired(self, count: int) -> None:
         """Drop the contexts that have expired at the receiver too."""
-        possible = self._possible
         oldest, oldest_fleeting = count - self._life, count - self._fleeting_life
-        for context in possible:
-            if context.count < (oldest if context.number else oldest_fleeting):
-                break
-        else:
-            return
-        self._possible = [
+        alive = [
             context
-            for context in possible
+            for context in self._possible
             if context.count >= (oldest if context.number else oldest_fleeting)
         ]
-        if self._acknowledged not in self._possible:
-            self._acknowledged = None
+        if len(alive) < len(self._possible):
+            self._possible = alive
+            if self._acknowledged not in alive:
+                self._acknowledged = None
 
     def _may_hold_none(self) -> bool:
         return self._acknowledged is None and (
@@ -226,7 +230,6 @@ class RtpCompressor:
         for context in possible:
             if context.ssrc != ssrc or context.payload_type != payload_type:
                 return None
-        assert self._source is not None
         forms, index = self._forms, self._source.index
         unpack = forms.unpack
         # The newest context says which form to try first; all contexts must then agree.
@@ -245,7 +248,6 @@ class RtpCompressor:
     ) -> bool:
         """Whether to send this packet as a new context."""
         possible = self._possible
-        assert self._source is not None
         if not self._trusted and self._rehearsed < _REHEARSALS:
             return False
         if not self._peer_heard and not self._source.known:
@@ -290,7 +292,6 @@ class RtpCompressor:
             # Before, it would not have been acknowledged.
             self._rehearsed += 1
         if candidate is None or age >= self._answer_delay + self._candidate_life:
-            assert self._source is not None
             self._candidate = self._source.context(0, count, fields[0], payload_type, self._ssrc)
 
     def _serves(
@@ -316,7 +317,6 @@ class RtpCompressor:
         # One that needs as much is replaced soon: the source may just have changed.
         life = self._candidate_life if gain > 0 or octets < 2 else self._retry
         if candidate is None or count - candidate.count >= life:
-            assert self._source is not None
             self._candidate = self._source.context(0, count, fields[0], payload_type, self._ssrc)
             if gain <= 0 and octets >= 2:
                 self._missed_octets = 0
@@ -392,13 +392,3 @@ class RtpDecompressor:
             PLAIN_RTP, second, context.sequence, context.timestamp, context.ssrc
         )
         return header + body[CONTEXT_OCTETS:]
-
-
-def _name(kind: int) -> str:
-    if kind >= KIND_LONG:
-        return "long"
-    if kind >= KIND_NEAR:
-        return "near"
-    if kind >= KIND_SHORT:
-        return "short"
-    return "bare" if kind == KIND_BARE else "wide"

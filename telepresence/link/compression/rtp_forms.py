@@ -42,6 +42,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.modular import signed
 from telepresence.link.flows import Flow
 
 RTP_HEADER = struct.Struct(">BBHII")
@@ -224,12 +225,12 @@ class RtpForms:
         since = (count - context.count) * self._ticks // self._units
         due = since + context.lead * self.lead_ticks
         period, phase = context.period, context.phase
-        off = signed32(timestamp - context.timestamp)
+        off = signed(timestamp - context.timestamp)
         index = (2 * PERIOD_PARTS * (off - phase) + period) // (2 * period)
         due_index = (2 * PERIOD_PARTS * (due - phase) + period) // (2 * period)
-        error = _signed16(sequence - _sequence(context, index))
+        error = signed(sequence - _sequence(context, index), 16)
         steps = index - due_index
-        late = error if not steps else _signed16(sequence - _sequence(context, due_index))
+        late = error if not steps else signed(sequence - _sequence(context, due_index), 16)
         if -_INDEX_BACK <= steps < 4 - _INDEX_BACK:
             beside = off - phase - (index * period + PERIOD_PARTS // 2) // PERIOD_PARTS
             plain = marker == context.marker and not error
@@ -277,15 +278,6 @@ def pack_long(marker: int, sequence: int, timestamp: int, index: int) -> tuple[i
 def pack_wide(marker: int, sequence: int, timestamp: int, index: int) -> tuple[int, bytes]:
     bits = marker << 23 | (sequence & 0x7F) << 16 | timestamp & 0xFFFF
     return KIND_WIDE, bits.to_bytes(3, "big")
-
-
-def _signed16(difference: int) -> int:
-    return (difference + 0x8000 & 0xFFFF) - 0x8000
-
-
-def signed32(difference: int) -> int:
-    """Return a difference of two 32-bit numbers as a signed number, modulo 2^32."""
-    return (difference + 0x8000_0000 & _U32) - 0x8000_0000
 
 
 def _point(context: HeaderContext, index: int) -> int:

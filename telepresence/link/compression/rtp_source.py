@@ -7,6 +7,7 @@ a wrong header.
 from collections import deque
 from typing import NamedTuple
 
+from kontur_av.modular import signed
 from telepresence.link.compression.rtp_forms import (
     LARGEST_LEAD,
     LARGEST_PERIOD,
@@ -15,7 +16,6 @@ from telepresence.link.compression.rtp_forms import (
     RATE_PARTS,
     HeaderContext,
     RtpForms,
-    signed32,
 )
 from telepresence.link.flows import Flow
 
@@ -84,8 +84,8 @@ class RtpSource:
 
     def handle_packet(self, sequence: int, timestamp: int, count: int) -> None:
         """Take the next packet to send, and the frame count at which it starts."""
-        self._sequence += (sequence - self._sequence + 0x8000 & 0xFFFF) - 0x8000
-        step = signed32(timestamp - self._timestamp)
+        self._sequence += signed(sequence - self._sequence, 16)
+        step = signed(timestamp - self._timestamp)
         if step:
             self._timestamp += step
             self._handle_picture(step)

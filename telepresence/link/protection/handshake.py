@@ -17,6 +17,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.link.bucket import Allowance
 from telepresence.link.protection.agreement import AgreedKeys, Agreement, AgreementRun
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
 from telepresence.link.protection.segment import (
@@ -90,8 +91,8 @@ class Handshake:
         self._attempt: _Attempt | None = None
         self._queue: deque[tuple[bytes, Address | None]] = deque()
         self._events: deque[HandshakeEvent] = deque()
-        self._attempts = _Allowance(ATTEMPTS_AT_ONCE, NS_PER_S)
-        self._answers = _Allowance(ANSWERS_AT_ONCE, NS_PER_S // ANSWERS_AT_ONCE)
+        self._attempts = Allowance(ATTEMPTS_AT_ONCE, NS_PER_S)
+        self._answers = Allowance(ANSWERS_AT_ONCE, NS_PER_S // ANSWERS_AT_ONCE)
         self.wanted = False
         self._knock_ns = self._not_before_ns = 0
         self._repeat_ns = FIRST_REPEAT_NS
@@ -137,8 +138,9 @@ class Handshake:
         if attempt is None or begins:
             if segment.sender in self._past or not (self.wanted or segment.knock or segment.data):
                 return "stale"
-            if not self._attempts.take(now_ns):
+            if not self._attempts.holds(1, now_ns):
                 return "throttled"
+            self._attempts.take(1, now_ns)
             if len(self._past) == _MOST_PAST:
                 self._end_attempt()
                 return "stale"
@@ -192,8 +194,9 @@ class Handshake:
         """A datagram with another nonce than the present one: only a knock is answered."""
         if not segment.knock:
             return "stale"
-        if not self._answers.take(now_ns):
+        if not self._answers.holds(1, now_ns):
             return "throttled"
+        self._answers.take(1, now_ns)
         self._queue.append((self._segment(segment.sender), source))
         return None
 
@@ -293,19 +296,3 @@ class _Attempt:
         self.wake_ns: int | None = now_ns
         self.repeat_ns = FIRST_REPEAT_NS
         self.ready = False
-
-
-class _Allowance:
-    """`at_once` of something, and one more each `each_ns`."""
-
-    def __init__(self, at_once: int, each_ns: int) -> None:
-        self._span_ns = at_once * each_ns
-        self._each_ns = each_ns
-        self._full_ns: int | None = None
-
-    def take(self, now_ns: int) -> bool:
-        begin_ns = now_ns if self._full_ns is None else max(now_ns, self._full_ns)
-        if begin_ns + self._each_ns - now_ns > self._span_ns:
-            return False
-        self._full_ns = begin_ns + self._each_ns
-        return True

@@ -77,11 +77,11 @@ class MachineIdentity:
 class MachineKey:
     """A machine's private key (Ed25519, RFC 8032) with its identity. `repr` shows only this.
 
-    identity: the identity of its public key.
+    private: for the handshake. identity: the identity of its public key.
     """
 
     def __init__(self, private: Ed25519PrivateKey) -> None:
-        self._private = private
+        self.private = private
         self.identity = MachineIdentity.of(private.public_key())
 
     def __repr__(self) -> str:
@@ -111,16 +111,11 @@ class MachineKey:
 
     def to_pem(self) -> bytes:
         """Return the private key as unencrypted PKCS #8 in PEM, for a file of mode 0600."""
-        return self._private.private_bytes(
+        return self.private.private_bytes(
             serialization.Encoding.PEM,
             serialization.PrivateFormat.PKCS8,
             serialization.NoEncryption(),
         )
-
-    @property
-    def private(self) -> Ed25519PrivateKey:
-        """The private key, for the handshake."""
-        return self._private
 
     def certificate(self) -> x509.Certificate:
         """Return a self-made certificate; only its public key matters to the other end."""
@@ -129,11 +124,11 @@ class MachineKey:
             x509.CertificateBuilder()
             .subject_name(name)
             .issuer_name(name)
-            .public_key(self._private.public_key())
+            .public_key(self.private.public_key())
             .serial_number(1)
             .not_valid_before(_FIRST_DAY)
             .not_valid_after(_LAST_DAY)
-            .sign(self._private, None)
+            .sign(self.private, None)
         )
 
 

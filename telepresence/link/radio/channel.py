@@ -9,39 +9,34 @@ from heapq import merge
 from itertools import count
 from math import log, log1p, pi, sin
 from random import Random
+from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.figures import ChannelFigures
 from telepresence.link.radio.contact import ContactFading
 
-#: After any session.
-_NEVER_NS = 1 << 62
+if TYPE_CHECKING:
+    from telepresence.link.radio.profile import Bursts, RadioProfile, RandomBlackouts
+
+#: The states of bursts change at the start of a slot.
+SLOT_NS = NS_PER_MS
+#: Later than the end of any session.
+FOREVER_NS = 1 << 62
 
 
 class BurstClock:
     """The two-state Markov chain of Gilbert (1960) and Elliott (1963), one step a slot.
 
-    gap_s: mean time in the good state, s.
-    mean_ms: mean time in the bad state, ms.
-    frame_loss, bit_error_rate: probabilities in the bad state; the caller knows the good one.
+    bursts: the bad state; the caller knows the good one.
 
     Each stay is drawn as a whole, from the geometric distribution that single steps would give. The
     states thus depend only on time and seed, not on the number of requests.
     """
 
-    def __init__(
-        self,
-        *,
-        gap_s: float,
-        mean_ms: float,
-        frame_loss: float,
-        bit_error_rate: float,
-        slot_ns: int,
-        random: Random,
-    ) -> None:
-        self.frame_loss, self.bit_error_rate = frame_loss, bit_error_rate
-        self._mean_slots = (gap_s * NS_PER_S / slot_ns, mean_ms * NS_PER_MS / slot_ns)
-        self._slot_ns = slot_ns
+    def __init__(self, bursts: "Bursts", random: Random) -> None:
+        self.frame_loss, self.bit_error_rate = bursts.frame_loss, bursts.bit_error_rate
+        mean_ns = bursts.gap_s * NS_PER_S, bursts.mean_ms * NS_PER_MS
+        self._mean_slots = tuple(stay_ns / SLOT_NS for stay_ns in mean_ns)
         self._random = random
         self._bad = False
         self._until_ns = self._stay_ns()
@@ -58,17 +53,16 @@ class BurstClock:
         slots = 1
         if mean_slots > 1:
             slots += int(log(1.0 - self._random.random()) / log1p(-1 / mean_slots))
-        return slots * self._slot_ns
+        return slots * SLOT_NS
 
 
-def random_windows(
-    random: Random, *, gap_s: float, shortest_s: float, longest_s: float
-) -> Iterator[tuple[int, int]]:
+def random_windows(random: Random, dark: "RandomBlackouts") -> Iterator[tuple[int, int]]:
     """Yield start and end (ns) of random blackouts: exponential gaps, uniform lengths."""
     end_ns = 0
     for _ in count():
-        begin_ns = end_ns + round(random.expovariate(1 / gap_s) * NS_PER_S)
-        end_ns = begin_ns + max(1, round(random.uniform(shortest_s, longest_s) * NS_PER_S))
+        begin_ns = end_ns + round(random.expovariate(1 / dark.gap_s) * NS_PER_S)
+        lasts_s = random.uniform(dark.shortest_s, dark.longest_s)
+        end_ns = begin_ns + max(1, round(lasts_s * NS_PER_S))
         yield begin_ns, end_ns
 
 
@@ -83,14 +77,14 @@ class BlackoutClock:
         self, given: Sequence[tuple[int, int]], more: Iterator[tuple[int, int]] | None = None
     ) -> None:
         self._windows = merge(sorted(given), more or ())
-        self._begin_ns = self._end_ns = -_NEVER_NS
+        self._begin_ns = self._end_ns = -FOREVER_NS
         self._past_ns = 0
 
     def state(self, time_ns: int) -> tuple[bool, int]:
         """Return whether there is a blackout, and until when; `time_ns` must not go back."""
         while self._end_ns <= time_ns:
             self._past_ns += self._end_ns - self._begin_ns
-            begin_ns, end_ns = next(self._windows, (_NEVER_NS, _NEVER_NS + 1))
+            begin_ns, end_ns = next(self._windows, (FOREVER_NS, FOREVER_NS + 1))
             # Time that an earlier window covered is not counted twice.
             self._begin_ns = max(begin_ns, self._end_ns)
             self._end_ns = max(end_ns, self._begin_ns)
@@ -100,10 +94,6 @@ class BlackoutClock:
     def dark_ns(self, time_ns: int) -> int:
         """Return the sum of blackouts before `time_ns`, which is not before the last `state`."""
         return self._past_ns + max(0, min(time_ns, self._end_ns) - self._begin_ns)
-
-
-#: Later than the end of any session.
-FOREVER_NS = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,42 +122,34 @@ def _either(one: float, other: float) -> float:
 class RadioChannel:
     """The radio channel of one direction. Request its conditions in order of time.
 
-    profile_name, direction: for the report.
-    delay_ns, swing_ns, period_ns: a mean delay and its slow swing around that.
-    frame_loss, bit_error_rate: what is always there, and the good state of `bursts`.
-    start_ns: which instant of the contact the channel's time 0 is.
+    profile: its delay and errors are always there; they are the good state of `bursts`.
+    direction: for the report.
     """
 
     def __init__(
         self,
-        *,
-        profile_name: str,
+        profile: "RadioProfile",
         direction: str,
-        delay_ns: float,
-        swing_ns: float,
-        period_ns: float,
-        frame_loss: float,
-        bit_error_rate: float,
+        *,
         bursts: BurstClock | None,
         blackouts: BlackoutClock,
         contact: ContactFading | None,
-        start_ns: int,
     ) -> None:
-        self._profile_name, self._direction = profile_name, direction
-        self._delay_ns, self._swing_ns, self._period_ns = delay_ns, swing_ns, period_ns
+        self._profile, self._direction = profile, direction
+        self._period_ns = profile.delay_period_s * NS_PER_S
         # A straight line over a 64th of a period deviates by at most 0.12 % of the swing.
-        self._step_ns = max(NS_PER_MS, min(NS_PER_S, round(period_ns / 64)))
-        self._frame_loss, self._bit_error_rate = frame_loss, bit_error_rate
+        self._step_ns = max(NS_PER_MS, min(NS_PER_S, round(self._period_ns / 64)))
         self._bursts, self._blackouts, self._contact = bursts, blackouts, contact
-        self._start_ns = start_ns
+        self._start_ns = round(profile.start_s * NS_PER_S)
 
     def condition(self, time_ns: int) -> Condition:
         """Return the condition at `time_ns`, which must not go back."""
         until_ns = FOREVER_NS
-        delay_ns, slope = self._delay_ns, 0.0
-        loss, errors = self._frame_loss, self._bit_error_rate
+        profile = self._profile
+        delay_ns, slope = profile.delay_ms * NS_PER_MS, 0.0
+        loss, errors = profile.frame_loss, profile.bit_error_rate
         no_signal = False
-        if self._swing_ns:
+        if profile.delay_swing_ms:
             begin_ns = time_ns - time_ns % self._step_ns
             until_ns = begin_ns + self._step_ns
             here, there = self._swing(begin_ns), self._swing(until_ns)
@@ -200,11 +182,12 @@ class RadioChannel:
     def report(self, time_ns: int) -> ChannelFigures:
         """What the channel did up to `time_ns`."""
         return ChannelFigures(
-            profile=self._profile_name,
+            profile=self._profile.name,
             direction=self._direction,
             blackout_ns=self._blackouts.dark_ns(time_ns),
             contact=None if self._contact is None else self._contact.windows(),
         )
 
     def _swing(self, time_ns: int) -> float:
-        return self._swing_ns * sin(2 * pi * time_ns / self._period_ns)
+        swing_ns = self._profile.delay_swing_ms * NS_PER_MS
+        return swing_ns * sin(2 * pi * time_ns / self._period_ns)

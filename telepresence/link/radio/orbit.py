@@ -7,6 +7,7 @@ is requested.
 
 import re
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from functools import lru_cache
 from math import asin, cos, degrees, hypot, radians, sin, sqrt
 
@@ -54,15 +55,14 @@ def parse_elements(text: str) -> tuple[str, str]:
     return lines[0], lines[1]
 
 
-def parse_utc(text: str) -> tuple[int, int, int, int, int, int] | None:
-    """Parse an instant such as "2015-08-18T14:00:00Z" into six numbers; None if it is invalid."""
-    found = re.fullmatch(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d)(?::(\d\d))?Z?", text)
-    if not found:
+def parse_utc(text: str) -> datetime | None:
+    """Parse an instant such as "2015-08-18T14:00:00Z"; None if it is invalid."""
+    if not re.fullmatch(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?Z?", text, re.ASCII):
         return None
-    year, month, day, hour, minute, second = (int(part or 0) for part in found.groups())
-    if not (1 <= month <= 12 and 1 <= day <= 31 and hour < 24 and minute < 60 and second < 60):
+    try:
+        return datetime.fromisoformat(text.removesuffix("Z"))
+    except ValueError:
         return None
-    return year, month, day, hour, minute, second
 
 
 def sidereal_angle(days: float, fraction: float) -> float:
@@ -124,7 +124,7 @@ def next_overflight(
     ground = Station(*station)
     instant = parse_utc(after)
     assert instant is not None
-    days, fraction = jday(*instant)
+    days, fraction = jday(*instant.timetuple()[:6])
 
     def look(second: float) -> tuple[float, float]:
         now = fraction + second / _DAY_S
@@ -161,29 +161,10 @@ def next_overflight(
         gone = crossing(rise + len(table) - 2, rise + len(table) - 1)
         if max(elevation for _, elevation in table) >= least_peak_deg:
             return Overflight(
-                rise=_later(instant, rise),
+                rise=(instant + timedelta(seconds=round(rise))).isoformat() + "Z",
                 visible_s=gone - rise,
                 ranges_km=tuple(distance for distance, _ in table),
                 elevations_deg=tuple(elevation for _, elevation in table),
             )
         second, seen = gone, False
     raise ConfigError(f"no pass gets {least_peak_deg:g}° high within 3 days after {after}")
-
-
-def _later(instant: tuple[int, int, int, int, int, int], seconds: float) -> str:
-    """Return the instant `seconds` later as text, rounded to a second."""
-    year, month, day, hour, minute, second = instant
-    rest = hour * 3600 + minute * 60 + second + round(seconds)
-    day, rest = day + rest // _DAY_S, rest % _DAY_S
-    while day > (length := _month_days(year, month)):
-        day, month = day - length, month + 1
-        if month == 13:
-            year, month = year + 1, 1
-    hour, minute, second = rest // 3600, rest % 3600 // 60, rest % 60
-    return f"{year}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}Z"
-
-
-def _month_days(year: int, month: int) -> int:
-    if month == 2:
-        return 29 if year % 4 == 0 and (year % 100 != 0 or year % 400 == 0) else 28
-    return 30 if month in (4, 6, 9, 11) else 31

@@ -15,9 +15,6 @@ from telepresence.link.radio.path import RadioPath
 
 Direction = Literal["uplink", "downlink"]
 
-#: The states of bursts change at the start of a slot.
-SLOT_NS = NS_PER_MS
-
 
 @dataclass(frozen=True, kw_only=True)
 class Bursts:
@@ -125,21 +122,9 @@ class RadioProfile:
         """
         bursts = more = contact = None
         if self.bursts is not None:
-            bursts = BurstClock(
-                gap_s=self.bursts.gap_s,
-                mean_ms=self.bursts.mean_ms,
-                frame_loss=self.bursts.frame_loss,
-                bit_error_rate=self.bursts.bit_error_rate,
-                slot_ns=SLOT_NS,
-                random=Random(f"{seed} {direction} bursts"),
-            )
+            bursts = BurstClock(self.bursts, Random(f"{seed} {direction} bursts"))
         if self.random_blackouts is not None:
-            more = random_windows(
-                Random(f"{seed} blackouts"),
-                gap_s=self.random_blackouts.gap_s,
-                shortest_s=self.random_blackouts.shortest_s,
-                longest_s=self.random_blackouts.longest_s,
-            )
+            more = random_windows(Random(f"{seed} blackouts"), self.random_blackouts)
         if self.contact is not None:
             contact = ContactFading(self.contact, seed=seed)
         given = [
@@ -148,17 +133,11 @@ class RadioProfile:
             if each.direction in ("both", direction)
         ]
         channel = RadioChannel(
-            profile_name=self.name,
-            direction=direction,
-            delay_ns=self.delay_ms * NS_PER_MS,
-            swing_ns=self.delay_swing_ms * NS_PER_MS,
-            period_ns=self.delay_period_s * NS_PER_S,
-            frame_loss=self.frame_loss,
-            bit_error_rate=self.bit_error_rate,
+            self,
+            direction,
             bursts=bursts,
             blackouts=BlackoutClock(given, more),
             contact=contact,
-            start_ns=round(self.start_s * NS_PER_S),
         )
         return RadioPath(channel=channel, seed=f"{seed} {direction} errors", epoch_ns=epoch_ns)
 

@@ -42,7 +42,9 @@ _LAYOUT = struct.Struct(">BBHHH4s")
 _HELLO = struct.Struct(">BBHH3s3s")
 _RATES = struct.Struct(">HH")
 _STATE_SHIFT = 5
-MASTER, _SIGNAL, _APPLICATION, _FRESH, _SENDING = 0x10, 0x08, 0x04, 0x02, 0x01
+MASTER = 0x10
+#: By the field of the message.
+_FLAGS = {"master": MASTER, "signal": 0x08, "application": 0x04, "fresh": 0x02, "sending": 0x01}
 
 
 class LinkState(IntEnum):
@@ -104,24 +106,19 @@ class SupervisionMessage(NamedTuple):
     echo: int = 0
 
 
-_TELLS_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
+#: Kinds of messages with rates in the place of contexts.
+TELLS_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
 
 
 def pack_message(message: SupervisionMessage) -> bytes:
     """Return the twelve octets of `message`."""
-    flags = (
-        message.state << _STATE_SHIFT
-        | (MASTER if message.master else 0)
-        | (_SIGNAL if message.signal else 0)
-        | (_APPLICATION if message.application else 0)
-        | (_FRESH if message.fresh else 0)
-        | (_SENDING if message.sending else 0)
-    )
+    flags = message.state << _STATE_SHIFT
+    flags |= sum(flag for name, flag in _FLAGS.items() if getattr(message, name))
     first = message.version << 4 | message.kind
     if message.kind is MessageKind.HELLO:
         number, echo = message.number.to_bytes(3, "big"), message.echo.to_bytes(3, "big")
         return _HELLO.pack(first, flags, message.life, message.digest, number, echo)
-    tells_rates = message.kind in _TELLS_RATES
+    tells_rates = message.kind in TELLS_RATES
     return _LAYOUT.pack(
         first,
         flags,
@@ -156,16 +153,12 @@ def parse_message(data: bytes) -> SupervisionMessage | None:
     if known is MessageKind.HELLO:
         _, _, _, digest, number, echo = _HELLO.unpack(data)
         heard, rest = 0, bytes(CONTEXTS)
-    tells_rates = known in _TELLS_RATES
+    tells_rates = known in TELLS_RATES
     return SupervisionMessage(
         version=first >> 4,
         kind=known,
         state=LinkState(state),
-        master=master,
-        signal=bool(flags & _SIGNAL),
-        application=bool(flags & _APPLICATION),
-        fresh=bool(flags & _FRESH),
-        sending=bool(flags & _SENDING),
+        **{name: bool(flags & flag) for name, flag in _FLAGS.items()},
         life=life,
         heard=heard,
         digest=digest,

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
 from telepresence.link.supervision.message import (
     NUMBER_BITS,
+    TELLS_RATES,
     LinkState,
     MessageKind,
     SupervisionMessage,
@@ -64,7 +65,6 @@ class Proof:
 
 #: Each missing answer doubles the next wait, up to this factor.
 _LARGEST_PATIENCE = 32
-_TELLS_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
 
 
 class MessageVerdict(Enum):
@@ -243,7 +243,7 @@ class Negotiation:
     def _difference(self, message: SupervisionMessage) -> str:
         """Describe what does not match, as far as the message shows it."""
         mend = "give both ends the same setup"
-        if message.kind not in _TELLS_RATES:
+        if message.kind not in TELLS_RATES:
             return f"the configuration differs: {mend}"
         here = self._configuration
         theirs = message.rates_kbps[::-1]
@@ -273,7 +273,7 @@ class Negotiation:
             role = "master" if self._master else "slave"
             return _Mismatch(signature, f"both ends are {role}: start one as the other")
         if message.digest != self.digest:
-            exact = message.kind in _TELLS_RATES
+            exact = message.kind in TELLS_RATES
             return _Mismatch(signature, self._difference(message), exact)
         return message
 

@@ -203,7 +203,12 @@ class Supervisor:
         """A frame of the peer's stream arrived, whatever it carries."""
         self._frame_ns = now_ns
         if not self.signal:
-            self._acquire(now_ns)
+            self.signal = True
+            self._negotiation.handle_contact(now_ns)
+            self._application.handle_contact(now_ns)
+            gap_ns = self._record.handle_signal_acquired(now_ns)
+            self._events.append(SignalAcquired(now_ns, gap_ns))
+            self._update(now_ns)
 
     def handle_application(self, now_ns: int) -> None:
         """A sample or a packet of the peer's applications arrived."""
@@ -263,10 +268,16 @@ class Supervisor:
             self._application.handle_contact(now_ns)
         peer = negotiation.peer
         if peer is not None and peer.kind is MessageKind.HELLO:
-            self._handle_hello(peer, now_ns)
+            if self._proof.answers(peer.echo, now_ns):
+                self._proof.proven = True
+                negotiation.handle_answer()
+            self._note_question(peer, now_ns)
         self._note_hearing(now_ns)
         if peer is not None:
-            self._handle_peer_report(peer, before, now_ns)
+            if self.peer_hears and peer.kind in (MessageKind.ALIVE, MessageKind.CONFIRM):
+                self._events.append(ContextsHeld(now_ns, peer.contexts))
+            was_reset = before is not None and before.application and not peer.application
+            self._application.handle_peer(was_reset=was_reset, sends=peer.sending, now_ns=now_ns)
         self._update(now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
@@ -353,13 +364,6 @@ class Supervisor:
         self._contexts = _NO_CONTEXTS
         self._events.append(PeerMet(now_ns, self.peer_life, before_life != 0))
 
-    def _handle_hello(self, hello: SupervisionMessage, now_ns: int) -> None:
-        proof = self._proof
-        if proof.answers(hello.echo, now_ns):
-            proof.proven = True
-            self._negotiation.handle_answer()
-        self._note_question(hello, now_ns)
-
     def _note_question(self, told: SupervisionMessage, now_ns: int) -> None:
         """Answer a question at once, but not so often that strangers take the packets' place."""
         if not told.number:
@@ -377,13 +381,6 @@ class Supervisor:
         self._greet_ns = due_ns if self._greet_ns is None else min(self._greet_ns, due_ns)
         self._schedule(now_ns)
 
-    def _acquire(self, now_ns: int) -> None:
-        self.signal = True
-        self._negotiation.handle_contact(now_ns)
-        self._application.handle_contact(now_ns)
-        self._events.append(SignalAcquired(now_ns, self._record.handle_signal_acquired(now_ns)))
-        self._update(now_ns)
-
     def _lose(self, now_ns: int) -> None:
         self.signal = self.peer_hears = False
         self._negotiation.handle_contact(now_ns)
@@ -397,15 +394,6 @@ class Supervisor:
             self.peer_hears = hears
             self._counts["peer_deaf"] += not hears
             self._events.append(PeerHears(now_ns) if hears else PeerDeaf(now_ns))
-
-    def _handle_peer_report(
-        self, peer: SupervisionMessage, before: SupervisionMessage | None, now_ns: int
-    ) -> None:
-        """Process the contexts that the peer holds, and the state of its applications."""
-        if self.peer_hears and peer.kind in (MessageKind.ALIVE, MessageKind.CONFIRM):
-            self._events.append(ContextsHeld(now_ns, peer.contexts))
-        was_reset = before is not None and before.application and not peer.application
-        self._application.handle_peer(was_reset=was_reset, sends=peer.sending, now_ns=now_ns)
 
     def _run_slot(self, now_ns: int) -> bytes | None:
         """Check the timeouts, then return the message if it is due."""

@@ -51,6 +51,10 @@ _MOST_OPEN = 16
 _REPORTS_DEPTH = 64
 
 
+class _BusyError(ProtocolError):
+    """Too many functions are in progress."""
+
+
 class FunctionRequest(NamedTuple):
     """Carry out a function, then call `handle_result` with `token`.
 
@@ -121,12 +125,14 @@ class PusApplication:
         #: By structure: the newest report that was not sent yet.
         self._waiting: dict[int, tuple[bytes, int]] = {}
         self._requests: deque[FunctionRequest | ParameterSet] = deque()
-        self._services: dict[tuple[int, int], Callable[[Telecommand, int], str]] = {
+        #: A service returns "" if it was carried out, a refusal, or None if its end comes later.
+        self._services: dict[tuple[int, int], Callable[[Telecommand, int], str | None]] = {
             (3, 5): partial(self._switch_housekeeping, on=True),
             (3, 6): partial(self._switch_housekeeping, on=False),
             (3, 27): self._housekeeping_once,
             (5, 5): partial(self._switch_events, on=True),
             (5, 6): partial(self._switch_events, on=False),
+            (8, 1): self._start_function,
             (12, 1): partial(self._switch_monitors, on=True),
             (12, 2): partial(self._switch_monitors, on=False),
             (17, 1): self._are_you_alive,
@@ -149,22 +155,21 @@ class PusApplication:
         if len(self._known) == _KNOWN_DEPTH:
             self._known.popitem(last=False)
         known = self._known[command] = _Known(command, now_ns)
-        if command.service == 8 and command.subtype == 1:
-            self._start_function(known, now_ns)
-            return
         service = self._services.get((command.service, command.subtype))
         if service is None:
             message = f"{command.service},{command.subtype} is unknown to {self.table.name}"
-            self._fail(known, VerificationStage.ACCEPTED, Failure.UNKNOWN_MESSAGE, message, now_ns)
+            self._refuse(known, Failure.UNKNOWN_MESSAGE, message, now_ns)
             return
         try:
             refusal = service(command, now_ns)
         except (ProtocolError, ConfigError) as error:
-            self._fail(known, VerificationStage.ACCEPTED, Failure.BAD_DATA, str(error), now_ns)
+            busy = isinstance(error, _BusyError)
+            self._refuse(known, Failure.BUSY if busy else Failure.BAD_DATA, str(error), now_ns)
             return
         self._verify(known, VerificationStage.ACCEPTED, now_ns)
         self._verify(known, VerificationStage.STARTED, now_ns)
-        self._complete(known, refusal, now_ns)
+        if refusal is not None:
+            self._complete(known, refusal, now_ns)
 
     def handle_result(self, token: int | None, refusal: str, now_ns: int) -> None:
         """A function was carried out, or refused for the reason `refusal`."""
@@ -189,17 +194,16 @@ class PusApplication:
     def handle_event(self, name: str, now_ns: int) -> None:
         """Report the event `name` of the dictionary with its arguments, and start its actions."""
         event = self.table.event(name)
-        if event.number not in self._silent_events:
-            known = [one for one in event.arguments if one in self.values]
-            # Without all its arguments an event cannot be read.
-            if len(known) == len(event.arguments):
-                values = [self.values[one] for one in event.arguments]
-                data = pack_values(self.table.named(event.arguments), values)
-                subtype = SEVERITIES.index(event.severity) + 1
-                self.events_reported += 1
-                self._report(5, subtype, bytes([event.number]) + data, now_ns)
+        # Without all its arguments an event cannot be read.
+        known = all(one in self.values for one in event.arguments)
+        if known and event.number not in self._silent_events:
+            values = [self.values[one] for one in event.arguments]
+            data = pack_values(self.table.named(event.arguments), values)
+            subtype = SEVERITIES.index(event.severity) + 1
+            self.events_reported += 1
+            self._report(5, subtype, bytes([event.number]) + data, now_ns)
         for function in self._actions.functions(name):
-            self._request(FunctionRequest(None, function, ()))
+            self._requests.append(FunctionRequest(None, function, ()))
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """Return the next packet of telemetry, housekeeping last, or None."""
@@ -226,52 +230,26 @@ class PusApplication:
         """What is to be carried out next, or None."""
         return self._requests.popleft() if self._requests else None
 
-    def _start_function(self, known: _Known, now_ns: int) -> None:
-        data = known.command.data
-        function = self._functions.get(data[0]) if data else None
-        if function is None:
-            reason = f"no such function of {self.table.name}"
-            self._fail(known, VerificationStage.ACCEPTED, Failure.BAD_DATA, reason, now_ns)
-            return
-        try:
-            parameters = self.table.named(function.arguments)
-            arguments = unpack_values(parameters, data[1:])
-            for parameter, value in zip(parameters, arguments, strict=True):
-                parameter.check(value)
-        except ProtocolError as error:
-            self._fail(known, VerificationStage.ACCEPTED, Failure.BAD_DATA, str(error), now_ns)
-            return
-        if len(self._open) == _MOST_OPEN:
-            reason = f"{_MOST_OPEN} functions are in progress"
-            self._fail(known, VerificationStage.ACCEPTED, Failure.BUSY, reason, now_ns)
-            return
-        self._verify(known, VerificationStage.ACCEPTED, now_ns)
-        self._verify(known, VerificationStage.STARTED, now_ns)
-        token, self._next_token = self._next_token, self._next_token + 1
-        self._open[token] = known
-        self._request(FunctionRequest(token, function.name, arguments))
-
-    def _request(self, request: FunctionRequest | ParameterSet) -> None:
-        self._requests.append(request)
-
     def _complete(self, known: _Known, refusal: str, now_ns: int) -> None:
-        if refusal:
-            self._fail(known, VerificationStage.COMPLETED, Failure.REFUSED, refusal, now_ns)
-            return
-        self.executed += 1
-        self._verify(known, VerificationStage.COMPLETED, now_ns)
+        failure = Failure.REFUSED if refusal else None
+        self.executed += failure is None
+        self._verify(known, VerificationStage.COMPLETED, now_ns, failure, refusal)
 
-    def _verify(self, known: _Known, stage: VerificationStage, now_ns: int) -> None:
-        if known.command.flags & stage.flag:
-            report = verification_of(known.command, stage)
-            known.reports.append(report)
-            self._report_verification(report, known.command, now_ns)
+    def _refuse(self, known: _Known, failure: Failure, reason: str, now_ns: int) -> None:
+        self._verify(known, VerificationStage.ACCEPTED, now_ns, failure, reason)
 
-    def _fail(
-        self, known: _Known, stage: VerificationStage, failure: Failure, reason: str, now_ns: int
+    def _verify(
+        self,
+        known: _Known,
+        stage: VerificationStage,
+        now_ns: int,
+        failure: Failure | None = None,
+        reason: str = "",
     ) -> None:
         # A failure is reported whether or not a success would have been.
-        self.failed += 1
+        if failure is None and not known.command.flags & stage.flag:
+            return
+        self.failed += failure is not None
         report = verification_of(known.command, stage, failure, reason)
         known.reports.append(report)
         self._report_verification(report, known.command, now_ns)
@@ -306,24 +284,36 @@ class PusApplication:
         self._count = (self._count + 1) % COUNT_MODULUS
         return pack_packet(packet)
 
-    # The services. Each returns a refusal, or "" if it was carried out.
+    # The services.
+
+    def _start_function(self, command: Telecommand, now_ns: int) -> None:
+        data = command.data
+        function = self._functions.get(data[0]) if data else None
+        if function is None:
+            raise ProtocolError(f"no such function of {self.table.name}")
+        parameters = self.table.named(function.arguments)
+        arguments = unpack_values(parameters, data[1:])
+        for parameter, value in zip(parameters, arguments, strict=True):
+            parameter.check(value)
+        if len(self._open) == _MOST_OPEN:
+            raise _BusyError(f"{_MOST_OPEN} functions are in progress")
+        token, self._next_token = self._next_token, self._next_token + 1
+        self._open[token] = self._known[command]
+        self._requests.append(FunctionRequest(token, function.name, arguments))
 
     def _switch_housekeeping(self, command: Telecommand, now_ns: int, *, on: bool) -> str:
-        for number in self._structures(command):
+        for number in self._numbers(command, self._housekeeping.known, "structure"):
             self._housekeeping.set_on(number, on=on, now_ns=now_ns)
         return ""
 
     def _housekeeping_once(self, command: Telecommand, now_ns: int) -> str:
-        for number in self._structures(command):
+        for number in self._numbers(command, self._housekeeping.known, "structure"):
             structure = self._housekeeping.request(number)
             data = self._housekeeping.pack(structure, self.values)
             if data is None:
                 return f"{structure.name} has no values yet"
             self._waiting[number] = (data, now_ns)
         return ""
-
-    def _structures(self, command: Telecommand) -> bytes:
-        return self._numbers(command, self._housekeeping.known, "structure")
 
     def _numbers(self, command: Telecommand, known: Callable[[int], bool], what: str) -> bytes:
         data = command.data
@@ -380,7 +370,7 @@ class PusApplication:
             self.table.parameter(name).check(value)
         for name, value in settings:
             self.values[name] = value
-            self._request(ParameterSet(name, value))
+            self._requests.append(ParameterSet(name, value))
         return ""
 
 

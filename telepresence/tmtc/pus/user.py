@@ -118,6 +118,11 @@ class _Open:
     application: str
     stage: VerificationStage | None = None
 
+    @property
+    def about(self) -> tuple[int, int, int]:
+        """By which a report about it is known."""
+        return self.command.apid, self.command.count, self.command.source
+
 
 class PusUser:
     """Sends telecommands to the applications of `dictionary`, and reads their telemetry.
@@ -148,6 +153,7 @@ class PusUser:
         if timeout_ns <= 0 or not timeout_ns <= patience_ns < 60 * NS_PER_S:
             raise ConfigError("telecommands need a timeout above 0, and a patience below 60 s")
         self.garbage = 0
+        #: Reports about what is not open, and of applications that are in no table.
         self.unexpected = 0
         self.reports = 0
         self.dropped_events = 0
@@ -295,28 +301,23 @@ class PusUser:
         report = verification.parse_verification(packet.subtype, packet.data)
         if not self.hears(packet.destination):
             return
-        number = self._number_of(report, packet.destination)
-        if number is None:
+        about = (report.apid, report.count, packet.destination)
+        found = [
+            (number, sending.item)
+            for number, sending in self._open
+            if sending.tries and sending.item.about == about
+        ]
+        if not found:
             self.unexpected += 1
             return
+        number, one = found[0]
         if report.failure is None and report.stage is not VerificationStage.COMPLETED:
-            sending = self._open.get(number)
-            assert sending is not None
-            one = sending.item
             # Repetitions are verified again.
             if one.stage is None or one.stage < report.stage:
                 one.stage = report.stage
                 self._add(CommandProgress(number, one.application, report.stage))
             return
         self._end(number, now_ns, ok=report.failure is None, verified=True, reason=report.reason)
-
-    def _number_of(self, report: verification.Verification, source: int) -> int | None:
-        about = (report.apid, report.count, source)
-        for number, one in self._open:
-            command = one.item.command
-            if (command.apid, command.count, command.source) == about and one.tries:
-                return number
-        return None
 
     def _add(self, event: UserEvent) -> None:
         if len(self._events) == _EVENTS_DEPTH:

@@ -25,19 +25,23 @@ def sei(kind, payload):
     return join_annex_b([bytes((6, kind, len(payload))) + payload + b"\x80", b"\x01\x9a"])
 
 
-@pytest.fixture(scope="module")
-def units():
-    """Return three seconds of a noisy moving picture."""
-    encoder = H264Encoder(width=320, height=240, fps=FPS, cap_bps=200_000)
+def encoded(seconds, **options):
+    """Return some seconds of a noisy moving picture."""
+    encoder = H264Encoder(width=320, height=240, fps=FPS, cap_bps=200_000, **options)
     noise = np.random.default_rng(1).integers(60, 200, (240, 320), np.uint8)
     found = []
-    for number in range(3 * FPS):
+    for number in range(seconds * FPS):
         picture = empty_picture(320, 240)
         picture[:] = 128
         picture[:240] = np.roll(noise, 3 * number, axis=1)
         stamp = CaptureStamp(number * NS_PER_S // FPS, number, "test")
         found.append(encoder.encode(VideoFrame(picture, stamp)))
     return found
+
+
+@pytest.fixture(scope="module")
+def units():
+    return encoded(3, refresh_s=1.0)
 
 
 def test_an_undamaged_stream_is_never_called_damaged(units):
@@ -76,6 +80,20 @@ def test_damage_ends_with_the_refresh_and_then_the_picture_is_right(units, lost)
     wrong = [n for n, picture in broken.items() if not np.array_equal(picture, whole[n])]
     assert wrong, "a loss does harm"
     assert set(wrong) <= set(hurt), "what is called healed is right to the last bit"
+
+
+def test_without_feedback_the_worst_loss_is_healed_within_three_seconds():
+    """The worst loss is that of the first picture of a wave: the next wave heals it."""
+    healing = Healing()
+    units = encoded(7)
+    (first, second, *_) = (n for n, unit in enumerate(units) if recovery_pictures(unit.data))
+    hurt = [
+        number
+        for number, unit in enumerate(units)
+        if number != first
+        and healing.handle_unit(received(unit.data, lost_before=number == first + 1))
+    ]
+    assert second < hurt[-1] < first + 3 * FPS
 
 
 def test_a_loss_during_healing_restarts_it_and_a_key_picture_heals_at_once():

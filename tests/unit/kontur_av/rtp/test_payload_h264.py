@@ -4,7 +4,8 @@ import pytest
 from rtp_packets import received
 
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
-from kontur_av.rtp.payload_h264 import H264Depacketizer, packetize, parse_payload
+from kontur_av.rtp.nal_payload import NalDepacketizer
+from kontur_av.rtp.payload_h264 import H264, packetize, parse_payload
 
 SPS, PPS = b"\x67\x42\xc0\x1e", b"\x68\xce\x3c\x80"
 #: Slices whose first_mb_in_slice is 0, and one that continues a picture.
@@ -73,7 +74,7 @@ def test_a_unit_that_rtp_cannot_carry_is_refused(unit):
 
 
 def test_sets_of_the_sdp_go_before_the_first_picture_and_every_later_idr():
-    depacketizer = H264Depacketizer([SPS, PPS])
+    depacketizer = NalDepacketizer(H264, [SPS, PPS])
     own = packetize([SPS, PPS, IDR])[0]
     units = through(depacketizer, pictures(SLICE, SLICE, IDR, SLICE, own))
     assert [split_annex_b(unit.data) for unit in units] == [
@@ -91,7 +92,7 @@ def test_sets_of_the_sdp_go_before_the_first_picture_and_every_later_idr():
 
 @pytest.mark.parametrize("marked", [True, False])
 def test_the_first_picture_waits_only_if_the_marker_may_be_on_each_slice(marked):
-    depacketizer = H264Depacketizer(marked=marked)
+    depacketizer = NalDepacketizer(H264, marked=marked)
     for ssrc in (7, 8):
         depacketizer.handle_packet(received(IDR, 0, ssrc=ssrc))
         unit = depacketizer.next_event()
@@ -101,7 +102,7 @@ def test_the_first_picture_waits_only_if_the_marker_may_be_on_each_slice(marked)
 
 
 def test_each_picture_is_counted_once():
-    depacketizer = H264Depacketizer()
+    depacketizer = NalDepacketizer(H264)
     whole, cut = packetize([SLICE]), packetize([b"\x41\x88" + bytes([7]) * 30], 20)
     packets = [
         received(whole[0], 0, timestamp=0),
@@ -129,13 +130,13 @@ def test_a_unit_tells_when_its_first_and_its_last_packet_came():
         received(part, n, received_ns=100 + n, marker=n == len(parts) - 1)
         for n, part in enumerate(parts)
     ]
-    (unit,) = through(H264Depacketizer(), packets)
+    (unit,) = through(NalDepacketizer(H264), packets)
     assert (unit.first_received_ns, unit.received_ns) == (100, 100 + len(parts) - 1)
     assert len(parts) > 2
 
 
 def test_a_picture_joined_in_its_middle_is_damaged():
-    depacketizer = H264Depacketizer()
+    depacketizer = NalDepacketizer(H264)
     units = through(depacketizer, pictures(LATER_SLICE, LATER_SLICE, SLICE))
     # Only where its head may be missing: later a slice of another form is the sender's affair.
     assert [unit.damaged for unit in units] == [True, False, False]
@@ -146,7 +147,7 @@ def test_a_picture_joined_in_its_middle_is_damaged():
 
 
 def test_a_picture_that_is_lost_with_its_first_packet_is_a_loss_before_the_next():
-    depacketizer = H264Depacketizer()
+    depacketizer = NalDepacketizer(H264)
     parts = packetize([b"\x41\x88" + bytes([7]) * 60], 30)
     packets = [
         received(packetize([SLICE])[0], 0, timestamp=0),
@@ -167,7 +168,7 @@ def test_a_picture_that_is_lost_with_its_first_packet_is_a_loss_before_the_next(
 def test_a_picture_of_the_old_source_is_damaged_by_a_restart():
     parts = packetize([SLICE, b"\x41\x22" + bytes([7]) * 30], 20)
     packets = [received(parts[0], 0, marker=False), received(SLICE, 900, ssrc=9, restart=True)]
-    units = through(H264Depacketizer(), packets)
+    units = through(NalDepacketizer(H264), packets)
     assert [(unit.data, unit.damaged) for unit in units] == [
         (join_annex_b([SLICE]), True),
         (join_annex_b([SLICE]), False),
@@ -177,7 +178,7 @@ def test_a_picture_of_the_old_source_is_damaged_by_a_restart():
 def test_an_access_unit_larger_than_allowed_is_dropped():
     unit = b"\x41\x88" + bytes([7]) * 40
     for most, count in ((42, 1), (41, 0)):
-        depacketizer = H264Depacketizer(max_unit_octets=most)
+        depacketizer = NalDepacketizer(H264, max_unit_octets=most)
         found = through(depacketizer, pictures(unit, unit))
         assert len(found) == 2 * count
         assert depacketizer.garbage == 2 - 2 * count

@@ -8,7 +8,8 @@ from rtp_packets import PromptSender
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, unix_ns_from_ntp
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.payload_h264 import H264Depacketizer
+from kontur_av.rtp.nal_payload import NalDepacketizer
+from kontur_av.rtp.payload_h264 import H264
 from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.rtp.sender import RtpSender
 from kontur_av.rtp.wire import parse_rtcp, parse_rtp
@@ -493,7 +494,7 @@ def test_the_receiver_knows_when_a_picture_was_captured_across_wrap_around(octet
     # Two clocks of their own, which know the same Unix time.
     rtp = make_sender(wall_offset_ns=10**18 + 7)
     receiver = make_receiver(wall_offset_ns=10**18 - NS_PER_S)
-    depacketizer = H264Depacketizer()
+    depacketizer = NalDepacketizer(H264)
     captured = []
     for number in range(40):
         unit = picture(number, octets)

@@ -135,6 +135,7 @@ def test_a_process_sends_each_item_when_it_is_due_and_a_restarted_one_repeats_no
     assert all(now_ns - capture_ns == 10 * NS_PER_MS for _, capture_ns, now_ns in whole)
     first = sent_by(started(0), until_ns=5_030 * NS_PER_MS)
     assert first + sent_by(started(5_030), until_ns=6 * NS_PER_S) == whole
+    assert [started(ms).left_out for ms in (0, 5_030, 5_061)] == [0, 2, 5]
     assert started(5_061).poll_timeout() is None
     # One that overslept sends all that is due.
     late = started(0)

@@ -129,7 +129,7 @@ def block(first_ns, *, touch=()):
 
 def coded(count):
     """A stream as it is sent: a key picture once, then refresh waves; with its pictures."""
-    encoder = H264Encoder(width=160, height=120, fps=Fraction(30), cap_bps=200_000)
+    encoder = H264Encoder(width=160, height=120, fps=Fraction(30), cap_bps=200_000, refresh_s=1)
     decoder, units = H264Decoder(), []
     for number in range(count):
         picture = empty_picture(160, 120)

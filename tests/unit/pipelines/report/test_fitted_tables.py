@@ -4,13 +4,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from pipelines.report.result import Column, fitted_line, fitted_table
+from pipelines.report.result import fitted_line, fitted_table
 
 
 def test_columns_of_the_highest_rank_go_first():
-    columns = [Column("name", 9, ["abc"]), Column("keep", 1, ["1"]), Column("drop", 2, ["2"])]
+    ranks, rows = {"name": 9, "keep": 1, "drop": 2}, [["abc", "1", "2"]]
     shown = [
-        [column.header for column in fitted_table(columns, width).columns] for width in (22, 21, 1)
+        [column.header for column in fitted_table(ranks, rows, width).columns]
+        for width in (22, 21, 1)
     ]
     assert shown == [["name", "keep", "drop"], ["name", "keep"], ["name"]]
 
@@ -20,8 +21,8 @@ def test_columns_of_the_highest_rank_go_first():
     st.integers(20, 120),
 )
 def test_no_table_is_wider_than_its_width_or_cuts_a_cell(columns, width):
-    cells = [("x" * length, rank) for length, rank in columns]
-    table = fitted_table([Column("h", rank, [cell]) for cell, rank in cells], width)
+    ranks = {str(number): rank for number, (_, rank) in enumerate(columns)}
+    table = fitted_table(ranks, [["x" * length for length, _ in columns]], width)
     console = Console(width=width)
     with console.capture() as capture:
         console.print(table)

@@ -14,7 +14,7 @@ from pipelines.report.event_log import EventLog
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report
 from pipelines.report.summary import first_line, streams_table
-from pipelines.report.warnings import find_path_warnings
+from pipelines.report.warnings import find_path_warnings, hand_warnings
 from pipelines.session.rows import ShownRow
 from pipelines.session.session_switch import SessionSwitch
 from pipelines.session.setup.built_in import BUILT_IN
@@ -105,6 +105,22 @@ def test_a_clock_that_never_was_known_is_warned_of():
         figures = replace(gateway(), clock=clock)
         collector.handle_message("ground_gateway", message(figures), NS_PER_S)
         assert [one.what for one in find_path_warnings(collector, Segment)] == warned
+
+
+def test_a_direct_hand_over_a_long_way_is_warned_of_at_the_hands_end():
+    for segment, error_ms, hand, warned in (
+        (Segment.SPACE, 251, "direct", ["hand_direct"]),
+        (Segment.SPACE, 251, "auto", []),
+        (Segment.SPACE, 20, "direct", []),
+        (Segment.GROUND, 251, "direct", []),
+    ):
+        collector = alone(segment)
+        collector.setup = replace(collector.setup, hand=hand)
+        clock = ClockExchange(version=2, master=True, life=1, told_offset_ns=0, now_ns=0).report(0)
+        clock = replace(clock, offset_ns=5, error_ns=error_ms * NS_PER_MS)
+        told = message(replace(gateway(), clock=clock))
+        collector.handle_message(f"{segment.value}_gateway", told, NS_PER_S)
+        assert [one.what for one in hand_warnings(collector)] == warned
 
 
 def test_a_path_without_protection_is_warned_of_and_stands_in_the_event_log():

@@ -1,12 +1,19 @@
 """The warnings of a session, and when there are none."""
 
+from dataclasses import replace
+
 import pytest
 from told import message
 
 from pipelines.recording.figures import RecordedChannel, RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.sections import recorder_warnings
-from pipelines.report.warnings import loop_warnings, picture_warnings, restart_warning
+from pipelines.report.warnings import (
+    hand_warnings,
+    loop_warnings,
+    picture_warnings,
+    restart_warning,
+)
 from pipelines.session.session_switch import NO_ROOM
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.table import topology_of
@@ -93,3 +100,17 @@ def test_what_a_recording_lacks_is_blamed_on_what_was_too_slow(channel, mended):
     (warning,) = recorder_warnings(collector)
     found = [word for word in ("disk", "processors") if word in warning.mend]
     assert found == mended and warning.measured.startswith(f"{channel.lost} messages")
+
+
+def test_after_a_long_round_trip_another_hand_is_named():
+    def warned(down_ms, up_ms, **changed):
+        collector = Collector(topology_of(replace(BUILT_IN["taskboard"], **changed)))
+        for way, late_ms in (("down", down_ms), ("up", up_ms)):
+            if late_ms is not None:
+                collector.haptics[way].latency.add(late_ms * 1_000_000)
+        return [warning.measured for warning in hand_warnings(collector)]
+
+    (measured,) = warned(252, 252)
+    assert "504 ms" in measured
+    assert warned(15, 15) == warned(252, None) == warned(252, 252, hand="auto") == []
+    assert warned(252, 252, partner_arm="shared") == []

@@ -15,12 +15,12 @@ from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import ExerciseAsked, FetchAsked, RecordingAsked, Seat
+from pipelines.seats.seat import Asked, Seat
+from pipelines.seats.texts import ExerciseRequest, FetchRequest, RecordingRequest
 from pipelines.session.seat_roles import Role
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
-from pipelines.session.training import TrainerRequest
 from pipelines.table import topology_of
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -331,7 +331,7 @@ def test_each_seat_does_its_own():
         ask(seat, page, "command", **SELECT_HEAD)
         ask(seat, page, "hand", action="take")
         ask(seat, page, "record", action="start")
-    assert events(ground) == [Order.STOP, RecordingAsked(1, 7, begin=True)]
+    assert events(ground) == [Order.STOP, Asked(1, RecordingRequest(7, "start"))]
     assert [type(event) for event in events(space)] == [Order, SendCommand]
 
 
@@ -352,8 +352,7 @@ def test_only_the_trainer_gives_exercises_at_either_end(segment):
         ask(seat, page, "exercise", exercise="camera-lost", seconds=2, camera="head")
         found = events(seat)
         if role is Role.TRAINER:
-            wish = TrainerRequest(exercise="camera-lost", seconds=2, camera="head")
-            assert found == [ExerciseAsked(page, 7, wish)]
+            assert found == [Asked(page, ExerciseRequest(7, "camera-lost", 2.0, "head"))]
             seat.handle_answered(found[0], "no camera head is here")
         answers = [text["error"] for text in texts(seat, page, "answer")]
         assert found if role is Role.TRAINER else not found
@@ -379,8 +378,8 @@ def test_a_role_does_what_is_its_own_and_is_told_who_may_the_rest():
     ask(seat, page, "fetch", inbox="joystick")
     ask(seat, page, "command", application="joystick", verb="ping")
     recording, fetched, asked = events(seat)
-    assert recording == RecordingAsked(page, 7, begin=True)
-    assert fetched == FetchAsked(page, 7, "joystick")
+    assert recording == Asked(page, RecordingRequest(7, "start"))
+    assert fetched == Asked(page, FetchRequest(7, "joystick"))
     assert (asked.application, asked.verb) == ("joystick", "ping")
 
 

@@ -9,7 +9,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
 from pipelines.media.stream_figures import REPORT_INTERVAL_NS
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import PORTS, RtcLeg, Setup, VideoStream
 from telepresence.haptics.envelope import SafetyLimits
@@ -182,11 +182,11 @@ def test_an_age_limit_below_the_radio_delay_is_refused(tmp_path):
 @pytest.mark.parametrize("setup", BUILT_IN.values(), ids=BUILT_IN)
 def test_the_built_in_setups_fit_their_channels(setup):
     caps = {stream.name: stream.cap_bps for stream in setup.streams}
-    assert setup.need_up().payload_bps == sum(
+    assert setup.need(Direction.UPLINK).payload_bps == sum(
         cap for name, cap in caps.items() if name.startswith("uplink")
     )
-    assert setup.need_up().spare_bps >= 0
-    assert setup.need_down().spare_bps >= 0
+    assert setup.need(Direction.UPLINK).spare_bps >= 0
+    assert setup.need(Direction.DOWNLINK).spare_bps >= 0
     assert setup.uplink.capacity_bps == 256_000
     assert setup.downlink.capacity_bps == 4_000_000
 
@@ -314,7 +314,9 @@ def test_a_mediated_hand_keeps_uplink_capacity_for_its_walls():
     direct = load_setup("spacejustin")
     mediated = load_setup("spacejustin", changes={"hand": "mediated"})
     # Two a second of 16 octets, with tag and resume tag.
-    assert direct.need_up().spare_bps - mediated.need_up().spare_bps == 8 * 2 * (16 + 1 + 1)
-    assert mediated.need_down() == direct.need_down()
+    assert direct.need(Direction.UPLINK).spare_bps - mediated.need(
+        Direction.UPLINK
+    ).spare_bps == 8 * 2 * (16 + 1 + 1)
+    assert mediated.need(Direction.DOWNLINK) == direct.need(Direction.DOWNLINK)
     with pytest.raises(ConfigError, match="hand 'soft': take one of direct, mediated"):
         load_setup("spacejustin", changes={"hand": "soft"})

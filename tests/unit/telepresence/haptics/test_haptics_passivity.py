@@ -217,15 +217,18 @@ def test_without_the_controllers_the_observers_only_observe() -> None:
 
 def test_the_reference_catches_up_at_a_bounded_speed() -> None:
     robot_side = RobotController()
-    x_m, v_m_s, places = 0.0, 0.0, []
+    x_m, v_m_s, places, tips = 0.0, 0.0, [], []
     for k in range(1500):
         # Nothing is granted in the first 500 ms, then more than enough.
         granted_uj = 0 if k < 500 else (k - 499) * 2000
-        force, _ = robot_side.step(Command(0.05, 0.0, granted_uj), x_m, 0.0, v_m_s, 0.0, MS)
+        force, _ = robot_side.step(Command(0.1, 0.0, granted_uj), x_m, 0.0, v_m_s, 0.0, MS)
         v_m_s += force / 0.5 * DT
         x_m += v_m_s * DT
         places.append(robot_side.reference_x_m)
+        tips.append(v_m_s)
     assert places[499] == 0.0
-    assert places[-1] == pytest.approx(0.05, abs=1e-4)
+    assert places[-1] == pytest.approx(0.1, abs=1e-4)
+    # Nor does the tip overshoot that speed.
+    assert 0.45 < max(tips) <= robot_side.model.speed_m_s
     speeds = [(b - a) / DT for a, b in pairwise(places)]
     assert 0.1 < max(speeds) <= robot_side.model.speed_m_s + 1e-9

@@ -149,6 +149,17 @@ def test_a_wall_in_contact_is_repeated_for_a_joystick_that_starts():
         assert least <= len(told) <= least + 3
 
 
+def test_a_start_of_either_end_is_told_three_times_because_messages_are_lost():
+    estimator = WallEstimator()
+    end = touch(estimator, Wall(0.0, 0.06, 1500.0))
+    for _ in range(2):
+        polled = range(end, end + 1500)
+        told = [ms - end for ms in polled if estimator.poll_transmit(ms * MS) is not None]
+        assert told == [0, 100, 200, 700, 1200]
+        estimator.tell_again()
+        end += 1500
+
+
 @pytest.mark.parametrize("free_before", [True, False])
 def test_a_tip_that_only_slows_down_tells_no_wrong_wall(free_before):
     """Position and velocity go together then: the beginning of the contact says the rest."""

@@ -7,20 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from telepresence.link.radio.channel import BlackoutClock, BurstClock, random_windows
-from telepresence.link.radio.profile import RadioProfile, RandomBlackouts
+from telepresence.link.radio.profile import Bursts, RadioProfile, RandomBlackouts
 
 MS, S = 1_000_000, 1_000_000_000
 
 
 def clock(gap_s=0.1, mean_ms=5.0, seed=1):
-    return BurstClock(
-        gap_s=gap_s,
-        mean_ms=mean_ms,
-        frame_loss=1.0,
-        bit_error_rate=0.0,
-        slot_ns=MS,
-        random=Random(seed),
-    )
+    return BurstClock(Bursts(gap_s=gap_s, mean_ms=mean_ms, frame_loss=1.0), Random(seed))
 
 
 def test_stays_are_geometric_with_the_requested_means():
@@ -70,7 +63,10 @@ def test_a_blackout_is_the_union_of_its_windows(windows, times):
 
 def test_random_blackouts_have_their_means_and_hit_both_directions_alike():
     windows = list(
-        islice(random_windows(Random(2), gap_s=10.0, shortest_s=1.0, longest_s=3.0), 3000)
+        islice(
+            random_windows(Random(2), RandomBlackouts(gap_s=10.0, shortest_s=1.0, longest_s=3.0)),
+            3000,
+        )
     )
     lengths = [(end - begin) / S for begin, end in windows]
     assert 1.0 <= min(lengths) <= max(lengths) <= 3.0
