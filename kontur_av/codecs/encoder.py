@@ -40,9 +40,6 @@ _SOFT_AWAITED = 0.8
 #: spreads its octets. Measured with the stereo camera in a session: the first one is shown after
 #: 74 ms, not 126, and no other one is late.
 _SOFT_GROWN = (8.0, 5.6, 3.9, 2.7, 1.9, 1.3, 0.9)
-#: The same where the pictures that follow are sharpened column by column. Measured: 1.5 dB more in
-#: the first second and 2 dB more in three, for a first picture that is shown 30 ms later.
-_SOFT_GROWN_SHARPENED = (2.5,)
 #: With waves that come faster than this, pictures are coded one size smaller, and not above the
 #: usual size. Measured without feedback: up to 0.7 dB more, and p99 up to 12 ms less.
 _FAST_REFRESH_S = 3.0
@@ -226,9 +223,8 @@ class VideoEncoder:
         """Return how much to soften this picture, in pixels of its coded size; 0: not at all."""
         if self._cuts is None and self.unit_size == (self.width, self.height):
             return 0.0
-        soft_grown = _SOFT_GROWN if self._sharpening is None else _SOFT_GROWN_SHARPENED
-        if self.unit_size[0] > self.coded_size[0] and self._given < len(soft_grown):
-            return soft_grown[self._given]
+        if self.unit_size[0] > self.coded_size[0] and self._given < len(_SOFT_GROWN):
+            return _SOFT_GROWN[self._given]
         awaited = self.encoded == 0 or force_keyframe
         return _SOFT_AWAITED if awaited and not self._settings.punctual else 0.0
 
