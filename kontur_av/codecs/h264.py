@@ -21,6 +21,7 @@ class H264Encoder(VideoEncoder):
 
     codec: ClassVar[VideoCodec] = "h264"
     _settings_of: ClassVar[type[EncoderSettings]] = H264Settings
+    _sharpens: ClassVar[bool] = True
 
     def _finished(self, packet: Any) -> tuple[bytes, bool]:
         if not packet.is_keyframe:
