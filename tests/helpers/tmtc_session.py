@@ -26,21 +26,23 @@ class Session:
         self.asked = []
         self.packets = {segment: [] for segment in Segment}
         self.carried = {segment: [] for segment in Segment}
-        take = self.tmtc.handle_packet
-
-        def note(segment, data, now_ns):
-            self.carried[segment].append(data)
-            taken = take(segment, data, now_ns)
-            if taken:
-                self.packets[segment].append(data)
-            return taken
-
-        self.tmtc.handle_packet = note
+        for segment, end in self.tmtc.ends.items():
+            end.handle_packet = self._noting(segment, end.handle_packet)
         self.now_ns = 0
         for segment, news in self.news.items():
             self.tmtc.subscribe(segment, lambda one, now, news=news: news.append((now, one)))
             if answers:
                 self.tmtc.subscribe(segment, self.answer(segment))
+
+    def _noting(self, segment, take):
+        def note(data, now_ns):
+            self.carried[segment].append(data)
+            taken = take(data, now_ns)
+            if taken:
+                self.packets[segment].append(data)
+            return taken
+
+        return note
 
     def answer(self, segment):
         def take(news, now_ns):
