@@ -242,6 +242,16 @@ class JoystickController(PortController):
         # The root of force * cycle_m + force^2 * yielding / 2 = credit.
         return (sqrt(cycle_m * cycle_m + 2.0 * yielding * credit_j) - cycle_m) / yielding
 
+    def _fade_j(self) -> float:
+        """Return the credit with which the robot's force can fade, as in `_payable_n`."""
+        force = sqrt(self._gx * self._gx + self._gy * self._gy)
+        if force == 0.0:
+            return 0.0
+        outward_m_s = max(0.0, (self._gx * self._vx + self._gy * self._vy) / force)
+        cycle_m = outward_m_s * _CYCLE_S + self._constants[3]
+        yielding = 1.0 / self.model.fade_n_m + outward_m_s / self.model.rate_n_s
+        return force * cycle_m + force * force * yielding / 2.0
+
     def _follow_credit(self, feedback: Feedback | None, dt_s: float) -> None:
         """Let the damping follow what either end lacks; without samples it returns to normal."""
         model = self.model

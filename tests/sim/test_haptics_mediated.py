@@ -205,6 +205,21 @@ def test_wall_rest_and_damping_together_change_the_force_by_1_1_n_a_ms():
     assert 1.0 < largest <= 1.1
 
 
+def test_a_wall_that_rises_leaves_the_rest_what_it_needs_to_fade():
+    controller = MediatedController(residual=True)
+    controller.handle_wall(pack_wall(WallMessage(1, Wall(0.0, 0.0, 140.0)), 1))
+    before, largest = (0.0, 0.0), 0.0
+    for ms in range(1500):
+        controller.port.credit_j = 0.5
+        # The hand gives way, while the wall rises behind it.
+        feedback = Feedback(-2.0, 0.0, 0, True, acted=True)
+        now = controller.step(feedback, 0.03 - 0.00001 * max(0, ms - 300), 0.0, MS)
+        largest = max(largest, hypot(now[0] - before[0], now[1] - before[1]))
+        before = now
+    print(largest, controller.renderer.tank_j, controller.renderer.spare_j, now)
+    assert largest <= 1.1
+
+
 def test_a_robot_that_starts_in_contact_finds_a_soft_wall_while_it_lets_go():
     script = (PRESS[0], PRESS[1]._replace(stay_ns=60_000 * MS))
     pair = MediatedPair(60, PUSH_6_N, residual=True, stiffness_n_m=78.0, script=script)

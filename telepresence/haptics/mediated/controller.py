@@ -91,6 +91,8 @@ class MediatedController(JoystickController):
             bx, by = self._damping_n
             renderer.handle_flow(bx * (x_m - before[0]) + by * (y_m - before[1]))
         renderer.limit_n = limit_n
+        # A wall that rises must leave what the rest needs to fade.
+        renderer.kept_j = self._fade_j()
         felt = feedback is None or not feedback[7]
         held_x, held_y = renderer.force_n
         wall_x, wall_y = renderer.step(x_m, y_m, dt_ns, felt=felt)

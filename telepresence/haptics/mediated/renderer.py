@@ -60,6 +60,7 @@ class WallRenderer:
     """Call `handle_wall` for each message, and `step` once a millisecond for the force.
 
     limit_n: the greatest force (N) now; set it before a step.
+    kept_j: of the tank, for others; a steeper spring leaves it. Set it before a step.
     force_n: the present force on the handle (N, N).
     tank_j: energy taken from the hand less energy given to it, bounded by `limit_j`.
     least_j: the lowest value of `tank_j` so far.
@@ -70,6 +71,7 @@ class WallRenderer:
     def __init__(self, model: RendererModel | None = None) -> None:
         self.model = model = model or RendererModel()
         self.limit_n = 12.0
+        self.kept_j = 0.0
         self.tank_j = self.least_j = model.start_j
         self.given_j = 0.0
         self.used = self.stale = 0
@@ -182,7 +184,8 @@ class WallRenderer:
 
     def _steepen(self, force: float) -> None:
         """Choose the spring whose energy at this force the tank pays for, as soft as the wall."""
-        tank_j, steepest = self.tank_j, max(self._stiffness, self.model.steepest_n_m)
+        tank_j = self.tank_j - self.kept_j
+        steepest = max(self._stiffness, self.model.steepest_n_m)
         need_n_m = force * force / (2.0 * tank_j) if tank_j > 0.0 else steepest
         self._spring_n_m = min(max(self._stiffness, need_n_m), steepest)
 
