@@ -1,8 +1,11 @@
-"""Packets as an RtpReceiver hands them on, and a sender whose packets leave at once."""
+"""Packets as an RtpReceiver hands them on, and both ends of a stream of pictures."""
 
-from kontur_av.rtp.receiver import RtpReceived
+from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.rtp.receiver import RtpReceived, RtpReceiver
 from kontur_av.rtp.sender import RtpSender
 from kontur_av.rtp.wire import RtpPacket
+
+FRAME_NS = 33_333_333
 
 
 def received(
@@ -40,3 +43,49 @@ class PromptSender(RtpSender):
         for packet in made.packets:
             self.handle_sent(packet, stamp.capture_ns)
         return made
+
+
+def make_sender(**changes) -> PromptSender:
+    return PromptSender(
+        **{
+            "payload_type": 96,
+            "clock_rate_hz": 90_000,
+            "ssrc": 1,
+            "first_sequence": 65_530,
+            "timestamp_offset": 2**32 - 5000,
+            "cname": "test",
+        }
+        | changes
+    )
+
+
+def make_receiver(**changes) -> RtpReceiver:
+    return RtpReceiver(**{"payload_type": 96, "clock_rate_hz": 90_000} | changes)
+
+
+def picture(number: int, octets: int = 100) -> AccessUnit:
+    # A slice whose first_mb_in_slice is 0 (0x88 begins with a one bit).
+    data = b"\x00\x00\x00\x01\x41\x88" + bytes([1 + number % 255]) * octets
+    return AccessUnit(data, CaptureStamp(number * FRAME_NS, number, "test"), False)
+
+
+def singles(count: int, **changes) -> list[bytes]:
+    """Return `count` packets, each one picture."""
+    rtp = make_sender(**changes)
+    return [
+        packet for number in range(count) for packet in rtp.video_packets(picture(number)).packets
+    ]
+
+
+def drain(receiver: RtpReceiver) -> list:
+    events = []
+    while (event := receiver.next_event()) is not None:
+        events.append(event)
+    return events
+
+
+def reported(ssrc=1):
+    """Return the packet of one picture, and the sender report that belongs to it."""
+    rtp = make_sender(ssrc=ssrc)
+    (packet,) = rtp.video_packets(picture(0)).packets
+    return packet, rtp.poll_report(0)
