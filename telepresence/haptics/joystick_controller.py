@@ -177,7 +177,7 @@ class JoystickController(PortController):
                 self.acted += 1
                 self._regaining = True
             if self._regaining and goal > now:
-                rate = self.model.regain_n_s
+                rate = min(rate, self.model.regain_n_s)
         change_x, change_y = goal_x - gx, goal_y - gy
         change = sqrt(change_x * change_x + change_y * change_y)
         if change > rate * dt_s:

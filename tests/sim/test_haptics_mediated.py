@@ -221,6 +221,21 @@ def test_a_wall_that_rises_leaves_the_rest_what_it_needs_to_fade(force_n, stiffn
     assert largest <= 1.1
 
 
+def test_motors_that_get_weaker_at_a_resting_handle_leave_no_force_beyond_their_limit():
+    controller = MediatedController(residual=True)
+    for ms in range(900):
+        if ms == 20:
+            controller.handle_wall(pack_wall(WallMessage(1, Wall(0.0, 0.0, 1500.0)), 1))
+        # The rest lacks its credit at first, so it still returns when the limit falls.
+        controller.port.credit_j = 0.0 if ms < 790 else 0.03
+        controller.renderer.tank_j = 0.5
+        controller.limit_n = limit_n = 12.0 if ms < 800 else 3.0
+        force = controller.step(Feedback(-3.0, 0.0, 0, False), 0.06, 0.0, MS)
+        assert hypot(*force) <= limit_n + 1e-9
+        if ms == 799:
+            assert hypot(*force) > 11.0
+
+
 def test_a_robot_that_starts_in_contact_finds_a_soft_wall_while_it_lets_go():
     script = (PRESS[0], PRESS[1]._replace(stay_ns=60_000 * MS))
     pair = MediatedPair(60, PUSH_6_N, residual=True, stiffness_n_m=78.0, script=script)

@@ -102,7 +102,8 @@ class MediatedController(JoystickController):
         self._constants = (self._constants[0], rate_n_s, *self._constants[2:4], most_n_s)
         if feedback is not None and (not self.residual or (self._unknown and (wall_x or wall_y))):
             feedback = _tuple(Feedback, (0.0, 0.0, *feedback[2:]))
-        self.limit_n = limit_n - hypot(wall_x, wall_y)
+        # Rounding must not make it negative.
+        self.limit_n = max(0.0, limit_n - hypot(wall_x, wall_y))
         self.most_j = renderer.spare_j
         self._damping_n = bx, by = super().step(feedback, x_m, y_m, dt_ns)
         self.limit_n = limit_n
