@@ -237,8 +237,7 @@ class JoystickController(PortController):
         """
         if credit_j <= 0.0:
             return 0.0
-        cycle_m = outward_m_s * _CYCLE_S + self._constants[3]
-        yielding = 1.0 / self.model.fade_n_m + outward_m_s / self.model.rate_n_s
+        cycle_m, yielding = self._fading(outward_m_s)
         # The root of force * cycle_m + force^2 * yielding / 2 = credit.
         return (sqrt(cycle_m * cycle_m + 2.0 * yielding * credit_j) - cycle_m) / yielding
 
@@ -248,9 +247,13 @@ class JoystickController(PortController):
         if force == 0.0:
             return 0.0
         outward_m_s = max(0.0, (self._gx * self._vx + self._gy * self._vy) / force)
-        cycle_m = outward_m_s * _CYCLE_S + self._constants[3]
-        yielding = 1.0 / self.model.fade_n_m + outward_m_s / self.model.rate_n_s
+        cycle_m, yielding = self._fading(outward_m_s)
         return force * cycle_m + force * force * yielding / 2.0
+
+    def _fading(self, outward_m_s: float) -> tuple[float, float]:
+        """Return the next cycle's distance (m), and the way of a fade for each newton (m/N)."""
+        cycle_m = outward_m_s * _CYCLE_S + self._constants[3]
+        return cycle_m, 1.0 / self.model.fade_n_m + outward_m_s / self.model.rate_n_s
 
     def _follow_credit(self, feedback: Feedback | None, dt_s: float) -> None:
         """Let the damping follow what either end lacks; without samples it returns to normal."""

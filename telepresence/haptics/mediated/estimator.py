@@ -74,8 +74,8 @@ class EstimatorModel:
     stiffness, and one of the angle, that is told.
     apart_ns: the least time between two messages. repeat_ns: the time to the next without a change;
     pressed_ns, unheard_ns: while the tip touches something, and while no joystick is heard then. A
-    joystick that starts meanwhile soon has the wall. first: of the messages after a start of either
-    end so many are `apart_ns` apart, because some are lost.
+    joystick that starts meanwhile soon has the wall. first: after a start of either end, so many
+    messages are `apart_ns` apart, because some are lost.
     """
 
     least_n: float = 0.05

@@ -60,7 +60,7 @@ class WallRenderer:
     """Call `handle_wall` for each message, and `step` once a millisecond for the force.
 
     limit_n: the greatest force (N) now; set it before a step.
-    kept_j: of the tank, for others; a steeper spring leaves it. Set it before a step.
+    kept_j: what the tank keeps for other forces; a steeper spring leaves it. Set it before a step.
     force_n: the present force on the handle (N, N).
     tank_j: energy taken from the hand less energy given to it, bounded by `limit_j`.
     least_j: the lowest value of `tank_j` so far.
