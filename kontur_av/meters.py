@@ -169,19 +169,6 @@ class SlidingWindow:
         self.octets += octets
         self.most_octets = max(self.most_octets, self.octets)
 
-    def room_ns(self, room_octets: int, octets: int, now_ns: int) -> int:
-        """Return from when on `octets` fit into a window of `room_octets`: `now_ns` or later."""
-        self._forget(now_ns)
-        excess = self.octets + octets - room_octets
-        if excess <= 0:
-            return now_ns
-        for event_ns, event_octets in self._events:
-            excess -= event_octets
-            if excess <= 0:
-                return event_ns + self.length_ns
-        # More than the window can hold: wait until it is empty.
-        return self._events[-1][0] + self.length_ns if self._events else now_ns
-
     def _forget(self, now_ns: int) -> None:
         gone_ns = now_ns - self.length_ns
         while self._events and self._events[0][0] <= gone_ns:

@@ -25,6 +25,19 @@ class _Limit(SlidingWindow):
         super().__init__(length_ns)
         self.room_octets = room_octets
 
+    def room_ns(self, octets: int, now_ns: int) -> int:
+        """Return from when on `octets` fit: `now_ns` or later."""
+        self._forget(now_ns)
+        excess = self.octets + octets - self.room_octets
+        if excess <= 0:
+            return now_ns
+        for event_ns, event_octets in self._events:
+            excess -= event_octets
+            if excess <= 0:
+                return event_ns + self.length_ns
+        # More than the window can hold: wait until it is empty.
+        return self._events[-1][0] + self.length_ns if self._events else now_ns
+
 
 class Pacer:
     """Releases a stream's packets under a hard cap. A core.
@@ -139,9 +152,7 @@ class Pacer:
         """Return when the next picture could start on the channel: `now_ns` or later."""
         wanted = self._backlog_octets + self.picture_octets
         start_ns = max(self._free_ns, now_ns) + self._on_channel_ns(self._backlog_octets)
-        return max(
-            start_ns, *(limit.room_ns(limit.room_octets, wanted, now_ns) for limit in self._limits)
-        )
+        return max(start_ns, *(limit.room_ns(wanted, now_ns) for limit in self._limits))
 
     @property
     def backlog_octets(self) -> int:
@@ -159,10 +170,7 @@ class Pacer:
 
     def _release_ns(self, octets: int, now_ns: int) -> int:
         earliest_ns = max(self._free_ns, now_ns)
-        return max(
-            earliest_ns,
-            *(limit.room_ns(limit.room_octets, octets, now_ns) for limit in self._limits),
-        )
+        return max(earliest_ns, *(limit.room_ns(octets, now_ns) for limit in self._limits))
 
     def _on_channel_ns(self, octets: int) -> int:
         return -(-octets * 8 * NS_PER_S // self.channel_bps)
