@@ -295,6 +295,7 @@ class VideoEncoder:
         anew: it cannot use the picture before.
         """
         width, height = self.unit_size
+        # Where parts overlap, the first one counts.
         parts: list[_Part] = []
         if region is not None:
             blocks = region.in_blocks((self.width, self.height), (width, height))
@@ -306,7 +307,8 @@ class VideoEncoder:
         if anew:
             self._sharpening.begin(-(-width // _BLOCK))
         elif (columns := self._sharpening.next_columns()) is not None:
-            left, right = columns[0] * _BLOCK, min(sum(columns) * _BLOCK, width)
+            first, count = columns
+            left, right = first * _BLOCK, min((first + count) * _BLOCK, width)
             parts.append(((left, 0, right - left, height), STEPS))
         return parts
 

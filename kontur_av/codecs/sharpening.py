@@ -1,18 +1,19 @@
 """After a cut or a key picture, sharpen the picture column by column.
 
-Such a picture is coarse. If each of those that follow is a little finer everywhere, much of their
-bits goes into saying so. Coding few columns much finer, and the rest as it is, takes fewer bits for
-the same quality. Each picture still has its share of the cap, so none is late.
+Such a picture is coarse. If each picture after it is a little finer everywhere, many of their bits
+only signal this. Coding few columns much finer, and the rest as it is, takes fewer bits for the
+same quality. Each picture still has its share of the cap, so none is late.
 """
 
 #: How much finer the columns are, in steps of the quantiser. With 10 and more, single columns take
 #: more than a picture's share, and pictures are left out.
 STEPS = 8
-#: After this many pictures. Until then all of the picture is made finer, because it is coarsest.
+#: The first column is sharpened after this many pictures. Until then the whole picture becomes
+#: finer, because it is coarsest.
 _WAIT = 8
-#: From the left to the right this many times.
+#: The columns are sharpened from the left to the right this many times.
 _PASSES = 2
-#: With two columns in the first picture, it takes up to two shares.
+#: Two columns in the first picture would make it take up to two shares.
 _FIRST_COLUMNS, _MOST_COLUMNS = 1.0, 8.0
 #: How large the pictures should be, in shares of the cap.
 _SHARES = 1.05
