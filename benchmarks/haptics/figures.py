@@ -113,9 +113,10 @@ def figures(cell: Cell, planned: CellPlan, course: Course) -> CellFigures:
     lives = np.diff(course["joystick_lives"], prepend=1.0) > 0.0
     starts = np.flatnonzero(lives | (np.diff(course["robot_lives"], prepend=1.0) > 0.0))
     felt_again = len(starts) > 0 and cell.at == "contact"
-    apart = handle + vectors(course, "offset") - vectors(course, "tip")
+    wanted = handle + vectors(course, "offset")
+    apart = wanted - vectors(course, "tip")
     normal = np.array(cell.normal)
-    depth_m = (apart + vectors(course, "tip")) @ normal - cell.place / 1000.0
+    depth_m = wanted @ normal - cell.place / 1000.0
     shares = _felt(cell, depth_m, motor)
 
     def felt_until(end: int) -> float:

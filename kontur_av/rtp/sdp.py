@@ -260,8 +260,8 @@ def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDe
         return None
     told: defaultdict[str, list[str]] = defaultdict(list)
     for key, value in block[1:]:
-        name_of, _, rest = value.partition(":")
-        told[f"{key}={name_of.strip()}"].append(rest.strip())
+        attribute, _, rest = value.partition(":")
+        told[f"{key}={attribute.strip()}"].append(rest.strip())
     # Both have one clock only (RFC 6184, RFC 7587), whatever some write.
     mapped = [" ".join(rest.split()).partition(" ") for rest in told["a=rtpmap"]]
     maps = {one: encoding.partition("/")[0].lower() for one, _, encoding in mapped}

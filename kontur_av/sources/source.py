@@ -58,7 +58,8 @@ class AudioSource(Protocol):
 class StampingSource:
     """What the sources here share: stamps in their order, and faults that they survive.
 
-    name: of the input, in every stamp. place: of what is read; `last_fault` begins with it.
+    name: of the input, in every stamp. place: the device or file that is read; `last_fault` begins
+    with it.
     """
 
     def __init__(self, name: str, clock: Clock, place: str = "") -> None:
@@ -68,7 +69,7 @@ class StampingSource:
         self._sequence = 0
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: a source that opens something overrides this."""
 
     def _stamp(self, capture_ns: int) -> CaptureStamp:
         """Return the stamp of the next picture or block."""

@@ -4,10 +4,10 @@ from kontur_av.clock import NS_PER_S
 
 
 class Allowance:
-    """`burst` of something at once, and one more each `each_ns` in the long run; full at the start.
+    """`burst` of something at once, and one more every `each_ns`; full at the start.
 
-    It counts in time, as the generic cell rate algorithm does (ITU-T I.371): `_full_ns` is when all
-    of it will be there again.
+    It counts in time, as the generic cell rate algorithm does (ITU-T I.371): `_full_ns` is when it
+    will be full again.
     """
 
     def __init__(self, burst: int, each_ns: int) -> None:

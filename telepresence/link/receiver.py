@@ -229,7 +229,7 @@ class LinkReceiver:
     def _find_skipped(self, count24: int, now_ns: int) -> int | None:
         """Return how many frames of the stream are missing before this one.
 
-        None if it does not belong to the stream: it cannot have that many by now.
+        None if it does not belong to the stream, which cannot have sent so many by now.
         """
         if self._next24 < 0:
             if self.cautious:

@@ -159,21 +159,21 @@ class EndCondition:
 
 
 class _OrderCheck(EndCondition):
-    """Orders something, and ends when it is there."""
+    """Gives one order, and ends when that was carried out."""
 
     def __init__(self, elemop: Elemop, now_ns: int) -> None:
         super().__init__(elemop, now_ns)
-        self._order, self._there = _ordered(elemop)
+        self._order, self._carried_out = _ordered(elemop)
 
     def holds(self, view: View, now_ns: int) -> bool:
-        return self._there(view)
+        return self._carried_out(view)
 
     def order(self, now_ns: int) -> Order:
         return self._order
 
 
 def _ordered(elemop: Elemop) -> tuple[Order, Callable[[View], bool]]:
-    """Return an Elemop's order, and how it is seen that it was carried out."""
+    """Return an Elemop's order, and whether a view shows that it was carried out."""
     match elemop:
         case SetPower(on=on):
             return PowerRobot(on), lambda view: view.powered is on
@@ -198,7 +198,10 @@ def _picture(elemop: Show) -> PanelPicture:
 
 
 class _HeldCheck(EndCondition):
-    """Ends when `fits` has held for a time without a break. told: the goal, without times."""
+    """Ends when `fits` has held for a time without a break.
+
+    told: what the panel is told of the goal, without times.
+    """
 
     elemop: Reach | Pull | Meet | HoldBall
 

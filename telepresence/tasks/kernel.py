@@ -141,8 +141,10 @@ class TopKernel:
         late_ns = now_ns - self._tick_ns
         self._tick_ns = now_ns
         if self._ending is None:
-            stopped = TaskResult.ABORTED, "the kernel was stopped"
-            if obstacle := stopped if late_ns > _LATE_NS else view.obstacle:
+            obstacle = view.obstacle
+            if late_ns > _LATE_NS:
+                obstacle = TaskResult.ABORTED, "the kernel was stopped"
+            if obstacle is not None:
                 self._end(*obstacle, now_ns)
         check = self._check
         assert check is not None

@@ -194,9 +194,8 @@ class TaskProgress(_Checked):
             raise ConfigError("turn_ms is 0: a spot needs the time of a turn")
 
 
-K2aciMessage = TaskSelected | StartTask | TaskFinished | PanelState | Chat | TaskProgress
-
 #: A class's place is its kind on the wire, from 1.
+K2aciMessage = TaskSelected | StartTask | TaskFinished | PanelState | Chat | TaskProgress
 CLASSES: tuple[type[K2aciMessage], ...] = get_args(K2aciMessage)
 
 

@@ -120,7 +120,7 @@ class _Open:
 
     @property
     def about(self) -> tuple[int, int, int]:
-        """By which a report about it is known."""
+        """What a report about it names: APID, sequence count and source."""
         return self.command.apid, self.command.count, self.command.source
 
 
