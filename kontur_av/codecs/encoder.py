@@ -317,7 +317,8 @@ class _Marker:
     """Marks parts of pictures of one size by FFmpeg's filter `addroi`.
 
     PyAV cannot set this side data itself. The filter takes no commands, so other parts need a new
-    graph, which takes 0.3 ms. Parts of whole macroblocks change less often.
+    graph, which takes 0.3 ms. A region of whole macroblocks changes seldom; columns change with
+    each picture.
     """
 
     def __init__(self, coded: tuple[int, int], parts: list[_Part]) -> None:

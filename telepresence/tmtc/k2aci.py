@@ -93,7 +93,10 @@ def _text(least: int, most: int, default: Any = MISSING) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class _Checked:
-    """Its fields are checked when it is made. ConfigError."""
+    """Its fields are checked when it is made. ConfigError.
+
+    A subclass with more checks names this class, because `super()` fails in a class with slots.
+    """
 
     def __post_init__(self) -> None:
         for one in fields(self):

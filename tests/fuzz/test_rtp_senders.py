@@ -138,10 +138,8 @@ def test_any_way_to_packetize_gives_the_same_pictures(pictures, way, first):
 @given(st.lists(PICTURE, min_size=4, max_size=12), WAY, st.sets(st.integers(0, 200), min_size=1))
 def test_markers_amid_pictures_cost_one_picture_at_most(pictures, way, astray):
     way = way | {"markers": "last", "empty_packets": False, "heads_earlier": 0, "end_bit": True}
-    depacketizer, receiver = (
-        NalDepacketizer(H264),
-        RtpReceiver(payload_type=96, clock_rate_hz=90_000),
-    )
+    depacketizer = NalDepacketizer(H264)
+    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
     for number, (payload, timestamp, marker) in enumerate(packets_of(pictures, way)):
         receiver.handle_packet(rtp(payload, timestamp, marker or number in astray, number), number)
         while (event := receiver.next_event()) is not None:
