@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 from stat import S_ISREG
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 
 _LARGEST_FILE = 65536
 _MOST_SECRET_OCTETS = 4096
@@ -42,10 +42,8 @@ def read_private(path: Path, forbidden: int = OTHERS) -> bytes | None:
 
 def read_secret(path: Path, option: str) -> str:
     """Return the text of a file that holds a secret; ConfigError if it has none."""
-    try:
+    with refused(f"{option} {str(path)!r} cannot be read"):
         octets = path.read_bytes()[: _MOST_SECRET_OCTETS + 1]
-    except OSError as error:
-        raise ConfigError(f"{option} {str(path)!r} cannot be read: {error.strerror}") from None
     if len(octets) > _MOST_SECRET_OCTETS:
         raise ConfigError(f"{option} {str(path)!r} is longer than {_MOST_SECRET_OCTETS} octets")
     text = octets.decode("utf-8", "replace").strip()

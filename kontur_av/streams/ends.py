@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.closing import Closing
-from kontur_av.errors import ConfigError, one_of
+from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import (
     BLOCK_NS,
     BLOCK_SAMPLES,
@@ -327,10 +327,8 @@ class StreamReceiver(_AsyncClosing):
     """
 
     def __init__(self, sdp: str | Path) -> None:
-        try:
+        with refused(f"{sdp} cannot be read"):
             text = Path(sdp).read_text(encoding="utf-8", errors="replace")
-        except OSError as error:
-            raise ConfigError(f"{sdp} cannot be read: {error.strerror}") from None
         stream = parse_sdp(text)
         self._clock = MonotonicClock()
         self._udp = UdpReceiver(stream.host, stream.port, stream.control_port, stream.sources)

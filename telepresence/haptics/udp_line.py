@@ -10,7 +10,7 @@ import socket
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from telepresence.haptics.udp_protocol import KEY_OCTETS, LONGEST_OCTETS, NO_KEY, UdpFacts, UdpRole
 from telepresence.haptics.udp_session import UdpSession
 from telepresence.private_file import read_private
@@ -49,10 +49,8 @@ class UdpLine:
     def connect(self) -> UdpFacts:
         """Wait for the first reading; return the facts. ConfigError if none comes in 2 s."""
         clock, session = MonotonicClock(), self.session
-        try:
+        with refused(f"{self._name} cannot be reached"):
             self._udp.connect(self._address)
-        except OSError as error:
-            raise ConfigError(f"{self._name} cannot be reached: {error.strerror}") from None
         due_ns = clock.now_ns()
         until_ns = due_ns + _PATIENCE_NS
         while session.silent and due_ns < until_ns:

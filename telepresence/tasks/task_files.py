@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import PlannedTask, SessionPlan
 from telepresence.tasks.reader import read_tasks
@@ -25,10 +25,8 @@ def load_tasks(files: Sequence[Path] = ()) -> Catalogue:
     """The built-in catalogue and what `files` define; a ConfigError names file and line."""
     catalogue = built_in_tasks()
     for path in files:
-        try:
+        with refused(f"cannot read tasks {path}"):
             octets = path.read_bytes()
-        except OSError as error:
-            raise ConfigError(f"cannot read tasks {path}: {error.strerror or error}") from None
         try:
             catalogue = read_tasks(octets, catalogue)
         except ConfigError as error:
@@ -59,12 +57,10 @@ def load_plan(path: Path) -> tuple[SessionPlan, Catalogue]:
     repeat = 2
     """
     table = read_toml(path, "plan")
-    try:
+    with refused(f"plan {path}", ConfigError):
         entry = typed(table, _File, "a plan")
         catalogue = load_tasks([path.parent / name for name in entry.files])
         plan = SessionPlan(tasks=entry.task, again=entry.again, skill=entry.skill)
         for planned in plan.tasks:
             catalogue.task(planned.name)
-    except ConfigError as error:
-        raise ConfigError(f"plan {path}: {error}") from None
     return plan, catalogue

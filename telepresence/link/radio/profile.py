@@ -6,7 +6,7 @@ from random import Random
 from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from telepresence.link.figures import ContactWindows
 from telepresence.link.radio.channel import BlackoutClock, BurstClock, RadioChannel, random_windows
 from telepresence.link.radio.contact import Contact, ContactFading
@@ -182,10 +182,8 @@ _CONTACT_LIMITS = {
 def _check_contact(contact: Contact) -> None:
     for name, (least, most) in _CONTACT_LIMITS.items():
         _within(f"contact.{name}", getattr(contact, name), least, most)
-    try:
+    with refused("contact.elements", ConfigError):
         parse_elements(contact.elements)
-    except ConfigError as error:
-        raise ConfigError(f"contact.elements: {error}") from None
     if parse_utc(contact.after) is None:
         raise ConfigError(
             f'contact.after is "{contact.after}": write it like "2015-08-18T14:00:00Z"'

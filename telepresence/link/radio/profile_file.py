@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from telepresence.link.radio.orbit import parse_elements
 from telepresence.link.radio.profile import BUILT_IN, RadioProfile, built_in_radio
 from telepresence.toml_file import check_known, read_toml, typed
@@ -23,10 +23,8 @@ def load_radio(name_or_file: str) -> RadioProfile:
     if path.suffix != ".toml":
         return built_in_radio(name_or_file)
     table = read_toml(path, "radio")
-    try:
+    with refused(f"radio {path}", ConfigError):
         return radio_from_table({"name": path.stem, **table}, path.parent)
-    except ConfigError as error:
-        raise ConfigError(f"radio {path}: {error}") from None
 
 
 def radio_from_table(table: Mapping[str, Any], folder: Path) -> RadioProfile:
@@ -54,12 +52,8 @@ def radio_from_table(table: Mapping[str, Any], folder: Path) -> RadioProfile:
 
 def _read_elements(path: Path) -> str:
     """Read an element set and check it; return its text. ConfigError."""
-    try:
+    with refused(f"cannot read elements {path}", OSError, UnicodeDecodeError):
         text = path.read_text(encoding="utf-8")
+    with refused(f"elements {path}", ConfigError):
         parse_elements(text)
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"cannot read elements {path}: {reason}") from None
-    except ConfigError as error:
-        raise ConfigError(f"elements {path}: {error}") from None
     return text

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from telepresence.tmtc.pus.dictionary import (
     Action,
     Application,
@@ -40,10 +40,8 @@ def built_in_dictionary() -> Dictionary:
 def load_dictionary(path: Path) -> Dictionary:
     """Return the dictionary in a TOML file; ConfigError."""
     table = read_toml(path, "dictionary")
-    try:
+    with refused(f"dictionary {path}", ConfigError):
         return dictionary_from_table(table)
-    except ConfigError as error:
-        raise ConfigError(f"dictionary {path}: {error}") from None
 
 
 def dictionary_from_table(table: Mapping[str, Any]) -> Dictionary:
@@ -110,8 +108,6 @@ def _actions(name: str, items: object) -> tuple[Action, ...]:
         if not isinstance(item, Mapping):
             needs = ", ".join(field.name for field in fields(Action))
             raise ConfigError(f"{where} must be tables [[{where}]] with {needs}")
-        try:
+        with refused(where, ConfigError):
             actions.append(typed(item, Action, where))
-        except ConfigError as error:
-            raise ConfigError(f"{where}: {error}") from None
     return tuple(actions)
