@@ -117,7 +117,7 @@ def figures(cell: Cell, planned: CellPlan, course: Course) -> CellFigures:
     apart = wanted - vectors(course, "tip")
     normal = np.array(cell.normal)
     depth_m = wanted @ normal - cell.place / 1000.0
-    shares = _felt(cell, depth_m, motor)
+    shares = _felt(cell, depth_m, -(motor @ normal))
 
     def felt_until(end: int) -> float:
         return float(np.mean(shares[max(0, end - _MEAN_MS) : end]))
@@ -167,10 +167,9 @@ def _span(phases: Values, phase: str) -> tuple[int, int]:
     return int(rows[0]), int(rows[-1]) + 1
 
 
-def _felt(cell: Cell, depth_m: Values, motor: Values) -> Values:
+def _felt(cell: Cell, depth_m: Values, against_n: Values) -> Values:
     """Felt stiffness over the ideal (%) in each millisecond."""
-    normal = np.array(cell.normal)
-    felt: Values = -(motor @ normal) / np.maximum(depth_m, _LEAST_M) / series_n_m(cell.wall)
+    felt: Values = against_n / np.maximum(depth_m, _LEAST_M) / series_n_m(cell.wall)
     return 100.0 * felt
 
 
