@@ -51,7 +51,7 @@ from pipelines.recording.session_messages import (
     SampleNumbers,
     SessionMessages,
 )
-from pipelines.session.figures import SessionEvents, leaves
+from pipelines.session.figures import SessionEvents, nested_values
 from pipelines.session.seat_roles import VIEWER_WORDS
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Topology
@@ -100,7 +100,7 @@ class Bridge:
         self._events: deque[Sequence[ChannelMessage]] = deque(maxlen=_KEPT_EVENTS)
         self._figures: Mapping[str, Figure] = {}
         self._figures_ns = 0
-        self._setup = dict(leaves(tomllib.loads(setup_toml(topology.setup)), "setup"))
+        self._setup = dict(nested_values(tomllib.loads(setup_toml(topology.setup)), "setup"))
         self.services = Services(topology, life)
         #: By channel, of clients that have gone; missed: of all.
         self._sent: Counter[str] = Counter()

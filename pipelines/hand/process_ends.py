@@ -121,6 +121,7 @@ def run_robot(context: Context) -> None:
             follow_stop(kept, end),
             _trace(bus, ROBOT_TRACE_TOPIC, end.trace),
             serve_robot(bus, desk, tasks=tasks),
+            # After what takes orders, so that a restarted process knows them.
             keep_robot(kept, desk),
             watch_camera(bus, context.setup, end),
         ]
@@ -183,6 +184,7 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
                 _trace(bus, JOYSTICK_TRACE_TOPIC, end.trace),
                 _status(bus, handle, reads),
                 *([lambda _: end.follow_experiment()] if board else []),
+                # After what takes orders, so that a restarted process knows them.
                 keep_joystick(kept, handle),
                 look_at_picture(bus, context.topology, handle),
             ]

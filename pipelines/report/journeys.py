@@ -351,7 +351,7 @@ class HapticFigures:
 
     @property
     def unmatched(self) -> int:
-        """Samples received of which the instant of sending never became known."""
+        """Samples received whose instant of sending never became known."""
         return self._matcher.unmatched
 
     def handle_sent(self, rows: NDArray[np.int64], now_ns: int) -> None:

@@ -164,7 +164,7 @@ class HapticReport(Report, frozen=True, kw_only=True):
     receiver: Received[Flat[SamplesReceived]]
     #: From one end's loop to the other's.
     latency_ms: Spread
-    #: Samples received of which the instant of sending never became known.
+    #: Samples received whose instant of sending never became known.
     unmatched: Received[int]
     #: Begin and end of each time over 0.2 s without a sample, in session time.
     pauses_s: list[tuple[float, float]]

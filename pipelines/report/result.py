@@ -27,11 +27,15 @@ def fitted_table(
     ranks: by heading. Where the width is too small, columns of the highest rank go first.
     """
     columns = list(zip(ranks, *rows, strict=True))
-    # The heading and the cells, and a border.
-    widths = [3 + max(Text.from_markup(h).cell_len, *map(_cell_len, c), 0) for h, *c in columns]
+    # A column has a space at each side and a border.
+    widths = [
+        3 + max(Text.from_markup(heading).cell_len, *map(_cell_len, cells), 0)
+        for heading, *cells in columns
+    ]
+    rank = list(ranks.values())
     kept = list(range(len(columns)))
     while len(kept) > 1 and 1 + sum(widths[at] for at in kept) > width:
-        kept.remove(max(kept[1:], key=lambda at: [*ranks.values()][at]))
+        kept.remove(max(kept[1:], key=lambda at: rank[at]))
     table = Table()
     for at, heading in enumerate(ranks):
         if at in kept:

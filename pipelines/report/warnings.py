@@ -28,7 +28,7 @@ _SIGNAL_SHARE, _LOST_SHARE = 0.95, 0.01
 #: A shorter session says nothing about its pictures.
 _LEAST_NS = 3 * NS_PER_S
 #: From this round trip on, a first press is often felt too soft without a rendered wall.
-LONG_NS = 100 * NS_PER_MS
+_LONG_TRIP_NS = 100 * NS_PER_MS
 
 _NO_REAL_TIME = "allow real-time priority: `kontur-av doctor` says how"
 _TOO_SLOW = "use fewer cameras, or a faster machine"
@@ -73,7 +73,7 @@ def find_warnings(
 
 
 def hand_warnings(collector: Collector) -> list[Warning]:
-    """Whether the hand felt the delayed force alone, where a rendered wall is felt better."""
+    """A warning for a direct hand at a long round trip, where a rendered wall is felt better."""
     setup, topology = collector.setup, collector.topology
     if setup.hand != "direct" or setup.partner_arm in ("shared", "board"):
         return []
@@ -82,10 +82,10 @@ def hand_warnings(collector: Collector) -> list[Warning]:
         trip_ns = sum(way.percentile(50) for way in ways) if all(way.count for way in ways) else 0
     else:
         # The other machine's clock is known to half of the shortest round trip.
-        link = collector.process(topology.gateway(Segment.SPACE).name).link
+        link = collector.gateway(Segment.SPACE).link
         clock = None if link is None else link.clock
         trip_ns = 2 * (0 if clock is None else clock.error_ns or 0)
-    if trip_ns < LONG_NS:
+    if trip_ns < _LONG_TRIP_NS:
         return []
     measured = f"the hand felt forces after a round trip of {trip_ns / NS_PER_MS:.0f} ms"
     mend = "take `--hand auto`, which renders walls: docs/haptics-controllers.md"

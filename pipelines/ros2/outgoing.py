@@ -30,7 +30,7 @@ from pipelines.ros2.publications import (
     RosContent,
     RosSource,
 )
-from pipelines.session.figures import MonitoredSession, leaves
+from pipelines.session.figures import MonitoredSession, nested_values
 from telepresence.tmtc.k2aci import Chat
 
 #: Units wait no longer for a key picture; then they go out without one.
@@ -230,7 +230,7 @@ class OutgoingMessages:
         parts = {
             f"{part} {name}": {
                 key: value
-                for key, value in leaves(figures)
+                for key, value in nested_values(figures)
                 if value is not None and not isinstance(value, list)
             }
             for part in _TOLD

@@ -47,8 +47,8 @@ from telepresence.haptics.device.states import (
 )
 
 
-class Asked(NamedTuple):
-    """What a page asks of recorder, trainer or file transfer.
+class PageRequest(NamedTuple):
+    """A page's request to the recorder, the trainer or the file transfer.
 
     Pass the answer to `Seat.handle_answered`.
     """
@@ -66,7 +66,7 @@ class StopAsked(NamedTuple):
 
 #: What to tell: the joystick of the hand or of a command, the launcher of an order; recorder,
 #: trainer and the TM/TC end of this segment of what is asked.
-SeatEvent = PageInput | HandRequest | Order | Asked | StopAsked | TmtcRequest
+SeatEvent = PageInput | HandRequest | Order | PageRequest | StopAsked | TmtcRequest
 
 #: Pages that are open at a time: of viewers, and of all who may act.
 MOST_VIEWERS, MOST_ACTING = 12, 12
@@ -301,7 +301,7 @@ class Seat:
                 self._events.append(StopAsked(request.action == "stop", by))
                 return ""
             case RecordingRequest() | ExerciseRequest() | FetchRequest():
-                self._events.append(Asked(number, request))
+                self._events.append(PageRequest(number, request))
         return None
 
     # What topics and the launcher tell
@@ -368,7 +368,7 @@ class Seat:
             self.camera = camera
             self._tell_state(now_ns)
 
-    def handle_answered(self, asked: Asked, error: str) -> None:
+    def handle_answered(self, asked: PageRequest, error: str) -> None:
         """The answer of recorder, trainer or file transfer. error: "" if it does what was asked."""
         self._answer(Answered(asked.page, asked.request.request, error))
 

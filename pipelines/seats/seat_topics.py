@@ -31,7 +31,7 @@ from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.own_inputs import Given
 from pipelines.seats.plan import SeatStream, Unpack
-from pipelines.seats.seat import Asked, Seat, StopAsked
+from pipelines.seats.seat import PageRequest, Seat, StopAsked
 from pipelines.seats.texts import FetchRequest, RecordingRequest, Via
 from pipelines.seats.upkeep_watch import ask_process, fetch
 from pipelines.session.orders import KeptOrders
@@ -360,7 +360,7 @@ class SeatDeeds:
                         self._orders.stop(event.by)
                     else:
                         self._orders.release()
-                case Asked():
+                case PageRequest():
                     self._serving.begin(self._ask(event))
                 case _:
                     # One that is not taken now is repeated.
@@ -380,7 +380,7 @@ class SeatDeeds:
         loan.payload[:] = np.frombuffer(given.data, np.uint8)
         loan.publish(given.stamp)
 
-    async def _ask(self, asked: Asked) -> None:
+    async def _ask(self, asked: PageRequest) -> None:
         session, request = self._context.session, asked.request
         if isinstance(request, FetchRequest):
             error = await fetch(session, self._seat.plan.segment, request.inbox)

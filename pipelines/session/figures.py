@@ -104,10 +104,10 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What all parts of a report have in common."""
 
 
-def leaves(values: object, name: str = "") -> Iterator[tuple[str, Any]]:
+def nested_values(values: object, name: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the values of nested tables, by their keys joined by dots."""
     if isinstance(values, Mapping):
         for key, below in values.items():
-            yield from leaves(below, f"{name}.{key}" if name else key)
+            yield from nested_values(below, f"{name}.{key}" if name else key)
     else:
         yield name, values

@@ -201,4 +201,3 @@ def unpack(kind: type[MessageT], octets: bytes) -> MessageT:
         raise ProtocolError(f"{kind.__name__} has {len(octets)} octets: at most {MISSION_OCTETS}")
     with refused(kind.__name__, *MALFORMED, to=ProtocolError):
         return msgspec.msgpack.decode(octets, type=kind)
-    # text that is not UTF-8; lists in lists in the place of a field that nobody knows.

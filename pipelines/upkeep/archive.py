@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
-from pipelines.session.figures import leaves
+from pipelines.session.figures import nested_values
 
 #: "KAva", by which a file is known as an archive.
 _APPLICATION = 0x4B417661
@@ -88,7 +88,7 @@ class SessionArchive(Closing):
             # Lists and texts are left out.
             figures = (
                 (number, key, float(value))
-                for key, value in leaves(report)
+                for key, value in nested_values(report)
                 if isinstance(value, int | float)
             )
             base.executemany("insert into figure values (?, ?, ?)", figures)

@@ -15,7 +15,7 @@ SETUP = """
 cameras = ["stereo", "static", "head"]
 uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
 """
-#: Those whose length is fixed take 20 s in the catalogue, in which nobody learns more.
+#: In the catalogue, tasks of fixed length take 20 s; these two show the same in 5 s.
 SHORT = """<Tasks>
   <Pursue name="pursueShortly" path="eight" seconds="5" turn_s="10"/>
   <Operation name="execShortPursuit">

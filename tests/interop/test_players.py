@@ -183,7 +183,7 @@ def test_three_players_take_the_stream_by_srt_from_gstreamers_relay(tmp_path):
         ):
             sent = send(tmp_path, receiver.port)
             assert_shown("gstreamer", third, sent)
-            # So it ends the connections, whose players would else wait for 5 s.
+            # It then ends its connections; else their players would wait for 5 s.
             relaying.send_signal(signal.SIGINT)
             assert_shown("ffmpeg", other, sent)
             assert_shown("vlc", one, sent)

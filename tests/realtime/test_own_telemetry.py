@@ -30,7 +30,7 @@ def events_in(path):
 
 
 def test_the_samples_battery_is_told_called_and_heard_and_lives_on(start, tmp_path, monkeypatch):
-    # Nearer to its limit, to which it sinks.
+    # Begun nearer to its limit, so that the test waits less.
     battery = SAMPLE.read_text().replace("voltage_v = 12.0", "voltage_v = 11.3")
     (tmp_path / SAMPLE.name).write_text(battery)
     path = tmp_path / "run.mcap"

@@ -15,7 +15,7 @@ from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import Asked, Seat
+from pipelines.seats.seat import PageRequest, Seat
 from pipelines.seats.texts import ExerciseRequest, FetchRequest, RecordingRequest
 from pipelines.session.seat_roles import Role
 from pipelines.session.session_switch import Order
@@ -331,7 +331,7 @@ def test_each_seat_does_its_own():
         ask(seat, page, "command", **SELECT_HEAD)
         ask(seat, page, "hand", action="take")
         ask(seat, page, "record", action="start")
-    assert events(ground) == [Order.STOP, Asked(1, RecordingRequest(7, "start"))]
+    assert events(ground) == [Order.STOP, PageRequest(1, RecordingRequest(7, "start"))]
     assert [type(event) for event in events(space)] == [Order, SendCommand]
 
 
@@ -352,7 +352,7 @@ def test_only_the_trainer_gives_exercises_at_either_end(segment):
         ask(seat, page, "exercise", exercise="camera-lost", seconds=2, camera="head")
         found = events(seat)
         if role is Role.TRAINER:
-            assert found == [Asked(page, ExerciseRequest(7, "camera-lost", 2.0, "head"))]
+            assert found == [PageRequest(page, ExerciseRequest(7, "camera-lost", 2.0, "head"))]
             seat.handle_answered(found[0], "no camera head is here")
         answers = [text["error"] for text in texts(seat, page, "answer")]
         assert found if role is Role.TRAINER else not found
@@ -378,8 +378,8 @@ def test_a_role_does_what_is_its_own_and_is_told_who_may_the_rest():
     ask(seat, page, "fetch", inbox="joystick")
     ask(seat, page, "command", application="joystick", verb="ping")
     recording, fetched, asked = events(seat)
-    assert recording == Asked(page, RecordingRequest(7, "start"))
-    assert fetched == Asked(page, FetchRequest(7, "joystick"))
+    assert recording == PageRequest(page, RecordingRequest(7, "start"))
+    assert fetched == PageRequest(page, FetchRequest(7, "joystick"))
     assert (asked.application, asked.verb) == ("joystick", "ping")
 
 
