@@ -19,17 +19,17 @@ class ProtocolError(Exception):
 def refused(
     what: object,
     *kinds: type[Exception],
-    to: type[ConfigError] | type[ProtocolError] = ConfigError,
+    raising: type[ConfigError] | type[ProtocolError] = ConfigError,
 ) -> Iterator[None]:
-    """Within it, an error of these kinds becomes a `to` that says `what`, and the reason.
+    """Within it, an error of these kinds becomes one of `raising`, which says `what` and why.
 
-    kinds: without any, OSError.
+    kinds: OSError if none is given.
     """
     caught = kinds or (OSError,)
     try:
         yield
     except caught as error:
-        raise to(f"{what}: {getattr(error, 'strerror', None) or error}") from None
+        raise raising(f"{what}: {getattr(error, 'strerror', None) or error}") from None
 
 
 def one_of(text: str, choices: Sequence[_Choice], what: str) -> _Choice:

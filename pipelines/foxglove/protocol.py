@@ -118,7 +118,7 @@ Value = bool | int | float | str | list["Value"] | dict[str, "Value"] | None
 
 def parse_text(text: str) -> ClientText:
     """Return a client's request; ProtocolError for anything else."""
-    with refused("no request of a client", *MALFORMED, to=ProtocolError):
+    with refused("no request of a client", *MALFORMED, raising=ProtocolError):
         request: ClientText = _TEXTS.decode(text)
         return request
 
@@ -138,7 +138,7 @@ def parse_fields(row: ServiceRow, call: ServiceCall) -> Mapping[str, str]:
     """Return the fields of a request; ProtocolError for anything else."""
     if call.encoding != JSON:
         raise ProtocolError(f"{row.name} takes {JSON}, not {call.encoding[:20]!r}")
-    with refused(row.name, *MALFORMED, to=ProtocolError):
+    with refused(row.name, *MALFORMED, raising=ProtocolError):
         given = msgspec.json.decode(call.data or b"{}", type=dict[_Name, _Name])
     if set(given) != set(row.fields):
         needs = ", ".join(row.fields) or "nothing"

@@ -257,7 +257,7 @@ def read_description(text: str, *, answers: bool, ssrcs: dict[Kind, int]) -> Off
     """
     if len(text) > MOST_SDP_OCTETS:
         raise ProtocolError(f"a description of {len(text)} octets: {MOST_SDP_OCTETS} are most")
-    with refused("not a session description", *MALFORMED, to=ProtocolError):
+    with refused("not a session description", *MALFORMED, raising=ProtocolError):
         parsed = SessionDescription.parse(_readable(clean_candidates(text)))
         return _read(parsed, answers=answers, ssrcs=ssrcs)
 
@@ -306,7 +306,7 @@ def read_candidates(text: str) -> Transport:
     said = [line.strip().partition(":") for line in clean_candidates(text).splitlines()]
     ufrag = next((value for key, _, value in said if key == "a=ice-ufrag" and value), "")
     password = next((value for key, _, value in said if key == "a=ice-pwd" and value), "")
-    with refused("not a candidate of ICE", *MALFORMED, to=ProtocolError):
+    with refused("not a candidate of ICE", *MALFORMED, raising=ProtocolError):
         candidates = [candidate_from_sdp(value) for key, _, value in said if key == "a=candidate"]
     if not ufrag or not password:
         raise ProtocolError("a fragment without ICE's user name and password")

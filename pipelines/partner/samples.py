@@ -121,7 +121,7 @@ class SamplePeer:
             raise ProtocolError(f"an {kind} for samples has one section, the data channel's")
         if not sections[0].startswith("m=application "):
             raise ProtocolError(f"an {kind} without a data channel")
-        with refused("not a session description", *_UNUSABLE, to=ProtocolError):
+        with refused("not a session description", *_UNUSABLE, raising=ProtocolError):
             await self._connection.setRemoteDescription(RTCSessionDescription(text, kind))
 
     def _take(self, channel: RTCDataChannel) -> None:

@@ -333,12 +333,15 @@ async def _end(connection: Connection) -> None:
 async def _add(
     connection: Connection, candidates: tuple[RTCIceCandidate, ...], *, last: bool
 ) -> None:
-    # ValueError: of candidates that come after the last one.
-    with suppress(ValueError):
-        for one in candidates:
-            # aioice takes UDP only; a browser also tells its TCP ports.
-            if one.component == 1 and one.protocol.lower() == "udp":
-                candidate: Candidate = candidate_to_aioice(one)
-                await connection.add_remote_candidate(candidate)
-        if last:
-            await connection.add_remote_candidate(None)
+    told: list[Candidate | None] = [
+        candidate_to_aioice(one)
+        for one in candidates
+        # aioice takes UDP only; a browser also tells its TCP ports.
+        if one.component == 1 and one.protocol.lower() == "udp"
+    ]
+    if last:
+        told.append(None)
+    for candidate in told:
+        # It may come after the last one.
+        with suppress(ValueError):
+            await connection.add_remote_candidate(candidate)

@@ -399,14 +399,14 @@ def unpack(kind: type[Value], octets: bytes) -> Value:
             )
         else:
             found[row.name] = tuple(value) if row.repeated else value
-    with refused(kind.schema.full_name, ValueError, to=ProtocolError):
+    with refused(kind.schema.full_name, ValueError, raising=ProtocolError):
         return kind(**found)
 
 
 def parse_message(schema: MessageSchema, octets: bytes) -> Any:
     """Return protobuf's message; ProtocolError for octets of something else."""
     message = message_class(schema)()
-    with refused(schema.full_name, DecodeError, to=ProtocolError):
+    with refused(schema.full_name, DecodeError, raising=ProtocolError):
         message.ParseFromString(octets)
     return message
 

@@ -102,7 +102,7 @@ def rows_of(series: TraceSeries) -> NDArray[np.int64]:
 
 def _unpack(block: TraceBlock, width: int, name: str) -> NDArray[np.int64]:
     size = block.rows * width * 8
-    with refused(name, binascii.Error, ValueError, zlib.error, to=ProtocolError):
+    with refused(name, binascii.Error, ValueError, zlib.error, raising=ProtocolError):
         packed = base64.b64decode(block.octets, validate=True)
         opener = zlib.decompressobj()
         octets = opener.decompress(packed, size + 1)

@@ -63,7 +63,7 @@ class FiguresLog:
 
     def handle_figures(self, text: bytes) -> None:
         """The launcher's newest message. ProtocolError for anything else."""
-        with refused("no figures", *MALFORMED, to=ProtocolError):
+        with refused("no figures", *MALFORMED, raising=ProtocolError):
             told = msgspec.json.decode(text, type=_Figures)
             self._newest = msgspec.json.decode(text, type=dict[str, msgspec.Raw])
         # Copied, because they would keep the whole message.

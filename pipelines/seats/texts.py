@@ -535,5 +535,5 @@ def parse_media_request(text: str) -> InputRequest:
 
 
 def _parsed(decoder: msgspec.json.Decoder[_Asked], text: str) -> _Asked:
-    with refused("no request", *MALFORMED, to=ProtocolError):
+    with refused("no request", *MALFORMED, raising=ProtocolError):
         return decoder.decode(text)

@@ -199,5 +199,5 @@ def unpack(kind: type[MessageT], octets: bytes) -> MessageT:
     """Return what `pack` packed; ProtocolError for anything else."""
     if len(octets) > MISSION_OCTETS:
         raise ProtocolError(f"{kind.__name__} has {len(octets)} octets: at most {MISSION_OCTETS}")
-    with refused(kind.__name__, *MALFORMED, to=ProtocolError):
+    with refused(kind.__name__, *MALFORMED, raising=ProtocolError):
         return msgspec.msgpack.decode(octets, type=kind)

@@ -84,7 +84,9 @@ class StudyPress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def parse_press(text: str) -> StudyPress:
     """What a page sends as text; ProtocolError for anything else."""
-    with refused("no press of a button", msgspec.DecodeError, RecursionError, to=ProtocolError):
+    with refused(
+        "no press of a button", msgspec.DecodeError, RecursionError, raising=ProtocolError
+    ):
         return msgspec.json.decode(text, type=StudyPress)
 
 

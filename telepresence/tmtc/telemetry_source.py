@@ -6,9 +6,9 @@ verification, and XTCE derive from the table that `application_of` makes.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kontur_av.errors import ConfigError
 from kontur_av.parts import PartDoor, make_part
@@ -150,8 +150,10 @@ class Component(NamedTuple):
     application: Application
 
 
-#: What a component's parameter has of its application's.
-_SHARED = ("name", "type", "unit", "choices", "size", "low", "high", "writable", "text")
+#: What parameters, events and functions of a component and of its application share.
+_OF_PARAMETER = "name", "type", "unit", "choices", "size", "low", "high", "writable", "text"
+_OF_EVENT = "name", "severity", "arguments", "text"
+_OF_FUNCTION = "name", "arguments", "text"
 
 
 def load_telemetry(spec: str) -> TelemetrySource:
@@ -217,19 +219,24 @@ def application_of(source: TelemetrySource, apid: int) -> Application:
         text=source.text,
         fresh_s=FRESH_S,
         parameters=tuple(
-            Parameter(number=at, **{name: getattr(one, name) for name in _SHARED})
+            Parameter(number=at, **_shared(one, _OF_PARAMETER))
             for at, one in enumerate(source.parameters, 1)
         ),
         events=tuple(
-            EventDefinition(number=at, **asdict(one)) for at, one in enumerate(source.events, 1)
+            EventDefinition(number=at, **_shared(one, _OF_EVENT))
+            for at, one in enumerate(source.events, 1)
         ),
         functions=tuple(
-            FunctionDefinition(number=at, **asdict(one))
+            FunctionDefinition(number=at, **_shared(one, _OF_FUNCTION))
             for at, one in enumerate(source.functions, 1)
         ),
         monitors=tuple(_monitors(source.parameters)),
     )
     return replace(table, structures=tuple(_structures(source.parameters, table)))
+
+
+def _shared(one: object, names: tuple[str, ...]) -> dict[str, Any]:
+    return {name: getattr(one, name) for name in names}
 
 
 def _structures(parameters: Sequence[TelemetryParameter], table: Application) -> list[Structure]:

@@ -31,7 +31,9 @@ def events_in(path):
 
 def test_the_samples_battery_is_told_called_and_heard_and_lives_on(start, tmp_path, monkeypatch):
     # Begun nearer to its limit, so that the test waits less.
-    battery = SAMPLE.read_text().replace("voltage_v = 12.0", "voltage_v = 11.3")
+    full = SAMPLE.read_text()
+    battery = full.replace("voltage_v = 12.0", "voltage_v = 11.3")
+    assert battery != full
     (tmp_path / SAMPLE.name).write_text(battery)
     path = tmp_path / "run.mcap"
     session = start("taskboard", "--telemetry", "own_telemetry:Battery", "--record", str(path))
