@@ -36,8 +36,8 @@ class RendererModel:
     motion would pay for a minute of instability.
     rise_n_s, fall_n_s: fastest change of the force where the wall changes, to more and to less. A
     hand that is pushed back fast wastes the tank's energy in its muscles, so the rise is slow.
-    back_m_s: while the tank cannot pay for all the way back, the rise is half of that for a hand
-    that is pushed back this fast; not in the first `hurry_ns`, when a wall that was lost comes back.
+    back_m_s: while the tank cannot pay for all the way back, a hand that is pushed back this fast
+    halves the rise. Not in the first `hurry_ns`: a wall that was lost comes back fast.
     most_rate_n_s: fastest change of the force for any reason.
     soften_s: the stiffness under load follows a new one with this time constant.
     steepest_n_m: where the tank does not pay for the wall's spring, one of up to this stiffness has
@@ -185,7 +185,7 @@ class WallRenderer:
         self._from_m = max(nx * x_m + ny * y_m, goal.distance_m)
 
     def _pays_back(self, depth_m: float, force: float) -> bool:
-        """Whether the tank pays for a hand that goes back against `force` until it feels the wall."""
+        """Whether the tank pays for a hand that goes back against `force` to where the wall is."""
         stiffness = self._stiffness
         if not stiffness:
             return True
