@@ -51,7 +51,7 @@ class RendererModel:
     limit_j: float = 0.3
     rise_n_s: float = 25.0
     fall_n_s: float = 100.0
-    back_m_s: float = 0.01
+    back_m_s: float = 0.015
     hurry_ns: int = 2 * NS_PER_S
     most_rate_n_s: float = 1000.0
     soften_s: float = 0.1
