@@ -25,9 +25,13 @@ from telepresence.haptics.ownership import HapticOwnership
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
 from telepresence.haptics.sample import STATE_HALTED, Command, Feedback
+from telepresence.haptics.session import RobotSession
 
 #: Longest interval that one call simulates. After a stall, the rest is dropped.
 _MAX_ADVANCE_NS = 50 * NS_PER_MS
+#: A robot that estimates walls and starts in a contact lets go for so long, or until it knows the
+#: wall: it has no credit to move the tip, and a tip that rests reveals no wall.
+_LETS_GO_NS = 300 * NS_PER_MS
 #: Skips `Command.__new__`, which is one more Python call a thousand times a second.
 _tuple = tuple.__new__
 
@@ -231,12 +235,16 @@ class RobotSide(_Side):
         self._offset_m = (0.0, 0.0)
         self._now_ns = 0
         self.estimator = WallEstimator() if mediated else None
+        self._lets_go_ns = _LETS_GO_NS
         self._residual = Residual() if mediated and residual else None
         self.controller: RobotController = RobotController(
             model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
         )
         self.axes = RobotAxes(robot.more, self.controller.model) if robot.more else None
         self.link: HapticLink[Feedback, Command] = link or robot_link()
+        assert isinstance(self.link.session, RobotSession)
+        self._session = self.link.session
+        self._asking = self._session.asking
         self.lit: int | None = None
         super().__init__()
 
@@ -247,12 +255,14 @@ class RobotSide(_Side):
         x_m, y_m = robot.x_m, robot.y_m
         self._now_ns = now_ns
         envelope, estimator = self.envelope, self.estimator
-        if self.link.session.restarts != self._restarts:
-            self._restarts = self.link.session.restarts
+        if self._session.restarts != self._restarts:
+            self._restarts = self._session.restarts
             if envelope is not None:
                 envelope.require_press(Hold.JOYSTICK_STARTED)
-            if estimator is not None:
-                estimator.tell_again()
+        if estimator is not None and self._session.asking != self._asking:
+            # A joystick that starts asks for a session long before one begins.
+            self._asking = self._session.asking
+            estimator.tell_again()
         acted = self._advance(now_ns, advance_ns)
         contact = robot.contact or (
             self.axes is not None and any(axis.contact for axis in robot.more)
@@ -312,6 +322,10 @@ class RobotSide(_Side):
             if self.envelope is not None:
                 self.envelope.handle_off(command, self._now_ns)
             return
+        if self._lets_go_ns > 0 and self.estimator is not None:
+            self._lets_go_ns -= dt_ns
+            unknown = robot.contact and self.estimator.wall is None
+            controller.letting_go = unknown and self._lets_go_ns > 0
         envelope = self.envelope
         if envelope is not None:
             command = envelope.admit(

@@ -37,7 +37,8 @@ class RobotControllerModel:
     steps of 20 µm and the jitter of the path.
     speed_m_s, acceleration_m_s2: limits of the reference, also while it catches up.
     relax_s: without commands the reference moves to the tip with this time constant, so that the
-    tip's pressure decays.
+    tip's pressure decays. let_go_s: as much while the caller wants it; a soft wall pushes the tip
+    back (1 + stiffness / wall) times as slowly.
     patience_s: before this it stands still; bursts of losses are shorter.
     half_width_m, half_height_m: the reference stays within the board.
     reserve_j, limit_j: see `Port`. The reserve is about the energy of the moving tip; the energy
@@ -55,6 +56,7 @@ class RobotControllerModel:
     speed_m_s: float = 0.5
     acceleration_m_s2: float = 50.0
     relax_s: float = 0.2
+    let_go_s: float = 0.02
     patience_s: float = 0.08
     half_width_m: float = 0.15
     half_height_m: float = 0.10
@@ -72,6 +74,7 @@ class RobotController(PortController):
     reference_x_m, reference_y_m: the position that the tip is pulled to.
     holding: the reference follows no command.
     speed_m_s: limit of the reference's speed; the caller may lower it.
+    letting_go: the press decays, whatever the command; for the caller to set.
     acted: number of steps that the passivity controller cut.
     """
 
@@ -91,6 +94,7 @@ class RobotController(PortController):
         self.acted = 0
         self.speed_m_s = model.speed_m_s
         self.holding = True
+        self.letting_go = False
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
         self._silent_s = 0.0
@@ -143,12 +147,18 @@ class RobotController(PortController):
         else:
             port.handle_total(command[2], dt_ns)
             self._silent_s = 0.0
-        if command is None and self._silent_s <= self.model.patience_s:
+        if command is None and self._silent_s <= self.model.patience_s and not self.letting_go:
             self.holding = True
             vx = vy = 0.0
-        elif command is None or not command[3] or command[4] != STATE_APPLICATION or command[7]:
+        elif (
+            command is None
+            or self.letting_go
+            or not command[3]
+            or command[4] != STATE_APPLICATION
+            or command[7]
+        ):
             self.holding = True
-            share = 1.0 / self.model.relax_s
+            share = 1.0 / (self.model.let_go_s if self.letting_go else self.model.relax_s)
             vx, vy = (x_m - reference_x) * share, (y_m - reference_y) * share
         else:
             self.holding = False

@@ -143,11 +143,12 @@ class RobotSession:
     """The robot's end; it answers. Parameters and attributes as in `JoystickSession`.
 
     partner: whether a partner's robot is there, which the caller sets; None: there can be none.
+    asking: number of the life that the newest request came from; 0 before the first.
     """
 
     def __init__(self, life: int) -> None:
         self.sending = self.receiving = 0
-        self.restarts = self.strays = 0
+        self.restarts = self.strays = self.asking = 0
         self._life = _life(life)
         #: Session numbers by the number of the request.
         self._offers: dict[int, int] = {}
@@ -161,6 +162,7 @@ class RobotSession:
     def handle_greeting(self, greeting: Greeting) -> None:
         """The joystick asks for a session."""
         number = greeting.number
+        self.asking = number // _REQUESTS
         if greeting.answers != self._life:
             # Meant for an earlier life, or from a joystick that has heard none.
             self._answer = Greeting(0, self._life, number)

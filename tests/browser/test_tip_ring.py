@@ -121,7 +121,7 @@ def sit(tmp_path, start_browser, monkeypatch):
 
 
 def test_at_a_long_round_trip_the_ring_is_where_the_tip_will_be(sit):
-    seat, sides = sit("--radio-delay-ms", "400"), cycle((-30, 30))
+    seat, sides = sit("--radio-delay-ms", "400", "--hand", "auto"), cycle((-30, 30))
     eventually(lambda: "behind your hand" in seat.overlay()["note"], "the words")
     # Nobody steers, so nothing is commanded.
     assert seat.overlay()["tip"] is None

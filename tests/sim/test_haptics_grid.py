@@ -133,6 +133,27 @@ def test_a_restart_in_contact_keeps_the_plants_and_the_claims(mode, restart) -> 
         assert claim.holds, f"{claim.text}: {claim.found}"
 
 
+@pytest.mark.parametrize(
+    "cell",
+    [
+        Cell(delay=8.0, wall=100.0, angle=-90.0, place=51.0, hand="reflex", restart="both"),
+        Cell(delay=53.0, jitter=38.0, wall=59.0, place=21.0, hand="taps", restart="both"),
+        Cell(delay=104.0, wall=98.0, angle=-48.0, place=59.0, hand="loose", restart="both"),
+    ],
+    ids=lambda cell: cell.name,
+)
+def test_a_soft_wall_is_felt_1_s_after_both_ends_restart(cell) -> None:
+    """The robot has no credit to move, and a tip that rests reveals no wall."""
+    found = ran(replace(cell, mode="auto"))
+    assert found.felt_restart > 95.0
+
+
+def test_a_push_from_near_feels_half_of_its_first_wall() -> None:
+    """It brings little energy along, so none may be lost on the way back."""
+    cell = Cell(delay=275.0, wall=1900.0, place=21.0, hand="push", mode="auto")
+    assert ran(cell).felt_first > 50.0
+
+
 def test_an_envelope_asks_for_a_press_after_a_restart() -> None:
     cell = Cell(delay=40.0, wall=1500.0, restart="robot", envelope="on")
     planned, course = run_cell(cell, seed=1)

@@ -180,6 +180,16 @@ def test_a_still_hand_has_its_wall_again_1_s_after_the_joystick_restarts(grip, r
     assert since.max() <= RendererModel().start_j
 
 
+def test_a_joystick_that_starts_is_told_the_wall_as_soon_as_it_asks():
+    pair = MediatedPair(770, FIRM_GRIP, residual=True, script=PRESS)
+    pair.run(7)
+    pair.restart_joystick()
+    sent = pair.ground.estimator.sent
+    # It takes one way; a session takes three.
+    pair.run(0.385 + 0.5)
+    assert pair.ground.estimator.sent >= sent + 5
+
+
 @pytest.mark.parametrize("into_ms", [30, 90, 110])
 def test_a_joystick_that_starts_while_the_hand_moves_makes_no_jump(into_ms):
     script = (Waypoint(0.085, 0.0, 125 * MS, 0), Waypoint(0.035, 0.0, 125 * MS, 0))

@@ -103,7 +103,7 @@ class EstimatorModel:
     repeat_ns: int = NS_PER_S
     pressed_ns: int = 500 * NS_PER_MS
     unheard_ns: int = 250 * NS_PER_MS
-    first: int = 3
+    first: int = 5
 
 
 class WallEstimator:
@@ -187,8 +187,8 @@ class WallEstimator:
             self.wall, self._changed = self.wall.moved(x_m, y_m), True
 
     def tell_again(self) -> None:
-        """The joystick has started: it knows no wall."""
-        self._sent_ns, self._first = None, self.model.first
+        """The joystick may have started: it knows no wall."""
+        self._first = self.model.first
 
     def poll_transmit(self, now_ns: int, *, heard: bool = True) -> bytes | None:
         """Return the message to send now, or None. Without a change it is repeated, rarely.

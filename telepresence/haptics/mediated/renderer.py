@@ -36,6 +36,8 @@ class RendererModel:
     motion would pay for a minute of instability.
     rise_n_s, fall_n_s: fastest change of the force where the wall changes, to more and to less. A
     hand that is pushed back fast wastes the tank's energy in its muscles, so the rise is slow.
+    back_m_s: while the tank cannot pay for all the way back, a hand that is pushed back this fast
+    halves the rise. Not in the first `hurry_ns`: a wall that was lost comes back fast.
     most_rate_n_s: fastest change of the force for any reason.
     soften_s: the stiffness under load follows a new one with this time constant.
     steepest_n_m: where the tank does not pay for the wall's spring, one of up to this stiffness has
@@ -49,6 +51,8 @@ class RendererModel:
     limit_j: float = 0.3
     rise_n_s: float = 25.0
     fall_n_s: float = 100.0
+    back_m_s: float = 0.015
+    hurry_ns: int = 2 * NS_PER_S
     most_rate_n_s: float = 1000.0
     soften_s: float = 0.1
     steepest_n_m: float = 0.0
@@ -77,7 +81,7 @@ class WallRenderer:
         self.used = self.stale = 0
         self._goal: Wall | None = None
         self._stamp_ms: int | None = None
-        self._age_ns = 0
+        self._age_ns = self._life_ns = 0
         #: The plane that is rendered: its inward normal, the stiffness that is felt at rest and the
         #: one of the spring, and where along the normal its force begins.
         self._inward, self._stiffness, self._spring_n_m = (1.0, 0.0), 0.0, 0.0
@@ -122,6 +126,7 @@ class WallRenderer:
         """
         dt_s = dt_ns / NS_PER_S
         self._age_ns += dt_ns
+        self._life_ns += dt_ns
         last, self._last = self._last, (x_m, y_m)
         self.given_j = 0.0
         if last is None:
@@ -148,6 +153,10 @@ class WallRenderer:
             wanted_x, wanted_y = -wanted * nx, -wanted * ny
         more = wanted_x * wanted_x + wanted_y * wanted_y > force * force
         rate = self.model.rise_n_s if more else self.model.fall_n_s
+        if more and goal is not None and self._life_ns > self.model.hurry_ns:
+            out_m_s = -(nx * dx + ny * dy) / dt_s
+            if out_m_s > 0.0 and not self._pays_back(goal.depth_m(x_m, y_m), force):
+                rate *= self.model.back_m_s / (self.model.back_m_s + out_m_s)
         fx, fy = _towards(fx, fy, wanted_x, wanted_y, rate * dt_s)
         fx, fy = _towards(held_x, held_y, fx, fy, self.model.most_rate_n_s * dt_s)
         force = hypot(fx, fy)
@@ -174,6 +183,14 @@ class WallRenderer:
         self._inward = nx, ny = goal.inward
         self._stiffness = self._spring_n_m = self._series(goal)
         self._from_m = max(nx * x_m + ny * y_m, goal.distance_m)
+
+    def _pays_back(self, depth_m: float, force: float) -> bool:
+        """Whether the tank pays for a hand that goes back against `force` to where the wall is."""
+        stiffness = self._stiffness
+        if not stiffness:
+            return True
+        rest_m = force / stiffness
+        return force * (max(0.0, depth_m - rest_m) + rest_m / 2.0) <= self.tank_j - self.kept_j
 
     def _soften(self, stiffness: float, force: float, dt_s: float) -> None:
         """Let the stiffness follow at the same force; a softer spring stores more energy."""

@@ -143,19 +143,22 @@ def test_a_wall_in_contact_is_repeated_for_a_joystick_that_starts():
     for k in range(200):
         depth = 0.00002 * k
         estimator.handle_sample(k * MS, 0.06 + depth, 0.0, -1500.0 * depth, 0.0, True)
-    for heard, least in ((True, 9), (False, 18)):
-        polled = range(1000, 6000) if heard else range(6000, 11000)
+    soon = [*range(1000, 1400, 100)]
+    for heard, polled, due in (
+        (True, range(1000, 6000), [*soon, *range(1400, 6000, 500)]),
+        (False, range(6000, 11000), [*range(6150, 11000, 250)]),
+    ):
         told = [ms for ms in polled if estimator.poll_transmit(ms * MS, heard=heard) is not None]
-        assert least <= len(told) <= least + 3
+        assert told == due
 
 
-def test_a_start_of_either_end_is_told_three_times_because_messages_are_lost():
+def test_a_start_of_either_end_is_told_five_times_because_messages_are_lost():
     estimator = WallEstimator()
     end = touch(estimator, Wall(0.0, 0.06, 1500.0))
     for _ in range(2):
         polled = range(end, end + 1500)
         told = [ms - end for ms in polled if estimator.poll_transmit(ms * MS) is not None]
-        assert told == [0, 100, 200, 700, 1200]
+        assert told == [0, 100, 200, 300, 400, 900, 1400]
         estimator.tell_again()
         end += 1500
 
