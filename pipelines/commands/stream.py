@@ -57,18 +57,17 @@ from pipelines.session.options import (
     add_hand_argument,
     add_radio_arguments,
     add_setup_argument,
-    setup_changes,
+    add_source_argument,
+    asked_setup,
 )
 from pipelines.session.output import say
 from pipelines.session.recorder_control import write_wish
 from pipelines.session.served_pages import add_page_arguments, announced_pages, bound_pages
 from pipelines.session.sessions import clear_dead_sessions, hold_session
-from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import (
     check_room,
     check_sources,
     draw_backgrounds,
-    parse_sources,
 )
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import FRAMES, PACKETS, RECORDER, RTC, Segment, Topology
@@ -84,14 +83,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
     add_setup_argument(parser)
     add_seconds_argument(parser)
-    parser.add_argument(
-        "--source",
-        action="append",
-        default=[],
-        metavar="NAME=SPEC",
-        help="what an input captures: a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, "
-        "alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a program; "
-        "repeatable",
+    add_source_argument(
+        parser,
+        "a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, alsa:DEVICE, scene:NAME, page "
+        "for a browser page alone, or topic for a program",
     )
     add_live_arguments(parser)
     add_record_arguments(parser)
@@ -276,8 +271,7 @@ def chosen_setup(args: argparse.Namespace) -> Setup:
 
     A user's robot brings its own sources for inputs of the setup.
     """
-    given, changes = parse_sources(args.source), setup_changes(args)
-    setup = load_setup(args.setup, sources=given, changes=changes, radio_start_s=args.radio_start)
+    setup = asked_setup(args)
     if args.second_robot != SIMULATED_ROBOT and setup.partner_arm != "second":
         raise ConfigError(
             f"--second-robot {args.second_robot}: setup {setup.name} has no partner's arm; "
