@@ -14,7 +14,7 @@ from pipelines.partner.ice_servers import IceServers
 from pipelines.session.output import say
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.served_pages import ServerWish, base_url, bound_server, served, write_private
-from pipelines.session.setup.table import RtcLeg, Setup
+from pipelines.session.setup.table import Setup
 from pipelines.session.topology import RTC, Segment
 from telepresence.private_file import read_secret
 
@@ -46,13 +46,6 @@ def add_rtc_arguments(parser: argparse.ArgumentParser) -> None:
         help="the partner's token (default: a new one for each session)",
     )
     add_ice_arguments(parser)
-
-
-def with_rtc(args: argparse.Namespace, setup: Setup) -> Setup:
-    """The setup with a leg, if the options ask for one."""
-    if args.rtc is not None and setup.rtc is None:
-        return replace(setup, rtc=RtcLeg())
-    return setup
 
 
 def bound_rtc(
