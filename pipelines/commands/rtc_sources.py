@@ -12,6 +12,7 @@ from kontur_av.media import AccessUnit, CaptureStamp, parse_size
 from pipelines.media.sending import (
     add_picture_arguments,
     add_source_arguments,
+    check_alone,
     open_pictures,
     open_sound,
 )
@@ -43,6 +44,8 @@ def add_sending_arguments(parser: argparse.ArgumentParser) -> None:
 
 def sends_of(args: argparse.Namespace) -> dict[Kind, int]:
     """Return the bit/s of what is sent, by kind. ConfigError for rates that cannot work."""
+    check_alone(args.video)
+    check_alone(args.audio)
     sends: dict[Kind, int] = {}
     if args.video is not None:
         sends["video"] = _bps(args.video_kbps, "--video-kbps", LEAST_BPS, 50_000_000)

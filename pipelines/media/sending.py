@@ -143,7 +143,7 @@ def add_picture_arguments(parser: argparse.ArgumentParser) -> None:
 
 def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSource:
     """The source of `--video`, of `--size` and `--fps`. ConfigError."""
-    _check_alone(args.video)
+    check_alone(args.video)
     scenes = None
     if args.video.startswith("scene:"):
         from telepresence.world import video_scenes
@@ -163,7 +163,7 @@ def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSourc
 
 def open_sound(args: argparse.Namespace, clock: MonotonicClock) -> AudioSource:
     """The source of `--audio`. ConfigError."""
-    _check_alone(args.audio)
+    check_alone(args.audio)
     scenes = None
     if args.audio.startswith("scene:"):
         from telepresence.world import audio_scenes
@@ -196,7 +196,8 @@ def open_feed(args: argparse.Namespace, clock: MonotonicClock) -> PictureFeed | 
     )
 
 
-def _check_alone(spec: str) -> None:
+def check_alone(spec: str | None) -> None:
+    """ConfigError for a source that only a session has."""
     if spec in FILLED_BY_OTHERS:
         raise ConfigError(
             f"only a session has the source {spec}: give another one, "
