@@ -313,11 +313,9 @@ class NalDepacketizer:
         self._begin(0, 0, 0)
         #: Payloads that were malformed, and access units of more than `max_unit_octets`.
         self.garbage = 0
-        #: Access units returned, those of them that were damaged, and those dropped because no
-        #: whole NAL unit of them came.
+        #: Access units returned, and those of them that were damaged.
         self.units = 0
         self.units_damaged = 0
-        self.units_dropped = 0
 
     def _begin(self, timestamp: int, lost_before: int, received_ns: int) -> None:
         self._timestamp = timestamp
@@ -468,7 +466,6 @@ class NalDepacketizer:
         form = self._form
         kinds = [form.nal_type(unit) for unit in units]
         if form.slices.isdisjoint(kinds):
-            self.units_dropped += self._damaged
             # The next unit may be predicted from this one.
             self._lost_whole = self._lost_before + self._lost_within
             self._ahead = units

@@ -355,7 +355,7 @@ class RtpReceiver:
         if now_ns - first.received_ns > _ACCEPTED_WITHIN_NS:
             return
         ssrc = first.packet.ssrc
-        if ssrc in self._clock.reports and self._is_free(ssrc, now_ns):
+        if self._clock.is_vouched(ssrc) and self._is_free(ssrc, now_ns):
             self._accept(now_ns)
 
     def _is_free(self, ssrc: int, now_ns: int) -> bool:
@@ -421,7 +421,7 @@ class RtpReceiver:
                         self.ended = known = True
                         continue
                     # Packets of another source must not start a stream any more.
-                    self._clock.reports.pop(ssrc, None)
+                    self._clock.handle_goodbye(ssrc)
                     if self._candidates and self._candidates[0].packet.ssrc == ssrc:
                         self._drop_candidates()
                 self._try_vouched(now_ns)

@@ -36,7 +36,7 @@ class SenderClock:
         #: By SSRC, of the source and one that may follow: an RTP timestamp, and its capture in NTP.
         self._captured: dict[int, tuple[int, int]] = {}
         #: By SSRC, likewise: the newest report, and when it came.
-        self.reports: dict[int, tuple[RtcpSrPacket, int]] = {}
+        self._reports: dict[int, tuple[RtcpSrPacket, int]] = {}
         #: The timestamp at the newest report, and by how many ns those before it dated it later.
         self._bend: tuple[int, int] | None = None
 
@@ -50,8 +50,8 @@ class SenderClock:
             self.scale = 1
         self._ssrc, self.newest, self._bend = ssrc, None, None
         self._captured = {one: kept for one, kept in self._captured.items() if one == ssrc}
-        self.reports = {one: kept for one, kept in self.reports.items() if one == ssrc}
-        return self.reports.get(ssrc)
+        self._reports = {one: kept for one, kept in self._reports.items() if one == ssrc}
+        return self._reports.get(ssrc)
 
     def handle_scale(self, scale: int) -> None:
         """From the next packet on, a tick of the source counts for so many."""
@@ -72,9 +72,9 @@ class SenderClock:
         if step_ns >= -_STEP_BACK_NS and abs(step_ns - (now_ns - self.heard_ns)) <= _STEP_NS:
             return
         assert self._ssrc is not None
-        told = self.reports.get(self._ssrc)
+        told = self._reports.get(self._ssrc)
         if told is not None and told[1] <= self.heard_ns:
-            del self.reports[self._ssrc]
+            del self._reports[self._ssrc]
             self._bend = None
         if self._captured.get(self._ssrc, (timestamp, 0))[0] != timestamp:
             del self._captured[self._ssrc]
@@ -93,6 +93,14 @@ class SenderClock:
             self._captured = {one: at for one, at in self._captured.items() if one == self._ssrc}
             self._captured[packet.ssrc] = packet.timestamp, ntp
 
+    def is_vouched(self, ssrc: int) -> bool:
+        """Whether a sender report of this source came."""
+        return ssrc in self._reports
+
+    def handle_goodbye(self, ssrc: int) -> None:
+        """Another source has ended: its report vouches for it no more."""
+        self._reports.pop(ssrc, None)
+
     def handle_report(self, report: RtcpSrPacket, now_ns: int) -> None:
         """A sender report of any source came."""
         own = report.ssrc == self._ssrc
@@ -100,10 +108,10 @@ class SenderClock:
         before_ns = None if newest is None else self.capture_ns(newest)
         if not own and self._ssrc is not None:
             # The report of a restarted sender may overtake its second packet: keep one.
-            self.reports = {one: kept for one, kept in self.reports.items() if one == self._ssrc}
-        elif not own and len(self.reports) >= 2:
-            self.reports.clear()
-        self.reports[report.ssrc] = report, now_ns
+            self._reports = {one: kept for one, kept in self._reports.items() if one == self._ssrc}
+        elif not own and len(self._reports) >= 2:
+            self._reports.clear()
+        self._reports[report.ssrc] = report, now_ns
         if newest is not None:
             self._bend = None
             after_ns = self.capture_ns(newest)
@@ -117,7 +125,7 @@ class SenderClock:
             return None
         anchor = self._captured.get(self._ssrc)
         if anchor is None:
-            kept = self.reports.get(self._ssrc)
+            kept = self._reports.get(self._ssrc)
             if kept is None or not self._dates(*kept):
                 return None
             info = kept[0].sender_info

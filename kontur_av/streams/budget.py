@@ -88,9 +88,8 @@ class Pacer:
         self._queue: deque[tuple[bytes, int, int]] = deque()
         self._backlog_octets = 0
         self._free_ns = 0
-        #: What was released, by payload octets.
+        #: What was released: packets as events, by payload octets.
         self.released = RateMeter(windows_ns=(window_ns, SHORT_WINDOW_NS))
-        self.released_packets = 0
         #: The longest that any packet waited for its release.
         self.longest_wait_ns = 0
 
@@ -137,7 +136,6 @@ class Pacer:
             limit.add(now_ns, octets)
         self._free_ns = max(self._free_ns, now_ns) + self._on_channel_ns(octets)
         self.released.add(now_ns, octets)
-        self.released_packets += 1
         self.longest_wait_ns = max(self.longest_wait_ns, now_ns - queued_ns)
         return packet
 

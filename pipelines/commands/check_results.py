@@ -7,10 +7,18 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from pipelines.report.model import CheckReport, FigureReport
+from kontur_av.clock import NS_PER_S
+from pipelines.report.model import (
+    CheckReport,
+    FigureReport,
+    JoystickTestReport,
+    TransitionReport,
+)
 from pipelines.session.setup.setup_file import load_setup
 from telepresence.haptics.axes import AxisName
+from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.script import CheckResult
+from telepresence.haptics.device.spec import is_simulated
 
 
 def add_setup_argument(parser: argparse.ArgumentParser) -> None:
@@ -64,7 +72,31 @@ def _verdict(passed: bool) -> Text:
     return Text("passed", "green") if passed else Text("FAILED", "bold red")
 
 
-def check_report(result: CheckResult) -> CheckReport:
+def joystick_report(
+    spec: str, bench: CheckBench, seconds: float, *, passed: bool
+) -> JoystickTestReport:
+    virtual = is_simulated(spec)
+    return JoystickTestReport(
+        device=spec,
+        virtual_time=virtual,
+        seconds=round(seconds, 3),
+        passed=passed,
+        checks=[_check_report(result) for result in bench.results],
+        joystick=bench.operation.report(),
+        transitions=[
+            TransitionReport(
+                s=round(transition.now_ns / NS_PER_S, 3) if virtual else None,
+                before=transition.before.words,
+                event=transition.event.value,
+                after=transition.after.words,
+                reason=transition.reason,
+            )
+            for transition in iter(bench.operation.next_event, None)
+        ],
+    )
+
+
+def _check_report(result: CheckResult) -> CheckReport:
     return CheckReport(
         name=result.name,
         passed=None if result.skipped else result.passed,

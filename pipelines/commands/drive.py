@@ -27,7 +27,7 @@ from pipelines.session.setup.table import Setup
 from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.spec import PAGE, ROS2_HAND, SIMULATED, open_device
+from telepresence.haptics.device.spec import SIMULATED, open_alone
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.loop import joystick_link
 
@@ -67,10 +67,8 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
 def drive(args: argparse.Namespace) -> int:
     """Drive the robot until it is stopped; 0 if the robot has answered, else 1."""
     spec, seconds = args.device, args.seconds
-    if spec in (PAGE, ROS2_HAND):
-        raise ConfigError(f"--device {spec}: its hand is in a session only; take sim or evdev")
     say_unprotected(spec)
-    device = open_device(spec, hand=Hand())
+    device = open_alone(spec, hand=Hand())
     try:
         handle = OperatedHandle(device)
         link = joystick_link(life=new_life())

@@ -1,12 +1,15 @@
 """The options of one end of a link that is split between two machines; whose an option is."""
 
 import argparse
+from dataclasses import replace
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import add_key_argument
+from pipelines.link.own_ends import EndChoice, chosen_end
 from pipelines.session.options import refuse_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
+from pipelines.table import topology_of
 from telepresence.haptics.device.spec import SIMULATED
 
 
@@ -37,16 +40,40 @@ def add_end_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_session_end_arguments(parser: argparse.ArgumentParser) -> None:
+    """The same, and what else both ends or one may have in a whole session."""
+    add_end_arguments(parser)
+    parser.add_argument(
+        "--trainer",
+        action="store_true",
+        help="heed `kontur-av trainer`; with --end space, the radio of both directions is here",
+    )
+    parser.add_argument(
+        "--bypass",
+        action="store_true",
+        help="for tests, with both ends here: join the programs directly, past gateways and radio",
+    )
+
+
 def inputs_here(topology: Topology) -> tuple[str, ...]:
     """The names of the inputs that are captured on this machine."""
     return tuple(row.name for row in topology.inputs if topology.runs(row.process))
 
 
-def check_own_options(args: argparse.Namespace, topology: Topology) -> None:
-    """ConfigError for the first option of `stream` that belongs to the other end."""
-    end = topology.alone
-    if end is None:
-        return
+def ends_here(args: argparse.Namespace, setup: Setup) -> tuple[Topology, EndChoice | None]:
+    """The table of the ends that run here, and the only one if it is alone.
+
+    ConfigError for the first option of `stream` that belongs to the other end.
+    """
+    plan = topology_of(setup)
+    one = chosen_end(args, plan)
+    if one is not None:
+        plan = replace(plan, segments=(one.segment,))
+        _check_own_options(args, plan, one.segment)
+    return plan, one
+
+
+def _check_own_options(args: argparse.Namespace, topology: Topology, end: Segment) -> None:
     if end is Segment.GROUND and args.joystick != SIMULATED:
         raise ConfigError("--joystick: the joystick is in space; give it at --end space")
     if end is Segment.SPACE:
@@ -61,6 +88,8 @@ def check_own_options(args: argparse.Namespace, topology: Topology) -> None:
                 f"this end has {', '.join(here) or 'no input'}"
             )
     _check_radio(topology.setup, end, trainer=args.trainer)
+    if args.bypass:
+        raise ConfigError("--bypass: both ends must be here; leave --end out")
 
 
 def _check_radio(setup: Setup, end: Segment, *, trainer: bool) -> None:

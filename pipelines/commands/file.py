@@ -21,6 +21,8 @@ from pipelines.session.terminals import ask_desk, running_sessions
 from telepresence.files.entity import DONE, FAILED
 
 _LOOK_S, _TELL_S = 0.2, 2.0
+#: A transfer under way is given up this long after the last answer: a full machine may be slow.
+_SILENT_S = 30.0
 _MISSING = "no session here carries files: start it with kontur-av stream --files DIR"
 _HELP = {
     "put": "send a file of this end's directory to the other end",
@@ -75,12 +77,16 @@ def run(args: argparse.Namespace) -> int:
 
 def _follow(request: FileRequest, segment: Segment, session: str) -> int:
     """Ask, then print how far it is until it has ended; Ctrl-C cancels it."""
-    began_s = told_s = time.monotonic()
+    began_s = told_s = heard_s = time.monotonic()
     desk, state, text, missing = desk_name(segment), "", "", _MISSING
     try:
         while True:
             answer = ask_desk(desk, request, FileAnswer, session, missing=missing)
+            now_s = time.monotonic()
             if answer is None:
+                if request.file == STATE and now_s - heard_s < _SILENT_S:
+                    time.sleep(_LOOK_S)
+                    continue
                 print("kontur-av: the session has not answered", file=sys.stderr)
                 return 1
             if answer.mistake:
@@ -88,7 +94,7 @@ def _follow(request: FileRequest, segment: Segment, session: str) -> int:
             if not answer.ok or answer.state == FAILED:
                 print(f"kontur-av: failed: {answer.text}", file=sys.stderr)
                 return 1
-            now_s = time.monotonic()
+            heard_s = now_s
             if request.file == STATUS:
                 print(listing(answer))
                 return 0

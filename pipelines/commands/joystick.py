@@ -1,30 +1,28 @@
 """`kontur-av joystick`: list the joysticks here, check or test one, or drive a robot with one."""
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from kontur_av.clock import NS_PER_S, MonotonicClock
+from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands import drive
 from pipelines.commands.check_results import (
     add_setup_argument,
     axes_of,
-    check_report,
+    joystick_report,
     print_results,
 )
 from pipelines.commands.common import say_unprotected
 from pipelines.hand.joystick_check import JoystickCheck, run_live, run_virtually
-from pipelines.report.model import JoystickTestReport, TransitionReport
 from pipelines.report.report_file import check_writable, words_console, write_report
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.output import output_that_may_fail
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench
-from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.gamepad import find_gamepads
 from telepresence.haptics.device.simulated import FAULTS
-from telepresence.haptics.device.spec import PAGE, ROS2_HAND, is_simulated, open_device
+from telepresence.haptics.device.spec import PAGE, ROS2_HAND, is_simulated, open_alone
 
 _ALL = "all"
 
@@ -64,49 +62,39 @@ def run(args: argparse.Namespace) -> int:
     return _test(args.device, args.check, args.report)
 
 
-def _list(print: Callable[[str], None] = print) -> int:
-    print(
-        f"sim{'':<29} the simulated joystick: motors, {len(FAULTS)} faults to check the checks with"
-    )
+def _list() -> int:
+    def row(spec: str, what: str) -> None:
+        print(f"{spec:<32} {what}")
+
+    row("sim", f"the simulated joystick: motors, {len(FAULTS)} faults to check the checks with")
     for fault in FAULTS:
-        print(f"sim:{fault:<28} the same with this fault")
-    print(f"{PAGE:<32} the simulated one in the hand of a person at a page; in a session only")
-    print(f"{ROS2_HAND:<32} the same in the hand of a ROS 2 node, with `stream --ros2`")
+        row(f"sim:{fault}", "the same with this fault")
+    row(PAGE, "the simulated one in the hand of a person at a page; in a session only")
+    row(ROS2_HAND, "the same in the hand of a ROS 2 node, with `stream --ros2`")
     try:
         found = find_gamepads()
-    except ConfigError as error:
-        print(str(error))
-    else:
         for one in found:
-            print(f"evdev:{one.path:<26} {one.problem or ', '.join((one.name, *one.more))}")
+            row(f"evdev:{one.path}", one.problem or ", ".join((one.name, *one.more)))
         if not found:
             print("no game controller here; the first that is plugged in is called evdev")
-    print(
-        f"{'udp:HOST:PORT[:KEYFILE]':<32} a controller in any language; with a key on any machine"
-    )
+    except ConfigError as error:
+        print(str(error))
+    row("udp:HOST:PORT[:KEYFILE]", "a controller in any language; with a key on any machine")
     print("use: kontur-av joystick test --device SPEC, kontur-av stream --joystick SPEC")
     return 0
 
 
-def _open(spec: str, axes: Sequence[AxisName] | None = None) -> JoystickDevice:
-    if spec in (PAGE, ROS2_HAND):
-        raise ConfigError(
-            f"{spec}: it is moved in a session only, with `kontur-av stream --joystick {spec}`; "
-            "its mechanics are those of sim: take that"
-        )
-    say_unprotected(spec)
-    return open_device(spec, axes=axes)
-
-
 def _check(spec: str, axes: Sequence[AxisName] | None) -> int:
-    device, console = _open(spec, axes), words_console()
+    say_unprotected(spec)
+    device, console = open_alone(spec, axes=axes), words_console()
     console.print(f"{device.facts.name}; it moves a few centimetres: hands off", highlight=False)
     return print_results(console, list(JoystickCheck(device, MonotonicClock()).run()))
 
 
 def _test(spec: str, check: str, report: Path | None) -> int:
     check_writable(report)
-    device, console = _open(spec), words_console()
+    say_unprotected(spec)
+    device, console = open_alone(spec, axes=None), words_console()
     bench = CheckBench(device, list(CHECKS) if check == _ALL else [check])
     try:
         if is_simulated(spec):
@@ -124,29 +112,5 @@ def _test(spec: str, check: str, report: Path | None) -> int:
             code = 1
             console.print(f"ended before {bench.current} was done", highlight=False)
     if report is not None:
-        write_report(report, _report(spec, bench, seconds, passed=code == 0))
+        write_report(report, joystick_report(spec, bench, seconds, passed=code == 0))
     return code
-
-
-def _report(spec: str, bench: CheckBench, seconds: float, *, passed: bool) -> JoystickTestReport:
-    virtual = is_simulated(spec)
-    transitions = []
-    while (transition := bench.operation.next_event()) is not None:
-        transitions.append(
-            TransitionReport(
-                s=round(transition.now_ns / NS_PER_S, 3) if virtual else None,
-                before=transition.before.words,
-                event=transition.event.value,
-                after=transition.after.words,
-                reason=transition.reason,
-            )
-        )
-    return JoystickTestReport(
-        device=spec,
-        virtual_time=virtual,
-        seconds=round(seconds, 3),
-        passed=passed,
-        checks=[check_report(result) for result in bench.results],
-        joystick=bench.operation.report(),
-        transitions=transitions,
-    )

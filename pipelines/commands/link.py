@@ -19,8 +19,7 @@ from pipelines.report.link_report import LinkView, build_link_report, summary_li
 from pipelines.report.live import LinkScreen
 from pipelines.report.report_file import check_writable, save_report, say_failures
 from pipelines.session.launcher import Launcher, launcher_cpu_s
-from pipelines.session.options import add_radio_arguments, add_setup_argument, setup_changes
-from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.options import add_radio_arguments, add_setup_argument, asked_setup
 from pipelines.session.topology import Segment
 from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
@@ -42,11 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the link until it is told to end; 1 if its report names a failure."""
-    setup = load_setup(
-        args.setup,
-        changes=setup_changes(args),
-        radio_start_s=args.radio_start,
-    )
+    setup = asked_setup(args)
     check_options(args)
     topology = topology_of(setup)
     one = chosen_end(args, topology)

@@ -10,8 +10,14 @@ from importlib.util import find_spec
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.session.output import say
-from pipelines.session.page_sockets import PageListener, bind_pages, listeners
-from pipelines.session.served_pages import ServerWish, parse_page, served, write_private
+from pipelines.session.page_sockets import PageListener, listeners
+from pipelines.session.served_pages import (
+    ServerWish,
+    bound_server,
+    parse_page,
+    served,
+    write_private,
+)
 from pipelines.session.topology import FOXGLOVE, METRICS, ROS2
 from telepresence.haptics.device.spec import ROS2_HAND
 
@@ -36,10 +42,7 @@ def add_outlet_arguments(parser: argparse.ArgumentParser) -> None:
 
 def bound_foxglove(args: argparse.Namespace) -> ServerWish | None:
     """Bind what the option asks for; ConfigError if that cannot be."""
-    if args.foxglove is None:
-        return None
-    host, port = parse_page(args.foxglove, "--foxglove")
-    return ServerWish(host=host, sockets=bind_pages(host, port, [FOXGLOVE]))
+    return None if args.foxglove is None else bound_server(args.foxglove, FOXGLOVE, "--foxglove")
 
 
 @contextmanager
@@ -72,8 +75,8 @@ def bound_metrics(args: argparse.Namespace) -> Mapping[str, PageListener]:
         return {}
     if find_spec("prometheus_client") is None:
         raise ConfigError("--metrics needs prometheus-client: pip install 'kontur-av[metrics]'")
-    host, port = parse_page(args.metrics, "--metrics")
-    return listeners(bind_pages(host, port, [METRICS]), host, None)
+    wish = bound_server(args.metrics, METRICS, "--metrics")
+    return listeners(wish.sockets, wish.host, None)
 
 
 @contextmanager

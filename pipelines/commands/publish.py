@@ -13,7 +13,7 @@ from pipelines.commands.rtc_options import (
     add_token_arguments,
 )
 from pipelines.commands.rtc_running import add_run_arguments, keep, keeper_of
-from pipelines.commands.rtc_sources import add_source_arguments, coded_sources, sends_of
+from pipelines.commands.rtc_sources import add_sending_arguments, coded_sources, sends_of
 from pipelines.partner.connection_report import RtcCommandReport
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--whip", metavar="URL", required=True, help="the endpoint (RFC 9725)")
     add_token_arguments(parser)
     add_redirect_argument(parser)
-    add_source_arguments(parser)
+    add_sending_arguments(parser)
     add_ice_arguments(parser)
     add_run_arguments(parser)
 

@@ -12,10 +12,11 @@ from pipelines.commands.common import (
     add_session_argument,
     check_options,
 )
-from pipelines.recording.part_files import check_recordable
+from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_recordable
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.recorder_control import begin_recording, hold_recording, recorded_sessions
 from pipelines.session.recorder_requests import RecordingWish
+from pipelines.session.setup.table import Setup
 
 #: Shorter or smaller parts than these make no sense.
 _LEAST_S, _LEAST_MB = 1.0, 0.1
@@ -64,6 +65,16 @@ def wish_of(args: argparse.Namespace, *, held: bool) -> RecordingWish | None:
         command=shlex.join(["kontur-av", *sys.argv[1:]]),
         held=held,
     )
+
+
+def checked_wish(args: argparse.Namespace, setup: Setup) -> RecordingWish | None:
+    """As `wish_of`, for a session that is about to begin; ConfigError if it cannot be recorded."""
+    wish = wish_of(args, held=False)
+    if wish is not None:
+        path = Path(wish.file)
+        check_recordable(path, overwrite=args.overwrite, sources=setup.sources.values())
+        check_disk(path, setup, args.seconds or LEAST_RECORDED_S)
+    return wish
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,7 +9,7 @@ from pipelines.commands.common import check_options
 from pipelines.commands.live_session import add_live_arguments, end_session, made_directory
 from pipelines.recording.process_replaying import ReplayStart, replayed_session
 from pipelines.recording.recorded_session import RecordedSession
-from pipelines.recording.replay_setup import check_caps, load_recording, replay_setup
+from pipelines.recording.replay_setup import load_replay
 from pipelines.report.collector import Collector
 from pipelines.report.live import LiveView
 from pipelines.report.model import ReplayedStream, ReplayReport
@@ -49,9 +49,7 @@ def run(args: argparse.Namespace) -> int:
     if not 0.1 <= args.speed <= 4:
         raise ConfigError(f"--speed {args.speed:g}: take 0.1 to 4")
     check_options(args)
-    recorded = load_recording(args.file)
-    setup = replay_setup(args, args.file, recorded, speed=args.speed)
-    check_caps(args.file, setup, recorded, recode=args.recode, speed=args.speed)
+    recorded, setup = load_replay(args, args.file, speed=args.speed)
     if args.seconds is not None:
         recorded = recorded.begin(args.seconds)
     snapshots = made_directory(args.snapshots, "--snapshots")

@@ -20,15 +20,14 @@ from pipelines.commands.rtc_options import (
 )
 from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_running import add_run_arguments, driven
-from pipelines.commands.rtc_sources import add_source_arguments, coded_sources, sends_of
+from pipelines.commands.rtc_sources import add_sending_arguments, coded_sources, sends_of
 from pipelines.partner.connection_report import RtcCommandReport, connection_report
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with
 from pipelines.session.output import say
-from pipelines.session.page_certificate import check_certificate
-from pipelines.session.page_sockets import PageListener, bind_pages
-from pipelines.session.served_pages import ServerWish, base_url, parse_page, served
+from pipelines.session.page_sockets import PageListener
+from pipelines.session.served_pages import base_url, bound_server, served
 
 #: The only programme of this command.
 _NAME = "main"
@@ -40,10 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "serve a partner: it sees and hears what is given here, and is seen and heard"
     serve = actions.add_parser("serve", help=text, description=text)
     serve.add_argument(
-        "--http",
-        metavar="[HOST:]PORT",
-        required=True,
-        help="where; TLS beyond loopback",
+        "--http", metavar="[HOST:]PORT", required=True, help="where; TLS beyond loopback"
     )
     serve.add_argument(
         "--cert",
@@ -52,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="PEM file with certificate and key (default: made for this run)",
     )
     add_token_arguments(serve)
-    add_source_arguments(serve)
+    add_sending_arguments(serve)
     add_output_arguments(serve)
     add_ice_arguments(serve)
     add_run_arguments(serve)
@@ -71,11 +67,8 @@ def run(args: argparse.Namespace) -> int:
 @contextmanager
 def _listening(args: argparse.Namespace) -> Iterator[PageListener]:
     """The listener, with a certificate where it needs one, and its addresses printed."""
-    host, port = parse_page(args.http, "--http")
-    if args.cert is not None:
-        check_certificate(args.cert)
     token = token_of(args) or secrets.token_urlsafe(24)
-    wish = ServerWish(host=host, sockets=bind_pages(host, port, [_SEAT]), certificate=args.cert)
+    wish = bound_server(args.http, _SEAT, "--http", args.cert)
     with (
         TemporaryDirectory(prefix="kontur-rtc-") as folder,
         served(wish, Path(folder), _SEAT) as (found, made),

@@ -12,9 +12,9 @@ from kontur_av.topics.session_files import session_root
 from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of
 from pipelines.partner.ice_servers import IceServers
 from pipelines.session.output import say
-from pipelines.session.page_sockets import PageListener, bind_pages
-from pipelines.session.served_pages import ServerWish, base_url, parse_page, served, write_private
-from pipelines.session.setup.table import RtcLeg, Setup
+from pipelines.session.page_sockets import PageListener
+from pipelines.session.served_pages import ServerWish, base_url, bound_server, served, write_private
+from pipelines.session.setup.table import Setup
 from pipelines.session.topology import RTC, Segment
 from telepresence.private_file import read_secret
 
@@ -22,9 +22,10 @@ _PORT = "8290"
 
 
 @dataclass(frozen=True, kw_only=True)
-class RtcWish(ServerWish):
-    """The leg as the options ask for it. servers: of each new connection."""
+class RtcWish:
+    """The leg as the options ask for it. token: "" for a new one. servers: of each connection."""
 
+    server: ServerWish
     token: str
     servers: Callable[[], IceServers]
 
@@ -47,13 +48,6 @@ def add_rtc_arguments(parser: argparse.ArgumentParser) -> None:
     add_ice_arguments(parser)
 
 
-def with_rtc(args: argparse.Namespace, setup: Setup) -> Setup:
-    """The setup with a leg, if the options ask for one."""
-    if args.rtc is not None and setup.rtc is None:
-        return replace(setup, rtc=RtcLeg())
-    return setup
-
-
 def bound_rtc(
     args: argparse.Namespace, setup: Setup, segments: tuple[Segment, ...]
 ) -> RtcWish | None:
@@ -71,14 +65,8 @@ def bound_rtc(
     token = ""
     if args.rtc_token_file is not None:
         token = read_secret(args.rtc_token_file, "--rtc-token-file")
-    host, port = parse_page(args.rtc or _PORT, "--rtc")
-    return RtcWish(
-        host=host,
-        sockets=bind_pages(host, port, [RTC]),
-        token=token,
-        certificate=args.page_cert,
-        servers=servers,
-    )
+    server = bound_server(args.rtc or _PORT, RTC, "--rtc", args.page_cert)
+    return RtcWish(server=server, token=token, servers=servers)
 
 
 @contextmanager
@@ -93,7 +81,7 @@ def announced_rtc(
         yield {}
         return
     root = session_root(session)
-    with served(wish, root, "rtc") as (found, made):
+    with served(wish.server, root, "rtc") as (found, made):
         listener = found[RTC]
         if wish.token:
             listener = replace(listener, operator_token=wish.token)

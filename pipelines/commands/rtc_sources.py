@@ -9,8 +9,13 @@ from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import AccessUnit, CaptureStamp, parse_size
-from kontur_av.sources.page import FILLED_BY_OTHERS
-from pipelines.media.sending import add_picture_arguments, open_pictures, open_sound
+from pipelines.media.sending import (
+    add_picture_arguments,
+    add_source_arguments,
+    check_alone,
+    open_pictures,
+    open_sound,
+)
 from pipelines.partner.coded_sources import CodedSources
 from pipelines.partner.decisions import LEAST_BPS
 from pipelines.partner.description import Kind
@@ -18,12 +23,8 @@ from pipelines.partner.description import Kind
 VIDEO_KBPS, VOICE_KBPS = 1500.0, 32.0
 
 
-def add_source_arguments(parser: argparse.ArgumentParser) -> None:
-    spec = "FILE, pipe:PATH, v4l2:DEVICE or scene:NAME"
-    parser.add_argument("--video", metavar="SPEC", help=f"the picture to send: {spec}")
-    parser.add_argument(
-        "--audio", metavar="SPEC", help=f"the voice to send: {spec.replace('v4l2', 'alsa')}"
-    )
+def add_sending_arguments(parser: argparse.ArgumentParser) -> None:
+    add_source_arguments(parser)
     add_picture_arguments(parser)
     parser.add_argument(
         "--video-kbps",
@@ -43,14 +44,13 @@ def add_source_arguments(parser: argparse.ArgumentParser) -> None:
 
 def sends_of(args: argparse.Namespace) -> dict[Kind, int]:
     """Return the bit/s of what is sent, by kind. ConfigError for rates that cannot work."""
+    check_alone(args.video)
+    check_alone(args.audio)
     sends: dict[Kind, int] = {}
     if args.video is not None:
         sends["video"] = _bps(args.video_kbps, "--video-kbps", LEAST_BPS, 50_000_000)
     if args.audio is not None:
         sends["audio"] = _bps(args.voice_kbps, "--voice-kbps", 6_000, 510_000)
-    for spec in (args.video, args.audio):
-        if spec in FILLED_BY_OTHERS:
-            raise ConfigError(f"only a session has the source {spec}: give another one")
     return sends
 
 

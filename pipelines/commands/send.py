@@ -7,58 +7,23 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
 from kontur_av.codecs.encoder_settings import SEARCHES
-from kontur_av.errors import ConfigError
-from kontur_av.media import VIDEO_CODECS, parse_size
+from kontur_av.media import VIDEO_CODECS
 from kontur_av.rtp.sdp import write_sdp
-from kontur_av.sources.page import FILLED_BY_OTHERS
-from kontur_av.streams.encoding_thread import switch_threads_often
-from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
+from kontur_av.streams.feeds import describe
 from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import add_seconds_argument, check_options
-from pipelines.media.sending import SendShell, add_picture_arguments, open_pictures, open_sound
+from pipelines.media.sending import (
+    SendShell,
+    add_picture_arguments,
+    add_source_arguments,
+    open_feed,
+)
 from pipelines.report.report_file import check_writable, end_with, write_text
 from pipelines.session.addresses import check_reachable, parse_address
 
 
-def _pictures(args: argparse.Namespace, clock: MonotonicClock) -> PictureFeed:
-    switch_threads_often()
-    if args.refresh_s is not None and not 0.1 <= args.refresh_s <= 600:
-        raise ConfigError(f"--refresh-s {args.refresh_s:g}: take 0.1 to 600 seconds")
-    auto = args.coded_size == "auto"
-    return PictureFeed(
-        open_pictures(args, clock),
-        clock,
-        size=parse_size(args.size),
-        fps=args.fps,
-        cap_bps=_bps(args.cap_kbps),
-        channel_bps=None if args.channel_kbps is None else _bps(args.channel_kbps),
-        coded_size=None if auto else parse_size(args.coded_size, "--coded-size"),
-        refresh_s=args.refresh_s,
-        search=args.search,
-        codec=args.codec,
-    )
-
-
-def _sound(args: argparse.Namespace, clock: MonotonicClock) -> SoundFeed:
-    return SoundFeed(
-        open_sound(args, clock),
-        clock,
-        cap_bps=_bps(args.cap_kbps),
-        channel_bps=None if args.channel_kbps is None else _bps(args.channel_kbps),
-    )
-
-
-def _bps(kbps: float) -> int:
-    return round(kbps * 1000)
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    what = parser.add_mutually_exclusive_group(required=True)
-    spec = "FILE, pipe:PATH, v4l2:DEVICE or scene:NAME"
-    what.add_argument("--video", metavar="SPEC", help=f"the picture to send: {spec}")
-    what.add_argument(
-        "--audio", metavar="SPEC", help=f"the voice to send: {spec.replace('v4l2', 'alsa')}"
-    )
+    add_source_arguments(parser.add_mutually_exclusive_group(required=True))
     parser.add_argument("--to", metavar="HOST:PORT", required=True, help="RTCP goes to PORT+1")
     parser.add_argument(
         "--cap-kbps",
@@ -114,15 +79,8 @@ def run(args: argparse.Namespace) -> int:
     Raises ConfigError, with nothing sent, for what cannot work.
     """
     check_options(args, "cap_kbps", "channel_kbps")
-    spec = args.video or args.audio
-    if spec in FILLED_BY_OTHERS:
-        raise ConfigError(
-            f"only a session has the source {spec}: give another one, "
-            f"or `kontur-av stream --source NAME={spec}`"
-        )
     address = parse_address(args.to)
     clock = MonotonicClock()
-    open_feed = _sound if args.video is None else _pictures
     with closing(open_feed(args, clock)) as feed:
         stream = describe(feed, *address)
         if args.sdp:

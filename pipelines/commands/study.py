@@ -12,8 +12,7 @@ from kontur_av.errors import ConfigError
 from pipelines.commands.rtc_running import driven
 from pipelines.report.report_file import words_console
 from pipelines.session.output import output_that_may_fail, say
-from pipelines.session.page_sockets import bind_pages
-from pipelines.session.served_pages import ServerWish, parse_page, served
+from pipelines.session.served_pages import bound_server, served
 from pipelines.study.desk import StudyDesk
 from pipelines.study.effects import HEADINGS, effect_words, study_report, summary_of
 from pipelines.study.hands import simulate_person
@@ -95,8 +94,7 @@ def _report(folder: Path, plan: StudyPlan, trials: StudyFolder) -> None:
 
 
 async def _serve(args: argparse.Namespace, plan: StudyPlan, trials: StudyFolder) -> None:
-    host, port = parse_page(args.page)
-    wish = ServerWish(host=host, sockets=bind_pages(host, port, [_PAGE]))
+    wish = bound_server(args.page, _PAGE)
     with TemporaryDirectory() as place, served(wish, Path(place), "page") as (found, made):
         listener = found[_PAGE]
         device = PageDevice(start_m=(0.0, 0.0))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.live_session import made_directory
+from pipelines.session.addresses import split_address
 from pipelines.session.options import refuse_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
@@ -16,8 +17,6 @@ from telepresence.haptics.robot_spec import facts_of
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
 from telepresence.tasks.task_files import load_plan, load_tasks
-
-_MOST_PORT = 65_535
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,18 +92,11 @@ def task_wish(
     return TaskWish(
         catalogue=catalogue,
         plan=plan,
-        leds=None if args.leds is None else _address(args.leds),
+        leds=None if args.leds is None else split_address(args.leds, "--leds"),
         runs=made_directory(args.runs, "--runs"),
         simulated=simulated,
         two_hands=two_hands,
     )
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) <= _MOST_PORT:
-        raise ConfigError(f"--leds {text!r}: write HOST:PORT")
-    return host, int(port)
 
 
 def task_arguments(wish: TaskWish | None) -> Mapping[str, Mapping[str, object]]:

@@ -9,7 +9,6 @@
 """
 
 import struct
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import msgspec
@@ -43,14 +42,6 @@ def unpack_input(data: bytes) -> PageInput | None:
         return None
     more = struct.unpack_from(f"<{axes}d", data, _INPUT.size)
     return PageInput._make((*_INPUT.unpack_from(data), more))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HandInputFigures:
-    """The inputs of the page or node that holds the handle."""
-
-    #: Too old, repeated, not finite or out of range.
-    inputs_ignored: int = 0
 
 
 class HandRequest(NamedTuple):

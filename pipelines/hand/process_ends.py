@@ -6,7 +6,6 @@ from contextlib import closing
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import (
     STATUS_OCTETS,
-    HandInputFigures,
     JoystickOrders,
     RobotOrders,
     unpack_input,
@@ -59,6 +58,7 @@ from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.device.udp_joystick import UdpJoystick
 from telepresence.haptics.envelope import SafetyEnvelope
+from telepresence.haptics.figures import HandInputFigures
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership, Owner
 from telepresence.haptics.partner_board import PartnerBoard

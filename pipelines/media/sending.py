@@ -4,9 +4,12 @@ import argparse
 import time
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from kontur_av.meters import Histogram
 from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
+from kontur_av.sources.page import FILLED_BY_OTHERS
+from kontur_av.streams.encoding_thread import switch_threads_often
 from kontur_av.streams.feeds import PictureFeed, SoundFeed
 from kontur_av.streams.paced_sender import UnitSent
 from kontur_av.streams.udp import UdpSender
@@ -124,6 +127,15 @@ class SendShell:
         )
 
 
+def add_source_arguments(parser: argparse._ActionsContainer) -> None:
+    """`--video` and `--audio`."""
+    spec = "FILE, pipe:PATH, v4l2:DEVICE or scene:NAME"
+    parser.add_argument("--video", metavar="SPEC", help=f"the picture to send: {spec}")
+    parser.add_argument(
+        "--audio", metavar="SPEC", help=f"the voice to send: {spec.replace('v4l2', 'alsa')}"
+    )
+
+
 def add_picture_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
     parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
@@ -131,6 +143,7 @@ def add_picture_arguments(parser: argparse.ArgumentParser) -> None:
 
 def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSource:
     """The source of `--video`, of `--size` and `--fps`. ConfigError."""
+    check_alone(args.video)
     scenes = None
     if args.video.startswith("scene:"):
         from telepresence.world import video_scenes
@@ -150,9 +163,43 @@ def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSourc
 
 def open_sound(args: argparse.Namespace, clock: MonotonicClock) -> AudioSource:
     """The source of `--audio`. ConfigError."""
+    check_alone(args.audio)
     scenes = None
     if args.audio.startswith("scene:"):
         from telepresence.world import audio_scenes
 
         scenes = audio_scenes()
     return open_audio(args.audio, name="audio", clock=clock, scenes=scenes)
+
+
+def open_feed(args: argparse.Namespace, clock: MonotonicClock) -> PictureFeed | SoundFeed:
+    """What `kontur-av send` sends, coded as its options say. ConfigError."""
+    cap_bps = round(args.cap_kbps * 1000)
+    channel_bps = None if args.channel_kbps is None else round(args.channel_kbps * 1000)
+    if args.video is None:
+        return SoundFeed(open_sound(args, clock), clock, cap_bps=cap_bps, channel_bps=channel_bps)
+    switch_threads_often()
+    if args.refresh_s is not None and not 0.1 <= args.refresh_s <= 600:
+        raise ConfigError(f"--refresh-s {args.refresh_s:g}: take 0.1 to 600 seconds")
+    auto = args.coded_size == "auto"
+    return PictureFeed(
+        open_pictures(args, clock),
+        clock,
+        size=parse_size(args.size),
+        fps=args.fps,
+        cap_bps=cap_bps,
+        channel_bps=channel_bps,
+        coded_size=None if auto else parse_size(args.coded_size, "--coded-size"),
+        refresh_s=args.refresh_s,
+        search=args.search,
+        codec=args.codec,
+    )
+
+
+def check_alone(spec: str | None) -> None:
+    """ConfigError for a source that only a session has."""
+    if spec in FILLED_BY_OTHERS:
+        raise ConfigError(
+            f"only a session has the source {spec}: give another one, "
+            f"or `kontur-av stream --source NAME={spec}`"
+        )

@@ -32,11 +32,22 @@ _NOTHING: Mapping[str, object] = MappingProxyType({})
 _INPUTS = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
 
 
-def load_recording(path: Path) -> RecordedSession:
-    """What was sent in a recorded session, in all its parts.
+def load_replay(
+    args: argparse.Namespace, path: Path, *, speed: float = 1.0
+) -> tuple[RecordedSession, Setup]:
+    """What was sent in a recorded session, in all its parts, and the setup that carries it.
 
-    Raises ConfigError if the file is no recording.
+    That is the setup of the recording, or that of `--setup`, with what the options change.
+    At another speed it has no voices: a packet of sound lasts 20 ms.
+    Raises ConfigError if the file is no recording, or the setup does not carry what was recorded.
     """
+    session = _load_recording(path)
+    setup = _replay_setup(args, path, session, speed)
+    _check_caps(path, setup, session, recode=args.recode, speed=speed)
+    return session, setup
+
+
+def _load_recording(path: Path) -> RecordedSession:
     _, recording = read_recording(path)
     with refused(path, ProtocolError):
         session = read_session(recording)
@@ -46,14 +57,9 @@ def load_recording(path: Path) -> RecordedSession:
     return session
 
 
-def replay_setup(
-    args: argparse.Namespace, path: Path, session: RecordedSession, *, speed: float = 1.0
+def _replay_setup(
+    args: argparse.Namespace, path: Path, session: RecordedSession, speed: float
 ) -> Setup:
-    """The setup of the recording, or that of `--setup`, with what the options change.
-
-    At another speed it has no voices: a packet of sound lasts 20 ms.
-    Raises ConfigError if it cannot work, or does not carry what was recorded.
-    """
     changes = setup_changes(args)
     if args.setup is not None:
         start_s = _start_s(args.radio_start, session, changes)
@@ -105,8 +111,8 @@ def _start_s(
     return wanted_s
 
 
-def check_caps(
-    path: Path, setup: Setup, session: RecordedSession, *, recode: bool, speed: float = 1.0
+def _check_caps(
+    path: Path, setup: Setup, session: RecordedSession, *, recode: bool, speed: float
 ) -> None:
     """ConfigError if a recorded stream does not fit under its cap."""
     recorded = {stream.name: stream.cap_bps for stream in _recorded_streams(session)}

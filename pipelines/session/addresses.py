@@ -17,11 +17,16 @@ def parse_address(
 
     option: the name of the option in the ConfigError. family: the version of IP; by default any.
     """
-    match = re.fullmatch(r"(\[[^\]]+\]|[^:]+):(\d{1,5})", text)
-    if match is None or not 1 <= int(match[2]) <= 65534:
-        raise ConfigError(f"{option} {text!r}: write HOST:PORT with a port from 1 to 65534")
-    host, port = match[1].strip("[]"), int(match[2])
+    host, port = split_address(text, option, last_port=65534)
     return resolve(host, text, option, family), port
+
+
+def split_address(text: str, option: str, *, last_port: int = 65535) -> tuple[str, int]:
+    """Return the host, which need not be known yet, and the port; ConfigError, too."""
+    match = re.fullmatch(r"(\[[^\]]+\]|[^:]+):(\d{1,5})", text)
+    if match is None or not 1 <= int(match[2]) <= last_port:
+        raise ConfigError(f"{option} {text!r}: write HOST:PORT with a port from 1 to {last_port}")
+    return match[1].strip("[]"), int(match[2])
 
 
 def resolve(

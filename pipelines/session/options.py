@@ -1,10 +1,12 @@
 """The options of a session that several commands share."""
 
 import argparse
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kontur_av.errors import ConfigError
-from pipelines.session.setup.table import DEADBANDS, HAND_MODES, NO_RADIO
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.table import DEADBANDS, HAND_MODES, NO_RADIO, Setup
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile_file import load_radio
 
@@ -26,6 +28,17 @@ def add_setup_argument(
         default=default,
         metavar="NAME",
         help=f"spacejustin, taskboard or FILE.toml{_said(default)}",
+    )
+
+
+def add_source_argument(parser: argparse.ArgumentParser, kinds: str) -> None:
+    """`--source`. kinds: what a SPEC may be."""
+    parser.add_argument(
+        "--source",
+        action="append",
+        default=[],
+        metavar="NAME=SPEC",
+        help=f"what an input captures: {kinds}; repeatable",
     )
 
 
@@ -101,6 +114,27 @@ def setup_changes(args: argparse.Namespace) -> dict[str, Any]:
     given = {name: getattr(args, name, None) for name in ("base_port", "deadband", "hand")}
     changes = radio_changes(args) if hasattr(args, "radio") else {}
     return changes | {name: value for name, value in given.items() if value is not None}
+
+
+def asked_setup(args: argparse.Namespace) -> Setup:
+    """The setup of `--setup`, with what the options of this module change; ConfigError."""
+    return load_setup(
+        args.setup,
+        sources=_sources(getattr(args, "source", ())),
+        changes=setup_changes(args),
+        radio_start_s=args.radio_start,
+    )
+
+
+def _sources(options: Sequence[str]) -> Mapping[str, str]:
+    """NAME=SPEC options as a table; the last one of each name counts."""
+    sources = {}
+    for option in options:
+        name, equals, spec = option.partition("=")
+        if not (name and equals and spec):
+            raise ConfigError(f"--source {option}: write NAME=SPEC, like head=clip.mp4")
+        sources[name] = spec
+    return sources
 
 
 def add_coding_arguments(parser: argparse.ArgumentParser) -> None:

@@ -75,6 +75,16 @@ def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]
     return PageHost(host=host, address=resolve(host, text, option)), int(match[2])
 
 
+def bound_server(
+    text: str | None, name: str, option: str = "--page", certificate: Path | None = None
+) -> ServerWish:
+    """Bind the one listener `name` at `text`, as of `parse_page`; ConfigError if that cannot be."""
+    host, port = parse_page(text, option)
+    if certificate is not None:
+        check_certificate(certificate)
+    return ServerWish(host=host, sockets=bind_pages(host, port, [name]), certificate=certificate)
+
+
 @contextmanager
 def served(
     wish: ServerWish, root: Path, name: str, *, trainer: bool = False

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.errors import ConfigError
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from kontur_av.rtp.nal_payload import ReceivedUnit
@@ -50,7 +51,8 @@ class Replay(Simulation):
     is the first thing that was sent. end_ns: when everything has arrived.
 
     recode: with the path of the recording, its pictures are coded anew, by the session's encoder.
-    Raises ConfigError for a stream of the setup that is not in the recording.
+    Raises ConfigError for a stream of the setup that is not in the recording, and for a recording
+    in several parts that is to be coded anew.
     """
 
     _recorded = True
@@ -66,6 +68,11 @@ class Replay(Simulation):
         costs: CodingCosts | None = None,
         recode: str | None = None,
     ) -> None:
+        if recode is not None and session.parts > 1:
+            raise ConfigError(
+                f"--recode on virtual time takes one part, and {recode} has {session.parts}: "
+                "`kontur-av replay --recode` takes them all"
+            )
         self._session, self._recode = session, recode
         self._ends: list[ReplayedEnd] = []
         first_ns, last_ns = session.instants_ns

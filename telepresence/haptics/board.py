@@ -116,8 +116,8 @@ class Board:
 
     spring, contour: None leaves the element out.
 
-    `press` sets these: wall_n: normal force of the wall (N), >= 0. rub_n: friction along the wall
-    (N), signed along y. touching: whether the tip is in the wall or in the spring.
+    `press` sets these: wall_n: normal force of the wall (N), >= 0. touching: whether the tip is in
+    the wall or in the spring.
     """
 
     def __init__(
@@ -131,7 +131,6 @@ class Board:
         self.spring = spring
         self.contour = contour
         self.wall_n = 0.0
-        self.rub_n = 0.0
         self.touching = False
         self._wall_x = self.wall.x_m
         # To the right of this line there is only the wall.
@@ -148,9 +147,9 @@ class Board:
             push = push if push > 0.0 else 0.0
             # Coulomb friction, smoothed around standstill so that one step cannot overshoot it.
             rub = -wall.friction * push * vy_m_s / (abs(vy_m_s) + wall.stick_m_s)
-            self.wall_n, self.rub_n, self.touching = push, rub, True
+            self.wall_n, self.touching = push, True
             return -push, rub
-        self.wall_n = self.rub_n = 0.0
+        self.wall_n = 0.0
         return self._left(x_m, y_m) if x_m < self._left_x else (0.0, 0.0)
 
     def _left(self, x: float, y: float) -> tuple[float, float]:

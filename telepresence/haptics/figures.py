@@ -40,6 +40,14 @@ class SamplesReceived:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class HandInputFigures:
+    """The inputs of the page or node that holds the handle (`PageDevice`)."""
+
+    #: Too old, repeated, not finite or out of range.
+    inputs_ignored: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PortFigures:
     """Energies of the port at one end, and its passivity controller (`JoystickSide.report`)."""
 

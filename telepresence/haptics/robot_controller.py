@@ -199,10 +199,10 @@ class RobotController(PortController):
                 fx, fy = _within(still_x, limit), _within(still_y, limit)
         port.handle_flow(fx * dx + fy * dy)
         tip_m_s = sqrt(vx_m_s * vx_m_s + vy_m_s * vy_m_s)
-        if tip_m_s > _FAST * self.model.speed_m_s:
+        if tip_m_s > _FAST * speed:
             # The rest of the spring's force is lost as in a brake; the port pays for it.
             along = (fx * vx_m_s + fy * vy_m_s) / tip_m_s
-            over = along - max(0.0, _SLOWING_N_S_M * (self.model.speed_m_s - tip_m_s))
+            over = along - max(0.0, _SLOWING_N_S_M * (speed - tip_m_s))
             if over > 0.0:
                 fx -= over * vx_m_s / tip_m_s
                 fy -= over * vy_m_s / tip_m_s

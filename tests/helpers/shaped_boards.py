@@ -17,7 +17,7 @@ class SlantedBoard:
         self.wall = wall or WallModel()
         self.inward = cos(angle_rad), sin(angle_rad)
         self.distance_m = distance_m
-        self.wall_n = self.rub_n = 0.0
+        self.wall_n = 0.0
         self.touching = False
 
     def surface(self, x_m: float, y_m: float) -> tuple[float, float, float]:
@@ -29,14 +29,14 @@ class SlantedBoard:
         """Return the board's force on the tip (N, N)."""
         depth, nx, ny = self.surface(x_m, y_m)
         self.touching = depth > 0.0
-        self.wall_n = self.rub_n = 0.0
+        self.wall_n = 0.0
         if not self.touching:
             return 0.0, 0.0
         wall = self.wall
         into, along = nx * vx_m_s + ny * vy_m_s, nx * vy_m_s - ny * vx_m_s
         push = max(0.0, wall.stiffness_n_m * depth + wall.damping_n_s_m * into)
         rub = -wall.friction * push * along / (abs(along) + wall.stick_m_s)
-        self.wall_n, self.rub_n = push, rub
+        self.wall_n = push
         return -push * nx - rub * ny, -push * ny + rub * nx
 
 

@@ -191,6 +191,7 @@ USERS_OF_SHELLS = {
     "pipelines/virtual/streams.py": "workers encode and decode",
     "pipelines/virtual/files.py": "the simulation's scene",
     "pipelines/virtual/mission.py": "subscribes to PUS",
+    "pipelines/virtual/options.py": "opens devices that an option names",
     "pipelines/virtual/session.py": "starts workers",
     "pipelines/virtual/studio.py": "what a worker does",
     "telepresence/haptics/device/spec.py": "opens devices",

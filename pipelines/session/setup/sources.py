@@ -1,6 +1,6 @@
 """What a session's inputs need here: sources that can be opened, and room for their pictures."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
@@ -15,17 +15,6 @@ from pipelines.session.machine_checks import (
 )
 from pipelines.session.setup.table import STEREO, Setup, VideoStream
 from telepresence.world import audio_scenes, video_scenes
-
-
-def parse_sources(options: Sequence[str]) -> Mapping[str, str]:
-    """NAME=SPEC options as a table; the last one of each name counts."""
-    sources = {}
-    for option in options:
-        name, equals, spec = option.partition("=")
-        if not (name and equals and spec):
-            raise ConfigError(f"--source {option}: write NAME=SPEC, like head=clip.mp4")
-        sources[name] = spec
-    return sources
 
 
 def check_sources(setup: Setup, inputs: Sequence[str], *, pages: bool = True) -> None:

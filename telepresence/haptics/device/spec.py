@@ -14,6 +14,7 @@
 
 from collections.abc import Sequence
 
+from kontur_av.errors import ConfigError
 from kontur_av.parts import PartDoor, make_part
 from telepresence.haptics.axes import AxisName, check_axes
 from telepresence.haptics.device.device import JoystickDevice
@@ -36,6 +37,18 @@ DOOR = PartDoor(
         UDP: "telepresence.haptics.device.udp_joystick:UdpJoystick",
     },
 )
+
+
+def open_alone(
+    spec: str, *, hand: Hand | None = None, axes: Sequence[AxisName] | None = ()
+) -> JoystickDevice:
+    """Open a joystick without a session; ConfigError for one whose hand is in a session only."""
+    if spec in (PAGE, ROS2_HAND):
+        raise ConfigError(
+            f"{spec}: it is moved in a session only, with `kontur-av stream --joystick {spec}`; "
+            "its mechanics are those of sim: take that"
+        )
+    return open_device(spec, hand=hand, axes=axes)
 
 
 def check_joystick(spec: str, axes: Sequence[AxisName] = ()) -> None:

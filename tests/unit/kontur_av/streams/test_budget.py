@@ -98,7 +98,7 @@ def test_packets_after_an_idle_time_are_spaced_as_the_channel_carries_them():
         assert pacer.poll_transmit(now_ns) is None
     # 100 octets take 8 ms of the channel.
     assert left == [0, 8 * MS, 16 * MS, 24 * MS, 32 * MS]
-    assert (pacer.released_packets, pacer.longest_wait_ns) == (5, 32 * MS)
+    assert (pacer.released.events, pacer.longest_wait_ns) == (5, 32 * MS)
     assert pacer.released.last_ns == now_ns
 
 

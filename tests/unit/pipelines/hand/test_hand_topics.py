@@ -1,5 +1,7 @@
 """What the operator's page and the joystick tell each other, and what becomes of a command."""
 
+from types import SimpleNamespace
+
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -16,11 +18,13 @@ from pipelines.hand.hand_topics import (
     unpack_status,
 )
 from pipelines.hand.joystick_status import JoystickStatusTeller
+from pipelines.hand.process_ends import _hand
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.page import PageInput
+from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import REQUESTS, JoystickEvent, JoystickState
+from telepresence.haptics.figures import HandInputFigures
 from telepresence.haptics.hand import Hand
 
 
@@ -112,3 +116,20 @@ def test_the_state_is_told_only_while_somebody_reads():
     desk.teller.handle_watched(True)
     desk.run(10)
     assert [one.state for one in desk.told] == [JoystickState.STANDBY]
+
+
+def test_inputs_of_a_page_that_move_nothing_are_told():
+    told, flushes = [], []
+    inputs = [PageInput(False, x, 0.0, 0, number) for number, x in enumerate((0.5, 0.5, 7.0))]
+    octets = iter([pack_input(one) for one in (*inputs, inputs[1])])
+    reader = SimpleNamespace(latest_octets=lambda: next(octets))
+    context = SimpleNamespace(
+        on_flush=flushes.append, probe=SimpleNamespace(tell=lambda figures: told.append(figures))
+    )
+    bus = SimpleNamespace(reader=lambda _topic: reader)
+    take = _hand(context, bus, PageDevice(start_m=(0.0, 0.0)), "input")
+    for _ in range(4):
+        take(0)
+    flushes[0]()
+    # One out of range, and one that came again.
+    assert told == [HandInputFigures(inputs_ignored=2)]

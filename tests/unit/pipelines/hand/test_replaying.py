@@ -1,11 +1,15 @@
 """What was sent is sent again: each row in its cycle, and no cap that cannot carry the units."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.haptic_trace import ROW, flags_of
 from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
+from pipelines.recording.figures import ReplayFigures
+from pipelines.recording.process_replaying import ReplayStart
 from pipelines.recording.recorded_session import MOST_MORE_NS, cap_needed_bps, longest_wait_ns
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow
@@ -140,3 +144,17 @@ def test_a_process_sends_each_item_when_it_is_due_and_a_restarted_one_repeats_no
     # One that overslept sends all that is due.
     late = started(0)
     assert [late.poll_due(5_043 * NS_PER_MS) is not None for _ in range(5)] == [True] * 4 + [False]
+
+
+def test_a_process_that_comes_late_tells_what_it_leaves_out():
+    told = []
+    context = SimpleNamespace(
+        started_ns=0,
+        clock=SimpleNamespace(now_ns=lambda: 3 * NS_PER_S),
+        probe=SimpleNamespace(tell=told.append),
+    )
+    items = [(second * NS_PER_S, b"") for second in range(5)]
+    script = ReplayStart(recorded_ns=0, lead_ns=NS_PER_S, speed=1.0).script(context, items, 1)
+    # Those of seconds 0 and 1 were due at 1 s and 2 s.
+    assert told == [ReplayFigures(items_left_out=2)]
+    assert script.poll_timeout() == 3 * NS_PER_S + 1
