@@ -355,14 +355,14 @@ class HapticFigures:
         return self._matcher.unmatched
 
     def handle_sent(self, rows: NDArray[np.int64], now_ns: int) -> None:
-        self._matcher.handle_sent(tuple(row) for row in rows.tolist())
+        self._matcher.handle_sent(rows)
         self._match(now_ns)
 
     def handle_received(self, rows: NDArray[np.int64], now_ns: int) -> None:
         if not len(rows):
             return
         self._lately.append(rows.copy())
-        self._matcher.handle_received([tuple(row) for row in rows.tolist()])
+        self._matcher.handle_received(rows)
         self.pauses.add_all(rows[:, 1])
         _, first, counts = np.unique(
             rows[:, 1] // _FELT_EVERY_NS, return_index=True, return_counts=True
@@ -386,7 +386,7 @@ class HapticFigures:
 
     def _match(self, now_ns: int) -> None:
         """Take the latency of each sample whose two stamps have come."""
-        matches = np.array(self._matcher.take_matches_ns(now_ns), np.int64).reshape(-1, 2)
+        matches = self._matcher.take_matches_ns(now_ns)
         if not len(matches):
             return
         self.latency.add(matches[:, 1])

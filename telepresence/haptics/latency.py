@@ -1,8 +1,7 @@
 """One-way delay of haptic samples: the stamps of both ends, matched by sequence number."""
 
-from array import array
-from collections import deque
-from collections.abc import Iterable
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.sample import SEQUENCE_MODULUS
@@ -19,7 +18,7 @@ _PATIENCE_NS = 5 * NS_PER_S
 class LatencyMatcher:
     """Joins the stamps of both ends, which arrive in batches from two processes, in any order.
 
-    All instants are on one clock.
+    All instants are on one clock. A stamp is a sequence number and an instant in ns.
 
     pending: received stamps that wait for the sender's batch, for at most 5 s. Beyond
     65536 the oldest is dropped.
@@ -32,43 +31,45 @@ class LatencyMatcher:
 
     def __init__(self) -> None:
         self.unmatched = 0
-        self._sent_ns = array("q", [_NEVER_NS]) * SEQUENCE_MODULUS
-        self._pending: deque[tuple[int, int]] = deque()
+        self._sent_ns = np.full(SEQUENCE_MODULUS, _NEVER_NS, np.int64)
+        self._pending = np.empty((0, 2), np.int64)
         self._matched_ns = _NEVER_NS
 
     @property
     def pending(self) -> int:
         return len(self._pending)
 
-    def handle_sent(self, stamps: Iterable[tuple[int, int]]) -> None:
-        """Add (sequence, instant in ns) pairs from `HapticLink.take_sent_stamps`."""
-        for sequence, sent_ns in stamps:
-            self._sent_ns[sequence] = sent_ns
+    def handle_sent(self, stamps: ArrayLike) -> None:
+        """Add the stamps of `HapticLink.take_sent_stamps`."""
+        rows = _rows(stamps)
+        self._sent_ns[rows[:, 0]] = rows[:, 1]
 
-    def handle_received(self, stamps: Iterable[tuple[int, int]]) -> None:
-        """Add (sequence, instant in ns) pairs from `HapticLink.take_received_stamps`."""
-        self._pending.extend(stamps)
-        while len(self._pending) > _PENDING_DEPTH:
-            self._pending.popleft()
-            self.unmatched += 1
+    def handle_received(self, stamps: ArrayLike) -> None:
+        """Add the stamps of `HapticLink.take_received_stamps`."""
+        pending = np.concatenate((self._pending, _rows(stamps)))
+        self._pending = pending[-_PENDING_DEPTH:]
+        self.unmatched += len(pending) - len(self._pending)
 
     def sent_ns(self, sequence: int) -> int | None:
         """When the newest sample with this number was sent; None if no stamp has arrived."""
-        sent_ns = self._sent_ns[sequence]
+        sent_ns = int(self._sent_ns[sequence])
         return None if sent_ns == _NEVER_NS else sent_ns
 
-    def take_matches_ns(self, now_ns: int) -> list[tuple[int, int]]:
+    def take_matches_ns(self, now_ns: int) -> NDArray[np.int64]:
         """Take (instant of reception, delay) in ns of all samples that have both stamps now."""
-        matches: list[tuple[int, int]] = []
-        waiting: deque[tuple[int, int]] = deque()
-        for sequence, received_ns in self._pending:
-            sent_ns = self._sent_ns[sequence]
-            if sent_ns > self._matched_ns and 0 <= received_ns - sent_ns < _TURN_NS:
-                self._matched_ns = sent_ns
-                matches.append((received_ns, received_ns - sent_ns))
-            elif now_ns - received_ns <= _PATIENCE_NS:
-                waiting.append((sequence, received_ns))
-            else:
-                self.unmatched += 1
-        self._pending = waiting
+        received_ns = self._pending[:, 1]
+        sent_ns = self._sent_ns[self._pending[:, 0]]
+        delays_ns = received_ns - sent_ns
+        sent_ns[(delays_ns < 0) | (delays_ns >= _TURN_NS)] = _NEVER_NS
+        newest_ns = np.maximum.accumulate(np.concatenate(([self._matched_ns], sent_ns)))
+        self._matched_ns = int(newest_ns[-1])
+        matched = sent_ns > newest_ns[:-1]
+        waiting = ~matched & (now_ns - received_ns <= _PATIENCE_NS)
+        self.unmatched += len(matched) - int(np.count_nonzero(matched | waiting))
+        matches = np.stack((received_ns, delays_ns), axis=1)[matched]
+        self._pending = self._pending[waiting]
         return matches
+
+
+def _rows(stamps: ArrayLike) -> NDArray[np.int64]:
+    return np.asarray(stamps, np.int64).reshape(-1, 2)
