@@ -197,7 +197,10 @@ class HapticLink(Generic[Out, In]):
         self.session.strays = 0
         if accepted:
             self.received += 1
-            self.peer_holds = bool(flags & FLAG_HOLDING)
+            holds = bool(flags & FLAG_HOLDING)
+            if holds and not self.peer_holds and self.hearing and self.deadband is not None:
+                self.deadband.handle_gap(now_ns)
+            self.peer_holds = holds
             heard_uj = self._heard_before_uj + value.energy_uj
             if heard_uj > self._heard_uj:
                 self._heard_uj = heard_uj
@@ -372,6 +375,9 @@ class HapticLink(Generic[Out, In]):
     def _is_anchor(self, sequence: int, now_ns: int) -> bool:
         """Whether numbers out of range have followed each other for `_REANCHOR_NS`."""
         step = (sequence - self._strange) % SEQUENCE_MODULUS
+        if step >= SEQUENCE_MODULUS - _WINDOW and self._newest_ns < self._strange_ns:
+            # Overtaken on the way: the newest of them counts.
+            return False
         if not 0 < step <= _WINDOW or self._newest_ns >= self._strange_ns:
             self._strange_ns = now_ns
         self._strange = sequence

@@ -46,6 +46,8 @@ class RobotControllerModel:
     spare_j, return_s: while the joystick lacks credit, credit above `spare_j` returns to it with
     this time constant.
     discard_s: in contact, credit above `spare_j` is discarded with this time constant.
+    spend_s: a free tip spends at most its credit in this time. Friction costs power with the square
+    of the speed, so a slower tip goes further.
     """
 
     stiffness_n_m: float = 1000.0
@@ -63,6 +65,7 @@ class RobotControllerModel:
     spare_j: float = 0.005
     return_s: float = 0.1
     discard_s: float = 0.4
+    spend_s: float = 0.05
 
 
 class RobotController(PortController):
@@ -72,7 +75,7 @@ class RobotController(PortController):
     reference_x_m, reference_y_m: the position that the tip is pulled to.
     holding: the reference follows no command.
     speed_m_s: limit of the reference's speed; the caller may lower it.
-    acted: number of steps that the passivity controller cut.
+    acted: number of steps that cost more than the credit.
     """
 
     def __init__(
@@ -100,6 +103,7 @@ class RobotController(PortController):
             model.damping_n_s_m,
             model.force_limit_n,
             model.follow_s,
+            model.spend_s,
             model.acceleration_m_s2,
             model.half_width_m,
             model.half_height_m,
@@ -132,7 +136,7 @@ class RobotController(PortController):
         x_m, y_m, vx_m_s, vy_m_s: position and velocity of the tip.
         touching: the tip touches something.
         """
-        stiffness, damping, limit, follow_s, acceleration, width, height = self._constants
+        stiffness, damping, limit, follow_s, spend_s, acceleration, width, height = self._constants
         speed = self.speed_m_s
         dt_s = dt_ns / NS_PER_S
         port = self.port
@@ -176,9 +180,11 @@ class RobotController(PortController):
         still_y = stiffness * (reference_y - y_m) - damping * vy_m_s
         fx, fy = still_x + gain * dx, still_y + gain * dy
         cost = fx * dx + fy * dy
-        if self.passive and cost > port.credit_j and cost > 0.0:
-            self.acted += 1
-            dx, dy = self._cut(still_x, still_y, dx, dy, gain)
+        most = port.credit_j if touching else port.credit_j * dt_s / (dt_s + spend_s)
+        if self.passive and cost > most and cost > 0.0:
+            # A tip that only goes slower lacks nothing.
+            self.acted += cost > port.credit_j
+            dx, dy = self._cut(still_x, still_y, dx, dy, gain, most)
             fx, fy = still_x + gain * dx, still_y + gain * dy
             vx, vy = dx / dt_s, dy / dt_s
         if not (-limit <= fx <= limit and -limit <= fy <= limit):
@@ -207,14 +213,14 @@ class RobotController(PortController):
         return fx, fy
 
     def _cut(
-        self, still_x: float, still_y: float, dx: float, dy: float, gain: float
+        self, still_x: float, still_y: float, dx: float, dy: float, gain: float, most: float
     ) -> tuple[float, float]:
-        """Scale the step of the reference along the force so that it costs exactly the credit.
+        """Scale the step of the reference along the force so that it costs exactly `most` (J).
 
         The part of the step across the force is orthogonal to it and costs nothing. With a share s
         of the part along the force, the step costs s*b + s^2*a.
         """
-        credit = max(0.0, self.port.credit_j)
+        credit = max(0.0, most)
         fx, fy = still_x + gain * dx, still_y + gain * dy
         force = sqrt(fx * fx + fy * fy)
         along_x, along_y = fx / force, fy / force
@@ -223,7 +229,7 @@ class RobotController(PortController):
         if a < _NO_COST_J:
             return 0.0, 0.0
         b = along * (still_x * along_x + still_y * along_y)
-        # Slightly less than the root, so that rounding cannot cost more than the credit.
+        # Slightly less than the root, so that rounding cannot cost more than that.
         share = (sqrt(b * b + 4.0 * a * credit) - b) / (2.0 * a) * (1.0 - 1e-9)
         share = min(1.0, max(0.0, share))
         lacking = (1.0 - share) * along
