@@ -25,6 +25,8 @@ _NO_COST_J = 1e-18
 #: A tip that catches up would overshoot the reference's greatest speed. Beyond this share of that
 #: speed, the force along the tip's motion is at most so much for each m/s that is left.
 _FAST, _SLOWING_N_S_M = 0.8, 250.0
+#: A hand rests while it is this near (m) to its smoothed position, with this time constant (s).
+_REST_M, _REST_S = 0.002, 0.1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,8 +48,8 @@ class RobotControllerModel:
     spare_j, return_s: while the joystick lacks credit, credit above `spare_j` returns to it with
     this time constant.
     discard_s: in contact, credit above `spare_j` is discarded with this time constant.
-    spend_s: a free tip spends at most its credit in this time. Friction costs power with the square
-    of the speed, so a slower tip goes further.
+    spend_s: while the hand rests, a free tip that catches up spends at most its credit in this
+    time. Friction costs power with the square of the speed, so a slower tip goes further.
     """
 
     stiffness_n_m: float = 1000.0
@@ -65,7 +67,7 @@ class RobotControllerModel:
     spare_j: float = 0.005
     return_s: float = 0.1
     discard_s: float = 0.4
-    spend_s: float = 0.05
+    spend_s: float = 0.5
 
 
 class RobotController(PortController):
@@ -96,6 +98,8 @@ class RobotController(PortController):
         self.holding = True
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
+        #: Follows the received position with the time constant `_REST_S`.
+        self._slow_x, self._slow_y = x_m, y_m
         self._silent_s = 0.0
         # Unpacked in one step, because `step` is called a thousand times a second.
         self._constants = (
@@ -141,6 +145,7 @@ class RobotController(PortController):
         dt_s = dt_ns / NS_PER_S
         port = self.port
         reference_x, reference_y = self.reference_x_m, self.reference_y_m
+        rests = False
         if command is None:
             port.handle_silence(dt_ns)
             self._silent_s += dt_s
@@ -159,6 +164,11 @@ class RobotController(PortController):
             to_x, to_y = command[0], command[1]
             to_x = width if to_x > width else -width if to_x < -width else to_x
             to_y = height if to_y > height else -height if to_y < -height else to_y
+            moved_x, moved_y = to_x - self._slow_x, to_y - self._slow_y
+            share = dt_s / (dt_s + _REST_S)
+            self._slow_x += moved_x * share
+            self._slow_y += moved_y * share
+            rests = moved_x * moved_x + moved_y * moved_y < _REST_M * _REST_M
             share = 1.0 / (follow_s + dt_s)
             vx, vy = (to_x - reference_x) * share, (to_y - reference_y) * share
         size = vx * vx + vy * vy
@@ -180,7 +190,9 @@ class RobotController(PortController):
         still_y = stiffness * (reference_y - y_m) - damping * vy_m_s
         fx, fy = still_x + gain * dx, still_y + gain * dy
         cost = fx * dx + fy * dy
-        most = port.credit_j if touching else port.credit_j * dt_s / (dt_s + spend_s)
+        most = port.credit_j
+        if rests and not touching:
+            most *= dt_s / (dt_s + spend_s)
         if self.passive and cost > most and cost > 0.0:
             # A tip that only goes slower lacks nothing.
             self.acted += cost > port.credit_j
