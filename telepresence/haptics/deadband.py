@@ -37,9 +37,9 @@ COMMAND_ENERGY_UJ = 50
 FEEDBACK_ENERGY_UJ = 500
 #: The peer counts as silent after 20 ms, so two samples in a row may still be lost.
 LONGEST_PAUSE_NS = 6 * NS_PER_MS
-#: After the peer heard nothing, no sample is left out for so long. A burst of losses spans as many
+#: After a burst of losses, no sample is left out for so long. A burst of losses spans as many
 #: pauses as samples, so pauses would make the next one 6 times as long.
-WHOLE_NS = 10 * NS_PER_S
+WHOLE_NS = 30 * NS_PER_S
 #: A cycle that begins a little early still ends the pause.
 _EARLY_NS = NS_PER_MS // 2
 #: Shortest interval for a velocity: a late cycle is followed by one that is too soon.
@@ -77,7 +77,7 @@ class Deadband:
         self._whole_until_ns = 0
 
     def handle_gap(self, now_ns: int) -> None:
-        """The peer heard nothing for a while: leave nothing out for `WHOLE_NS`."""
+        """The peer has met a burst of losses: leave nothing out for `WHOLE_NS`."""
         self._whole_until_ns = now_ns + WHOLE_NS
 
     def handle_sample(self, value: Any, holding: bool, now_ns: int) -> Any:

@@ -43,6 +43,11 @@ In = TypeVar("In", bound=Command | Feedback)
 #: Without a sample for this long, the peer counts as silent: 20 slots.
 MAX_AGE_NS = 20 * NS_PER_MS
 
+#: A peer that hears nothing for this much longer has met a burst of losses: jitter and single
+#: losses make shorter gaps.
+_GAP_NS = 20 * NS_PER_MS
+_NEVER_NS = 1 << 63
+
 #: Up to this many numbers behind the newest, late and repeated samples are told apart.
 _WINDOW = 64
 _WINDOW_MASK = (1 << _WINDOW) - 1
@@ -149,6 +154,7 @@ class HapticLink(Generic[Out, In]):
         self._local: Out | None = None
         self._newest: In | None = None
         self._newest_ns = 0
+        self._held_ns = _NEVER_NS
         self.newest_sequence = 0
         self._seen = 0
         #: The newest number out of range, and since when such numbers follow each other.
@@ -198,7 +204,10 @@ class HapticLink(Generic[Out, In]):
         if accepted:
             self.received += 1
             holds = bool(flags & FLAG_HOLDING)
-            if holds and not self.peer_holds and self.hearing and self.deadband is not None:
+            if holds and not self.peer_holds:
+                # A peer that is heard for the first time has missed nothing.
+                self._held_ns = now_ns if self.hearing else _NEVER_NS
+            if holds and self.deadband is not None and now_ns - self._held_ns >= _GAP_NS:
                 self.deadband.handle_gap(now_ns)
             self.peer_holds = holds
             heard_uj = self._heard_before_uj + value.energy_uj

@@ -155,7 +155,7 @@ def test_a_sample_left_out_does_not_count_as_lost():
 def test_where_the_peer_misses_samples_none_is_left_out_for_a_while():
     """Pauses between samples would stretch a burst of losses."""
     robot, joystick = robot_link(deadband=True), joystick_link(deadband=True)
-    found_ms, lost_ms = 1000, 1000 + 2 * MAX_AGE_NS // NS_PER_MS
+    found_ms, lost_ms = 1000, 1000 + 3 * MAX_AGE_NS // NS_PER_MS
     whole_ms = WHOLE_NS // NS_PER_MS
     sent = []
     for k in range(lost_ms + whole_ms + 1000):
