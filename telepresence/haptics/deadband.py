@@ -18,7 +18,7 @@ lost one. Each observer measures the energy at its own port, and credit comes fr
 from math import sqrt
 from typing import Any
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 
 #: Share of the force sent last.
 FORCE_SHARE = 0.10
@@ -37,6 +37,9 @@ COMMAND_ENERGY_UJ = 50
 FEEDBACK_ENERGY_UJ = 500
 #: The peer counts as silent after 20 ms, so two samples in a row may still be lost.
 LONGEST_PAUSE_NS = 6 * NS_PER_MS
+#: After a burst of losses, no sample is left out for so long. A burst of losses spans as many
+#: pauses as samples, so pauses would make the next one 6 times as long.
+WHOLE_NS = 30 * NS_PER_S
 #: A cycle that begins a little early still ends the pause.
 _EARLY_NS = NS_PER_MS // 2
 #: Shortest interval for a velocity: a late cycle is followed by one that is too soon.
@@ -65,12 +68,17 @@ class Deadband:
         self._floor = floor
         self._energy_uj = energy_uj
         self._sent: Any = None
-        self._sent_ns = 0
+        self._due_ns = 0
         self._radius = 0.0
         self._holding = False
         self._acted = False
         self._last_x = self._last_y = 0.0
         self._last_ns = 0
+        self._whole_until_ns = 0
+
+    def handle_gap(self, now_ns: int) -> None:
+        """The peer has met a burst of losses: leave nothing out for `WHOLE_NS`."""
+        self._whole_until_ns = now_ns + WHOLE_NS
 
     def handle_sample(self, value: Any, holding: bool, now_ns: int) -> Any:
         """Return the sample to send for `value` (a `Command` or a `Feedback`), or None.
@@ -90,7 +98,7 @@ class Deadband:
             dx, dy = x - self._last_x, y - self._last_y
             room += sqrt(dx * dx + dy * dy) * self._lag_ns / since_ns
             self._last_x, self._last_y, self._last_ns = x, y, now_ns
-        if sent is not None and now_ns - self._sent_ns < LONGEST_PAUSE_NS - _EARLY_NS:
+        if sent is not None and self._whole_until_ns <= now_ns < self._due_ns:
             dx, dy = x - sent[0], y - sent[1]
             if (
                 dx * dx + dy * dy < room * room
@@ -102,7 +110,8 @@ class Deadband:
                 self.left_out += 1
                 self._acted = self._acted or value[_ACTED]
                 return None
-        self._sent, self._sent_ns, self._holding = value, now_ns, holding
+        self._sent, self._holding = value, holding
+        self._due_ns = now_ns + LONGEST_PAUSE_NS - _EARLY_NS
         radius = self._share * sqrt(x * x + y * y)
         self._radius = radius if radius > self._floor else self._floor
         if self._acted:

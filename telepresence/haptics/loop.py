@@ -43,6 +43,11 @@ In = TypeVar("In", bound=Command | Feedback)
 #: Without a sample for this long, the peer counts as silent: 20 slots.
 MAX_AGE_NS = 20 * NS_PER_MS
 
+#: A peer that hears nothing for this much longer has met a burst of losses: jitter and single
+#: losses make shorter gaps.
+_GAP_NS = 20 * NS_PER_MS
+_NEVER_NS = 1 << 63
+
 #: Up to this many numbers behind the newest, late and repeated samples are told apart.
 _WINDOW = 64
 _WINDOW_MASK = (1 << _WINDOW) - 1
@@ -149,6 +154,7 @@ class HapticLink(Generic[Out, In]):
         self._local: Out | None = None
         self._newest: In | None = None
         self._newest_ns = 0
+        self._held_ns = _NEVER_NS
         self.newest_sequence = 0
         self._seen = 0
         #: The newest number out of range, and since when such numbers follow each other.
@@ -197,7 +203,13 @@ class HapticLink(Generic[Out, In]):
         self.session.strays = 0
         if accepted:
             self.received += 1
-            self.peer_holds = bool(flags & FLAG_HOLDING)
+            holds = bool(flags & FLAG_HOLDING)
+            if holds and not self.peer_holds:
+                # A peer that is heard for the first time has missed nothing.
+                self._held_ns = now_ns if self.hearing else _NEVER_NS
+            if holds and self.deadband is not None and now_ns - self._held_ns >= _GAP_NS:
+                self.deadband.handle_gap(now_ns)
+            self.peer_holds = holds
             heard_uj = self._heard_before_uj + value.energy_uj
             if heard_uj > self._heard_uj:
                 self._heard_uj = heard_uj
@@ -372,6 +384,9 @@ class HapticLink(Generic[Out, In]):
     def _is_anchor(self, sequence: int, now_ns: int) -> bool:
         """Whether numbers out of range have followed each other for `_REANCHOR_NS`."""
         step = (sequence - self._strange) % SEQUENCE_MODULUS
+        if step >= SEQUENCE_MODULUS - _WINDOW and self._newest_ns < self._strange_ns:
+            # Overtaken on the way: the newest of them counts.
+            return False
         if not 0 < step <= _WINDOW or self._newest_ns >= self._strange_ns:
             self._strange_ns = now_ns
         self._strange = sequence

@@ -25,6 +25,8 @@ _NO_COST_J = 1e-18
 #: A tip that catches up would overshoot the reference's greatest speed. Beyond this share of that
 #: speed, the force along the tip's motion is at most so much for each m/s that is left.
 _FAST, _SLOWING_N_S_M = 0.8, 250.0
+#: A hand rests while it is this near (m) to its smoothed position, with this time constant (s).
+_REST_M, _REST_S = 0.002, 0.1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,6 +49,8 @@ class RobotControllerModel:
     spare_j, return_s: while the joystick lacks credit, credit above `spare_j` returns to it with
     this time constant.
     discard_s: in contact, credit above `spare_j` is discarded with this time constant.
+    spend_s: while the hand rests, a free tip that catches up spends at most its credit in this
+    time. Friction costs power with the square of the speed, so a slower tip goes further.
     """
 
     stiffness_n_m: float = 1000.0
@@ -65,6 +69,7 @@ class RobotControllerModel:
     spare_j: float = 0.005
     return_s: float = 0.1
     discard_s: float = 0.4
+    spend_s: float = 0.5
 
 
 class RobotController(PortController):
@@ -75,7 +80,7 @@ class RobotController(PortController):
     holding: the reference follows no command.
     speed_m_s: limit of the reference's speed; the caller may lower it.
     letting_go: the press decays, whatever the command; for the caller to set.
-    acted: number of steps that the passivity controller cut.
+    acted: number of steps that cost more than the credit.
     """
 
     def __init__(
@@ -97,6 +102,8 @@ class RobotController(PortController):
         self.letting_go = False
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
+        #: Follows the received position with the time constant `_REST_S`.
+        self._slow_x, self._slow_y = x_m, y_m
         self._silent_s = 0.0
         # Unpacked in one step, because `step` is called a thousand times a second.
         self._constants = (
@@ -104,6 +111,7 @@ class RobotController(PortController):
             model.damping_n_s_m,
             model.force_limit_n,
             model.follow_s,
+            model.spend_s,
             model.acceleration_m_s2,
             model.half_width_m,
             model.half_height_m,
@@ -136,11 +144,12 @@ class RobotController(PortController):
         x_m, y_m, vx_m_s, vy_m_s: position and velocity of the tip.
         touching: the tip touches something.
         """
-        stiffness, damping, limit, follow_s, acceleration, width, height = self._constants
+        stiffness, damping, limit, follow_s, spend_s, acceleration, width, height = self._constants
         speed = self.speed_m_s
         dt_s = dt_ns / NS_PER_S
         port = self.port
         reference_x, reference_y = self.reference_x_m, self.reference_y_m
+        rests = False
         if command is None:
             port.handle_silence(dt_ns)
             self._silent_s += dt_s
@@ -165,6 +174,11 @@ class RobotController(PortController):
             to_x, to_y = command[0], command[1]
             to_x = width if to_x > width else -width if to_x < -width else to_x
             to_y = height if to_y > height else -height if to_y < -height else to_y
+            moved_x, moved_y = to_x - self._slow_x, to_y - self._slow_y
+            share = dt_s / (dt_s + _REST_S)
+            self._slow_x += moved_x * share
+            self._slow_y += moved_y * share
+            rests = moved_x * moved_x + moved_y * moved_y < _REST_M * _REST_M
             share = 1.0 / (follow_s + dt_s)
             vx, vy = (to_x - reference_x) * share, (to_y - reference_y) * share
         size = vx * vx + vy * vy
@@ -186,9 +200,13 @@ class RobotController(PortController):
         still_y = stiffness * (reference_y - y_m) - damping * vy_m_s
         fx, fy = still_x + gain * dx, still_y + gain * dy
         cost = fx * dx + fy * dy
-        if self.passive and cost > port.credit_j and cost > 0.0:
-            self.acted += 1
-            dx, dy = self._cut(still_x, still_y, dx, dy, gain)
+        most = port.credit_j
+        if rests and not touching:
+            most *= dt_s / (dt_s + spend_s)
+        if self.passive and cost > most and cost > 0.0:
+            # A tip that only goes slower lacks nothing.
+            self.acted += cost > port.credit_j
+            dx, dy = self._cut(still_x, still_y, dx, dy, gain, most)
             fx, fy = still_x + gain * dx, still_y + gain * dy
             vx, vy = dx / dt_s, dy / dt_s
         if not (-limit <= fx <= limit and -limit <= fy <= limit):
@@ -217,14 +235,14 @@ class RobotController(PortController):
         return fx, fy
 
     def _cut(
-        self, still_x: float, still_y: float, dx: float, dy: float, gain: float
+        self, still_x: float, still_y: float, dx: float, dy: float, gain: float, most: float
     ) -> tuple[float, float]:
-        """Scale the step of the reference along the force so that it costs exactly the credit.
+        """Scale the step of the reference along the force so that it costs exactly `most` (J).
 
         The part of the step across the force is orthogonal to it and costs nothing. With a share s
         of the part along the force, the step costs s*b + s^2*a.
         """
-        credit = max(0.0, self.port.credit_j)
+        credit = max(0.0, most)
         fx, fy = still_x + gain * dx, still_y + gain * dy
         force = sqrt(fx * fx + fy * fy)
         along_x, along_y = fx / force, fy / force
@@ -233,7 +251,7 @@ class RobotController(PortController):
         if a < _NO_COST_J:
             return 0.0, 0.0
         b = along * (still_x * along_x + still_y * along_y)
-        # Slightly less than the root, so that rounding cannot cost more than the credit.
+        # Slightly less than the root, so that rounding cannot cost more than that.
         share = (sqrt(b * b + 4.0 * a * credit) - b) / (2.0 * a) * (1.0 - 1e-9)
         share = min(1.0, max(0.0, share))
         lacking = (1.0 - share) * along

@@ -21,6 +21,8 @@ the first number follows from those of their lives. In 1 of 255 cases a sample u
 The joystick renews a session before its sequence numbers or energies run out.
 """
 
+from collections import deque
+
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.sample import LAST_SESSION, MOST_ENERGY_UJ, Greeting
 
@@ -153,6 +155,8 @@ class RobotSession:
         #: Session numbers by the number of the request.
         self._offers: dict[int, int] = {}
         self._offered = 0
+        #: Numbers of samples of earlier sessions; more of them may be under way.
+        self._strange: deque[int] = deque(maxlen=_OFFERS)
         self._answer: Greeting | None = None
         self._wait = 0
         self._peer = 0
@@ -188,6 +192,8 @@ class RobotSession:
                     self.restarts += 1
                 self._peer = life
                 return True
+        if session not in self._strange:
+            self._strange.append(session)
         return False
 
     def poll_greeting(self, granted_uj: int, now_ns: int) -> Greeting | None:
@@ -222,7 +228,8 @@ class RobotSession:
         else:
             # Both ends began a life, so neither knows what was used before.
             session = _after((greeting.number + self._life) // _REQUESTS)
-        while session in (greeting.session, self.receiving) or session in self._offers.values():
+        used = {greeting.session, self.receiving, *self._offers.values(), *self._strange}
+        while session in used:
             session = _after(session)
         self._offered = session
         return session

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.haptics.cell import MODES, Cell
+from benchmarks.haptics.cell import MODES, Cell, read_cell
 from benchmarks.haptics.claims import claims, needed
 from benchmarks.haptics.figures import CellFigures, figures, vectors
 from benchmarks.haptics.run import run_cell
@@ -81,6 +81,23 @@ def test_a_blackout_brings_both_ends_to_rest_and_resumption_no_jump(wall) -> Non
         shown = np.hypot(*displayed[back].T)
         assert np.diff(shown).max() < 1.1
         assert np.abs(np.diff(tip[back], axis=0)).max() < 0.6e-3
+
+
+@pytest.mark.parametrize(
+    ("seed", "text"),
+    [
+        # Bursts of losses on a still hand.
+        (608, "delay=96,loss=3,burst=13,wall=1600,place=64,free=3,at=free,mode=deadband"),
+        # The hand leaves the wall so fast that credit for the way back is scarce.
+        (602, "delay=332,loss=19,burst=20,blackout=2,wall=180,angle=180,place=50,hand=lets-go"),
+        # Samples of before the restart, still on their way, and out of order.
+        (607, "delay=48,jitter=46,wall=70,angle=90,place=19,hand=arm-1kg,restart=both"),
+    ],
+)
+def test_forces_are_calm_and_the_tip_catches_up(seed, text) -> None:
+    found = ran(read_cell(text), seed)
+    assert found.drift_mm < 2.0 and found.swing_n < 2.0
+    assert all(claim.holds for claim in claims([found]))
 
 
 def test_returned_credit_is_gone() -> None:

@@ -15,6 +15,7 @@ from telepresence.haptics.deadband import (
     FORCE_SHARE,
     LONGEST_PAUSE_NS,
     POSITION_FLOOR_M,
+    WHOLE_NS,
     command_deadband,
     feedback_deadband,
 )
@@ -149,6 +150,28 @@ def test_a_sample_left_out_does_not_count_as_lost():
     matcher.handle_received(joystick.take_received_stamps())
     latencies = [ns for _, ns in matcher.take_matches_ns(3000 * NS_PER_MS)]
     assert len(latencies) == report.received and set(latencies) == {NS_PER_MS // 2}
+
+
+def test_where_the_peer_misses_samples_none_is_left_out_for_a_while():
+    """Pauses between samples would stretch a burst of losses."""
+    robot, joystick = robot_link(deadband=True), joystick_link(deadband=True)
+    found_ms, lost_ms = 1000, 1000 + 3 * MAX_AGE_NS // NS_PER_MS
+    whole_ms = WHOLE_NS // NS_PER_MS
+    sent = []
+    for k in range(lost_ms + whole_ms + 1000):
+        now_ns = k * NS_PER_MS
+        robot.handle_local(REST, now_ns)
+        joystick.handle_local(Command(0.0, 0.0, 0), now_ns)
+        up, down = robot.poll_transmit(now_ns), joystick.poll_transmit(now_ns)
+        sent.append(up is not None)
+        if up is not None and not found_ms <= k < lost_ms:
+            joystick.handle_datagram(up, now_ns)
+        if down is not None:
+            robot.handle_datagram(down, now_ns)
+    # A joystick that hears nothing at the start has missed nothing.
+    assert sum(sent[100:found_ms]) < found_ms / 5
+    assert all(sent[lost_ms:whole_ms])
+    assert sum(sent[lost_ms + whole_ms :]) < 1000 / 5
 
 
 def test_without_a_deadband_every_sample_is_sent():

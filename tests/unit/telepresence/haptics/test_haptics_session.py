@@ -27,3 +27,13 @@ def test_an_offer_succeeds_the_session_that_began_not_the_last_that_was_offered(
     assert (known, stale) == (121, 50)
     assert robot.handle_change(known) and not robot.handle_change(stale)
     assert answer_to(robot, Greeting(121, 0x102, 7 << 8)).session == 122
+
+
+def test_no_number_is_offered_that_samples_of_an_earlier_life_bear() -> None:
+    """Both ends have just started, and samples of before are still on their way."""
+    request = Greeting(0, 0x200, 7 << 8)
+    number = answer_to(RobotSession(7), request).session
+    robot = RobotSession(7)
+    for session in (number, number + 1, number):
+        assert not robot.handle_change(session)
+    assert answer_to(robot, request).session == number + 2
