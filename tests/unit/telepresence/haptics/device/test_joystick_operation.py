@@ -301,6 +301,9 @@ def test_recovery_works_after_any_duration_and_number_of_faults(seconds):
 
 def test_motors_give_up_after_three_retries():
     session = Session(SimulatedDevice(FAULTS["stuck-x"]))
+    while session.operation.state is not JoystickState.CALIBRATION_ERROR:
+        session.run(0.1)
+    assert not session.operation.given_up
     session.run(30)
     assert session.operation.state is JoystickState.CALIBRATION_ERROR
     events = [entry.event for entry in session.handle.report().log]
