@@ -136,6 +136,17 @@ class JoystickOperation:
         return self.machine.reason
 
     @property
+    def given_up(self) -> bool:
+        """Whether the automatic retries have ended, so that a person must act.
+
+        With motors the number of retries is limited. A calibration without motors pushes nobody, so
+        it is repeated until the stick is released.
+        """
+        if self.state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE):
+            return not self._automatic or self.paused or self._retries >= _RETRIES
+        return self.state is JoystickState.FATAL
+
+    @property
     def trouble(self) -> str:
         """One line that says what keeps it from the application; "" if nothing does."""
         reason = self.machine.reason or self.supervisor.reason

@@ -248,7 +248,7 @@ def test_a_persons_halt_ends_a_calibration_and_outlives_what_follows():
     session.run(0.1)
     session.device.read = read
     session.run(10)
-    assert session.operation.state is JoystickState.RECOVERABLE
+    assert session.operation.state is JoystickState.RECOVERABLE and session.operation.given_up
     assert "allowed there: acknowledge" in session.handle.handle_command(JoystickEvent.START)
     assert session.handle.handle_command(JoystickEvent.ACKNOWLEDGE) == ""
     session.run(10)
@@ -305,7 +305,7 @@ def test_motors_give_up_after_three_retries():
         session.run(0.1)
     assert not session.operation.given_up
     session.run(30)
-    assert session.operation.state is JoystickState.CALIBRATION_ERROR
+    assert session.operation.state is JoystickState.CALIBRATION_ERROR and session.operation.given_up
     events = [entry.event for entry in session.handle.report().log]
     assert events.count("calibrate") == 4
 
