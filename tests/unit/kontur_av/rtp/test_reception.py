@@ -45,3 +45,16 @@ def test_an_answer_to_no_report_of_ours_has_no_round_trip():
     reader.handle_block(block, MS)
     assert reader.figures is not None
     assert reader.figures.round_trip_ns is None
+
+
+def test_counts_of_lost_packets_stay_within_24_bits():
+    log = ReceptionLog(ssrc=7, clock_rate_hz=90_000)
+    for number in range(2900):
+        log.handle_packet(2999 * number & 0xFFFF, 0, 0)
+    block = log.block(MS)
+    assert block is not None and block.packets_lost == 0x7F_FFFF
+    again = ReceptionLog(ssrc=7, clock_rate_hz=90_000)
+    again.received = 0x80_0010
+    again.handle_packet(1, 0, 0)
+    block = again.block(MS)
+    assert block is not None and block.packets_lost == -0x80_0000

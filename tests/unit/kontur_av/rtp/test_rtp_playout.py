@@ -3,12 +3,14 @@
 import itertools
 import random
 
+import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from rtp_packets import PromptSender
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp
+from kontur_av.rtp.payload_opus import holds_copy, is_pause
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.rtp.wire import pack_rtp
@@ -453,3 +455,14 @@ def test_timestamps_that_leap_although_no_time_has_passed_delay_and_drop_nothing
     assert len(real) == 500
     assert line.buffer.delay_ns <= 15 * NS_PER_MS
     assert sum(block.payload is None for block in line.blocks[:-6]) == 0
+
+
+@pytest.mark.parametrize(
+    ("ms", "config", "blocks"), [(10, 0, 1), (20, 1, 1), (40, 2, 2), (60, 3, 3)]
+)
+def test_flags_of_pause_and_copy_follow_one_block_for_each_20_ms(ms, config, blocks):
+    """RFC 6716 sections 4.2.3 and 4.2.4, in narrow band."""
+    for pause, copy in itertools.product((False, True), repeat=2):
+        flags = (0 if pause else 0x80) | (0x80 >> blocks if copy else 0)
+        payload = bytes((config << 3, flags, 0))
+        assert (is_pause(payload), holds_copy(payload)) == (pause, copy)

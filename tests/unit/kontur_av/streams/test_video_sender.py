@@ -57,6 +57,7 @@ def send(pictures, cap_bps, channel_bps=None):
             run.releases.append((now_ns, len(packet) - RTP_HEADER_OCTETS))
         while (event := sender.next_event()) is not None:
             if isinstance(event, UnitSent):
+                assert event.capture_ns + CODING_NS <= event.encoded_ns <= event.sent_ns == now_ns
                 run.wait_ns.append(now_ns - event.capture_ns)
                 run.shown += len(decoder.decode(coded.pop(event.capture_ns), event.capture_ns))
 

@@ -13,7 +13,8 @@ from telepresence.tmtc.pus.dictionary_file import (
     dictionary_from_table,
     load_dictionary,
 )
-from telepresence.tmtc.pus.head import apid_of, is_packet
+from telepresence.tmtc.pus.head import apid_of, destination_of, is_packet
+from telepresence.tmtc.pus.packets import Telecommand, pack_packet
 
 Spoil = Callable[[dict[str, Any]], Any]
 
@@ -99,3 +100,6 @@ def test_a_packets_head_tells_where_it_goes() -> None:
     assert octets is not None
     assert is_packet(octets)
     assert apid_of(octets) == 0x200
+    # A telecommand goes to its application, however long it is.
+    command = Telecommand(apid=0x200, count=1, service=8, subtype=1, data=bytes(range(1, 21)))
+    assert destination_of(pack_packet(command)) == 0
