@@ -165,6 +165,11 @@ def test_a_soft_wall_is_felt_1_s_after_both_ends_restart(cell) -> None:
     assert found.felt_restart > 95.0
 
 
+def test_a_wall_that_is_late_after_a_restart_comes_back_faster() -> None:
+    cell = Cell(delay=527.0, wall=1700.0, hand="tremor", restart="joystick", mode="auto")
+    assert ran(replace(cell, angle=-90.0, place=47.0, free=3.0), seed=805).felt_restart > 80.0
+
+
 def test_a_push_from_near_feels_half_of_its_first_wall() -> None:
     """It brings little energy along, so none may be lost on the way back."""
     cell = Cell(delay=275.0, wall=1900.0, place=21.0, hand="push", mode="auto")

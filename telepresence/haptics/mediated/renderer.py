@@ -37,7 +37,9 @@ class RendererModel:
     rise_n_s, fall_n_s: fastest change of the force where the wall changes, to more and to less. A
     hand that is pushed back fast wastes the tank's energy in its muscles, so the rise is slow.
     back_m_s: while the tank cannot pay for all the way back, a hand that is pushed back this fast
-    halves the rise. Not in the first `hurry_ns`: a wall that was lost comes back fast.
+    halves the rise.
+    late_ns, hurry_ns: in the first `hurry_ns` a wall that was lost comes back. The rise does not
+    save energy then, and after `late_ns` it is the faster, the later it is.
     most_rate_n_s: fastest change of the force for any reason.
     soften_s: the stiffness under load follows a new one with this time constant.
     steepest_n_m: where the tank does not pay for the wall's spring, one of up to this stiffness has
@@ -52,6 +54,7 @@ class RendererModel:
     rise_n_s: float = 25.0
     fall_n_s: float = 100.0
     back_m_s: float = 0.015
+    late_ns: int = 375 * NS_PER_MS
     hurry_ns: int = 2 * NS_PER_S
     most_rate_n_s: float = 1000.0
     soften_s: float = 0.1
@@ -153,7 +156,9 @@ class WallRenderer:
             wanted_x, wanted_y = -wanted * nx, -wanted * ny
         more = wanted_x * wanted_x + wanted_y * wanted_y > force * force
         rate = self.model.rise_n_s if more else self.model.fall_n_s
-        if more and goal is not None and self._life_ns > self.model.hurry_ns:
+        if more and self._life_ns <= self.model.hurry_ns:
+            rate *= max(1.0, self._life_ns / self.model.late_ns)
+        elif more and goal is not None:
             out_m_s = -(nx * dx + ny * dy) / dt_s
             if out_m_s > 0.0 and not self._pays_back(goal.depth_m(x_m, y_m), force):
                 rate *= self.model.back_m_s / (self.model.back_m_s + out_m_s)
