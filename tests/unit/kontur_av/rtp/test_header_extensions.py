@@ -28,8 +28,9 @@ def test_a_packet_has_the_octets_of_the_rfc():
 
 def test_playout_delay_counts_in_ten_milliseconds():
     assert playout_delay_element(least_ms=100, most_ms=40_950) == bytes.fromhex("00afff")
-    with pytest.raises(ValueError, match="playout delay"):
-        playout_delay_element(least_ms=0, most_ms=40_960)
+    for least_ms, most_ms in ((0, 40_960), (20, 10)):
+        with pytest.raises(ValueError, match="playout delay"):
+            playout_delay_element(least_ms=least_ms, most_ms=most_ms)
 
 
 def test_the_send_time_has_18_bits_of_fraction_and_wraps_after_64_s():
@@ -57,3 +58,20 @@ def test_garbage_raises_only_protocol_errors(octets):
 def test_a_packet_with_an_extension_is_refused():
     with pytest.raises(ValueError, match="extension"):
         extended(extended(PLAIN, [(1, b"0")]), [(1, b"0")])
+    with pytest.raises(ValueError, match="contributing"):
+        extended(bytes([PLAIN[0] | 1]) + PLAIN[1:], [(1, b"0")])
+
+
+def test_id_15_is_not_given_and_ends_the_elements():
+    with pytest.raises(ValueError, match="id 15"):
+        extended(PLAIN, [(15, b"0")])
+    # RFC 8285 section 4.2: what follows it is not read.
+    packet = bytes([0x90]) + PLAIN[1:12] + bytes.fromhex("bede0002 1030 f031 2032 0000")
+    assert elements_of(packet) == {1: b"0"}
+
+
+def test_padding_is_no_payload_and_a_packet_may_be_a_header_alone():
+    padded = bytes([PLAIN[0] | 0x20]) + PLAIN[1:]
+    assert parse_rtp(padded + b"\0\0\3").payload == b"media"
+    assert parse_rtp(padded + b"\xff").payload == b"media\xff"
+    assert parse_rtp(PLAIN[:12]).payload == b""

@@ -182,3 +182,23 @@ def test_an_access_unit_larger_than_allowed_is_dropped():
         found = through(depacketizer, pictures(unit, unit))
         assert len(found) == 2 * count
         assert depacketizer.garbage == 2 - 2 * count
+
+
+@pytest.mark.parametrize("end", ["marker", "silence", "next unit", "next picture"])
+def test_a_unit_whose_last_part_is_not_marked_is_whole(end):
+    whole = b"\x41\x88" + bytes([7]) * 30
+    parts = packetize([whole], 20)
+    parts[-1] = parts[-1][:1] + bytes([parts[-1][1] & ~0x40]) + parts[-1][2:]
+    last = len(parts) - 1
+    packets = [
+        received(part, n, marker=end == "marker" and n == last) for n, part in enumerate(parts)
+    ]
+    units = [whole]
+    if end == "next unit":
+        packets.append(received(LATER_SLICE, last + 1))
+        units.append(LATER_SLICE)
+    if end == "next picture":
+        packets.append(received(SLICE, last + 1, timestamp=3000))
+    first = through(NalDepacketizer(H264, marked=end == "marker"), packets)[0]
+    assert split_annex_b(first.data) == units
+    assert not first.damaged

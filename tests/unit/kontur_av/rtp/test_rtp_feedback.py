@@ -25,6 +25,19 @@ def test_reports_of_a_receiver_without_indications_ask_for_pictures():
     assert answered == [1, 4, 7]
     listener.handle_feedback(report(1, 99, ssrc=8), 20 * S)
     assert not listener.take(20 * S)
+    assert listener.heard_ns == 20 * S
+
+
+def test_of_many_receivers_the_one_that_was_new_first_is_forgotten():
+    listener = PictureLossListener(ssrc=7)
+
+    def answers(receiver, at_s):
+        listener.handle_feedback(report(receiver, 0), at_s * S)
+        return listener.take(at_s * S)
+
+    assert all(answers(receiver, 3 * receiver) for receiver in range(17))
+    assert not any(answers(receiver, 60 + 3 * receiver) for receiver in range(1, 17))
+    assert answers(0, 200)
 
 
 def test_reports_of_a_receiver_with_indications_ask_for_nothing():

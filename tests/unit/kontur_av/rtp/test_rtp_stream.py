@@ -5,7 +5,7 @@ from rtp_packets import FRAME_NS, drain, make_receiver, make_sender, picture, re
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, unix_ns_from_ntp
 from kontur_av.media import CaptureStamp
-from kontur_av.rtp.sender import RtpSender
+from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.rtp.wire import parse_rtcp, parse_rtp
 
 
@@ -499,3 +499,9 @@ def test_jitter_is_that_of_the_arrivals():
     for number, packet in enumerate(singles(50)):
         steady.handle_packet(packet, number * FRAME_NS)
     assert steady.jitter_ns < 50_000
+
+
+def test_an_identity_has_as_many_random_bits_as_its_fields():
+    assert RtpIdentity.draw(lambda bits: (1 << bits) - 1) == RtpIdentity(
+        ssrc=0xFFFF_FFFF, first_sequence=0xFFFF, timestamp_offset=0xFFFF_FFFF
+    )

@@ -137,6 +137,10 @@ def test_silence_is_reported_once_and_sent_to_the_peer() -> None:
 
 def test_only_the_newest_sample_is_sent_and_only_once() -> None:
     link = joystick_link()
+    # A greeting takes the place of a sample.
+    link.handle_local(command(0.1), 0)
+    assert link.poll_transmit(0) is not None
+    assert link.poll_transmit(0) is None
     feedback = pack_feedback(0, Feedback(0.0, 0.0, 0, False), session=begin_session(link))
     link.handle_datagram(feedback, 0)
     assert link.poll_transmit(0) is None

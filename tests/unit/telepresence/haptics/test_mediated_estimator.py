@@ -177,3 +177,17 @@ def test_a_tip_that_only_slows_down_tells_no_wrong_wall(free_before):
         found = estimator.wall
         assert found is None or found.stiffness_n_m == pytest.approx(1500.0, rel=0.2)
     assert (found is not None) is free_before
+
+
+def test_a_contact_begins_halfway_to_the_last_free_place_in_each_direction():
+    walls = []
+    for x, y in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)):
+        estimator = WallEstimator()
+        estimator.handle_sample(-1 * MS, 0.05985 * x, 0.05985 * y, 0.0, 0.0, False)
+        for k in range(60):
+            fall = 0.95**k
+            depth, speed = 0.003 * (1.0 - fall), 0.15 * fall
+            at, force = 0.06 + depth, -(1500.0 * depth + 20.0 * speed)
+            estimator.handle_sample(k * MS, at * x, at * y, force * x, force * y, True)
+        walls.append((estimator.wall.distance_m, estimator.wall.stiffness_n_m))
+    assert walls == [pytest.approx(walls[0], rel=1e-6)] * 4

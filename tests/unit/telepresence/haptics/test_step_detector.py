@@ -16,6 +16,13 @@ def steps(samples):
     return [(step.instant_ns // NS_PER_MS, step.rise_n) for step in iter(detector.next_event, None)]
 
 
+def test_only_the_newest_256_steps_wait_to_be_fetched():
+    pushes = [*free(150), *press(hold=20)] * 260
+    found = steps(pushes)
+    assert len(found) == 256
+    assert found[-1][0] > len(pushes) - 100
+
+
 def press(contact=True, force=3.0, rise=5, hold=300):
     ramp = [(-force * (k + 1) / rise, 0.0, contact) for k in range(rise)]
     return ramp + [(-force, 0.0, contact)] * hold

@@ -64,6 +64,11 @@ Spoil = Callable[[dict[str, Any]], Any]
         ),
         (lambda t: t["monitor"]["heat"].update(low=1.0), "a limit and its event 'below' need"),
         (
+            lambda t: t["monitor"]["heat"].update(low=220.5, below="cooled"),
+            "oven.monitor.heat.low is 220.5: it must not be above high",
+        ),
+        (lambda t: t["monitor"]["heat"].update(repeat=256), "heat.repeat is 256: choose 1 to 255"),
+        (
             lambda t: t["action"][0].update(function="heat"),
             "oven.action.too_hot.function is 'heat': choose one without arguments",
         ),
@@ -76,6 +81,13 @@ def test_a_mistake_is_refused_with_one_line(spoil: Spoil, line: str) -> None:
         dictionary_from_table(table)
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_limits_may_be_equal_and_counts_the_largest() -> None:
+    table = oven_table()
+    table["oven"]["monitor"]["heat"].update(low=220.0, below="cooled", repeat=255)
+    (monitor,) = dictionary_from_table(table).application("oven").monitors
+    assert (monitor.low, monitor.high, monitor.repeat) == (220.0, 220.0, 255)
 
 
 def test_a_file_is_named_in_what_it_is_refused_for(tmp_path: Path) -> None:

@@ -3,9 +3,11 @@
 from math import nan
 
 import pytest
-from pus_ends import MS, Ends, S, oven
+from pus_ends import MS, Ends, S, oven, oven_table
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, ProtocolError
+from telepresence.tmtc.pus.dictionary_file import dictionary_from_table
+from telepresence.tmtc.pus.monitoring import LimitMonitors
 from telepresence.tmtc.pus.node import PusNode
 from telepresence.tmtc.pus.packets import Telecommand, pack_packet, parse_packet
 from telepresence.tmtc.pus.user import (
@@ -16,7 +18,14 @@ from telepresence.tmtc.pus.user import (
     HousekeepingReport,
     ParameterReport,
 )
-from telepresence.tmtc.pus.verification import VerificationStage
+from telepresence.tmtc.pus.verification import (
+    MOST_REASON,
+    Failure,
+    VerificationStage,
+    pack_verification,
+    parse_verification,
+    verification_of,
+)
 
 HOT = {"temperature": 230.0, "door": "closed"}
 
@@ -56,6 +65,18 @@ def test_a_lost_verification_is_asked_for_again_and_nothing_is_done_twice() -> N
     ends.run(2 * S)
     assert [(one.ok, one.tries) for one in results(ends)] == [(True, 3)]
     assert (len(ends.calls), ends.oven.executed, ends.oven.duplicates) == (1, 1, 2)
+
+
+def test_a_reason_is_cut_to_what_a_report_carries_and_a_longer_one_is_garbage() -> None:
+    command = Telecommand(apid=0x200, count=1, service=8, subtype=1, data=b"")
+    report = verification_of(
+        command, VerificationStage.STARTED, Failure.REFUSED, (MOST_REASON + 1) * "x"
+    )
+    data = pack_verification(report)
+    assert parse_verification(report.subtype, data) == report
+    assert report.reason == MOST_REASON * "x"
+    with pytest.raises(ProtocolError):
+        parse_verification(report.subtype, data + b"x")
 
 
 def test_one_dead_direction_ends_without_verification_but_the_command_is_carried_out() -> None:
@@ -232,3 +253,29 @@ def test_unknown_names_and_unfit_values_are_refused() -> None:
         user.call("oven", "heat", now_ns=0)
     with pytest.raises(ConfigError, match="door is 'ajar': choose one of open, closed"):
         oven().application("oven").parameter("door").pack("ajar")
+
+
+def test_limits_are_left_for_a_while_and_a_value_on_them_is_within() -> None:
+    table = oven_table()
+    table["oven"]["event"]["cold"] = {"number": 3, "severity": "low"}
+    table["oven"]["monitor"]["heat"].update(low=10.0, low_clear=20.0, below="cold")
+    monitors = LimitMonitors(dictionary_from_table(table).application("oven"))
+
+    def check(*values: float) -> list[list[str]]:
+        return [monitors.handle_values({"temperature": value}) for value in values]
+
+    assert check(10.0, 10.0, 220.0, 220.0) == [[]] * 4
+    assert check(9.9, 9.9, 15.0, 15.0, 20.0, 20.0) == [[], ["cold"], [], [], [], ["cooled"]]
+    assert check(220.1, 230.0, 200.0, 200.0, 180.0, 180.0) == [
+        [],
+        ["too_hot"],
+        *[[]] * 3,
+        ["cooled"],
+    ]
+    # Each event needs its checks in a row.
+    assert check(230.0, 100.0, 230.0, 230.0) == [[], [], [], ["too_hot"]]
+    # A monitor that is switched on again begins within its limits.
+    monitors.set_on(1, on=False)
+    assert check(100.0, 100.0) == [[], []]
+    monitors.set_on(1, on=True)
+    assert check(230.0, 230.0) == [[], ["too_hot"]]

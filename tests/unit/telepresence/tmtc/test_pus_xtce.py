@@ -75,3 +75,12 @@ def test_arguments_have_ranges_units_and_names():
     ]
     assert "oven_set_lit" not in METAS
     assert "oven_actions_on" in METAS
+
+
+def test_every_field_of_telemetry_is_defined_with_its_type():
+    parameters = {one.get("name"): one for one in ROOT.iterfind(".//{*}ParameterSet/{*}Parameter")}
+    types = {one.get("name") for one in ROOT.find(".//{*}ParameterTypeSet")}
+    assert {one.get("parameterTypeRef") for one in parameters.values()} == types
+    fields = {one.get("parameterRef") for one in ROOT.iterfind(".//{*}ParameterRefEntry")}
+    assert fields == set(parameters)
+    assert parameters["TIME"].get("shortDescription") == "when it was reported"

@@ -63,6 +63,8 @@ def test_only_the_window_is_under_way_and_memory_is_bounded():
     assert machine.pop(first).item == "a"
     assert machine.poll_transmit(0)[0] == third
     assert not machine.full
+    assert [machine.handle_put("d", 0, number=90), machine.pop(90).tries] == [90, 0]
+    assert machine.handle_put("e", 0) == 91
 
 
 def test_what_took_too_long_is_given_up_once_it_was_sent():
