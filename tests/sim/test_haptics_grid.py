@@ -170,6 +170,12 @@ def test_a_wall_that_is_late_after_a_restart_comes_back_faster() -> None:
     assert ran(replace(cell, angle=-90.0, place=47.0, free=3.0), seed=805).felt_restart > 80.0
 
 
+def test_no_wall_is_told_across_which_the_force_cannot_point() -> None:
+    """A soft wall, met aslant, was taken for a steep one at 50 degrees to it."""
+    cell = Cell(delay=44.0, loss=18.0, burst=16.0, wall=87.0, place=22.0, hand="arm-1kg")
+    assert ran(replace(cell, mode="auto"), seed=829).felt_last > 80.0
+
+
 def test_a_push_from_near_feels_half_of_its_first_wall() -> None:
     """It brings little energy along, so none may be lost on the way back."""
     cell = Cell(delay=275.0, wall=1900.0, place=21.0, hand="push", mode="auto")

@@ -66,6 +66,7 @@ class EstimatorModel:
     `learned` is expected in the rest of the contact, too, with the other one.
     slide_m_s: friction is half of its whole at this speed along the wall.
     misfit_n: samples that differ more from every plane are forgotten.
+    slips: a wall that needs a larger mean force along it than this share of that across is none.
     uncertain, uncertain_rad: an estimate with a larger standard deviation of the stiffness,
     relative, or of the angle is not told.
     estimate_ns: the least time between two estimates.
@@ -92,6 +93,7 @@ class EstimatorModel:
     learned: float = 0.03
     slide_m_s: float = 0.005
     misfit_n: float = 0.5
+    slips: float = 0.6
     uncertain: float = 0.15
     uncertain_rad: float = 0.1
     estimate_ns: int = 10 * NS_PER_MS
@@ -283,6 +285,10 @@ class WallEstimator:
         if self._variance > model.misfit_n**2:
             # The wall moved, or another one was met: what was before tells nothing of it.
             self._begin()
+            return None
+        if abs(ages @ load.imag) > model.slips * (ages @ push):
+            # No friction turns the force so far from the normal: begin from its direction again.
+            self._angle_rad = None
             return None
         self._angle_rad = angle
         uncertain_2 = float(covariance[0, 0]) / stiffness**2
