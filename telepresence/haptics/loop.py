@@ -205,7 +205,7 @@ class HapticLink(Generic[Out, In]):
             self.received += 1
             holds = bool(flags & FLAG_HOLDING)
             if holds and not self.peer_holds:
-                # A peer that is heard for the first time has missed nothing.
+                # A peer that is heard for the first time, or again, may have missed nothing.
                 self._held_ns = now_ns if self.hearing else _NEVER_NS
             if holds and self.deadband is not None and now_ns - self._held_ns >= _GAP_NS:
                 self.deadband.handle_gap(now_ns)

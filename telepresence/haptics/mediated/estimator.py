@@ -66,7 +66,8 @@ class EstimatorModel:
     `learned` is expected in the rest of the contact, too, with the other one.
     slide_m_s: friction is half of its whole at this speed along the wall.
     misfit_n: samples that differ more from every plane are forgotten.
-    slips: a wall that needs a larger mean force along it than this share of that across is none.
+    slips: the largest friction. A wall that needs a larger mean share of the force along it is not
+    told.
     uncertain, uncertain_rad: an estimate with a larger standard deviation of the stiffness,
     relative, or of the angle is not told.
     estimate_ns: the least time between two estimates.
@@ -287,7 +288,7 @@ class WallEstimator:
             self._begin()
             return None
         if abs(ages @ load.imag) > model.slips * (ages @ push):
-            # No friction turns the force so far from the normal: begin from its direction again.
+            # Friction below that does not turn the force so far: begin from its direction again.
             self._angle_rad = None
             return None
         self._angle_rad = angle

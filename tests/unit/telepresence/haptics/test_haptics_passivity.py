@@ -234,3 +234,15 @@ def test_the_reference_catches_up_at_a_bounded_speed(limit_m_s: float) -> None:
     assert 0.9 * limit_m_s < max(tips) <= limit_m_s
     speeds = [(b - a) / DT for a, b in pairwise(places)]
     assert 0.1 < max(speeds) <= limit_m_s + 1e-9
+
+
+@pytest.mark.parametrize("limit_m_s", [0.5, 0.2, 0.1, 0.03])
+def test_no_limit_of_speed_makes_a_step_of_the_force(limit_m_s: float) -> None:
+    command, forces = Command(0.05, 0.0, 0), []
+    for k in range(101):
+        robot_side = RobotController(passive=False)
+        robot_side.speed_m_s, robot_side.reference_x_m = limit_m_s, 0.02
+        v_m_s = limit_m_s * k / 100
+        forces.append(robot_side.step(command, 0.0, 0.0, v_m_s, 0.0, MS)[0])
+    assert forces[0] > 20.0
+    assert max(abs(b - a) for a, b in pairwise(forces)) < 300.0 * limit_m_s / 100
