@@ -1,5 +1,6 @@
 """Blocks of sound to Opus packets of one constant size, and back (RFC 6716, RFC 7587)."""
 
+import ctypes
 import weakref
 from typing import Any
 
@@ -115,6 +116,15 @@ class OpusEncoder:
             raise ValueError(f"{samples.dtype}{samples.shape}, not int16({self.frame_samples},)")
         packet: bytes = self._encoder.encode(samples.tobytes(), self.frame_samples)
         return packet
+
+    def save(self) -> bytes:
+        """Return the encoder's state for `restore`; libopus allows a copy (opus.h, OpusEncoder)."""
+        octets = libopus.opuslib().api.encoder.get_size(1)
+        return ctypes.string_at(self._encoder.encoder_state, octets)
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a state that this encoder gave, as if nothing had been encoded since."""
+        ctypes.memmove(self._encoder.encoder_state, state, len(state))
 
 
 class OpusDecoder:

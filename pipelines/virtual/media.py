@@ -45,10 +45,8 @@ from pipelines.virtual.workers import Coder, Job, Scene, Worker
 from telepresence.link.backlog import Backlog
 from telepresence.world import WorldState
 
-#: Takes a captured picture: (picture, stamp, now), or a block of sound: (stamp, world, now). The
-#: world is None for a file's.
+#: Takes a captured picture: (picture, stamp, now).
 ShowPicture = Callable[[Picture, CaptureStamp, int], None]
-ShowSound = Callable[[CaptureStamp, WorldState | None, int], None]
 
 
 def check_virtual_sources(setup: Setup) -> None:
@@ -66,7 +64,8 @@ def check_virtual_sources(setup: Setup) -> None:
 class _Input:
     """Captures at its instants, with or without readers.
 
-    film: plays its file; None for a scene, which is captured at `pace`. take: called with each.
+    film: plays its file; None for a scene, which is captured at `pace`. take: called with each, and
+    the state of the world, None for a file's.
     job: asks for the file's next picture or block. block_ns: what is captured began so long before.
     """
 
@@ -76,7 +75,7 @@ class _Input:
         name: str,
         film: Worker | None,
         pace: Pace,
-        take: ShowSound,
+        take: Callable[[CaptureStamp, WorldState | None, int], None],
         *,
         job: str | None = None,
         block_ns: int = 0,
@@ -125,27 +124,62 @@ class Camera(_Input):
     """Captures pictures of a scene at its rate, or pictures of a file at the file's instants.
 
     film: plays the file; None for a scene. show: called the cost of a capture after each.
+    ahead: called at once with each that is drawn.
     """
 
     def __init__(
-        self, scene: Scene, name: str, fps: int, film: Worker | None, show: ShowPicture
+        self,
+        scene: Scene,
+        name: str,
+        fps: int,
+        film: Worker | None,
+        show: ShowPicture,
+        ahead: Callable[[Shot], object] | None = None,
     ) -> None:
-        self._cost_ns, self._show = scene.costs.ns("capture"), show
+        self._cost_ns, self._show, self._ahead = scene.costs.ns("capture"), show, ahead
         # All cameras capture at the same instants. Live scenes have phases to spread the load of
         # the machine; here the encoders of the same instant share the cores.
         super().__init__(scene, name, film, Pace(fps, scene.start_ns), self._shoot, job=name)
 
     def _shoot(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
         shot = Shot(self._name, stamp.sequence, state)
+        if state is not None and self._ahead is not None:
+            self._ahead(shot)
         self._agenda.at(now_ns + self._cost_ns, partial(self._show, shot, stamp))
 
 
 class Microphone(_Input):
-    """Captures sound in blocks of 20 ms. film: as of `Camera`. show: called with a whole block."""
+    """Captures sound in blocks of 20 ms.
 
-    def __init__(self, scene: Scene, name: str, film: Worker | None, show: ShowSound) -> None:
+    studio: encodes. film: as of `Camera`. show: called with a whole block and the job whose result
+    is its Opus packet.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        name: str,
+        studio: Worker,
+        film: Worker | None,
+        show: Callable[[CaptureStamp, Job, int], None],
+    ) -> None:
+        self._studio, self._show = studio, show
+        #: The next block without a new click in it, and the newest click so far.
+        self._expected: tuple[Job | None, int | None] = None, None
         pace = Pace(VOICE_PACKETS_PER_S, scene.start_ns, patience=2)
-        super().__init__(scene, name, film, pace, show, block_ns=BLOCK_NS)
+        super().__init__(scene, name, film, pace, self._hear, block_ns=BLOCK_NS)
+
+    def _hear(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
+        if state is None:
+            self._show(stamp, self._studio.submit(stamp.sequence), now_ns)
+            return
+        job, click_ns = self._expected
+        if job is None or state.click_ns != click_ns:
+            job = self._studio.submit((now_ns, state, False))
+        # Few blocks have a click. So the next one is encoded while virtual time goes on.
+        expected = self._studio.submit((now_ns + BLOCK_NS, state, True))
+        self._expected = expected, state.click_ns
+        self._show(stamp, job, now_ns)
 
 
 class Stereo:
@@ -251,13 +285,20 @@ class Media:
                 stereo.handle_picture(picture, stamp, now_ns, right=camera == STEREO_INPUTS[1])
             select(camera, picture, stamp, now_ns)
 
+        def ahead(shot: Shot) -> None:
+            shown = STEREO_INPUTS if follower.camera == STEREO else (follower.camera,)
+            if shot.camera in shown:
+                studio.submit(shot)
+
         for name in setup.camera_inputs:
-            Camera(self._scene, name, stream.fps, self._film(name, studio), partial(show, name))
+            film = self._film(name, studio)
+            Camera(self._scene, name, stream.fps, film, partial(show, name), ahead)
 
     def _send_downlink_video(self, stream: VideoStream) -> None:
         studio = self._studio(stream, [ISS_CAMERA])
         show = self._video_sender(stream, studio).handle_picture
-        Camera(self._scene, ISS_CAMERA, stream.fps, self._film(ISS_CAMERA, studio), show)
+        film = self._film(ISS_CAMERA, studio)
+        Camera(self._scene, ISS_CAMERA, stream.fps, film, show, studio.submit)
 
     def handle_choice(self, choice: Choice, now_ns: int) -> None:
         if self._follow_choice is not None:
@@ -294,8 +335,8 @@ class Media:
         scene = self._scene
         spec = scene.setup.source(name)
         studio = scene.workers.start(partial(VoiceStudio, stream, name, spec, scene.start_ns))
-        sender = VoiceSendProcess(scene, stream, studio)
-        Microphone(scene, name, self._film(name, studio), sender.handle_sound)
+        sender = VoiceSendProcess(scene, stream)
+        Microphone(scene, name, studio, self._film(name, studio), sender.handle_sound)
 
     def _receive_video(self, stream: VideoStream) -> VideoReceiveProcess:
         display = self._display(stream.name)

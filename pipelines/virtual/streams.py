@@ -212,14 +212,14 @@ class VoiceSendProcess(VoiceProcess):
     No packet leaves meanwhile, as in the live process.
     """
 
-    def __init__(self, scene: Scene, stream: VoiceStream, studio: Worker) -> None:
+    def __init__(self, scene: Scene, stream: VoiceStream) -> None:
         super().__init__(scene, stream)
-        self._studio, self._cost_ns = studio, scene.costs.ns("voice_encode")
-        self._waiting: deque[tuple[CaptureStamp, WorldState | None]] = deque(maxlen=8)
+        self._cost_ns = scene.costs.ns("voice_encode")
+        self._waiting: deque[tuple[CaptureStamp, Job]] = deque(maxlen=8)
 
-    def handle_sound(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
-        """A block of sound is complete; state: of the world, None for a file's."""
-        self._waiting.append((stamp, state))
+    def handle_sound(self, stamp: CaptureStamp, job: Job, now_ns: int) -> None:
+        """A block of sound is complete; job: encodes it."""
+        self._waiting.append((stamp, job))
         self._look(now_ns)
 
     def _wake(self, now_ns: int) -> None:
@@ -228,11 +228,10 @@ class VoiceSendProcess(VoiceProcess):
 
     def _look(self, now_ns: int) -> None:
         while self._waiting and not self._busy:
-            stamp, state = self._waiting.popleft()
+            stamp, job = self._waiting.popleft()
             if not self._sender.handle_block(stamp, now_ns):
                 continue
             self._busy = True
-            job = self._studio.submit((stamp.sequence, now_ns, state))
             self._agenda.at(now_ns + self._cost_ns, partial(self._finish, job, stamp))
 
     def _finish(self, job: Job, stamp: CaptureStamp, now_ns: int) -> None:

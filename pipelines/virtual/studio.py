@@ -18,14 +18,21 @@ from kontur_av.codecs.decoder import DecodedPicture, DecoderCounts, VideoDecoder
 from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.codecs.region import Region
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
-from kontur_av.media import I420, AudioFrame, CaptureStamp, VideoCodec, VideoFrame, empty_picture
+from kontur_av.media import (
+    I420,
+    CaptureStamp,
+    Pcm,
+    VideoCodec,
+    VideoFrame,
+    empty_picture,
+)
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.sources.stereo import StereoPair
 from kontur_av.streams.voice_player import VoicePlayer
 from pipelines.media.marking import StereoMerger
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from telepresence.world import WorldState, audio_scenes, render
+from telepresence.world import StateAt, WorldState, audio_scenes, render
 
 #: The most pictures or blocks of a file that are kept until they are encoded.
 _KEPT = 16
@@ -74,6 +81,7 @@ class VideoStudio:
     A job is one of:
     - a `Picture`, its `Coding`, and its `Region` or None; the result is (access unit, whether it is
       a key picture);
+    - a `Shot` that is likely to be encoded, to be drawn already; no result;
     - a camera's name; the result is the capture instant of the file's next picture, or None.
     """
 
@@ -99,11 +107,20 @@ class VideoStudio:
             else:
                 self._films[name] = _Film(spec, name, stream, start_ns)
         self._rooms = [empty_picture(stream.width, stream.height) for _ in range(3)]
+        #: The newest picture of each camera that was drawn before it is encoded.
+        self._ahead: dict[str, tuple[int, I420]] = {}
 
     def __call__(
-        self, job: tuple[Picture, Coding, Region | None] | str
+        self, job: tuple[Picture, Coding, Region | None] | Shot | str
     ) -> tuple[bytes, bool] | int | None:
-        return self._films[job].next() if isinstance(job, str) else self._encode(*job)
+        if isinstance(job, str):
+            return self._films[job].next()
+        if isinstance(job, Shot):
+            drawn = self._ahead.pop(job.camera, None)
+            room = drawn[1] if drawn else empty_picture(self._stream.width, self._stream.height)
+            self._ahead[job.camera] = job.sequence, self._picture(job, room)
+            return None
+        return self._encode(*job)
 
     def _encode(
         self, picture: Picture, coding: Coding, region: Region | None
@@ -132,6 +149,9 @@ class VideoStudio:
             pictures = self._films[shot.camera].pictures
             # Of a file that is much faster than its stream, only a newer one may be kept.
             return pictures[max(shot.sequence, next(iter(pictures)))]
+        drawn = self._ahead.get(shot.camera)
+        if drawn is not None and drawn[0] == shot.sequence:
+            return drawn[1]
         render(self._views[shot.camera], shot.state, room, shot.sequence)
         return room
 
@@ -251,45 +271,73 @@ class VoiceStudio:
     """Makes sounds or reads them from a file, and encodes them.
 
     A job is one of:
-    - (sequence, instant at which the block is complete, state of the world); the result is the
-      Opus packet;
-    - None; the result is the capture instant of the file's next block, or None at its end.
+    - (instant at which a block of the scene is complete, state of the world, whether that state is
+      a guess); the result is the Opus packet. A guess may be followed by the true state of the same
+      block: then the encoder goes back first;
+    - None; the result is the capture instant of the file's next block, or None at its end;
+    - the number of a block of the file; the result is its Opus packet.
     """
 
     def __init__(self, stream: VoiceStream, name: str, spec: str, start_ns: int) -> None:
         self._encoder = OpusEncoder(bitrate_bps=bitrate_under_cap(stream.cap_bps))
-        self._clock = ManualClock(start_ns)
-        self._state: WorldState | None = None
-        self._played: OrderedDict[int, AudioFrame] = OrderedDict()
-        self._is_scene = spec.startswith("scene:")
-        scenes = audio_scenes(self._state_at)
-        self._source: AudioSource = open_audio(spec, name=name, clock=self._clock, scenes=scenes)
+        self._state = WorldState(start_ns)
+        self._packets: OrderedDict[int, bytes] = OrderedDict()
+        self._first = _Sound(spec, name, start_ns, self._state_at)
+        # A scene is played twice: for guesses, and again when the truth is known.
+        scene = spec.startswith("scene:")
+        self._second = _Sound(spec, name, start_ns, self._state_at) if scene else self._first
+        self._guessed_ns: int | None = None
+        self._before = b""
 
-    def __call__(self, job: tuple[int, int, WorldState] | None) -> bytes | int | None:
+    def __call__(self, job: tuple[int, WorldState, bool] | int | None) -> bytes | int | None:
         if job is None:
             return self._next()
-        sequence, complete_ns, self._state = job
-        if self._is_scene:
-            self._clock.sleep_until_ns(complete_ns)
-            frame = self._source.read(0)
-            assert frame is not None
+        if isinstance(job, int):
+            return self._packets[job]
+        complete_ns, state, guess = job
+        if not guess and complete_ns == self._guessed_ns:
+            self._encoder.restore(self._before)
         else:
-            frame = self._played[sequence]
-        return self._encoder.encode(frame.samples)
+            if self._guessed_ns is not None:  # the guess was right
+                self._second.block(self._guessed_ns)
+            self._state = state
+            samples = self._first.block(complete_ns)
+        if guess:
+            self._guessed_ns, self._before = complete_ns, self._encoder.save()
+        else:
+            self._guessed_ns, self._state = None, state
+            samples = self._second.block(complete_ns)
+        return self._encoder.encode(samples)
 
     def _next(self) -> int | None:
         for _ in range(_TRIES):
-            frame = self._source.read(_PATIENCE_NS)
+            frame = self._first.source.read(_PATIENCE_NS)
             if frame is not None:
-                self._played[frame.stamp.sequence] = frame
-                if len(self._played) > _KEPT:
-                    self._played.popitem(last=False)
+                self._packets[frame.stamp.sequence] = self._encoder.encode(frame.samples)
+                if len(self._packets) > _KEPT:
+                    self._packets.popitem(last=False)
                 return frame.stamp.capture_ns
         return None
 
     def _state_at(self, now_ns: int) -> WorldState:
-        assert self._state is not None
         return self._state
+
+
+class _Sound:
+    """A source of sound on a clock of its own."""
+
+    def __init__(self, spec: str, name: str, start_ns: int, state_at: StateAt) -> None:
+        self._clock = ManualClock(start_ns)
+        self.source: AudioSource = open_audio(
+            spec, name=name, clock=self._clock, scenes=audio_scenes(state_at)
+        )
+
+    def block(self, complete_ns: int) -> Pcm:
+        """Return the scene's block that is complete at `complete_ns`."""
+        self._clock.sleep_until_ns(complete_ns)
+        frame = self.source.read(0)
+        assert frame is not None
+        return frame.samples
 
 
 class VoiceDecoding:

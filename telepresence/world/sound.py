@@ -89,7 +89,7 @@ class Room:
     def _add_clicks(self, mixed: NDArray[np.float64], capture_ns: int, state_at: StateAt) -> None:
         count = len(mixed)
         state = state_at(capture_ns + count * NS_PER_S // AUDIO_CLOCK_HZ)
-        touched_ns = state.contact_since_ns if state.touched_ns is None else state.touched_ns
+        touched_ns = state.click_ns
         # The first sample at or after the contact.
         late_ns = 0 if touched_ns is None else capture_ns - touched_ns
         begin = -(late_ns * AUDIO_CLOCK_HZ // NS_PER_S)

@@ -51,6 +51,11 @@ class WorldState:
     lights: Lights = Lights()
     holds: bool = False
 
+    @property
+    def click_ns(self) -> int | None:
+        """When the newest click of the stylus began; None without one."""
+        return self.contact_since_ns if self.touched_ns is None else self.touched_ns
+
     def at(self, instant_ns: int) -> "WorldState":
         """Return the state without a contact that began after `instant_ns`.
 

@@ -1,16 +1,18 @@
-"""Pictures of a simulated session: of files, read ahead, and of two cameras, merged as live."""
+"""Pictures and sounds of a simulated session; what is prepared early changes nothing."""
 
 from fractions import Fraction
 
 import av
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Decoder
-from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
+from kontur_av.media import BLOCK_NS, CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.sources.stereo import StereoPair, merge
-from pipelines.session.setup.table import VideoStream
-from pipelines.virtual.studio import Paired, Shot, VideoStudio
+from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.virtual.studio import Paired, Shot, VideoStudio, VoiceStudio
 from telepresence.world import WorldState, render
 
 SIZE = 64, 48
@@ -65,3 +67,33 @@ def test_of_a_stale_camera_its_whole_half_is_shown_and_marked(old):
     assert bool(away.mean() < 4) is (old is not None), away.mean()
     red = {"left": planes(shown)[2][-1, 0], "right": planes(shown)[2][-1, -1]}
     assert {side for side in SIDES if red[side] > 200} == {old} - {None}
+
+
+def test_a_picture_that_was_drawn_ahead_is_coded_as_one_that_was_not():
+    early, late = (VideoStudio(STREAM, {"left": "scene:left"}, 0) for _ in range(2))
+    for number in range(8):
+        shot = Shot("left", number, WorldState(time_ns=0, x_m=number / 1000))
+        early(shot)
+        if number % 3 == 2:  # the next one is drawn before this one is encoded
+            early(Shot("left", number + 1, WorldState(time_ns=0, x_m=(number + 1) / 1000)))
+        job = shot, Coding(), None
+        assert early(job) == late(job)
+
+
+VOICE = VoiceStream(name="uplink_voice", cap_bps=8_000)
+#: For each block: how long before its end a click began, in ms, at least a sample; None: none did.
+CLICKS = st.lists(st.none() | st.floats(0.03, 30), min_size=2, max_size=12)
+
+
+@given(CLICKS)
+def test_a_sound_is_coded_alike_whether_its_clicks_were_expected_or_not(clicks):
+    guessing, waiting = (VoiceStudio(VOICE, "mic", "scene:ground_voice", 0) for _ in range(2))
+    state, packet = WorldState(time_ns=0), None
+    for number, before_ms in enumerate(clicks, 1):
+        complete_ns = number * BLOCK_NS
+        if before_ms is not None:
+            state = WorldState(time_ns=0, touched_ns=complete_ns - round(before_ms * 1e6))
+        if before_ms is not None or packet is None:
+            packet = guessing((complete_ns, state, False))
+        assert packet == waiting((complete_ns, state, False))
+        packet = guessing((complete_ns + BLOCK_NS, state, True))
