@@ -29,6 +29,8 @@ _STILL_NS = 100 * NS_PER_MS
 _LEAST_GAP = AUDIO_CLOCK_HZ // 25
 #: Sound at other rates is not for ears, and to resample it could take any memory.
 _RATES_HZ = range(1_000, 768_001)
+#: Larger pictures could take more memory than there is.
+_MOST_PIXELS = 8192 * 8192
 #: FFmpeg's AV_TIME_BASE, AVFMT_TS_DISCONT and AVFMT_NOTIMESTAMPS.
 _TIME_BASE, _TS_DISCONT, _NO_TIMESTAMPS = 1_000_000, 0x0200, 0x0080
 _OTHER: dict[str, Literal["video", "audio"]] = {"video": "audio", "audio": "video"}
@@ -69,14 +71,19 @@ def check_file(path: str, kind: Literal["video", "audio"]) -> None:
         )
     if isinstance(found, av.AudioStream) and found.rate not in _RATES_HZ:
         raise ConfigError(f"{path!r} has sound at {found.rate} Hz: resample it to 48000 Hz")
+    if isinstance(found, av.VideoStream) and found.width * found.height > _MOST_PIXELS:
+        size = f"{found.width}x{found.height}"
+        raise ConfigError(f"{path!r} has pictures of {size}: scale them to 8192x8192 at most")
 
 
 def set_up_decoder(stream: av.VideoStream | av.AudioStream) -> None:
-    """Decode on the caller's thread, and refuse broken JPEGs."""
+    """Decode on the caller's thread, and refuse broken JPEGs and huge pictures."""
     stream.codec_context.thread_count = 1
+    options = {"max_pixels": str(_MOST_PIXELS)}
     if stream.codec_context.name == "mjpeg":
         # Such a picture would come out green from the damage on.
-        stream.codec_context.options = {"err_detect": "explode"}
+        options["err_detect"] = "explode"
+    stream.codec_context.options = options
 
 
 def _opened(path: str) -> av.container.InputContainer:

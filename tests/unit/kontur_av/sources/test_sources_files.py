@@ -3,6 +3,8 @@
 import os
 from fractions import Fraction
 from itertools import pairwise
+from struct import pack
+from zlib import compress, crc32
 
 import av
 import numpy as np
@@ -202,6 +204,36 @@ def test_broken_jpegs_are_left_out(tmp_path):
     wanted = [50 + 12.9 * number for number in range(10) if number not in (0, 4)]
     assert levels == pytest.approx(wanted, abs=5)
     assert source.faults == 2
+
+
+def png(width, height):
+    """Return an empty black and white PNG picture."""
+
+    def chunk(name, data):
+        return pack(">I", len(data)) + name + data + pack(">I", crc32(name + data))
+
+    header = pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
+    rows = compress(bytes(1 + -(-width // 8)) * height)
+    parts = chunk(b"IHDR", header), chunk(b"IDAT", rows), chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+def test_pictures_too_large_for_the_memory_are_left_out(tmp_path):
+    still, film = tmp_path / "huge.png", tmp_path / "grows.mov"
+    still.write_bytes(png(9000, 9000))
+    with pytest.raises(ConfigError, match="pictures of 9000x9000: scale them to 8192x8192"):
+        check_spec(str(still), "video")
+    with av.open(str(film), "w") as container:
+        stream = container.add_stream("png", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "monob"
+        for k in range(10):
+            packet = av.Packet(png(9000, 9000) if k == 5 else png(64, 48))
+            packet.pts = packet.dts = 40 * k
+            packet.time_base, packet.stream = Fraction(1, 1000), stream
+            container.mux(packet)
+    source = opened(film, ManualClock(0))
+    stamps = [stamp.capture_ns // NS_PER_MS for stamp, _ in take(source, 9)]
+    assert source.faults and {160, 240} <= set(stamps)
 
 
 def test_sound_comes_in_blocks_without_a_gap_where_it_loops(tmp_path):
