@@ -13,12 +13,15 @@ class Healing:
 
     A loss damages every later picture, because each is predicted from the one before. An IDR
     picture heals at once. A recovery point SEI (ITU-T H.264 clause D.2.8) names the number of
-    pictures after which all are right again, if none is lost.
+    pictures after which all are right again, if none is lost. Pictures shown before that one, but
+    coded after it (B pictures of an open GOP), may still refer to damaged ones.
     """
 
     def __init__(self) -> None:
         self._damaged = False
         self._left: int | None = None
+        #: RTP timestamp of the picture at which the last wave ended, until later ones come.
+        self._healed_at: int | None = None
         self._begun = False
         #: Whether pictures before the last key picture are missing or damaged.
         self._past_lost = True
@@ -41,6 +44,10 @@ class Healing:
         if unit.keyframe:
             self._past_lost = self._damaged or not self._begun
             self._begun = True
+        if not self._damaged and self._healed_at is not None:
+            if (unit.timestamp - self._healed_at) % 2**32 >= 2**31:
+                return True
+            self._healed_at = None
         if not self._damaged or unit.damaged:
             return self._damaged
         if self._left is None:
@@ -50,6 +57,7 @@ class Healing:
         if self._left == 0:
             self._damaged = False
             self._left = None
+            self._healed_at = None if unit.keyframe else unit.timestamp
         return self._damaged
 
     def lacks_references(self, unit: ReceivedUnit) -> bool:

@@ -1,11 +1,13 @@
 """From a loss to the refresh that heals it, with the encoder of a real stream."""
 
+import av
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.codecs.healing import Healing, recovery_pictures
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
@@ -16,9 +18,9 @@ from kontur_av.rtp.payload_h264 import NAL_IDR, nal_type
 FPS = 30
 
 
-def received(data, *, damaged=False, lost_before=0):
+def received(data, *, damaged=False, lost_before=0, timestamp=0):
     idr = any(nal_type(nal) == NAL_IDR for nal in split_annex_b(data))
-    return ReceivedUnit(data, 0, idr, damaged, lost_before, 0, 0)
+    return ReceivedUnit(data, timestamp, idr, damaged, lost_before, 0, 0)
 
 
 def sei(kind, payload):
@@ -80,6 +82,34 @@ def test_damage_ends_with_the_refresh_and_then_the_picture_is_right(units, lost)
     wrong = [n for n, picture in broken.items() if not np.array_equal(picture, whole[n])]
     assert wrong, "a loss does harm"
     assert set(wrong) <= set(hurt), "what is called healed is right to the last bit"
+
+
+@pytest.mark.parametrize("lost", [3, 9, 12])
+def test_pictures_shown_before_a_recovery_point_but_coded_after_it_stay_damaged(lost):
+    codec = av.CodecContext.create("libx264", "w")
+    codec.width, codec.height, codec.pix_fmt, codec.framerate = 64, 48, "yuv420p", FPS
+    codec.options = {"x264-params": "open-gop=1:keyint=12:scenecut=0:bframes=2:b-adapt=0"}
+    noise = np.random.default_rng(1).integers(60, 200, (72, 64), np.uint8)
+    packets = []
+    for number in range(48):
+        frame = av.VideoFrame.from_ndarray(np.roll(noise, 3 * number, axis=1), "yuv420p")
+        frame.pts = number
+        packets += codec.encode(frame)
+    units = [(packet.pts, bytes(packet)) for packet in [*packets, *codec.encode(None)]]
+    healing, hurt, kept = Healing(), set(), []
+    for at, (number, data) in enumerate(units):
+        if number != lost:
+            missed = units[at - 1][0] == lost
+            unit = received(data, lost_before=missed, timestamp=(2**32 - 20 + number) % 2**32)
+            hurt |= {number} if healing.handle_unit(unit) else set()
+            kept.append((number, data))
+    whole, broken = (
+        {p.timestamp: p.to_i420() for n, d in some for p in decoder.decode(d, n)}
+        for some, decoder in ((u, VideoDecoder(reordered=True)) for u in (units, kept))
+    )
+    wrong = {n for n, picture in broken.items() if not np.array_equal(picture, whole[n])}
+    assert wrong and wrong <= hurt, (wrong - hurt, hurt)
+    assert len(hurt) <= 15  # one open GOP and its leading pictures
 
 
 def test_without_feedback_the_worst_loss_is_healed_within_three_seconds():
