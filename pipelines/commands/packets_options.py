@@ -4,17 +4,18 @@ import argparse
 import re
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
 from pipelines.mission.supervisor import session_dictionary
-from pipelines.packets.bridge import allowed_commands
+from pipelines.packets.bridge import AllowedCommands, allowed_commands
 from pipelines.packets.process_packets import PacketsPlan
 from pipelines.session.addresses import bound_socket, resolve
 from pipelines.session.datagrams import Address, is_loopback
 from pipelines.session.output import say
 from pipelines.session.topology import Topology
+from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 _OPTION, _FRAMES = "--packets", "--frames"
@@ -48,17 +49,23 @@ def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-@contextmanager
-def bound_packets(args: argparse.Namespace, topology: Topology) -> Iterator[PacketsPlan | None]:
-    """Yield what the options ask for, with its socket; ConfigError if that cannot be."""
+def checked_packets(
+    args: argparse.Namespace, topology: Topology
+) -> AbstractContextManager[PacketsPlan | None]:
+    """Return what the options ask for, to bind its socket; ConfigError if that cannot be."""
     if args.packets is None:
         if args.packets_allow:
             raise ConfigError(f"--packets-allow needs {_OPTION}")
-        yield None
-        return
+        return nullcontext()
     dictionary = session_dictionary(built_in_dictionary(), topology)
     allowed = allowed_commands(args.packets_allow, dictionary)
-    wish = parse_packets(args.packets)
+    return _bound(parse_packets(args.packets), dictionary, allowed, quiet=args.quiet)
+
+
+@contextmanager
+def _bound(
+    wish: "PacketsWish", dictionary: Dictionary, allowed: AllowedCommands, *, quiet: bool
+) -> Iterator[PacketsPlan]:
     host, port = wish.address
     if wish.udp:
         local = "127.0.0.1" if is_loopback(host) else ""
@@ -69,7 +76,7 @@ def bound_packets(args: argparse.Namespace, topology: Topology) -> Iterator[Pack
         said = f"packets tcp {host}:{port}"
     where = f"{_OPTION}: port {address[1]} of {address[0] or 'this machine'}:"
     with bound_socket(kind, address, where) as bound:
-        if not args.quiet:
+        if not quiet:
             say(said)
         peer = wish.address if wish.udp else None
         yield PacketsPlan(socket=bound, peer=peer, dictionary=dictionary, allowed=allowed)

@@ -17,7 +17,7 @@ from pipelines.commands.outlet_options import (
     bound_metrics,
     ros2_arguments,
 )
-from pipelines.commands.packets_options import add_packets_arguments, bound_packets, parse_frames
+from pipelines.commands.packets_options import add_packets_arguments, checked_packets, parse_frames
 from pipelines.commands.rtc_leg import add_rtc_arguments, announced_rtc, bound_rtc
 from pipelines.files.service_sockets import bound_services, services_wish
 from pipelines.session.page_sockets import PageListener
@@ -44,6 +44,7 @@ class SessionWays:
         segments = topology.segments
         self._args, self._topology = args, topology
         self._given = {**ros2_arguments(args), FRAMES: {"address": parse_frames(args.frames)}}
+        self._packets = checked_packets(args, topology)
         self._services = services_wish(args, segments)
         self._files = files_arguments(args, segments)
         self._pages = bound_pages(args, segments)
@@ -63,7 +64,7 @@ class SessionWays:
             announced_rtc(self._rtc, session, quiet=quiet) as partners,
             announced_metrics(self._metrics, quiet=quiet),
             announced_foxglove(self._foxglove, session, quiet=quiet) as foxglove,
-            bound_packets(self._args, self._topology) as packets,
+            self._packets as packets,
         ):
             leg = {} if self._rtc is None else {RTC: {"servers": self._rtc.servers}}
             arguments = {**self._given, **maintenance, **leg, PACKETS: {"plan": packets}}

@@ -71,7 +71,6 @@ def run(args: argparse.Namespace) -> int:
     check_sources(setup, inputs, pages=pages)
     components = checked_components(args, setup, plan.segments)
     tasks = task_wish(args, setup, plan.segments)
-    snapshots = made_directory(args.snapshots, "--snapshots")
     check_writable(args.report)
     wish = checked_wish(args, setup)
     clear_dead_sessions()
@@ -82,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
         hold_listen_port(one)
     # After all in which an option could be wrong, whatever other sessions have.
     held = hold_ports(topology)
+    snapshots = made_directory(args.snapshots, "--snapshots")
     load_libraries()
     clock = MonotonicClock()
     draw_backgrounds(setup, inputs, clock)

@@ -320,6 +320,14 @@ def test_unwritable_places_are_refused(capsys, tmp_path):
 
 
 @pytest.mark.usefixtures("nothing_starts")
+@pytest.mark.parametrize("option", ["--packets", "--frames", "--ros2", "--files-rate"])
+def test_a_refused_option_leaves_no_directory_behind(capsys, tmp_path, option):
+    shots = tmp_path / "shots"
+    refusal(capsys, "stream", "--setup", "taskboard", "--snapshots", str(shots), option, "x")
+    assert not shots.exists()
+
+
+@pytest.mark.usefixtures("nothing_starts")
 def test_a_busy_port_is_named(capsys):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         udp.bind(("127.0.0.1", 0))
