@@ -13,12 +13,10 @@ from kontur_av.errors import ConfigError, refused
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog
 from pipelines.report.model import ReplayReport
-from pipelines.report.report_file import save_report, say_failures
 from pipelines.report.seat_feed import end_trace, session_report
-from pipelines.report.summary import print_summary
+from pipelines.report.summary import end_report
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.launcher import Launcher
-from pipelines.session.output import output_that_may_fail
 from pipelines.session.topology import Segment
 from pipelines.session.upkeep_files import NotesReader, SessionNow, write_now
 from pipelines.upkeep.program import status_teller
@@ -59,13 +57,7 @@ def end_session(
         report = msgspec.structs.replace(report, trace=end_trace(collector, launcher))
     if replay is not None:
         report = msgspec.structs.replace(report, replay=replay)
-    saved = save_report(args.report, report)
-    if not args.quiet:
-        with output_that_may_fail():
-            print_summary(report)
-    else:
-        say_failures(report.failures)
-    return 1 if report.failures or not saved else 0
+    return end_report(report, args.report, quiet=args.quiet)
 
 
 def with_status(

@@ -6,8 +6,8 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.recording.replay_setup import load_replay
 from pipelines.report.model import CodingCosts, SessionReport
-from pipelines.report.report_file import check_writable, save_report
-from pipelines.report.summary import print_summary
+from pipelines.report.report_file import check_writable
+from pipelines.report.summary import end_report
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.options import (
     add_coding_arguments,
@@ -19,7 +19,6 @@ from pipelines.session.options import (
     asked_setup,
     refuse_options,
 )
-from pipelines.session.output import output_that_may_fail
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.options import add_virtual_arguments, costs_of, opened_devices
 from pipelines.virtual.session import parse_selections
@@ -58,11 +57,7 @@ def run(args: argparse.Namespace) -> int:
     costs = costs_of(args)
     check_writable(args.report)
     report = _simulate(args, costs) if args.replay is None else _replay(args, costs)
-    saved = save_report(args.report, report)
-    if not args.quiet:
-        with output_that_may_fail():
-            print_summary(report)
-    return 1 if report.failures or not saved else 0
+    return end_report(report, args.report, quiet=args.quiet)
 
 
 def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from pipelines.cli import main
 from pipelines.report.model import to_json
-from pipelines.report.summary import first_line, print_summary, stages_line, streams_table
+from pipelines.report.summary import end_report, first_line, stages_line, streams_table
 from pipelines.report.warnings import restart_warning
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.task_journal import TaskRow, TaskStep
@@ -51,10 +51,14 @@ def test_a_warning_is_a_line_with_its_mend(report, capsys):
     assert report.warnings == []
     warning = restart_warning("stereo", 1, "ended by SIGKILL")
     told = msgspec.structs.replace(report, warnings=[warning], failures=["clip[red].mp4 is mute"])
-    print_summary(told)
+    assert end_report(told, None, quiet=False) == 1
     printed = " ".join(capsys.readouterr().out.split())
     assert "failed: clip[red].mp4 is mute" in printed
     assert "warning: stereo: it was started again once: ended by SIGKILL; mend what" in printed
+    assert end_report(told, None, quiet=True) == 1
+    quiet = capsys.readouterr()
+    assert quiet.out == "" and quiet.err == "failed: clip[red].mp4 is mute\n"
+    assert end_report(report, None, quiet=True) == 0
 
 
 class Page(HTMLParser):

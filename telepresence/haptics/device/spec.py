@@ -45,8 +45,8 @@ def open_alone(
     """Open a joystick without a session; ConfigError for one whose hand is in a session only."""
     if spec in (PAGE, ROS2_HAND):
         raise ConfigError(
-            f"{spec}: it is moved in a session only, with `kontur-av stream --joystick {spec}`; "
-            "its mechanics are those of sim: take that"
+            f"joystick {spec}: it is moved in a session only, with `kontur-av stream --joystick "
+            f"{spec}`; its mechanics are those of sim: take that"
         )
     return open_device(spec, hand=hand, axes=axes)
 

@@ -363,7 +363,6 @@ def test_a_quiet_session_says_what_failed(capsys, monkeypatch):
     monkeypatch.setattr(
         live_session, "session_report", lambda *_: SimpleNamespace(failures=["why"])
     )
-    monkeypatch.setattr(live_session, "save_report", lambda *_: True)
     collector = SimpleNamespace(handle_end=lambda: None, trace=None)
     args = SimpleNamespace(quiet=True, report=None)
     assert live_session.end_session(args, collector, None) == 1
