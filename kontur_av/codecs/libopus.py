@@ -13,7 +13,7 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Literal
+from typing import Any, Literal
 
 from kontur_av.errors import ConfigError
 
@@ -49,6 +49,16 @@ def opuslib() -> ModuleType:
     """Return the imported opuslib, with its libopus loaded."""
     load()
     return sys.modules["opuslib"]
+
+
+def copy_state(encoder: Any) -> bytes:
+    """Return the state of opuslib's encoder for mono, a block that libopus lets copy (opus.h)."""
+    return ctypes.string_at(encoder, opuslib().api.encoder.get_size(1))
+
+
+def set_state(encoder: Any, state: bytes) -> None:
+    """Give an encoder its own earlier state."""
+    ctypes.memmove(encoder, state, len(state))
 
 
 def _load() -> LibOpus:

@@ -1,6 +1,5 @@
 """Blocks of sound to Opus packets of one constant size, and back (RFC 6716, RFC 7587)."""
 
-import ctypes
 import weakref
 from typing import Any
 
@@ -118,13 +117,12 @@ class OpusEncoder:
         return packet
 
     def save(self) -> bytes:
-        """Return the encoder's state for `restore`; libopus allows a copy (opus.h, OpusEncoder)."""
-        octets = libopus.opuslib().api.encoder.get_size(1)
-        return ctypes.string_at(self._encoder.encoder_state, octets)
+        """Return the encoder's state, for `restore`."""
+        return libopus.copy_state(self._encoder.encoder_state)
 
     def restore(self, state: bytes) -> None:
         """Go back to a state that this encoder gave, as if nothing had been encoded since."""
-        ctypes.memmove(self._encoder.encoder_state, state, len(state))
+        libopus.set_state(self._encoder.encoder_state, state)
 
 
 class OpusDecoder:

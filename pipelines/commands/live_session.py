@@ -13,8 +13,8 @@ from kontur_av.errors import ConfigError, refused
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog
 from pipelines.report.model import ReplayReport
+from pipelines.report.report_file import end_report
 from pipelines.report.seat_feed import end_trace, session_report
-from pipelines.report.summary import end_report
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.launcher import Launcher
 from pipelines.session.topology import Segment

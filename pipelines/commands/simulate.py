@@ -6,8 +6,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.recording.replay_setup import load_replay
 from pipelines.report.model import CodingCosts, SessionReport
-from pipelines.report.report_file import check_writable
-from pipelines.report.summary import end_report
+from pipelines.report.report_file import check_writable, end_report
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.options import (
     add_coding_arguments,

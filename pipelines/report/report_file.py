@@ -11,9 +11,10 @@ from pathlib import Path
 from rich.console import Console
 
 from kontur_av.errors import ConfigError
-from pipelines.report.model import to_json
+from pipelines.report.model import SessionReport, to_json
 from pipelines.report.result import Headline, as_json
-from pipelines.session.output import discard_output
+from pipelines.report.summary import print_summary
+from pipelines.session.output import discard_output, output_that_may_fail
 
 #: Linux follows as many links.
 _LINKS = 40
@@ -159,3 +160,14 @@ def say_failures(failures: Sequence[str]) -> None:
     """Say with --quiet, too, why the exit code is 1."""
     for failure in failures:
         print(f"failed: {failure}", file=sys.stderr)
+
+
+def end_report(report: SessionReport, path: Path | None, *, quiet: bool) -> int:
+    """Write the report of a session to `path`, and print it; 1 if it names a failure."""
+    saved = save_report(path, report)
+    if quiet:
+        say_failures(report.failures)
+    else:
+        with output_that_may_fail():
+            print_summary(report)
+    return 1 if report.failures or not saved else 0

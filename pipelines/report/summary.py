@@ -1,7 +1,6 @@
 """A report as a table for people."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
@@ -19,11 +18,9 @@ from pipelines.report.model import (
     StreamReport,
     SyncReport,
 )
-from pipelines.report.report_file import save_report, say_failures
 from pipelines.report.result import fitted_line, fitted_table
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
-from pipelines.session.output import output_that_may_fail
 from pipelines.session.task_journal import TaskRow
 from pipelines.session.topology import Segment
 
@@ -49,17 +46,6 @@ def task_line(run: TaskRow) -> str:
     took = "" if run.seconds is None else f" after {run.seconds:.1f} s"
     why = f": {run.reason}" if run.reason else ""
     return f"task {run.name}, run {run.run}: {run.result.replace('_', ' ')}{took}{why}"
-
-
-def end_report(report: SessionReport, path: Path | None, *, quiet: bool) -> int:
-    """Write the report of a session to `path`, and print it; 1 if it names a failure."""
-    saved = save_report(path, report)
-    if quiet:
-        say_failures(report.failures)
-    else:
-        with output_that_may_fail():
-            print_summary(report)
-    return 1 if report.failures or not saved else 0
 
 
 def print_summary(report: SessionReport) -> None:

@@ -10,7 +10,8 @@ from rich.console import Console
 
 from pipelines.cli import main
 from pipelines.report.model import to_json
-from pipelines.report.summary import end_report, first_line, stages_line, streams_table
+from pipelines.report.report_file import end_report
+from pipelines.report.summary import first_line, stages_line, streams_table
 from pipelines.report.warnings import restart_warning
 from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.task_journal import TaskRow, TaskStep
