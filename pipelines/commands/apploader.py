@@ -3,10 +3,10 @@
 import argparse
 from pathlib import Path
 
-from pipelines.commands.common import add_inbox_argument
 from pipelines.session.addresses import parse_address
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.datagrams import LOOPBACK
+from pipelines.session.option_table import add_options
 from pipelines.session.output import say
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.ftp import check_ftp_url, serve_ftp
@@ -46,18 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                 help="where the kernel came from; with flash the two FTP folders are the pair",
             )
         if name == "run":
-            action.add_argument(
-                "--ftp", metavar="URL", help="with flash: fetch folders 1 and 2 from this server"
-            )
+            add_options(action, "--ftp URL  with flash: fetch folders 1 and 2 from this server")
             action.add_argument("arguments", nargs="*", metavar="ARGUMENT", help="after --: of run")
-            add_inbox_argument(action)
+            add_options(action, "--inbox")
         if name == "serve":
-            action.add_argument("--storage", choices=("sd", "ftp"), default="sd")
-            action.add_argument(
-                "--listen",
-                default=f"{LOOPBACK}:{_PORT}",
-                metavar="HOST:PORT",
-                help=f"default: {LOOPBACK}:{_PORT}; FTP has no protection of its own",
+            add_options(
+                action,
+                "--storage <sd|ftp=sd>",
+                f"--listen HOST:PORT <={LOOPBACK}:{_PORT}>  default: {LOOPBACK}:{_PORT}; FTP has "
+                "no protection of its own",
             )
 
 

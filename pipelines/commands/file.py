@@ -5,7 +5,7 @@ import sys
 import time
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.commands.common import acting_on
 from pipelines.session.file_requests import (
     CANCEL,
     STATE,
@@ -16,6 +16,7 @@ from pipelines.session.file_requests import (
     listing,
     progress,
 )
+from pipelines.session.option_table import add_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import ask_desk, running_sessions
 from telepresence.files.entity import DONE, FAILED
@@ -53,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             choices=[segment.value for segment in Segment],
             help="the end that asks (default: the ground, if it runs here)",
         )
-        add_session_argument(action)
+        add_options(action, "--session")
     parser.description = (
         "Files go both ways beside the media, in the directories of `kontur-av stream --files`. A "
         "loss of signal suspends them, Ctrl-C cancels. Exit code 1 if a transfer fails."

@@ -17,6 +17,7 @@ from pipelines.commands.common import say_unprotected
 from pipelines.hand.joystick_check import JoystickCheck, run_live, run_virtually
 from pipelines.report.report_file import check_writable, words_console, write_report
 from pipelines.session.children import stopped_by_signals
+from pipelines.session.option_table import add_options
 from pipelines.session.output import output_that_may_fail
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench
@@ -38,15 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_setup_argument(check)
     text = "calibrate a joystick and do its functional checks, each against its limits"
     test = actions.add_parser("test", help=text, description=text)
-    test.add_argument("check", nargs="?", default=_ALL, choices=[*CHECKS, _ALL])
-    test.add_argument(
-        "--device",
-        default="sim",
-        metavar="SPEC",
-        help="sim, sim:FAULT, evdev, evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: "
-        "module:Class (default: sim)",
+    add_options(
+        test,
+        f"check <{'|'.join([*CHECKS, _ALL])}?={_ALL}>",
+        "--device SPEC <=sim>  sim, sim:FAULT, evdev, evdev:/dev/input/eventN, "
+        "udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
+        "--report",
     )
-    test.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     text = "drive the robot, or the arm, that a session's setup gives a partner"
     drive.add_arguments(actions.add_parser("drive", help=text, description=text))
 

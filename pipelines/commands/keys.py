@@ -3,7 +3,6 @@
 import argparse
 from pathlib import Path
 
-from pipelines.commands.common import add_key_argument
 from pipelines.link.key_files import (
     default_key_path,
     forget,
@@ -12,6 +11,7 @@ from pipelines.link.key_files import (
     trust,
     trusted_identities,
 )
+from pipelines.session.option_table import add_options
 from telepresence.link.protection.identity import MachineIdentity
 
 #: By action: what it does.
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         if name in ("trust", "forget"):
             # The groups may stand apart, as one copies them from a note.
             action.add_argument("identity", nargs="+", metavar="IDENTITY")
-        add_key_argument(action)
+        add_options(action, "--key")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -16,6 +16,7 @@ from pipelines.hand.partner_side import run_side, told
 from pipelines.hand.robot_check import RobotCheck
 from pipelines.hand.safety_ends import within
 from pipelines.report.report_file import words_console
+from pipelines.session.option_table import add_options
 from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
@@ -26,20 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     text = "do with a robot what a session will do, and say what it does wrong; IT MOVES"
     check = actions.add_parser("check", help=text, description=text)
-    check.add_argument(
-        "robot",
-        metavar="SPEC",
-        help="udp:HOST:PORT[:KEYFILE] or module:Class, as of `stream --robot`",
+    add_options(
+        check, "robot SPEC  udp:HOST:PORT[:KEYFILE] or module:Class, as of `stream --robot`"
     )
     add_setup_argument(check)
     text = "let the joystick of a session drive a partner's robot: its Russian experiment"
     serve = actions.add_parser("serve", help=text, description=text)
-    serve.add_argument(
-        "--robot",
-        default=SIMULATED_ROBOT,
-        metavar="SPEC",
-        help="sim, with its task board, udp:HOST:PORT[:KEYFILE] or your own: module:Class "
-        "(default: sim)",
+    add_options(
+        serve,
+        f"--robot SPEC <={SIMULATED_ROBOT}>  sim, with its task board, udp:HOST:PORT[:KEYFILE] or "
+        "your own: module:Class (default: sim)",
     )
     add_way_arguments(serve)
 

@@ -1,7 +1,6 @@
 """`kontur-av simulate`: a session on virtual time, as fast as the machine goes."""
 
 import argparse
-from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.recording.replay_setup import load_replay
@@ -9,6 +8,7 @@ from pipelines.report.model import CodingCosts, SessionReport
 from pipelines.report.report_file import check_writable, save_report
 from pipelines.report.summary import print_summary
 from pipelines.session.children import stopped_by_signals
+from pipelines.session.option_table import add_options
 from pipelines.session.options import (
     add_coding_arguments,
     add_deadband_argument,
@@ -30,12 +30,11 @@ from telepresence.tasks.task_files import load_plan
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av simulate`."""
     add_setup_argument(parser, needed=False)
-    parser.add_argument("--seconds", type=float, metavar="S", help="of virtual time")
-    parser.add_argument(
-        "--replay",
-        type=Path,
-        metavar="FILE.mcap",
-        help="send a recording again, with its setup, radio and seed unless others are given",
+    add_options(
+        parser,
+        "--seconds S <float>  of virtual time",
+        "--replay FILE.mcap <Path>  send a recording again, with its setup, radio and seed unless "
+        "others are given",
     )
     add_coding_arguments(parser)
     add_radio_arguments(parser)
@@ -44,8 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_hand_argument(parser)
     add_source_argument(parser, "scene:NAME, a media file or mcap:FILE#CHANNEL")
     add_virtual_arguments(parser)
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
-    parser.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+    add_options(parser, "--report", "-q")
 
 
 def run(args: argparse.Namespace) -> int:

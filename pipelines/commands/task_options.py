@@ -8,6 +8,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.commands.live_session import made_directory
 from pipelines.session.addresses import split_address
+from pipelines.session.option_table import add_options
 from pipelines.session.options import refuse_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
@@ -36,12 +37,10 @@ class TaskWish:
 
 
 def add_task_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--plan",
-        type=Path,
-        metavar="PLAN.toml",
-        help="select the tasks of a plan; with a simulated joystick a simulated cosmonaut does "
-        "them",
+    add_options(
+        parser,
+        "--plan PLAN.toml <Path>  select the tasks of a plan; with a simulated joystick a "
+        "simulated cosmonaut does them",
     )
     parser.add_argument(
         "--tasks",
@@ -50,11 +49,10 @@ def add_task_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.xml",
         help="have tasks for people; with files, further ones",
     )
-    parser.add_argument(
-        "--leds", metavar="HOST:PORT", help="of an LED panel that takes the place of the built-in"
-    )
-    parser.add_argument(
-        "--runs", type=Path, metavar="DIR", help="record each run of a task into a file there"
+    add_options(
+        parser,
+        "--leds HOST:PORT  of an LED panel that takes the place of the built-in",
+        "--runs DIR <Path>  record each run of a task into a file there",
     )
 
 

@@ -4,7 +4,8 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.commands.common import acting_on
+from pipelines.session.option_table import add_options
 from pipelines.session.terminals import ask_desk, running_sessions
 from pipelines.session.training import (
     CAMERA,
@@ -27,17 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         exercise = exercises.add_parser(name, help=text, description=text)
         if name == CAMERA:
             exercise.add_argument("camera", metavar="NAME", help="the camera, such as iss_camera")
-        exercise.add_argument(
-            "seconds",
-            nargs="?",
-            type=float,
-            default=seconds,
-            metavar="S",
-            help=f"for S seconds (default {seconds:g})",
+        add_options(
+            exercise,
+            f"seconds S <float?={seconds}>  for S seconds (default {seconds:g})",
+            "--session",
         )
-        add_session_argument(exercise)
     text = "end all exercises at once"
-    add_session_argument(exercises.add_parser(END, help=text, description=text))
+    add_options(exercises.add_parser(END, help=text, description=text), "--session")
 
 
 def run(args: argparse.Namespace) -> int:

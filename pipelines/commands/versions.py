@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
-from pipelines.commands.common import add_inbox_argument, add_key_argument
 from pipelines.link.key_files import default_key_path, read_key, trusted_identities
 from pipelines.session.children import stopped_by_signals
+from pipelines.session.option_table import add_options
 from pipelines.session.output import say
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.version_keeper import VersionKeeper
@@ -43,17 +43,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         if name in ("start", "confirm", "remove"):
             action.add_argument("name", metavar="NAME")
         if name == "run":
-            action.add_argument(
-                "--probation",
-                type=float,
-                default=_SECONDS,
-                metavar="S",
-                help=f"contact without application data that is allowed; default: {_SECONDS}",
+            add_options(
+                action,
+                f"--probation S <float={_SECONDS}>  contact without application data that is "
+                f"allowed; default: {_SECONDS}",
             )
             action.add_argument("arguments", nargs="*", metavar="ARGUMENT", help="after --: of run")
-            add_inbox_argument(action)
+            add_options(action, "--inbox")
         if name in ("sign", "add", "run"):
-            add_key_argument(action)
+            add_options(action, "--key")
 
 
 def run(args: argparse.Namespace) -> int:
