@@ -6,14 +6,14 @@ from pathlib import Path
 from pipelines.session.addresses import parse_address
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.datagrams import LOOPBACK
-from pipelines.session.option_table import add_options
+from pipelines.session.options import add_options
 from pipelines.session.output import say
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.ftp import check_ftp_url, serve_ftp
 from pipelines.upkeep.loader_keeper import LoaderKeeper, list_lines
 from telepresence.upkeep.app_loader import BootDevice, Copy
 from telepresence.upkeep.file_store import read_folder, replace_file
-from telepresence.upkeep.sfv import SFV, sfv_text
+from telepresence.upkeep.manifest import SFV, sfv_text
 
 _ACTIONS = {
     "run": "start the desired copy, watch it, and take another one if it fails",

@@ -22,8 +22,7 @@ from pipelines.hand.haptic_loop import new_life
 from pipelines.hand.partner_side import run_side, told
 from pipelines.partner.far import Far
 from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path
-from pipelines.session.option_table import add_options
-from pipelines.session.options import refuse_options
+from pipelines.session.options import add_options, refuse_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 from kontur_av.errors import ConfigError
 from pipelines.link.own_ends import EndChoice, chosen_end
-from pipelines.session.option_table import add_options
-from pipelines.session.options import refuse_options
+from pipelines.session.options import add_options, refuse_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.table import topology_of

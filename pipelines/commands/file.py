@@ -16,7 +16,7 @@ from pipelines.session.file_requests import (
     listing,
     progress,
 )
-from pipelines.session.option_table import add_options
+from pipelines.session.options import add_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import ask_desk, running_sessions
 from telepresence.files.entity import DONE, FAILED

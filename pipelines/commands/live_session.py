@@ -18,7 +18,7 @@ from pipelines.report.seat_feed import end_trace, session_report
 from pipelines.report.summary import print_summary
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.launcher import Launcher
-from pipelines.session.option_table import add_options
+from pipelines.session.options import add_options
 from pipelines.session.output import output_that_may_fail
 from pipelines.session.topology import Segment
 from pipelines.session.upkeep_files import NotesReader, SessionNow, write_now

@@ -12,7 +12,7 @@ from pipelines.commands.common import (
 )
 from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_recordable
 from pipelines.session.children import stopped_by_signals
-from pipelines.session.option_table import add_options
+from pipelines.session.options import add_options
 from pipelines.session.recorder_control import begin_recording, hold_recording, recorded_sessions
 from pipelines.session.recorder_requests import RecordingWish
 from pipelines.session.setup.table import Setup

@@ -16,7 +16,7 @@ from pipelines.hand.partner_side import run_side, told
 from pipelines.hand.robot_check import RobotCheck
 from pipelines.hand.safety_ends import within
 from pipelines.report.report_file import words_console
-from pipelines.session.option_table import add_options
+from pipelines.session.options import add_options
 from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import SIMULATED_ROBOT

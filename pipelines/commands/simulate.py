@@ -8,11 +8,11 @@ from pipelines.report.model import CodingCosts, SessionReport
 from pipelines.report.report_file import check_writable, save_report
 from pipelines.report.summary import print_summary
 from pipelines.session.children import stopped_by_signals
-from pipelines.session.option_table import add_options
 from pipelines.session.options import (
     add_coding_arguments,
     add_deadband_argument,
     add_hand_argument,
+    add_options,
     add_radio_arguments,
     add_setup_argument,
     add_source_argument,

@@ -6,7 +6,7 @@ import pwd
 
 from kontur_av.topics.session_files import choose_session, sessions
 from pipelines.commands.common import acting_on
-from pipelines.session.option_table import add_options
+from pipelines.session.options import add_options
 from pipelines.session.orders import KeptOrders
 
 

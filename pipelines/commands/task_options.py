@@ -8,8 +8,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.commands.live_session import made_directory
 from pipelines.session.addresses import split_address
-from pipelines.session.option_table import add_options
-from pipelines.session.options import refuse_options
+from pipelines.session.options import add_options, refuse_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import JOYSTICK, PAGES, TASKS

@@ -5,7 +5,7 @@ import sys
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
-from pipelines.session.option_table import add_options
+from pipelines.session.options import add_options
 from pipelines.session.terminals import ask_desk, running_sessions
 from pipelines.session.training import (
     CAMERA,

@@ -6,7 +6,7 @@ from pathlib import Path
 from kontur_av.clock import NS_PER_S
 from pipelines.link.key_files import default_key_path, read_key, trusted_identities
 from pipelines.session.children import stopped_by_signals
-from pipelines.session.option_table import add_options
+from pipelines.session.options import add_options
 from pipelines.session.output import say
 from pipelines.upkeep.disk_store import DiskStore
 from pipelines.upkeep.version_keeper import VersionKeeper

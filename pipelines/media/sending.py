@@ -8,7 +8,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from kontur_av.meters import Histogram
 from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
-from kontur_av.sources.page import FILLED_BY_OTHERS
+from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.streams.encoding_thread import switch_threads_often
 from kontur_av.streams.feeds import PictureFeed, SoundFeed
 from kontur_av.streams.paced_sender import UnitSent
@@ -21,7 +21,7 @@ from pipelines.media.rtp_reports import (
     latency_ms,
 )
 from pipelines.session.children import stopped_by_signals
-from pipelines.session.option_table import add_options
+from pipelines.session.options import add_options
 from pipelines.session.output import reader_gone, say
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS

@@ -44,7 +44,7 @@ from telepresence.upkeep.copies import (
     update_prime,
 )
 from telepresence.upkeep.file_store import StoredFile, read_folder, replace_file
-from telepresence.upkeep.sfv import SFV, fault_of, write_copy
+from telepresence.upkeep.manifest import SFV, fault_of, write_copy
 from telepresence.upkeep.version_stack import parse_status
 
 _POLL_NS = 100 * NS_PER_MS

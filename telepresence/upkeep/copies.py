@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 from kontur_av.errors import ConfigError
 from telepresence.upkeep.app_loader import BootDevice, Copy, Mode
 from telepresence.upkeep.file_store import FileStore, StoredFile, read_folder, replace_file
-from telepresence.upkeep.manifest import RUN
-from telepresence.upkeep.sfv import SFV, fault_of, fault_of_files, parse_sfv, write_copy
+from telepresence.upkeep.manifest import RUN, SFV, fault_of, fault_of_files, parse_sfv, write_copy
 
 _EEPROM, _WORKED = "eeprom", "worked"
 #: Prime and backup by the device that was booted from.

@@ -73,7 +73,7 @@ SHELLS = {
     "pipelines/virtual/campaign/sessions.py": "processes, the terminal, and asks for the time",
     "pipelines/cli.py": "the command itself",
     "pipelines/session/datagrams.py": "the sockets of a gateway",
-    "pipelines/link/gateway_ports.py": "the sockets of a gateway",
+    "pipelines/link/process_gateway.py": "the sockets of a gateway",
     "pipelines/partner/far.py": "a process and sockets",
     "pipelines/media/input_devices.py": "asks the system for its devices",
     "pipelines/session/machine_checks.py": "asks the system for everything",
@@ -109,7 +109,7 @@ SHELLS = {
     "kontur_av/streams/decoding.py": "a random number of a receiver",
     "kontur_av/streams/ends.py": "threads and sockets",
     "pipelines/mission/joined_session.py": "topics and a Unix socket",
-    "pipelines/files/directory.py": "files",
+    "pipelines/files/process_files.py": "files",
     "pipelines/files/service_sockets.py": "TCP connections",
     "pipelines/session/sessions.py": "processes, and what they leave",
     "pipelines/virtual/workers.py": "processes",
@@ -136,7 +136,7 @@ SHELLS = {
     "pipelines/session/reception.py": "files",
     "pipelines/session/output.py": "standard output",
     "pipelines/mission/process_tasks.py": "the date, and files",
-    "pipelines/mission/tmtc_desk.py": "a Unix socket and topics",
+    "pipelines/mission/process_tmtc.py": "a Unix socket and topics",
 }
 
 
@@ -170,9 +170,8 @@ FILES = {
 #: Modules without a door of their own that use shells, and why.
 USERS_OF_SHELLS = {
     "kontur_av/sources/looped.py": "waits for its next picture",
-    "kontur_av/sources/page.py": "waits for a page",
+    "kontur_av/sources/source.py": "waits for a page",
     "kontur_av/sources/scene.py": "waits for its next picture",
-    "kontur_av/sources/source.py": "waits for its next block",
     "kontur_av/sources/spec.py": "opens sources",
     "kontur_av/topics/bus.py": "shared memory",
     "pipelines/virtual/campaign/sweep.py": "draws charts",
@@ -200,8 +199,8 @@ USERS_OF_SHELLS = {
     "telepresence/haptics/udp_robot.py": "a socket",
     "telepresence/world/scenes.py": "opens scenes, and reads recorded speech",
     "pipelines/media/coded_topics.py": "topics",
-    "pipelines/link/link_topics.py": "topics",
-    "pipelines/hand/mission_ends.py": "topics",
+    "pipelines/link/process_gateway.py": "topics",
+    "pipelines/hand/process_ends.py": "topics",
     "pipelines/hand/safety_ends.py": "topics, and orders in files",
     "pipelines/hand/partner_arm.py": "sockets of a process",
     "pipelines/session/topic_ends.py": "topics",
@@ -217,7 +216,7 @@ USERS_OF_SHELLS = {
 
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
-    "kontur_av/sources/page.py": {"FILLED_BY_OTHERS", "PAGE", "TOPIC"},
+    "kontur_av/sources/source.py": {"FILLED_BY_OTHERS", "PAGE", "TOPIC"},
     "telepresence/haptics/device/spec.py": {"PAGE", "ROS2_HAND", "SIMULATED", "is_simulated"},
     "kontur_av/clock.py": {
         "NS_PER_MS",

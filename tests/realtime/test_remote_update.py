@@ -15,8 +15,7 @@ from pipelines.upkeep.version_keeper import VersionKeeper
 from telepresence.upkeep.app_loader import Copy
 from telepresence.upkeep.copies import note_worked
 from telepresence.upkeep.file_store import read_folder, replace_file
-from telepresence.upkeep.manifest import MANIFEST, signed_manifest
-from telepresence.upkeep.sfv import SFV, sfv_text
+from telepresence.upkeep.manifest import MANIFEST, SFV, sfv_text, signed_manifest
 
 CRASHES = '#!/bin/sh\necho {name} >> "$TRACE"\nexit 1\n'
 #: It tells that an experiment runs while there is a file of its trace's name and .busy.

@@ -21,8 +21,7 @@ from telepresence.upkeep.copies import (
     update_prime,
 )
 from telepresence.upkeep.file_store import StoredFile
-from telepresence.upkeep.manifest import MANIFEST, signed_manifest
-from telepresence.upkeep.sfv import write_copy
+from telepresence.upkeep.manifest import MANIFEST, signed_manifest, write_copy
 from telepresence.upkeep.stack_directory import VersionDirectory
 from telepresence.upkeep.version_stack import ELEMENTARY, VersionState
 
