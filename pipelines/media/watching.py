@@ -1,5 +1,6 @@
 """The operator's eye and ear: detectors of lights and clicks in what is shown and played."""
 
+from collections import defaultdict
 from collections.abc import Mapping
 
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
@@ -17,23 +18,19 @@ class Watching:
 
     def __init__(self, probe: Probe) -> None:
         self._probe = probe
-        self._eyes: dict[str, LightDetector] = {}
-        self._ears: dict[str, ClickDetector] = {}
+        self._eyes: defaultdict[str, LightDetector] = defaultdict(LightDetector)
+        self._ears: defaultdict[str, ClickDetector] = defaultdict(ClickDetector)
 
     def handle_picture(self, stream: str, picture: I420, stamp: CaptureStamp, now_ns: int) -> None:
         """A picture of `stream`, shape (height * 3 // 2, width), is shown at `now_ns`."""
-        eye = self._eyes.get(stream)
-        if eye is None:
-            eye = self._eyes[stream] = LightDetector()
+        eye = self._eyes[stream]
         eye.handle_picture(picture, now_ns, stamp.capture_ns)
         while (light := eye.next_event()) is not None:
             tell_light(self._probe, stream, light, _ITSELF)
 
     def handle_sound(self, stream: str, samples: Pcm, stamp: CaptureStamp, now_ns: int) -> None:
         """A block of sound of `stream` is heard from `now_ns` on."""
-        ear = self._ears.get(stream)
-        if ear is None:
-            ear = self._ears[stream] = ClickDetector()
+        ear = self._ears[stream]
         ear.handle_block(samples, now_ns, stamp.capture_ns)
         while (click := ear.next_event()) is not None:
             tell_click(self._probe, stream, click, _ITSELF)

@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError, refused
 from pipelines.recording.export.columns import Column
 from pipelines.recording.export.mat_file import write_v5
@@ -48,7 +49,7 @@ def check_scipy() -> None:
         raise ConfigError("the effects need scipy: pip install 'kontur-av[study]'")
 
 
-class StudyFolder:
+class StudyFolder(Closing):
     """The folder of a study's results, held by one command at a time. ConfigError.
 
     results: of all trials that have finished. simulated: they are of simulated hands, and those
@@ -72,10 +73,7 @@ class StudyFolder:
         if self._file.seek(0, os.SEEK_END) == 0:
             self._append(msgspec.json.encode(head))
 
-    def __enter__(self) -> "StudyFolder":
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self._file.close()
 
     @property

@@ -32,7 +32,7 @@ class VideoVerdict:
     relative: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Target:
     """A bound for `value` of kontur-av; a relative target compares with the best peer.
 
@@ -45,55 +45,24 @@ class Target:
     unit: str
     value: Value
     bound: float
-    most: bool
+    most: bool = True
     peers: Callable[[str], bool] | None = None
     ratio: bool = False
     of_cap: bool = False
 
 
-P99 = Target(
-    what="capture to displayed, p99",
-    unit="ms",
-    value=lambda found: found.latency_ms["p99"],
-    bound=45,
-    most=True,
-)
+P99 = Target("capture to displayed, p99", "ms", lambda found: found.latency_ms["p99"], 45)
+_SECOND, _TENTH = "largest 1 s window of payload", "largest 0.1 s window of payload"
 CAPS = (
-    Target(
-        what="largest 1 s window of payload",
-        unit="% of the cap",
-        value=lambda found: found.payload_1s_bps,
-        bound=100,
-        most=True,
-        of_cap=True,
-    ),
-    Target(
-        what="largest 0.1 s window of payload",
-        unit="% of its share",
-        value=lambda found: found.payload_100ms_bps,
-        bound=150,
-        most=True,
-        of_cap=True,
-    ),
+    Target(_SECOND, "% of the cap", lambda found: found.payload_1s_bps, 100, of_cap=True),
+    Target(_TENTH, "% of its share", lambda found: found.payload_100ms_bps, 150, of_cap=True),
 )
 #: Of this project alone, at 85 kbit/s in a channel of 88.
 ALONE = (
-    Target(
-        what="capture to displayed, p50",
-        unit="ms",
-        value=lambda found: found.latency_ms["p50"],
-        bound=35,
-        most=True,
-    ),
+    Target("capture to displayed, p50", "ms", lambda found: found.latency_ms["p50"], 35),
     P99,
-    Target(what="displayed", unit="/s", value=lambda found: found.per_second, bound=28, most=False),
-    Target(
-        what="longest gap",
-        unit="ms",
-        value=lambda found: found.longest_gap_ms,
-        bound=100,
-        most=True,
-    ),
+    Target("displayed", "/s", lambda found: found.per_second, 28, most=False),
+    Target("longest gap", "ms", lambda found: found.longest_gap_ms, 100),
     *CAPS,
 )
 
