@@ -8,7 +8,7 @@ from pipelines.session.children import stopped_by_signals
 from pipelines.session.datagrams import LOOPBACK
 from pipelines.session.options import add_options
 from pipelines.session.output import say
-from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.desk import DiskStore
 from pipelines.upkeep.ftp import check_ftp_url, serve_ftp
 from pipelines.upkeep.loader_keeper import LoaderKeeper, list_lines
 from telepresence.upkeep.app_loader import BootDevice, Copy

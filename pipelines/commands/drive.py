@@ -19,8 +19,8 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.hand.haptic_loop import new_life
-from pipelines.hand.partner_side import run_side, told
-from pipelines.partner.far import Far
+from pipelines.hand.partner_arm import run_side, told
+from pipelines.partner.whip import Far
 from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path
 from pipelines.session.options import add_options, refuse_options
 from pipelines.session.setup.table import Setup

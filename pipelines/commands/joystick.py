@@ -14,7 +14,7 @@ from pipelines.commands.check_results import (
     print_results,
 )
 from pipelines.commands.common import say_unprotected
-from pipelines.hand.joystick_check import JoystickCheck, run_live, run_virtually
+from pipelines.hand.driver_checks import JoystickCheck, run_live, run_virtually
 from pipelines.report.report_file import check_writable, words_console, write_report
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.options import add_options

@@ -9,11 +9,10 @@ from kontur_av.errors import ConfigError
 from pipelines.commands.check_results import add_setup_argument, axes_of, print_results
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.drive import add_way_arguments, reached
+from pipelines.hand.driver_checks import RobotCheck
 from pipelines.hand.haptic_loop import new_life
 from pipelines.hand.haptics import robot_side
-from pipelines.hand.partner_arm import keep_powered
-from pipelines.hand.partner_side import run_side, told
-from pipelines.hand.robot_check import RobotCheck
+from pipelines.hand.partner_arm import keep_powered, run_side, told
 from pipelines.hand.safety_ends import within
 from pipelines.report.report_file import words_console
 from pipelines.session.options import add_options

@@ -14,9 +14,8 @@ from pipelines.report.report_file import words_console
 from pipelines.session.options import add_options
 from pipelines.session.output import output_that_may_fail, say
 from pipelines.session.served_pages import bound_server, served
-from pipelines.study.desk import StudyDesk
+from pipelines.study.desk import StudyDesk, simulate_person
 from pipelines.study.effects import HEADINGS, effect_words, study_report, summary_of
-from pipelines.study.hands import simulate_person
 from pipelines.study.plan import StudyPlan
 from pipelines.study.results import StudyFolder, check_scipy, load_study, write_tables
 from pipelines.study.server import StudyServer

@@ -13,8 +13,7 @@ from pipelines.session.children import ended_alike
 from pipelines.session.options import add_options
 from pipelines.virtual.campaign.places import add_place_arguments, jobs_of
 from pipelines.virtual.campaign.sweep import case_figures, chart, csv_rows, headings, rows
-from pipelines.virtual.campaign.sweep_file import load_sweep
-from pipelines.virtual.campaign.sweep_runs import kept_runs, run_missing
+from pipelines.virtual.campaign.sweep_file import kept_runs, load_sweep, run_missing
 from pipelines.virtual.media import check_virtual_sources
 
 

@@ -8,7 +8,7 @@ from pipelines.link.key_files import default_key_path, read_key, trusted_identit
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.options import add_options
 from pipelines.session.output import say
-from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.desk import DiskStore
 from pipelines.upkeep.version_keeper import VersionKeeper
 from telepresence.upkeep.file_store import read_folder, replace_file
 from telepresence.upkeep.manifest import MANIFEST, signed_manifest

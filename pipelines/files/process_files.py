@@ -21,7 +21,7 @@ from pipelines.session.terminals import TerminalSockets, desk_path
 from pipelines.session.topology import Segment, maintenance_stream
 from telepresence.files.entity import LARGEST_LISTING, PUT, STORE, DirectoryJob, FileEntity, fenced
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
-from telepresence.files.receiver import MAX_FILE_OCTETS
+from telepresence.files.sides import MAX_FILE_OCTETS
 from telepresence.link.backlog import Backlog
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.services.datagrams import is_service

@@ -21,7 +21,7 @@ from kontur_av.topics.bus import TopicBus, Writer
 from pipelines.link.figures import LINK_STATE_OCTETS, SocketFigures, link_values, pack_link
 from pipelines.link.frame_batch import pack_frames
 from pipelines.link.gateway_end import GatewayEnd
-from pipelines.link.peer_socket import PeerPlan, PeerSocket, make_path
+from pipelines.link.own_ends import PeerPlan, PeerSocket, make_path
 from pipelines.session.datagrams import (
     LOOPBACK,
     OWN_SENDERS,

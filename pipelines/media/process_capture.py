@@ -1,4 +1,4 @@
-"""The process of an input: from its source, or from a browser page, into its topic."""
+"""The processes of an input, from its source or a browser page, and of the stereo merge."""
 
 import numpy as np
 
@@ -10,8 +10,7 @@ from kontur_av.sources.stereo import HALF, StereoPairer
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.figures import StereoFigures
 from pipelines.media.marking import StereoMerger
-from pipelines.media.previewing import Previewing, preview_size
-from pipelines.media.taking_over import Capturing, Takeover
+from pipelines.media.taking_over import Capturing, Previewing, Takeover, preview_size
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.robot_state import newest_state
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS, VideoStream

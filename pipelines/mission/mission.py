@@ -16,7 +16,8 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.task_journal import LinkMeanwhile, TaskJournal, TaskRow
 from telepresence.tasks.definitions import Catalogue
-from telepresence.tasks.end_conditions import (
+from telepresence.tasks.experiment import Experiment, Logged, Phase, TaskRun
+from telepresence.tasks.kernel import (
     ChooseCamera,
     ControlRobot,
     MoveRobot,
@@ -27,7 +28,6 @@ from telepresence.tasks.end_conditions import (
     ShowPicture,
     View,
 )
-from telepresence.tasks.experiment import Experiment, Logged, Phase, TaskRun
 from telepresence.tasks.panel_picture import DARK, PanelSender
 from telepresence.tasks.plan import NEEDS_TWO_HANDS, PlanFollower, SessionPlan
 from telepresence.tmtc.k2aci import K2aciMessage, TaskFinished, TaskResult

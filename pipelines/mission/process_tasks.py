@@ -55,8 +55,7 @@ from pipelines.session.topology import (
 from pipelines.session.training import Exercises
 from telepresence.malformed import MALFORMED
 from telepresence.tasks.definitions import Catalogue, ControlMode
-from telepresence.tasks.end_conditions import ChooseCamera, OtherHand, Record
-from telepresence.tasks.kernel import TICK_NS
+from telepresence.tasks.kernel import TICK_NS, ChooseCamera, OtherHand, Record
 from telepresence.tasks.panel_picture import ACKNOWLEDGEMENT_OCTETS
 from telepresence.tasks.plan import SessionPlan
 from telepresence.tasks.task_files import built_in_tasks

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipelines.report.html_page import Bar, section, table, track, whole_page
-from pipelines.study.plan import FACTORS, StudyPlan
-from pipelines.study.trial import TrialResult
+from pipelines.study.plan import FACTORS, StudyPlan, TrialResult
 
 #: What counts as a difference.
 ALPHA = 0.05

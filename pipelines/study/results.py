@@ -20,8 +20,7 @@ from pipelines.recording.export.columns import Column
 from pipelines.recording.export.mat_file import write_v5
 from pipelines.report.report_file import write_text
 from pipelines.study.effects import StudyReport, account_of_study
-from pipelines.study.plan import StudyPlan
-from pipelines.study.trial import TrialResult
+from pipelines.study.plan import StudyPlan, TrialResult
 from telepresence.toml_file import read_toml, typed
 
 _FILE = "trials.jsonl"

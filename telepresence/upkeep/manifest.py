@@ -1,6 +1,8 @@
-"""The manifest of a version: its files with SHA-256, signed by a machine's key. A core.
+"""Lists of files with checksums: of a version, signed, and of a copy by CRC-32. A core.
 
-The signature is Ed25519 (RFC 8032) over name and files, as JSON with sorted keys.
+The manifest of a version has SHA-256, and is signed by a machine's key: Ed25519 (RFC 8032) over
+name and files, as JSON with sorted keys. A copy has Simple File Verification: CRC-32, as cksfv
+reads it.
 """
 
 import re

@@ -2,7 +2,7 @@
 
 from failing_disk import FailingDisk
 
-from telepresence.upkeep.copies import FlashCheck
+from telepresence.upkeep.app_loader import FlashCheck
 from telepresence.upkeep.file_store import StoredFile
 from telepresence.upkeep.manifest import SFV, write_copy
 
