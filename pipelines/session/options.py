@@ -36,8 +36,9 @@ def add_options(parser: argparse._ActionsContainer, *rows: str) -> None:
 
     A row is `NAMES METAVAR <KIND>  HELP`; an option without METAVAR and KIND is a flag. KIND is
     `int`, `float`, `Path`, choices as `a|b`, or nothing for text. Then come `!` if it must be
-    given, `*` if it may be repeated, `?` if its value may be left out, and `=DEFAULT`. Where `?`
-    is of an option, DEFAULT is what it then has. The first name alone stands for a common row.
+    given, `*` if it may be repeated, `?` if its value may be left out, `...` for any number of
+    values, and `=DEFAULT`. Where `?` is of an option, DEFAULT is what it then has. The first name
+    alone stands for a common row.
     """
     for row in rows:
         head, _, text = _COMMON.get(row, row).partition("  ")
@@ -49,7 +50,7 @@ def add_options(parser: argparse._ActionsContainer, *rows: str) -> None:
         if option and not bracket and metavar is None:
             parser.add_argument(*names, action="store_true", help=text)
             continue
-        match = re.fullmatch(r"([^!*?=]*)([!*?]?)(?:=(.*))?", kind.removesuffix(">"))
+        match = re.fullmatch(r"([^!*?.=]*)([!*?]|\.{3})?(?:=(.*))?", kind.removesuffix(">"))
         assert match is not None, row
         what, how, default = match.groups()
         convert = _TYPES.get(what)
@@ -70,7 +71,19 @@ def add_options(parser: argparse._ActionsContainer, *rows: str) -> None:
         elif how == "?" and option:
             add(nargs="?", const=value)
         else:
-            add(nargs=how or None, default=value)
+            add(nargs="*" if how == "..." else how, default=value)
+
+
+def add_actions(
+    parser: argparse.ArgumentParser, actions: Mapping[str, Sequence[str]], kind: str = "action"
+) -> dict[str, argparse.ArgumentParser]:
+    """Add subcommands, each with a text and rows of options; return the parser of each."""
+    found = parser.add_subparsers(dest=kind, required=True, metavar=kind.upper())
+    parsers = {}
+    for name, (text, *rows) in actions.items():
+        parsers[name] = found.add_parser(name, help=text, description=text)
+        add_options(parsers[name], *rows)
+    return parsers
 
 
 def refuse_options(args: argparse.Namespace, why: str, *options: str) -> None:

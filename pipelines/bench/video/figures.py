@@ -1,4 +1,4 @@
-"""From what the screen saw and the channel carried to figures, and to verdicts on targets. A core."""
+"""From what the screen saw and the channel carried to figures, and verdicts on targets. A core."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
