@@ -19,7 +19,6 @@ from pipelines.hand.device_check import (
     Order,
     RobotAxis,
     along,
-    more_axes_of,
     speed,
 )
 from telepresence.haptics.axes import MoreAxes
@@ -48,9 +47,11 @@ _MOST_CALL_MS = 1.0
 class RobotCheck(DeviceCheck[RobotReading]):
     """The checks of one robot. It moves by a few centimetres."""
 
+    _known, _view = RobotFacts, RobotAxis
+    _device: RobotDevice
+
     def __init__(self, device: RobotDevice, clock: Clock) -> None:
-        super().__init__(RobotFacts, clock)
-        self._device = device
+        super().__init__(device, clock)
         self._takes_force = self._powered = False
         self._deactivations_ns: list[int] = []
         #: Where the axes behind x and y were when it was activated, and stay.
@@ -148,11 +149,6 @@ class RobotCheck(DeviceCheck[RobotReading]):
             ("power off", self.power_off, ""),
         )
 
-    def _axes_checks(self) -> Iterator[Check]:
-        for index in more_axes_of(self._device.facts):
-            view = RobotAxis(self._device, index)
-            yield from self._of_axis(RobotCheck(view, self._clock), view.axis)
-
     @contextmanager
     def _activated(self) -> Iterator[None]:
         if self._device.facts.more:
@@ -211,9 +207,11 @@ _REST = (0.0, 0.0)
 class JoystickCheck(DeviceCheck[JoystickReading]):
     """The checks of one joystick, with hands off. It moves by a few centimetres."""
 
+    _known, _view = JoystickFacts, JoystickAxis
+    _device: JoystickDevice
+
     def __init__(self, device: JoystickDevice, clock: Clock) -> None:
-        super().__init__(JoystickFacts, clock)
-        self._device = device
+        super().__init__(device, clock)
         self._limit_n = device.facts.force_limit_n
         self._open = False
         #: Each push goes back where the one before came from.
@@ -315,11 +313,6 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
             ("cycle time", self.cycle_time, ""),
             ("unplugged", self.unplugged, ""),
         )
-
-    def _axes_checks(self) -> Iterator[Check]:
-        for index in more_axes_of(self._device.facts):
-            view = JoystickAxis(self._device, index)
-            yield from self._of_axis(JoystickCheck(view, self._clock), view.axis)
 
     def _force(self, axis: int, size: float) -> Order:
         """A share of its force along an axis, to and fro from one call to the next."""

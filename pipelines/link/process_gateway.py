@@ -10,14 +10,12 @@ import socket
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from functools import partial
-from itertools import count
 from typing import Final
 
 import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.media import CaptureStamp
-from kontur_av.topics.bus import TopicBus, Writer
+from kontur_av.topics.bus import TopicBus
 from pipelines.link.figures import LINK_STATE_OCTETS, SocketFigures, link_values, pack_link
 from pipelines.link.frame_batch import pack_frames
 from pipelines.link.gateway_end import GatewayEnd
@@ -38,7 +36,7 @@ from pipelines.session.datagrams import (
 )
 from pipelines.session.process import Context
 from pipelines.session.rows import LatenessRow, SendingRow
-from pipelines.session.topic_ends import new_exercises
+from pipelines.session.topic_ends import NumberedTopic, new_exercises
 from pipelines.session.topology import (
     TELECOMMAND,
     TELEMETRY,
@@ -49,7 +47,7 @@ from pipelines.session.topology import (
     link_state_topic,
 )
 from pipelines.session.training import Exercises
-from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
+from telepresence.link.backlog import BACKLOG_OCTETS
 from telepresence.link.figures import GatewayFigures
 from telepresence.link.flows import HapticReceived, PacketReceived
 from telepresence.link.frame import MAX_PACKET_OCTETS
@@ -75,17 +73,10 @@ class LinkTopics:
         self.due_ns = 0
         self._gateway = gateway
         out, back = topology.link(segment.transmits), topology.link(segment.transmits.opposite)
-        self._figures = bus.writer(gateway_topic(segment), max_octets=_FIGURES_OCTETS, wake=False)
-        self._sent = bus.writer(out.sent_frames_topic, max_octets=_FRAMES_OCTETS, wake=False)
-        self._received = bus.writer(
-            back.received_frames_topic, max_octets=_FRAMES_OCTETS, wake=False
-        )
-        self._state = bus.writer(
-            link_state_topic(segment), max_octets=LINK_STATE_OCTETS, wake=False
-        )
-        self._numbers = {
-            writer: count() for writer in (self._figures, self._sent, self._received, self._state)
-        }
+        self._figures = NumberedTopic(bus, gateway_topic(segment), max_octets=_FIGURES_OCTETS)
+        self._sent = NumberedTopic(bus, out.sent_frames_topic, max_octets=_FRAMES_OCTETS)
+        self._received = NumberedTopic(bus, back.received_frames_topic, max_octets=_FRAMES_OCTETS)
+        self._state = NumberedTopic(bus, link_state_topic(segment), max_octets=LINK_STATE_OCTETS)
         # The first call looks for readers.
         self._batches = _SELDOM - 1
 
@@ -93,10 +84,10 @@ class LinkTopics:
         self.due_ns = now_ns + _BATCH_NS
         gateway = self._gateway
         if gateway.frames_sent:
-            self._publish(self._sent, pack_frames(gateway.frames_sent), now_ns)
+            self._sent.publish_octets(pack_frames(gateway.frames_sent), now_ns)
             gateway.frames_sent = []
         if gateway.frames_received:
-            self._publish(self._received, pack_frames(gateway.frames_received), now_ns)
+            self._received.publish_octets(pack_frames(gateway.frames_received), now_ns)
             gateway.frames_received = []
         self._batches += 1
         if self._batches % _SELDOM:
@@ -105,19 +96,17 @@ class LinkTopics:
         gateway.frames_received = _kept(gateway.frames_received, self._received)
         if self._figures.has_readers():
             figures = msgspec.msgpack.encode(gateway.report(now_ns))
-            self._publish(self._figures, figures, now_ns)
+            self._figures.publish_octets(figures, now_ns)
 
     def handle_figures(self, figures: GatewayFigures, now_ns: int) -> None:
         """Publish for telemetry what was counted for the report anyway, twice a second."""
-        self._publish(self._state, pack_link(link_values(figures)), now_ns)
-
-    def _publish(self, writer: Writer, octets: bytes, now_ns: int) -> None:
-        stamp = CaptureStamp(now_ns, next(self._numbers[writer]), "gateway")
-        writer.publish_octets(octets, stamp)
+        self._state.publish_octets(pack_link(link_values(figures)), now_ns)
 
 
-def _kept(frames: list[tuple[int, bytes]] | None, writer: Writer) -> list[tuple[int, bytes]] | None:
-    if not writer.has_readers():
+def _kept(
+    frames: list[tuple[int, bytes]] | None, topic: NumberedTopic
+) -> list[tuple[int, bytes]] | None:
+    if not topic.has_readers():
         return None
     return [] if frames is None else frames
 
@@ -287,7 +276,8 @@ def run_gateway(
     with ExitStack() as stack:
         if tell_backlog:
             bus = stack.enter_context(context.open_bus())
-            loop.publish = _backlog_publisher(context, segment, bus)
+            backlog_topic = topology.link(segment.transmits).backlog_topic
+            loop.backlogs = NumberedTopic(bus, backlog_topic, max_octets=BACKLOG_OCTETS)
             loop.topics = LinkTopics(bus, topology, segment, end.gateway)
             if trainer:
                 loop.exercises = new_exercises(bus)
@@ -299,7 +289,7 @@ def run_gateway(
 class _GatewayLoop:
     """Sleeps, and does one step of `end` after the other.
 
-    publish, topics, exercises: what is told to the session, and what a trainer says.
+    backlogs, topics, exercises: what is told to the session, and what a trainer says.
     """
 
     def __init__(
@@ -308,7 +298,7 @@ class _GatewayLoop:
         self._context, self._end, self._ports, self._path = context, end, ports, path
         self._slots, self._clock_ns = end.slots, context.clock.now_ns
         self._to_haptic_end = ports.to_haptic_end.send
-        self.publish: Callable[[Backlog, int], None] | None = None
+        self.backlogs: NumberedTopic | None = None
         self.topics: LinkTopics | None = None
         self.exercises: Callable[[], Exercises | None] | None = None
         # Lists, because an array checks the type of each number.
@@ -386,8 +376,8 @@ class _GatewayLoop:
         if self._path is not None and self._path.work(slots.deadline_ns):
             # What else can wait finds a slot of its own.
             return
-        if self.publish is not None and (backlog := slots.poll_backlog()) is not None:
-            self.publish(backlog, now_ns)
+        if self.backlogs is not None and (backlog := slots.poll_backlog()) is not None:
+            self.backlogs.publish_octets(backlog.pack(), now_ns)
         if now_ns >= slots.figures_ns and slots.poll_figures(now_ns, heard=False):
             self._context.tick(now_ns)
         # On one machine the peer's slot is at the same time, so its frame is most often here by
@@ -410,16 +400,3 @@ class _GatewayLoop:
         figures = self._end.tell(now_ns, None if self._path is None else self._path.report())
         if self.topics is not None:
             self.topics.handle_figures(figures, now_ns)
-
-
-def _backlog_publisher(
-    context: Context, segment: Segment, bus: TopicBus
-) -> Callable[[Backlog, int], None]:
-    """Return a function that publishes a backlog with its instant."""
-    topic = context.topology.link(segment.transmits).backlog_topic
-    writer = bus.writer(topic, max_octets=BACKLOG_OCTETS, wake=False)
-
-    def publish(backlog: Backlog, now_ns: int) -> None:
-        writer.publish_octets(backlog.pack(), CaptureStamp(now_ns, 0, "gateway"))
-
-    return publish

@@ -36,6 +36,22 @@ _MOST_STEPS, _MOST_RUNS = 40, 20
 _KILLED = "the task's process was restarted"
 
 
+@dataclass(frozen=True, kw_only=True)
+class TaskWish:
+    """Which tasks there are, who selects them, and where the LED panel is (None: built in).
+
+    plan: None: people select. runs: directory for one recording of each run. simulated: a simulated
+    cosmonaut does them. two_hands: the robot's hand can meet that of the partner's arm.
+    """
+
+    catalogue: Catalogue
+    plan: SessionPlan | None = None
+    leds: tuple[str, int] | None = None
+    runs: str | None = None
+    simulated: bool = False
+    two_hands: bool = False
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Seen:
     """What the ground sees at a tick. camera: the selected one. link: for the report. other: the
