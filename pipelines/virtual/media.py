@@ -30,7 +30,6 @@ from pipelines.session.setup.table import (
     VideoStream,
     VoiceStream,
 )
-from pipelines.virtual.agenda import WALL_OFFSET_NS
 from pipelines.virtual.streams import (
     Display,
     VideoProcess,
@@ -40,7 +39,7 @@ from pipelines.virtual.streams import (
     VoiceSendProcess,
 )
 from pipelines.virtual.studio import Paired, Picture, Shot, VideoDecoding, VideoStudio, VoiceStudio
-from pipelines.virtual.workers import Coder, Job, Scene, Worker
+from pipelines.virtual.workers import WALL_OFFSET_NS, Coder, Job, Scene, Worker
 from telepresence.link.backlog import Backlog
 from telepresence.world import WorldState
 

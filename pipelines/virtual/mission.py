@@ -28,9 +28,8 @@ from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import LinkMeanwhile
 from pipelines.session.topology import FILES, TELECOMMAND, TELEMETRY, maintenance_stream
-from pipelines.virtual.agenda import Timer
 from pipelines.virtual.media import Consumer
-from pipelines.virtual.workers import Scene
+from pipelines.virtual.workers import Scene, Timer
 from telepresence.files.entity import STORE, DirectoryJob, FileEntity, Transfer
 from telepresence.files.pdus import GET, LIST, RENAME
 from telepresence.haptics.bilateral import Handle

@@ -32,9 +32,8 @@ from pipelines.media.stream_figures import (
 )
 from pipelines.media.tip_region import TipRegion
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.virtual.agenda import WALL_OFFSET_NS, Timer
 from pipelines.virtual.studio import Picture, VoiceDecoding
-from pipelines.virtual.workers import Batch, Coder, Job, Scene, Worker
+from pipelines.virtual.workers import WALL_OFFSET_NS, Batch, Coder, Job, Scene, Timer, Worker
 from telepresence.link.backlog import Backlog
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
