@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 
 from kontur_av.media import I420, empty_picture
-from kontur_av.sources.seam import SeamFinder
-from kontur_av.sources.stereo import merge
+from kontur_av.sources.stereo import SeamFinder, merge
 from telepresence.world import WorldState, render
 
 

@@ -39,13 +39,13 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.video.clips import Clip
 from pipelines.bench.video.command import FPS, check_options
 from pipelines.bench.video.contenders import Contender, ContenderError
-from pipelines.bench.video.run import Trial, TrialTerms, measure
-from pipelines.bench.video.targets import (
+from pipelines.bench.video.figures import (
     VideoVerdict,
     headlines,
     judge,
     notes,
 )
+from pipelines.bench.video.run import Trial, TrialTerms, measure
 from pipelines.report.charts import distributions, save
 from pipelines.report.report_file import open_console, write_result
 from pipelines.report.result import Headline, Json, as_json, headline_tables

@@ -4,8 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pipelines.bench.video.figures import ContenderFigures
-from pipelines.bench.video.targets import VideoVerdict
+from pipelines.bench.video.figures import ContenderFigures, VideoVerdict
 from pipelines.report.result import Headline
 
 TUNED_ON, OTHERS = "clips that settings were tuned on", "clips that no setting was tuned on"

@@ -1,4 +1,4 @@
-"""The interfaces of all sources of pictures and of sound."""
+"""The interfaces of all sources of pictures and of sound, and those that others fill."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -87,3 +87,28 @@ VideoSceneFactory = Callable[[str, int, int, int, Clock], VideoSource]
 
 #: (name of the input, clock) -> source.
 AudioSceneFactory = Callable[[str, Clock], AudioSource]
+
+
+#: SPECs of sources with nothing of their own: the one waits for a page, the other for a program
+#: that has joined the session.
+PAGE, TOPIC = "page", "topic"
+FILLED_BY_OTHERS = (PAGE, TOPIC)
+
+
+class PageVideo(StampingSource):
+    """No pictures (a `VideoSource`). Others give theirs to the process of the input."""
+
+    def __init__(self, name: str, width: int, height: int, fps: int, clock: Clock) -> None:
+        super().__init__(name, clock)
+
+    def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
+        self._clock.sleep_until_ns(self._clock.now_ns() + timeout_ns)
+        return None
+
+
+class PageAudio(StampingSource):
+    """No sound (an `AudioSource`), as `PageVideo`."""
+
+    def read(self, timeout_ns: int) -> AudioFrame | None:
+        self._clock.sleep_until_ns(self._clock.now_ns() + timeout_ns)
+        return None

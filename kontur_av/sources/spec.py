@@ -16,8 +16,15 @@ from kontur_av.clock import Clock
 from kontur_av.errors import ConfigError
 from kontur_av.media import check_size
 from kontur_av.parts import PartDoor, find_part, make_part, names_part
-from kontur_av.sources.page import FILLED_BY_OTHERS, PAGE, TOPIC
-from kontur_av.sources.source import AudioSceneFactory, AudioSource, VideoSceneFactory, VideoSource
+from kontur_av.sources.source import (
+    FILLED_BY_OTHERS,
+    PAGE,
+    TOPIC,
+    AudioSceneFactory,
+    AudioSource,
+    VideoSceneFactory,
+    VideoSource,
+)
 
 _SCENE, _FILE = "scene", "file"
 #: The package's own clip of two seconds, where there is no such file.
@@ -35,8 +42,8 @@ _VIDEO = PartDoor(
         "mcap": "kontur_av.sources.recording:RecordedVideo",
         "pipe": "kontur_av.sources.pipe:PipeVideo",
         "v4l2": "kontur_av.sources.camera:CameraVideo",
-        PAGE: "kontur_av.sources.page:PageVideo",
-        TOPIC: "kontur_av.sources.page:PageVideo",
+        PAGE: "kontur_av.sources.source:PageVideo",
+        TOPIC: "kontur_av.sources.source:PageVideo",
         _FILE: "kontur_av.sources.file:FileVideo",
     },
 )
@@ -47,8 +54,8 @@ _AUDIO = PartDoor(
     {
         "mcap": "kontur_av.sources.recording:RecordedAudio",
         "alsa": "kontur_av.sources.microphone:MicrophoneAudio",
-        PAGE: "kontur_av.sources.page:PageAudio",
-        TOPIC: "kontur_av.sources.page:PageAudio",
+        PAGE: "kontur_av.sources.source:PageAudio",
+        TOPIC: "kontur_av.sources.source:PageAudio",
         _FILE: "kontur_av.sources.file:FileAudio",
     },
 )

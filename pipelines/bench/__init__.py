@@ -11,6 +11,8 @@ import argparse
 from importlib import import_module
 from types import ModuleType
 
+from pipelines.session.options import add_actions
+
 #: What can be measured, and what it is about.
 BENCHES = {
     "cpu": "CPU time of a live session, also beside another checkout of the project",
@@ -26,9 +28,8 @@ def _module(bench: str) -> ModuleType:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    benches = parser.add_subparsers(dest="bench", required=True, metavar="BENCH")
-    for name, text in BENCHES.items():
-        command = benches.add_parser(name, help=text, description=text)
+    benches = {name: (text,) for name, text in BENCHES.items()}
+    for name, command in add_actions(parser, benches, "bench").items():
         _module(name).add_arguments(command)
 
 

@@ -18,7 +18,7 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_report
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, titled_table
-from pipelines.session.options import add_setup_argument
+from pipelines.session.options import add_options, add_setup_argument
 from pipelines.session.setup.setup_file import load_setup
 
 _THIS_TREE = Path(str(pipelines.__file__)).parent.parent
@@ -56,15 +56,14 @@ class CpuResult:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_setup_argument(parser, default="spacejustin")
-    parser.add_argument(
-        "--against", type=Path, metavar="DIR", help="another checkout, measured in turn with this"
+    add_options(
+        parser,
+        "--against DIR <Path>  another checkout, measured in turn with this",
+        "--runs N <int=5>  of each (default 5)",
+        "--seconds S <float=20.0>  of each session (default 20)",
+        "--base-port P <int=27000>  of the runs",
+        "--report FILE <Path>  write the figures as JSON",
     )
-    parser.add_argument("--runs", type=int, default=5, metavar="N", help="of each (default 5)")
-    parser.add_argument(
-        "--seconds", type=float, default=20.0, metavar="S", help="of each session (default 20)"
-    )
-    parser.add_argument("--base-port", type=int, default=27_000, metavar="P", help="of the runs")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -30,6 +30,7 @@ from pipelines.report.sync_figures import LIMITS
 from pipelines.report.terms import TERMS
 from pipelines.session.options import (
     add_deadband_argument,
+    add_options,
     add_radio_argument,
     add_setup_argument,
     radio_change,
@@ -141,9 +142,7 @@ VIRTUAL_CLOCK = ClockMethod("one virtual clock for all", 0.0)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_setup_argument(parser, default="spacejustin")
-    parser.add_argument(
-        "--seconds", type=float, default=20.0, metavar="S", help="of virtual time (default 20)"
-    )
+    add_options(parser, "--seconds S <float=20.0>  of virtual time (default 20)")
     live = parser.add_mutually_exclusive_group()
     live.add_argument(
         "--live-seconds", type=float, default=20.0, metavar="S", help="of real time (default 20)"

@@ -29,7 +29,7 @@ from pipelines.report.report_file import check_writable, open_console, write_res
 from pipelines.report.result import Headline, Json, as_json, titled_table
 from pipelines.report.sync_figures import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
 from pipelines.report.sync_matching import Matched, match_around
-from pipelines.session.options import radio_change
+from pipelines.session.options import add_options, radio_change
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import check_sources
 from pipelines.virtual.media import check_virtual_sources
@@ -208,33 +208,24 @@ _LONGEST_OFFSET_MS = 3_600_000.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     session = parser.add_argument_group("a session")
-    session.add_argument(
-        "--setup", metavar="NAME", help="spacejustin (default), taskboard or FILE.toml"
-    )
-    session.add_argument(
-        "--seconds", type=float, metavar="S", help="how long (default 60; live 30)"
-    )
-    session.add_argument("--live", action="store_true", help="on this machine, in real time")
-    session.add_argument(
-        "--radio", metavar="PROFILE", help="cable, clean (default), iss-pass, geo or FILE.toml"
-    )
-    session.add_argument("--seed", type=int, default=1, metavar="N", help="of the radio's chances")
-    session.add_argument(
-        "--base-port", type=int, default=27_000, metavar="P", help="of a live session"
+    add_options(
+        session,
+        "--setup NAME  spacejustin (default), taskboard or FILE.toml",
+        "--seconds S <float>  how long (default 60; live 30)",
+        "--live  on this machine, in real time",
+        "--radio PROFILE  cable, clean (default), iss-pass, geo or FILE.toml",
+        "--seed N <int=1>  of the radio's chances",
+        "--base-port P <int=27000>  of a live session",
     )
     footage = parser.add_argument_group("recordings, at least two, instead of a session")
-    footage.add_argument("--video", type=Path, metavar="FILE", help="an LED that lights up")
-    footage.add_argument("--audio", type=Path, metavar="FILE", help="a click; may be the same file")
-    footage.add_argument("--haptics", type=Path, metavar="FILE", help="CSV: time_s,force_n")
-    footage.add_argument(
-        "--offset-ms",
-        action="append",
-        default=[],
-        metavar="NAME=MS",
-        help="add MS to every instant of video, audio or haptics; may be given several times",
-    )
-    footage.add_argument(
-        "--roi", metavar="X,Y,W,H", help="where the LED is, in pixels of the file; default all"
+    add_options(
+        footage,
+        "--video FILE <Path>  an LED that lights up",
+        "--audio FILE <Path>  a click; may be the same file",
+        "--haptics FILE <Path>  CSV: time_s,force_n",
+        "--offset-ms NAME=MS <*>  add MS to every instant of video, audio or haptics; may be "
+        "given several times",
+        "--roi X,Y,W,H  where the LED is, in pixels of the file; default all",
     )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the skews as PNG")

@@ -1,64 +1,52 @@
 """`kontur-av apploader`: run the joystick's software from the copy that works, and update it."""
 
 import argparse
-from pathlib import Path
 
-from pipelines.commands.common import add_inbox_argument
 from pipelines.session.addresses import parse_address
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.datagrams import LOOPBACK
+from pipelines.session.options import add_actions
 from pipelines.session.output import say
-from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.desk import DiskStore
 from pipelines.upkeep.ftp import check_ftp_url, serve_ftp
 from pipelines.upkeep.loader_keeper import LoaderKeeper, list_lines
 from telepresence.upkeep.app_loader import BootDevice, Copy
 from telepresence.upkeep.file_store import read_folder, replace_file
-from telepresence.upkeep.sfv import SFV, sfv_text
+from telepresence.upkeep.manifest import SFV, sfv_text
 
-_ACTIONS = {
-    "run": "start the desired copy, watch it, and take another one if it fails",
-    "list": "verify all copies, and print the desired mode",
-    "update": "write an update to prime; it is tried next",
-    "copy": "copy prime to backup, once it has worked",
-    "shutdown": "end the running software in good order",
-    "fill": "write a copy as it was at delivery",
-    "sfv": "write the list of checksums of a folder; cksfv reads it, too",
-    "serve": "an FTP server for the copies of one storage",
-}
 _PORT = 2121
+_DIRECTORY = "directory DIR <Path>  has the storages"
+_FOLDER = "folder FOLDER <Path>  has the file `run`"
+_BOOT = (
+    f"--boot <{'|'.join(device.value for device in BootDevice)}={BootDevice.SD.value}>  where the "
+    "kernel came from; with flash the two FTP folders are the pair"
+)
+#: By action: what it does, and its options.
+_ACTIONS = {
+    "run": (
+        "start the desired copy, watch it, and take another one if it fails",
+        *(_DIRECTORY, _BOOT, "--ftp URL  with flash: fetch folders 1 and 2 from this server"),
+        *("arguments ARGUMENT <...>  after --: of run", "--inbox"),
+    ),
+    "list": ("verify all copies, and print the desired mode", _DIRECTORY),
+    "update": ("write an update to prime; it is tried next", _DIRECTORY, _FOLDER, _BOOT),
+    "copy": ("copy prime to backup, once it has worked", _DIRECTORY, _BOOT),
+    "shutdown": ("end the running software in good order", _DIRECTORY),
+    "fill": (
+        *("write a copy as it was at delivery", _DIRECTORY),
+        *(f"copy <{'|'.join(copy.value for copy in Copy)}>  the storage", _FOLDER),
+    ),
+    "sfv": ("write the list of checksums of a folder; cksfv reads it, too", _FOLDER),
+    "serve": (
+        *("an FTP server for the copies of one storage", _DIRECTORY, "--storage <sd|ftp=sd>"),
+        f"--listen HOST:PORT <={LOOPBACK}:{_PORT}>  default: {LOOPBACK}:{_PORT}; FTP has no "
+        "protection of its own",
+    ),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    for name, text in _ACTIONS.items():
-        action = actions.add_parser(name, help=text, description=text)
-        if name != "sfv":
-            action.add_argument("directory", type=Path, metavar="DIR", help="has the storages")
-        if name == "fill":
-            action.add_argument("copy", choices=[copy.value for copy in Copy], help="the storage")
-        if name in ("update", "fill", "sfv"):
-            action.add_argument("folder", type=Path, metavar="FOLDER", help="has the file `run`")
-        if name in ("run", "update", "copy"):
-            action.add_argument(
-                "--boot",
-                choices=[device.value for device in BootDevice],
-                default=BootDevice.SD.value,
-                help="where the kernel came from; with flash the two FTP folders are the pair",
-            )
-        if name == "run":
-            action.add_argument(
-                "--ftp", metavar="URL", help="with flash: fetch folders 1 and 2 from this server"
-            )
-            action.add_argument("arguments", nargs="*", metavar="ARGUMENT", help="after --: of run")
-            add_inbox_argument(action)
-        if name == "serve":
-            action.add_argument("--storage", choices=("sd", "ftp"), default="sd")
-            action.add_argument(
-                "--listen",
-                default=f"{LOOPBACK}:{_PORT}",
-                metavar="HOST:PORT",
-                help=f"default: {LOOPBACK}:{_PORT}; FTP has no protection of its own",
-            )
+    add_actions(parser, _ACTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

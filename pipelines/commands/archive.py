@@ -12,16 +12,16 @@ from pipelines.commands.report import read_report
 from pipelines.report.account import events_of
 from pipelines.report.charts import check_plot, new_figure, save
 from pipelines.report.model import to_json
+from pipelines.session.options import add_options
 from pipelines.upkeep.archive import SessionArchive
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("archive", type=Path, metavar="FILE.sqlite", help="made if need be")
-    parser.add_argument(
-        "action",
-        choices=["add", "list", "events", "trend"],
-        help="add: keep reports; list: the sessions; events: how often each came; trend: a figure "
-        "over all sessions",
+    add_options(
+        parser,
+        "archive FILE.sqlite <Path>  made if need be",
+        "action <add|list|events|trend>  add: keep reports; list: the sessions; events: how often "
+        "each came; trend: a figure over all sessions",
     )
     parser.add_argument(
         "what",

@@ -1,6 +1,5 @@
 """The results of checks: as a table in a terminal, and as rows of a report."""
 
-import argparse
 from collections.abc import Sequence
 
 from rich.console import Console
@@ -20,9 +19,7 @@ from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.script import CheckResult
 from telepresence.haptics.device.spec import is_simulated
 
-
-def add_setup_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--setup", metavar="NAME", help="the setup whose axes it has")
+SETUP_ROW = "--setup NAME  the setup whose axes it has"
 
 
 def axes_of(setup: str | None) -> Sequence[AxisName] | None:

@@ -3,7 +3,6 @@
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, sessions
@@ -24,36 +23,6 @@ def say_unprotected(*specs: str) -> None:
     """Say which of these joysticks and robots every user of this machine can reach."""
     for line in filter(None, map(unprotected, specs)):
         print(f"kontur-av: {line}", file=sys.stderr)
-
-
-def add_seconds_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--seconds", type=float, metavar="S", help="end after S seconds (default: on Ctrl-C)"
-    )
-
-
-def add_session_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--session", metavar="NAME", help="which one, where several run; its setup's name will do"
-    )
-
-
-def add_key_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--key",
-        type=Path,
-        metavar="FILE",
-        help="the private key; default: kontur-av/key.pem in the configuration directory",
-    )
-
-
-def add_inbox_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--inbox",
-        type=Path,
-        metavar="FOLDER",
-        help="take updates and orders that come here as files",
-    )
 
 
 def acting_on(name: str | None, running: Sequence[str], *, moves: bool = False) -> str:
@@ -79,11 +48,3 @@ def acting_on(name: str | None, running: Sequence[str], *, moves: bool = False) 
 def _said(session: str) -> str:
     print(f"session {session}", file=sys.stderr)
     return session
-
-
-def add_raw_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--raw",
-        metavar="PATH",
-        help="write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
-    )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import sessions
-from pipelines.commands.common import add_seconds_argument, say_unprotected
+from pipelines.commands.common import say_unprotected
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
@@ -19,10 +19,10 @@ from pipelines.commands.rtc_options import (
     token_of,
 )
 from pipelines.hand.haptic_loop import new_life
-from pipelines.hand.partner_side import run_side, told
-from pipelines.partner.far import Far
+from pipelines.hand.partner_arm import run_side, told
+from pipelines.partner.whip import Far
 from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path
-from pipelines.session.options import refuse_options
+from pipelines.session.options import add_options, refuse_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide
@@ -36,32 +36,24 @@ _ARMS = {"joystick": '"shared" or "second"', "robot": '"board"'}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--device",
-        default=SIMULATED,
-        metavar="SPEC",
-        help="sim, evdev, evdev:/dev/input/eventN or udp:HOST:PORT[:KEYFILE] (default: sim)",
+    add_options(
+        parser,
+        f"--device SPEC <={SIMULATED}>  sim, evdev, evdev:/dev/input/eventN or "
+        "udp:HOST:PORT[:KEYFILE] (default: sim)",
     )
     add_way_arguments(parser)
 
 
 def add_way_arguments(parser: argparse.ArgumentParser) -> None:
     """The options that say where the session is, and for how long."""
-    parser.add_argument(
-        "--base-port",
-        type=int,
-        default=Setup.base_port,
-        metavar="P",
-        help="of this user's session",
-    )
-    parser.add_argument(
-        "--rtc",
-        metavar="URL",
-        help="a session across the Internet: what `stream --rtc` prints, up to the port",
+    add_options(
+        parser,
+        f"--base-port P <int={Setup.base_port}>  of this user's session",
+        "--rtc URL  a session across the Internet: what `stream --rtc` prints, up to the port",
     )
     add_token_arguments(parser)
     add_ice_arguments(parser)
-    add_seconds_argument(parser)
+    add_options(parser, "--seconds")
 
 
 def drive(args: argparse.Namespace) -> int:

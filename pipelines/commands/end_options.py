@@ -4,9 +4,8 @@ import argparse
 from dataclasses import replace
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import add_key_argument
 from pipelines.link.own_ends import EndChoice, chosen_end
-from pipelines.session.options import refuse_options
+from pipelines.session.options import add_options, refuse_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.table import topology_of
@@ -14,44 +13,28 @@ from telepresence.haptics.device.spec import SIMULATED
 
 
 def add_end_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--end",
-        choices=[segment.value for segment in Segment],
-        help="run this end alone; the other runs on another machine",
-    )
-    parser.add_argument(
-        "--listen",
-        metavar="ADDR:PORT",
-        help="with --end: wait for the other end at this UDP port; 0.0.0.0 is every address",
-    )
-    parser.add_argument(
-        "--peer", metavar="HOST:PORT", help="with --end: call the other end, which listens there"
-    )
-    add_key_argument(parser)
-    parser.add_argument(
-        "--identity",
-        metavar="ID",
-        help="with --end: the other machine's identity, if several are trusted",
-    )
-    parser.add_argument(
-        "--insecure",
-        action="store_true",
-        help="with --end: neither encrypt nor authenticate; on a private network only",
+    add_options(
+        parser,
+        f"--end <{'|'.join(segment.value for segment in Segment)}>  run this end alone; the other "
+        "runs on another machine",
+        "--listen ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 is "
+        "every address",
+        "--peer HOST:PORT  with --end: call the other end, which listens there",
+        "--key",
+        "--identity ID  with --end: the other machine's identity, if several are trusted",
+        "--insecure  with --end: neither encrypt nor authenticate; on a private network only",
     )
 
 
 def add_session_end_arguments(parser: argparse.ArgumentParser) -> None:
     """The same, and what else both ends or one may have in a whole session."""
     add_end_arguments(parser)
-    parser.add_argument(
-        "--trainer",
-        action="store_true",
-        help="heed `kontur-av trainer`; with --end space, the radio of both directions is here",
-    )
-    parser.add_argument(
-        "--bypass",
-        action="store_true",
-        help="for tests, with both ends here: join the programs directly, past gateways and radio",
+    add_options(
+        parser,
+        "--trainer  heed `kontur-av trainer`; with --end space, the radio of both directions is "
+        "here",
+        "--bypass  for tests, with both ends here: join the programs directly, past gateways and "
+        "radio",
     )
 
 

@@ -16,6 +16,7 @@ from pipelines.recording.export.mat_file import MatExport
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.recorded_parts import read_recording
 from pipelines.recording.recording_file import Outputs
+from pipelines.session.options import add_options
 from pipelines.session.output import say
 
 #: The bar moves after this many messages.
@@ -23,27 +24,18 @@ _STEP = 500
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "file",
-        metavar="FILE.mcap",
-        type=Path,
-        help="a recording; its parts FILE-2.mcap, FILE-3.mcap, … are joined to it",
+    add_options(
+        parser,
+        "file FILE.mcap <Path>  a recording; its parts FILE-2.mcap, FILE-3.mcap, … are joined to "
+        "it",
+        "--mat OUT.mat <Path>  tables for MATLAB and Octave",
+        "--mat73  MATLAB v7.3, also where the older format would do",
+        "--mkv DIR <Path>  a Matroska file for each camera and stream",
+        "--csv DIR <Path>  a CSV file for each channel",
+        "--lerobot DIR <Path>  a LeRobot data set, for learning by imitation",
+        "--fps N <int>  rows a second of --lerobot (default: as its pictures)",
+        "--overwrite  replace files that exist",
     )
-    parser.add_argument("--mat", metavar="OUT.mat", type=Path, help="tables for MATLAB and Octave")
-    parser.add_argument(
-        "--mat73", action="store_true", help="MATLAB v7.3, also where the older format would do"
-    )
-    parser.add_argument(
-        "--mkv", metavar="DIR", type=Path, help="a Matroska file for each camera and stream"
-    )
-    parser.add_argument("--csv", metavar="DIR", type=Path, help="a CSV file for each channel")
-    parser.add_argument(
-        "--lerobot", metavar="DIR", type=Path, help="a LeRobot data set, for learning by imitation"
-    )
-    parser.add_argument(
-        "--fps", metavar="N", type=int, help="rows a second of --lerobot (default: as its pictures)"
-    )
-    parser.add_argument("--overwrite", action="store_true", help="replace files that exist")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ import sys
 import time
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.commands.common import acting_on
 from pipelines.session.file_requests import (
     CANCEL,
     STATE,
@@ -16,6 +16,7 @@ from pipelines.session.file_requests import (
     listing,
     progress,
 )
+from pipelines.session.options import add_actions, add_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import ask_desk, running_sessions
 from telepresence.files.entity import DONE, FAILED
@@ -24,36 +25,27 @@ _LOOK_S, _TELL_S = 0.2, 2.0
 #: A transfer under way is given up this long after the last answer: a full machine may be slow.
 _SILENT_S = 30.0
 _MISSING = "no session here carries files: start it with kontur-av stream --files DIR"
+_AS = "second AS <?>  default: the same name"
 _HELP = {
-    "put": "send a file of this end's directory to the other end",
-    "get": "fetch a file of the other end into this end's directory",
-    "list": "list the other end's directory, or one in it",
-    "rename": "rename a file at the other end",
-    "remove": "remove a file at the other end",
-    STATUS: "list the transfers under way that were asked for here",
-    CANCEL: "give up a transfer, at both ends",
+    "put": ("send a file of this end's directory to the other end", "first NAME", _AS),
+    "get": ("fetch a file of the other end into this end's directory", "first NAME", _AS),
+    "list": ("list the other end's directory, or one in it", "first NAME <?>"),
+    "rename": ("rename a file at the other end", "first NAME", "second NEW"),
+    "remove": ("remove a file at the other end", "first NAME"),
+    STATUS: ("list the transfers under way that were asked for here",),
+    CANCEL: ("give up a transfer, at both ends", "number NUMBER <int>  as of status"),
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    for name, text in _HELP.items():
-        action = actions.add_parser(name, help=text, description=text)
-        if name == CANCEL:
-            action.add_argument("number", metavar="NUMBER", type=int, help="as of status")
-        elif name != STATUS:
-            action.add_argument("first", metavar="NAME", nargs="?" if name == "list" else None)
-        if name in ("put", "get"):
-            action.add_argument("second", metavar="AS", nargs="?", help="default: the same name")
-        elif name == "rename":
-            action.add_argument("second", metavar="NEW")
+    for action in add_actions(parser, _HELP).values():
         action.add_argument(
             "--from",
             dest="origin",
             choices=[segment.value for segment in Segment],
             help="the end that asks (default: the ground, if it runs here)",
         )
-        add_session_argument(action)
+        add_options(action, "--session")
     parser.description = (
         "Files go both ways beside the media, in the directories of `kontur-av stream --files`. A "
         "loss of signal suspends them, Ctrl-C cancels. Exit code 1 if a transfer fails."

@@ -4,30 +4,24 @@ import argparse
 import os
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from kontur_av.errors import ConfigError, refused
 from pipelines.files.desk import RATES_BPS
 from pipelines.files.process_files import FilesPlan
 from pipelines.files.service_sockets import ALLOW, LISTEN
+from pipelines.session.options import add_options
 from pipelines.session.topology import FILES, PAGES, Segment
 
 _DEFAULT = ",".join(f"{RATES_BPS[one] / 1000:g}" for one in (Segment.GROUND, Segment.SPACE))
 
 
 def add_files_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--files",
-        type=Path,
-        metavar="DIR",
-        help="carry files: the ground's end has DIR/ground, space has DIR/space; see "
-        "`kontur-av file`",
-    )
-    parser.add_argument(
-        "--files-rate",
-        metavar="UP,DOWN",
-        help="the most that files take, in kbit/s from the ground and from space (default "
-        f"{_DEFAULT}); media always go first",
+    add_options(
+        parser,
+        "--files DIR <Path>  carry files: the ground's end has DIR/ground, space has DIR/space; "
+        "see `kontur-av file`",
+        "--files-rate UP,DOWN  the most that files take, in kbit/s from the ground and from space "
+        f"(default {_DEFAULT}); media always go first",
     )
 
 
@@ -61,18 +55,10 @@ def files_arguments(
 
 
 def add_services_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        LISTEN,
-        action="append",
-        default=[],
-        metavar="NAME=PORT",
-        help="lead TCP connections to PORT of this machine to the other end's service NAME; with "
-        "both ends here, from the ground to space; needs --files; repeatable",
-    )
-    parser.add_argument(
-        ALLOW,
-        action="append",
-        default=[],
-        metavar="NAME=HOST:PORT",
-        help="let the other end connect to HOST:PORT as service NAME; repeatable",
+    add_options(
+        parser,
+        f"{LISTEN} NAME=PORT <*>  lead TCP connections to PORT of this machine to the other end's "
+        "service NAME; with both ends here, from the ground to space; needs --files; repeatable",
+        f"{ALLOW} NAME=HOST:PORT <*>  let the other end connect to HOST:PORT as service NAME; "
+        "repeatable",
     )

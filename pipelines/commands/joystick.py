@@ -8,15 +8,16 @@ from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands import drive
 from pipelines.commands.check_results import (
-    add_setup_argument,
+    SETUP_ROW,
     axes_of,
     joystick_report,
     print_results,
 )
 from pipelines.commands.common import say_unprotected
-from pipelines.hand.joystick_check import JoystickCheck, run_live, run_virtually
+from pipelines.hand.driver_checks import JoystickCheck, run_live, run_virtually
 from pipelines.report.report_file import check_writable, words_console, write_report
 from pipelines.session.children import stopped_by_signals
+from pipelines.session.options import add_actions
 from pipelines.session.output import output_that_may_fail
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench
@@ -29,26 +30,24 @@ _ALL = "all"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`list`, `check`, `test` and `drive`, with their options."""
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    text = "list the joysticks here, as --device and `stream --joystick` name them"
-    actions.add_parser("list", help=text, description=text)
-    text = "do with a joystick what a session will do, and say what it does wrong; IT MOVES"
-    check = actions.add_parser("check", help=text, description=text)
-    check.add_argument("joystick", metavar="SPEC", help="as of `stream --joystick`")
-    add_setup_argument(check)
-    text = "calibrate a joystick and do its functional checks, each against its limits"
-    test = actions.add_parser("test", help=text, description=text)
-    test.add_argument("check", nargs="?", default=_ALL, choices=[*CHECKS, _ALL])
-    test.add_argument(
-        "--device",
-        default="sim",
-        metavar="SPEC",
-        help="sim, sim:FAULT, evdev, evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: "
-        "module:Class (default: sim)",
+    check = (
+        "do with a joystick what a session will do, and say what it does wrong; IT MOVES",
+        *("joystick SPEC  as of `stream --joystick`", SETUP_ROW),
     )
-    test.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
-    text = "drive the robot, or the arm, that a session's setup gives a partner"
-    drive.add_arguments(actions.add_parser("drive", help=text, description=text))
+    test = (
+        "calibrate a joystick and do its functional checks, each against its limits",
+        f"check <{'|'.join([*CHECKS, _ALL])}?={_ALL}>",
+        "--device SPEC <=sim>  sim, sim:FAULT, evdev, evdev:/dev/input/eventN, "
+        "udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
+        "--report",
+    )
+    actions = {
+        "list": ("list the joysticks here, as --device and `stream --joystick` name them",),
+        "check": check,
+        "test": test,
+        "drive": ("drive the robot, or the arm, that a session's setup gives a partner",),
+    }
+    drive.add_arguments(add_actions(parser, actions)["drive"])
 
 
 def run(args: argparse.Namespace) -> int:

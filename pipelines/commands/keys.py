@@ -3,7 +3,6 @@
 import argparse
 from pathlib import Path
 
-from pipelines.commands.common import add_key_argument
 from pipelines.link.key_files import (
     default_key_path,
     forget,
@@ -12,6 +11,7 @@ from pipelines.link.key_files import (
     trust,
     trusted_identities,
 )
+from pipelines.session.options import add_actions, add_options
 from telepresence.link.protection.identity import MachineIdentity
 
 #: By action: what it does.
@@ -25,13 +25,12 @@ _ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    for name, text in _ACTIONS.items():
-        action = actions.add_parser(name, help=text, description=text)
+    actions = add_actions(parser, {name: (text,) for name, text in _ACTIONS.items()})
+    for name, action in actions.items():
         if name in ("trust", "forget"):
             # The groups may stand apart, as one copies them from a note.
             action.add_argument("identity", nargs="+", metavar="IDENTITY")
-        add_key_argument(action)
+        add_options(action, "--key")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,10 +1,9 @@
 """`kontur-av link`: the radio link alone, for any programs; both of its ends, or one."""
 
 import argparse
-from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.common import add_seconds_argument, check_options
+from pipelines.commands.common import check_options
 from pipelines.commands.end_options import add_end_arguments
 from pipelines.commands.live_session import with_status
 from pipelines.link.own_ends import (
@@ -19,7 +18,12 @@ from pipelines.report.link_report import LinkView, build_link_report, summary_li
 from pipelines.report.live import LinkScreen
 from pipelines.report.report_file import check_writable, save_report, say_failures
 from pipelines.session.launcher import Launcher, launcher_cpu_s
-from pipelines.session.options import add_radio_arguments, add_setup_argument, asked_setup
+from pipelines.session.options import (
+    add_options,
+    add_radio_arguments,
+    add_setup_argument,
+    asked_setup,
+)
 from pipelines.session.topology import Segment
 from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
@@ -28,15 +32,14 @@ from pipelines.table import topology_of
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_setup_argument(parser)
     add_radio_arguments(parser, delay=False)
-    add_seconds_argument(parser)
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
-    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
+    add_options(parser, "--seconds", "--report", "--base-port")
     add_end_arguments(parser)
-    parser.add_argument("--apps", metavar="HOST", help="where the programs run, if not here")
-    parser.add_argument(
-        "--apps-bind", metavar="ADDRESS", help="this machine's address that they send to"
+    add_options(
+        parser,
+        "--apps HOST  where the programs run, if not here",
+        "--apps-bind ADDRESS  this machine's address that they send to",
+        "-q",
     )
-    parser.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
 
 
 def run(args: argparse.Namespace) -> int:

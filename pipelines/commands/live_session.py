@@ -17,6 +17,7 @@ from pipelines.report.report_file import end_report
 from pipelines.report.seat_feed import end_trace, session_report
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.launcher import Launcher
+from pipelines.session.options import add_options
 from pipelines.session.topology import Segment
 from pipelines.session.upkeep_files import NotesReader, SessionNow, write_now
 from pipelines.upkeep.program import status_teller
@@ -24,12 +25,11 @@ from telepresence.upkeep.version_stack import status_of
 
 
 def add_live_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
-    parser.add_argument("--snapshots", type=Path, metavar="DIR", help="keep what is shown as PNG")
+    add_options(
+        parser, "--base-port", "--report", "--snapshots DIR <Path>  keep what is shown as PNG"
+    )
     loudness = parser.add_mutually_exclusive_group()
-    loudness.add_argument("-v", "--verbose", action="store_true", help="show each process' CPU")
-    loudness.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+    add_options(loudness, "-v, --verbose  show each process' CPU", "-q")
 
 
 def made_directory(path: Path | None, option: str) -> Path | None:

@@ -8,8 +8,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.commands.common import acting_on
 from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.options import add_options
 from pipelines.session.output import say
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import running_sessions
@@ -31,21 +32,14 @@ _KEYS = "Enter: run it, e: change it, s: skip it, q: end"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "script",
-        type=Path,
-        metavar="SCRIPT",
-        help="one command of kontur-av a line, without the word kontur-av; also wait SECONDS, "
-        "wait contact, say TEXT, and milestone TEXT",
+    add_options(
+        parser,
+        "script SCRIPT <Path>  one command of kontur-av a line, without the word kontur-av; also "
+        "wait SECONDS, wait contact, say TEXT, and milestone TEXT",
+        "--yes  confirm all; end at a failure",
+        "--log FILE <Path>  append what was sent and received, as JSON lines (default SCRIPT.log)",
+        "--session",
     )
-    parser.add_argument("--yes", action="store_true", help="confirm all; end at a failure")
-    parser.add_argument(
-        "--log",
-        type=Path,
-        metavar="FILE",
-        help="append what was sent and received, as JSON lines (default SCRIPT.log)",
-    )
-    add_session_argument(parser)
     parser.description = (
         "Run the commands of a script one by one. Each is shown, may be changed, and must be "
         "confirmed. Nothing is run while an experiment of the session runs. What the session "

@@ -5,8 +5,9 @@ import sys
 import time
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.commands.common import acting_on
 from pipelines.hand.arm_owner import DESK, OWNERS, OwnerAnswer, OwnerRequest
+from pipelines.session.options import add_options
 from pipelines.session.terminals import ask_desk, running_sessions
 
 #: How long a hand-over may take: the robot comes to rest first.
@@ -19,10 +20,7 @@ _MISSING = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "owner", nargs="?", default="", metavar="|".join(OWNERS), help="hand the robot over"
-    )
-    add_session_argument(parser)
+    add_options(parser, f"owner {'|'.join(OWNERS)} <?=>  hand the robot over", "--session")
     parser.description = (
         "Hand the robot over to the joystick in space (iss) or to a partner's. "
         "Without an owner, say who drives."

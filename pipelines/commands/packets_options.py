@@ -13,6 +13,7 @@ from pipelines.packets.bridge import AllowedCommands, allowed_commands
 from pipelines.packets.process_packets import PacketsPlan
 from pipelines.session.addresses import bound_socket, resolve
 from pipelines.session.datagrams import Address, is_loopback
+from pipelines.session.options import add_options
 from pipelines.session.output import say
 from pipelines.session.topology import Topology
 from telepresence.tmtc.pus.dictionary import Dictionary
@@ -27,25 +28,15 @@ DEFAULT_PACKETS = "tcp:127.0.0.1:10015"
 
 
 def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        _OPTION,
-        metavar="tcp:[HOST:]PORT|udp:HOST:PORT",
-        help="give telemetry to another ground system, and take its telecommands: tcp listens; udp "
-        "sends to PORT, and takes telecommands of HOST at PORT + 1",
-    )
-    parser.add_argument(
-        "--packets-allow",
-        action="append",
-        default=[],
-        metavar="WHAT",
-        help="telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
-        "repeatable (default: questions alone)",
-    )
-    parser.add_argument(
-        _FRAMES,
-        metavar="udp:HOST:PORT",
-        help="send copies of the radio link's frames to another ground system: the downlink's to "
-        "PORT, the uplink's to PORT + 1",
+    add_options(
+        parser,
+        f"{_OPTION} tcp:[HOST:]PORT|udp:HOST:PORT  give telemetry to another ground system, and "
+        "take its telecommands: tcp listens; udp sends to PORT, and takes telecommands of HOST at "
+        "PORT + 1",
+        "--packets-allow WHAT <*>  telecommands that may come by --packets: APPLICATION, "
+        "APPLICATION.FUNCTION or all; repeatable (default: questions alone)",
+        f"{_FRAMES} udp:HOST:PORT  send copies of the radio link's frames to another ground "
+        "system: the downlink's to PORT, the uplink's to PORT + 1",
     )
 
 

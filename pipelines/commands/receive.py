@@ -12,7 +12,7 @@ from kontur_av.errors import ConfigError, refused
 from kontur_av.media import parse_size
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.udp import UdpReceiver
-from pipelines.commands.common import add_raw_argument, check_options
+from pipelines.commands.common import check_options
 from pipelines.media.rtp_reports import SavedReport
 from pipelines.recording.live_output import LiveWriter
 from pipelines.recording.matroska import MatroskaWriter
@@ -20,30 +20,23 @@ from pipelines.recording.raw_pictures import RawPictures
 from pipelines.recording.received_media import PictureOutput, SoundOutput
 from pipelines.recording.receiving import ReceiveShell
 from pipelines.report.report_file import check_writable, end_with
+from pipelines.session.options import add_options
 
 #: Of what was decoded; a file that holds less is a failure.
 _SAVED_AT_LEAST = 0.9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sdp", metavar="FILE", required=True, help="describes the stream")
-    parser.add_argument("--save", metavar="FILE.mkv", help="write the stream as it comes")
-    parser.add_argument(
-        "--to",
-        metavar="URL",
-        help="hand the stream on as it comes: MPEG-TS to udp://HOST:PORT, or rtsp://HOST/NAME",
-    )
-    add_raw_argument(parser)
-    parser.add_argument(
-        "--size", metavar="WxH", help="of the pictures of --raw (default: that of the first one)"
-    )
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
-    parser.add_argument(
-        "--seconds",
-        metavar="S",
-        type=float,
-        help="also through pauses (default: until Ctrl-C, or until a stream that had begun is "
-        "silent for 5 s)",
+    add_options(
+        parser,
+        "--sdp FILE <!>  describes the stream",
+        "--save FILE.mkv  write the stream as it comes",
+        "--to URL  hand the stream on as it comes: MPEG-TS to udp://HOST:PORT, or rtsp://HOST/NAME",
+        "--raw",
+        "--size WxH  of the pictures of --raw (default: that of the first one)",
+        "--report",
+        "--seconds S <float>  also through pauses (default: until Ctrl-C, or until a stream that "
+        "had begun is silent for 5 s)",
     )
 
 

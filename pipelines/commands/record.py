@@ -8,12 +8,11 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import (
     acting_on,
-    add_seconds_argument,
-    add_session_argument,
     check_options,
 )
 from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_recordable
 from pipelines.session.children import stopped_by_signals
+from pipelines.session.options import add_options
 from pipelines.session.recorder_control import begin_recording, hold_recording, recorded_sessions
 from pipelines.session.recorder_requests import RecordingWish
 from pipelines.session.setup.table import Setup
@@ -28,19 +27,13 @@ def add_record_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--overwrite", action="store_true", help="replace a recording of that name")
-    parser.add_argument(
-        "--link-frames", action="store_true", help="record every frame of the radio link, too"
-    )
-    parser.add_argument(
-        "--part-seconds",
-        type=float,
-        default=600.0,
-        metavar="S",
-        help="begin a new part of the recording after S seconds (default 600)",
-    )
-    parser.add_argument(
-        "--part-mb", type=float, default=256.0, metavar="M", help="or after M MB (default 256)"
+    add_options(
+        parser,
+        "--overwrite  replace a recording of that name",
+        "--link-frames  record every frame of the radio link, too",
+        "--part-seconds S <float=600.0>  begin a new part of the recording after S seconds "
+        "(default 600)",
+        "--part-mb M <float=256.0>  or after M MB (default 256)",
     )
 
 
@@ -78,9 +71,7 @@ def checked_wish(args: argparse.Namespace, setup: Setup) -> RecordingWish | None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("record", type=Path, metavar="FILE.mcap", help="what to write")
-    add_session_argument(parser)
-    add_seconds_argument(parser)
+    add_options(parser, "record FILE.mcap <Path>  what to write", "--session", "--seconds")
     add_recording_arguments(parser)
     parser.description = (
         "Record a running session until Ctrl-C, or until it ends. The session goes on. "

@@ -6,15 +6,17 @@ from pathlib import Path
 from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.recording.recording_file import check_new, octets_of_file, write_whole
 from pipelines.recording.recover import Recovery
+from pipelines.session.options import add_options
 from pipelines.session.output import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE.mcap", type=Path, help="a torn recording; it stays")
-    parser.add_argument(
-        "--out", metavar="FILE", type=Path, help="the whole one; default: FILE.recovered.mcap"
+    add_options(
+        parser,
+        "file FILE.mcap <Path>  a torn recording; it stays",
+        "--out FILE <Path>  the whole one; default: FILE.recovered.mcap",
+        "--overwrite  replace a file that exists",
     )
-    parser.add_argument("--overwrite", action="store_true", help="replace a file that exists")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -15,7 +15,12 @@ from pipelines.report.live import LiveView
 from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
-from pipelines.session.options import add_coding_arguments, add_radio_arguments, add_setup_argument
+from pipelines.session.options import (
+    add_coding_arguments,
+    add_options,
+    add_radio_arguments,
+    add_setup_argument,
+)
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room
 from pipelines.session.setup.table import Setup, VideoStream
@@ -30,13 +35,11 @@ _TAIL_NS = 200 * NS_PER_MS
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE.mcap", type=Path, help="a recording")
     add_setup_argument(parser, needed=False)
-    parser.add_argument("--seconds", type=float, metavar="S", help="send its first S seconds only")
-    parser.add_argument(
-        "--speed",
-        type=float,
-        default=1.0,
-        metavar="X",
-        help="seconds of the recording a second, 0.1 to 4 (default 1, the only one with voices)",
+    add_options(
+        parser,
+        "--seconds S <float>  send its first S seconds only",
+        "--speed X <float=1.0>  seconds of the recording a second, 0.1 to 4 (default 1, the only "
+        "one with voices)",
     )
     add_coding_arguments(parser)
     add_radio_arguments(parser)

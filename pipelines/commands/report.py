@@ -11,6 +11,7 @@ from pipelines.report.join import join_reports
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.report_file import write_text
 from pipelines.report.summary import print_summary
+from pipelines.session.options import add_options
 from pipelines.session.output import print_data
 from pipelines.session.setup.setup_file import setup_from_text
 from pipelines.table import topology_of
@@ -20,10 +21,9 @@ _MOST_OCTETS = 1 << 30
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "report",
-        metavar="FILE.json",
-        help="the report of a session, whose summary is shown; or the word join",
+    add_options(
+        parser,
+        "report FILE.json  the report of a session, whose summary is shown; or the word join",
     )
     parser.add_argument(
         "ends",
@@ -32,11 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="after join, the reports of `stream --end ground` and `--end space`; their joined "
         "report goes to standard output",
     )
-    parser.add_argument(
-        "--html",
-        action="store_true",
-        help="write FILE.html beside the report: what fell short, what happened, latency, rates, "
-        "skew, force",
+    add_options(
+        parser,
+        "--html  write FILE.html beside the report: what fell short, what happened, latency, "
+        "rates, skew, force",
     )
 
 

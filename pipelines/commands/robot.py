@@ -6,16 +6,16 @@ from math import hypot
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.commands.check_results import add_setup_argument, axes_of, print_results
+from pipelines.commands.check_results import SETUP_ROW, axes_of, print_results
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.drive import add_way_arguments, reached
+from pipelines.hand.driver_checks import RobotCheck
 from pipelines.hand.haptic_loop import new_life
 from pipelines.hand.haptics import robot_side
-from pipelines.hand.partner_arm import keep_powered
-from pipelines.hand.partner_side import run_side, told
-from pipelines.hand.robot_check import RobotCheck
+from pipelines.hand.partner_arm import keep_powered, run_side, told
 from pipelines.hand.safety_ends import within
 from pipelines.report.report_file import words_console
+from pipelines.session.options import add_actions
 from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
@@ -23,25 +23,17 @@ from telepresence.haptics.robot_spec import check_robot, load_robot, open_robot
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    text = "do with a robot what a session will do, and say what it does wrong; IT MOVES"
-    check = actions.add_parser("check", help=text, description=text)
-    check.add_argument(
-        "robot",
-        metavar="SPEC",
-        help="udp:HOST:PORT[:KEYFILE] or module:Class, as of `stream --robot`",
+    check = (
+        "do with a robot what a session will do, and say what it does wrong; IT MOVES",
+        "robot SPEC  udp:HOST:PORT[:KEYFILE] or module:Class, as of `stream --robot`",
+        SETUP_ROW,
     )
-    add_setup_argument(check)
-    text = "let the joystick of a session drive a partner's robot: its Russian experiment"
-    serve = actions.add_parser("serve", help=text, description=text)
-    serve.add_argument(
-        "--robot",
-        default=SIMULATED_ROBOT,
-        metavar="SPEC",
-        help="sim, with its task board, udp:HOST:PORT[:KEYFILE] or your own: module:Class "
-        "(default: sim)",
+    serve = (
+        "let the joystick of a session drive a partner's robot: its Russian experiment",
+        f"--robot SPEC <={SIMULATED_ROBOT}>  sim, with its task board, udp:HOST:PORT[:KEYFILE] or "
+        "your own: module:Class (default: sim)",
     )
-    add_way_arguments(serve)
+    add_way_arguments(add_actions(parser, {"check": check, "serve": serve})["serve"])
 
 
 def run(args: argparse.Namespace) -> int:

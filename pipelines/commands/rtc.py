@@ -25,6 +25,7 @@ from pipelines.partner.connection_report import RtcCommandReport, connection_rep
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with
+from pipelines.session.options import add_actions
 from pipelines.session.output import say
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.served_pages import base_url, bound_server, served
@@ -35,18 +36,12 @@ _SEAT = "rtc"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    text = "serve a partner: it sees and hears what is given here, and is seen and heard"
-    serve = actions.add_parser("serve", help=text, description=text)
-    serve.add_argument(
-        "--http", metavar="[HOST:]PORT", required=True, help="where; TLS beyond loopback"
+    rows = (
+        "serve a partner: it sees and hears what is given here, and is seen and heard",
+        "--http [HOST:]PORT <!>  where; TLS beyond loopback",
+        "--cert FILE <Path>  PEM file with certificate and key (default: made for this run)",
     )
-    serve.add_argument(
-        "--cert",
-        type=Path,
-        metavar="FILE",
-        help="PEM file with certificate and key (default: made for this run)",
-    )
+    serve = add_actions(parser, {"serve": rows})["serve"]
     add_token_arguments(serve)
     add_sending_arguments(serve)
     add_output_arguments(serve)

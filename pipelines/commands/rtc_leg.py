@@ -5,12 +5,12 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of
 from pipelines.partner.ice_servers import IceServers
+from pipelines.session.options import add_options
 from pipelines.session.output import say
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.served_pages import ServerWish, base_url, bound_server, served, write_private
@@ -31,19 +31,12 @@ class RtcWish:
 
 
 def add_rtc_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--rtc",
-        metavar="[HOST:]PORT",
-        nargs="?",
-        const=_PORT,
-        help="serve a partner across the Internet by WebRTC: it sees and hears both sides, and is "
-        f"seen and heard at the ground (default 127.0.0.1:{_PORT}); TLS beyond loopback",
-    )
-    parser.add_argument(
-        "--rtc-token-file",
-        type=Path,
-        metavar="FILE",
-        help="the partner's token (default: a new one for each session)",
+    add_options(
+        parser,
+        f"--rtc [HOST:]PORT <?={_PORT}>  serve a partner across the Internet by WebRTC: it sees "
+        f"and hears both sides, and is seen and heard at the ground (default 127.0.0.1:{_PORT}); "
+        "TLS beyond loopback",
+        "--rtc-token-file FILE <Path>  the partner's token (default: a new one for each session)",
     )
     add_ice_arguments(parser)
 

@@ -4,11 +4,10 @@ import argparse
 import re
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.partner.ice_servers import IceServer, IceServers, timed_credentials
-from pipelines.session.options import refuse_options
+from pipelines.session.options import add_options, refuse_options
 from telepresence.private_file import read_secret
 
 #: What an HTTP header can carry (RFC 6750 section 2.1).
@@ -17,22 +16,18 @@ _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{1,4096}")
 
 def add_token_arguments(parser: argparse.ArgumentParser) -> None:
     either = parser.add_mutually_exclusive_group()
-    either.add_argument("--token", metavar="T", help="the bearer token that the server wants")
-    either.add_argument(
-        "--token-file",
-        type=Path,
-        metavar="FILE",
-        help="the same in a file, hidden from other users",
+    add_options(
+        either,
+        "--token T  the bearer token that the server wants",
+        "--token-file FILE <Path>  the same in a file, hidden from other users",
     )
 
 
 def add_redirect_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--token-origin",
-        action="append",
-        default=[],
-        metavar="https://HOST",
-        help="another origin that gets the token after a redirect; repeatable",
+    add_options(
+        parser,
+        "--token-origin https://HOST <*>  another origin that gets the token after a redirect; "
+        "repeatable",
     )
 
 
@@ -47,25 +42,15 @@ def token_of(args: argparse.Namespace) -> str:
 
 
 def add_ice_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--ice-server",
-        metavar="URL",
-        help="stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what the media "
-        "server names, if there is one)",
-    )
-    parser.add_argument(
-        "--turn-secret-file",
-        type=Path,
-        metavar="FILE",
-        help="the secret shared with a TURN server, for credentials of one hour "
-        "(coturn's use-auth-secret)",
-    )
-    parser.add_argument("--turn-user", metavar="NAME", help="a lasting user name of the server")
-    parser.add_argument("--turn-password-file", type=Path, metavar="FILE", help="with --turn-user")
-    parser.add_argument(
-        "--ice-relay-only",
-        action="store_true",
-        help="go through the TURN server only, and tell no address of this machine",
+    add_options(
+        parser,
+        "--ice-server URL  stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what "
+        "the media server names, if there is one)",
+        "--turn-secret-file FILE <Path>  the secret shared with a TURN server, for credentials of "
+        "one hour (coturn's use-auth-secret)",
+        "--turn-user NAME  a lasting user name of the server",
+        "--turn-password-file FILE <Path>  with --turn-user",
+        "--ice-relay-only  go through the TURN server only, and tell no address of this machine",
     )
 
 

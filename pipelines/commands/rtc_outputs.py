@@ -9,19 +9,22 @@ from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.meters import Histogram
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.streams.voice_player import VoicePlayer
-from pipelines.commands.common import add_raw_argument
 from pipelines.media.rtp_reports import latency_ms
 from pipelines.partner.connection_report import ReceivedKind
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
 from pipelines.recording.received_media import TimeLine
+from pipelines.session.options import add_options
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--save", metavar="FILE.mkv", help="write the picture as it comes")
-    parser.add_argument("--save-voice", metavar="FILE.mka", help="write the voice as it comes")
-    add_raw_argument(parser)
+    add_options(
+        parser,
+        "--save FILE.mkv  write the picture as it comes",
+        "--save-voice FILE.mka  write the voice as it comes",
+        "--raw",
+    )
 
 
 class PartnerOutput:

@@ -3,24 +3,22 @@
 import argparse
 import asyncio
 from collections.abc import AsyncIterator, Callable
-from pathlib import Path
 
 from kontur_av.clock import Clock
-from pipelines.commands.common import add_seconds_argument
 from pipelines.commands.rtc_options import ice_servers_of, token_of
 from pipelines.partner.connection_report import RtcConnection, connection_report
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
 from pipelines.session.children import stopped_by_signals
+from pipelines.session.options import add_options
 from pipelines.session.output import say
 
 _LOOK_S = 0.2
 
 
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    add_seconds_argument(parser)
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
+    add_options(parser, "--seconds", "--report")
 
 
 async def driven(

@@ -19,6 +19,7 @@ from pipelines.media.sending import (
 from pipelines.partner.coded_sources import CodedSources
 from pipelines.partner.decisions import LEAST_BPS
 from pipelines.partner.description import Kind
+from pipelines.session.options import add_options
 
 VIDEO_KBPS, VOICE_KBPS = 1500.0, 32.0
 
@@ -26,19 +27,11 @@ VIDEO_KBPS, VOICE_KBPS = 1500.0, 32.0
 def add_sending_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser)
     add_picture_arguments(parser)
-    parser.add_argument(
-        "--video-kbps",
-        metavar="K",
-        type=float,
-        default=VIDEO_KBPS,
-        help=f"of the picture, less when the partner can take less (default: {VIDEO_KBPS:g})",
-    )
-    parser.add_argument(
-        "--voice-kbps",
-        metavar="K",
-        type=float,
-        default=VOICE_KBPS,
-        help=f"of the voice (default: {VOICE_KBPS:g})",
+    add_options(
+        parser,
+        f"--video-kbps K <float={VIDEO_KBPS}>  of the picture, less when the partner can take "
+        f"less (default: {VIDEO_KBPS:g})",
+        f"--voice-kbps K <float={VOICE_KBPS}>  of the voice (default: {VOICE_KBPS:g})",
     )
 
 

@@ -3,10 +3,11 @@
 import argparse
 import sys
 
-from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.commands.common import acting_on
 from pipelines.mission.joined_session import JoinedSession
 from pipelines.mission.tmtc_messages import selection_error
 from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.options import add_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import running_sessions
 
@@ -17,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Ask the ground to send another camera's pictures up, and wait for its acknowledgement. "
         "Exit code 1 if it refuses or no answer comes."
     )
-    add_session_argument(parser)
+    add_options(parser, "--session")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -2,7 +2,6 @@
 
 import argparse
 from contextlib import closing
-from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
@@ -11,7 +10,7 @@ from kontur_av.media import VIDEO_CODECS
 from kontur_av.rtp.sdp import write_sdp
 from kontur_av.streams.feeds import describe
 from kontur_av.streams.udp import UdpSender
-from pipelines.commands.common import add_seconds_argument, check_options
+from pipelines.commands.common import check_options
 from pipelines.media.sending import (
     SendShell,
     add_picture_arguments,
@@ -20,57 +19,33 @@ from pipelines.media.sending import (
 )
 from pipelines.report.report_file import check_writable, end_with, write_text
 from pipelines.session.addresses import check_reachable, parse_address
+from pipelines.session.options import add_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser.add_mutually_exclusive_group(required=True))
-    parser.add_argument("--to", metavar="HOST:PORT", required=True, help="RTCP goes to PORT+1")
-    parser.add_argument(
-        "--cap-kbps",
-        metavar="K",
-        type=float,
-        required=True,
-        help="hard cap on RTP payload over any second, in kbit/s",
-    )
-    parser.add_argument(
-        "--channel-kbps",
-        metavar="C",
-        type=float,
-        help="the rate at which packets of a picture leave (default: the cap)",
+    add_options(
+        parser,
+        "--to HOST:PORT <!>  RTCP goes to PORT+1",
+        "--cap-kbps K <float!>  hard cap on RTP payload over any second, in kbit/s",
+        "--channel-kbps C <float>  the rate at which packets of a picture leave (default: the cap)",
     )
     add_picture_arguments(parser)
-    parser.add_argument(
-        "--coded-size",
-        metavar="WxH",
-        default="auto",
-        help="in which pictures are coded; receivers scale them up (default: auto, as large as "
-        "there are bits for)",
+    add_options(
+        parser,
+        "--coded-size WxH <=auto>  in which pictures are coded; receivers scale them up (default: "
+        "auto, as large as there are bits for)",
+        "--refresh-s S <float>  renew the whole picture every S seconds (default: "
+        f"{SLOW_REFRESH_S:g} while a receiver gives feedback, so that it can ask for a whole "
+        f"picture, else {REFRESH_S:g})",
+        f"--codec <{'|'.join(VIDEO_CODECS)}=h264>  of pictures: h265 (HEVC) computes more, and "
+        "often looks better (default: h264)",
+        f"--search <{'|'.join(SEARCHES)}=thorough>  for the best way to code pictures that are "
+        "not coded small: quick takes half the time and loses 1 dB (default: thorough)",
+        "--seconds",
+        "--sdp FILE <Path>  write what receivers need to know",
+        "--report",
     )
-    parser.add_argument(
-        "--refresh-s",
-        metavar="S",
-        type=float,
-        help=f"renew the whole picture every S seconds (default: {SLOW_REFRESH_S:g} while a "
-        f"receiver gives feedback, so that it can ask for a whole picture, else {REFRESH_S:g})",
-    )
-    parser.add_argument(
-        "--codec",
-        choices=VIDEO_CODECS,
-        default="h264",
-        help="of pictures: h265 (HEVC) computes more, and often looks better (default: h264)",
-    )
-    parser.add_argument(
-        "--search",
-        choices=SEARCHES,
-        default="thorough",
-        help="for the best way to code pictures that are not coded small: quick takes half the "
-        "time and loses 1 dB (default: thorough)",
-    )
-    add_seconds_argument(parser)
-    parser.add_argument(
-        "--sdp", type=Path, metavar="FILE", help="write what receivers need to know"
-    )
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import say_unprotected
-from pipelines.session.options import asked_setup
+from pipelines.session.options import add_options, asked_setup
 from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.table import topology_of
@@ -21,32 +21,15 @@ _WISHES = ("snapshots", "metrics", "foxglove", "packets", "frames", "ros2", "fil
 
 
 def add_part_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--joystick",
-        default=SIMULATED,
-        metavar="SPEC",
-        help="sim, page (the hand at the operator's page), ros2 (a node's), evdev, "
-        "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: "
-        "sim); see `kontur-av joystick list`",
-    )
-    parser.add_argument(
-        "--robot",
-        default=SIMULATED_ROBOT,
-        metavar="SPEC",
-        help="sim, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
-    )
-    parser.add_argument(
-        "--telemetry",
-        action="append",
-        default=[],
-        metavar="SPEC",
-        help="your component in telemetry: module:Class, at both ends; repeatable",
-    )
-    parser.add_argument(
-        "--second-robot",
-        default=SIMULATED_ROBOT,
-        metavar="SPEC",
-        help="the partner's arm, as --robot",
+    add_options(
+        parser,
+        f"--joystick SPEC <={SIMULATED}>  sim, page (the hand at the operator's page), ros2 (a "
+        "node's), evdev, evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: "
+        "module:Class (default: sim); see `kontur-av joystick list`",
+        f"--robot SPEC <={SIMULATED_ROBOT}>  sim, udp:HOST:PORT[:KEYFILE] or your own: "
+        "module:Class (default: sim)",
+        "--telemetry SPEC <*>  your component in telemetry: module:Class, at both ends; repeatable",
+        f"--second-robot SPEC <={SIMULATED_ROBOT}>  the partner's arm, as --robot",
     )
 
 

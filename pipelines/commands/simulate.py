@@ -1,7 +1,6 @@
 """`kontur-av simulate`: a session on virtual time, as fast as the machine goes."""
 
 import argparse
-from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.recording.replay_setup import load_replay
@@ -12,6 +11,7 @@ from pipelines.session.options import (
     add_coding_arguments,
     add_deadband_argument,
     add_hand_argument,
+    add_options,
     add_radio_arguments,
     add_setup_argument,
     add_source_argument,
@@ -28,12 +28,11 @@ from telepresence.tasks.task_files import load_plan
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av simulate`."""
     add_setup_argument(parser, needed=False)
-    parser.add_argument("--seconds", type=float, metavar="S", help="of virtual time")
-    parser.add_argument(
-        "--replay",
-        type=Path,
-        metavar="FILE.mcap",
-        help="send a recording again, with its setup, radio and seed unless others are given",
+    add_options(
+        parser,
+        "--seconds S <float>  of virtual time",
+        "--replay FILE.mcap <Path>  send a recording again, with its setup, radio and seed unless "
+        "others are given",
     )
     add_coding_arguments(parser)
     add_radio_arguments(parser)
@@ -42,8 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_hand_argument(parser)
     add_source_argument(parser, "scene:NAME, a media file or mcap:FILE#CHANNEL")
     add_virtual_arguments(parser)
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
-    parser.add_argument("-q", "--quiet", action="store_true", help="show nothing but mistakes")
+    add_options(parser, "--report", "-q")
 
 
 def run(args: argparse.Namespace) -> int:

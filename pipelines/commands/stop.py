@@ -5,15 +5,13 @@ import os
 import pwd
 
 from kontur_av.topics.session_files import choose_session, sessions
-from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.commands.common import acting_on
+from pipelines.session.options import add_options
 from pipelines.session.orders import KeptOrders
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--release", action="store_true", help="release the stop; the robot stays off until told"
-    )
-    add_session_argument(parser)
+    add_options(parser, "--release  release the stop; the robot stays off until told", "--session")
     parser.description = (
         "Stop the robot of a running session, and hold it until the stop is released. "
         "Without --session it stops the robots of all sessions of this user, and asks nothing."

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
-from pipelines.commands.common import add_seconds_argument, check_options
+from pipelines.commands.common import check_options
 from pipelines.commands.end_options import add_session_end_arguments, ends_here, inputs_here
 from pipelines.commands.live_session import (
     add_live_arguments,
@@ -31,6 +31,7 @@ from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.options import (
     add_deadband_argument,
     add_hand_argument,
+    add_options,
     add_radio_arguments,
     add_setup_argument,
     add_source_argument,
@@ -45,7 +46,7 @@ from pipelines.session.topology import RECORDER
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
     add_setup_argument(parser)
-    add_seconds_argument(parser)
+    add_options(parser, "--seconds")
     add_source_argument(
         parser,
         "a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, alsa:DEVICE, scene:NAME, page "

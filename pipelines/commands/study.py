@@ -11,11 +11,11 @@ from rich.table import Table
 from kontur_av.errors import ConfigError
 from pipelines.commands.rtc_running import driven
 from pipelines.report.report_file import words_console
+from pipelines.session.options import add_options
 from pipelines.session.output import output_that_may_fail, say
 from pipelines.session.served_pages import bound_server, served
-from pipelines.study.desk import StudyDesk
+from pipelines.study.desk import StudyDesk, simulate_person
 from pipelines.study.effects import HEADINGS, effect_words, study_report, summary_of
-from pipelines.study.hands import simulate_person
 from pipelines.study.plan import StudyPlan
 from pipelines.study.results import StudyFolder, check_scipy, load_study, write_tables
 from pipelines.study.server import StudyServer
@@ -25,31 +25,17 @@ _PAGE = "study"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("plan", type=Path, metavar="PLAN.toml", help="handles, tasks and trials")
-    parser.add_argument(
-        "--simulated",
-        type=int,
-        metavar="N",
-        help="on virtual time, by the first N participants as simulated hands; then the report",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="S", help="of the simulated hands (default 0)"
-    )
-    parser.add_argument(
-        "--report",
-        action="store_true",
-        help="show the effects, and write them as HTML, CSV and a MATLAB file beside the trials",
-    )
-    parser.add_argument(
-        "--results",
-        type=Path,
-        metavar="DIR",
-        help="the folder of the trials (default PLAN.results, or PLAN.simulated)",
-    )
-    parser.add_argument(
-        "--page",
-        metavar="[HOST:]PORT",
-        help="where the page is served (default 127.0.0.1:8270, or the next free port)",
+    add_options(
+        parser,
+        "plan PLAN.toml <Path>  handles, tasks and trials",
+        "--simulated N <int>  on virtual time, by the first N participants as simulated hands; "
+        "then the report",
+        "--seed S <int=0>  of the simulated hands (default 0)",
+        "--report  show the effects, and write them as HTML, CSV and a MATLAB file beside the "
+        "trials",
+        "--results DIR <Path>  the folder of the trials (default PLAN.results, or PLAN.simulated)",
+        "--page [HOST:]PORT  where the page is served (default 127.0.0.1:8270, or the next free "
+        "port)",
     )
 
 

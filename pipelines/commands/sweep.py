@@ -3,7 +3,6 @@
 import argparse
 import csv
 import io
-from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
@@ -11,27 +10,23 @@ from rich.table import Table
 from pipelines.report.charts import check_plot, save
 from pipelines.report.report_file import check_writable, open_console, write_text
 from pipelines.session.children import ended_alike
+from pipelines.session.options import add_options
 from pipelines.virtual.campaign.places import add_place_arguments, jobs_of
 from pipelines.virtual.campaign.sweep import case_figures, chart, csv_rows, headings, rows
-from pipelines.virtual.campaign.sweep_file import load_sweep
-from pipelines.virtual.campaign.sweep_runs import kept_runs, run_missing
+from pipelines.virtual.campaign.sweep_file import kept_runs, load_sweep, run_missing
 from pipelines.virtual.media import check_virtual_sources
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "file", type=Path, metavar="FILE.toml", help="the fields, their values and the seeds"
-    )
+    add_options(parser, "file FILE.toml <Path>  the fields, their values and the seeds")
     add_place_arguments(parser)
-    parser.add_argument(
-        "--report",
-        "--json",
-        type=Path,
-        metavar="FILE",
-        help="keep runs and cases as JSON; runs that are in it are not run again",
+    add_options(
+        parser,
+        "--report, --json FILE <Path>  keep runs and cases as JSON; runs that are in it are not "
+        "run again",
+        "--csv FILE <Path>  write a row for each run",
+        "--plot FILE <Path>  draw one figure as PNG",
     )
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write a row for each run")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw one figure as PNG")
 
 
 def run(args: argparse.Namespace) -> int:

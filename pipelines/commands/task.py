@@ -5,11 +5,12 @@ from random import SystemRandom
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.commands.common import acting_on
 from pipelines.commands.tc import follow
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import Sending, tmtc_socket_name
 from pipelines.session.mission_messages import ExperimentShown, unpack
+from pipelines.session.options import add_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import running_sessions
 from pipelines.session.topology import MISSION_GROUND_TOPIC, TASKS, TMTC_TOPICS
@@ -20,14 +21,14 @@ _PATIENCE_NS = 2_000_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "action",
-        choices=["list", "select", "start", "abort"],
-        help="list: the tasks, and where the present one is; select: prepare the robot, and tell "
-        "the cosmonaut; start: begin in the cosmonaut's place; abort: end it",
+    add_options(
+        parser,
+        "action <list|select|start|abort>  list: the tasks, and where the present one is; select: "
+        "prepare the robot, and tell the cosmonaut; start: begin in the cosmonaut's place; abort: "
+        "end it",
+        "task TASK <?>  which one to select",
+        "--session",
     )
-    parser.add_argument("task", nargs="?", metavar="TASK", help="which one to select")
-    add_session_argument(parser)
     parser.description = (
         "What an experimenter on the ground does with the tasks of a session that was started with "
         "--tasks or --plan. Exit code 1 if it is refused."

@@ -2,46 +2,26 @@
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.live_session import made_directory
+from pipelines.mission.mission import TaskWish
 from pipelines.session.addresses import split_address
-from pipelines.session.options import refuse_options
+from pipelines.session.options import add_options, refuse_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import JOYSTICK, PAGES, TASKS
 from telepresence.haptics.device.spec import is_simulated
 from telepresence.haptics.robot_spec import facts_of
-from telepresence.tasks.definitions import Catalogue
-from telepresence.tasks.plan import SessionPlan
 from telepresence.tasks.task_files import load_plan, load_tasks
 
 
-@dataclass(frozen=True, kw_only=True)
-class TaskWish:
-    """Which tasks there are, who selects them, and where the LED panel is (None: built in).
-
-    runs: directory for one recording of each run. simulated: a simulated cosmonaut does them.
-    two_hands: the robot's hand can meet that of the partner's arm.
-    """
-
-    catalogue: Catalogue
-    plan: SessionPlan | None
-    leds: tuple[str, int] | None
-    runs: Path | None
-    simulated: bool
-    two_hands: bool
-
-
 def add_task_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--plan",
-        type=Path,
-        metavar="PLAN.toml",
-        help="select the tasks of a plan; with a simulated joystick a simulated cosmonaut does "
-        "them",
+    add_options(
+        parser,
+        "--plan PLAN.toml <Path>  select the tasks of a plan; with a simulated joystick a "
+        "simulated cosmonaut does them",
     )
     parser.add_argument(
         "--tasks",
@@ -50,11 +30,10 @@ def add_task_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.xml",
         help="have tasks for people; with files, further ones",
     )
-    parser.add_argument(
-        "--leds", metavar="HOST:PORT", help="of an LED panel that takes the place of the built-in"
-    )
-    parser.add_argument(
-        "--runs", type=Path, metavar="DIR", help="record each run of a task into a file there"
+    add_options(
+        parser,
+        "--leds HOST:PORT  of an LED panel that takes the place of the built-in",
+        "--runs DIR <Path>  record each run of a task into a file there",
     )
 
 
@@ -89,11 +68,12 @@ def task_wish(
         raise ConfigError('tasks are the cosmonaut\'s: take a setup with partner_arm = "none"')
     if args.runs is not None and getattr(args, "record", None) is not None:
         raise ConfigError("--runs and --record want the same recorder: give one of them")
+    runs = made_directory(args.runs, "--runs")
     return TaskWish(
         catalogue=catalogue,
         plan=plan,
         leds=None if args.leds is None else split_address(args.leds, "--leds"),
-        runs=made_directory(args.runs, "--runs"),
+        runs=None if runs is None else str(runs.resolve()),
         simulated=simulated,
         two_hands=two_hands,
     )
@@ -104,13 +84,7 @@ def task_arguments(wish: TaskWish | None) -> Mapping[str, Mapping[str, object]]:
     if wish is None:
         return {}
     arguments: dict[str, dict[str, object]] = {
-        TASKS: {
-            "plan": wish.plan,
-            "catalogue": wish.catalogue,
-            "leds": wish.leds,
-            "two_hands": wish.two_hands,
-            "runs": None if wish.runs is None else str(wish.runs.resolve()),
-        },
+        TASKS: {"wish": wish},
         PAGES[Segment.SPACE]: {"tasks": wish.catalogue},
     }
     if wish.simulated and wish.plan is not None:

@@ -6,7 +6,7 @@ from random import SystemRandom
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.commands.common import acting_on
 from pipelines.mission.tmtc_messages import (
     SHORT_VERBS,
     Reported,
@@ -15,6 +15,7 @@ from pipelines.mission.tmtc_messages import (
     update_words,
 )
 from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
+from pipelines.session.options import add_options
 from pipelines.session.output import print_data
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import running_sessions
@@ -27,9 +28,7 @@ _CLIENT = "kontur-av tc"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "application", nargs="?", metavar="APPLICATION", help="for example joystick or robot"
-    )
+    add_options(parser, "application APPLICATION <?>  for example joystick or robot")
     parser.add_argument(
         "words",
         nargs="*",
@@ -43,9 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=[segment.value for segment in Segment],
         help="the end that sends it; default: the one across the radio",
     )
-    add_session_argument(parser)
-    parser.add_argument(
-        "--xtce", action="store_true", help="print the dictionary as XTCE, for other ground systems"
+    add_options(
+        parser, "--session", "--xtce  print the dictionary as XTCE, for other ground systems"
     )
     parser.description = (
         "Send a telecommand, wait for its verification and print it. Without WHAT, list what an "

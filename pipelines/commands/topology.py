@@ -4,7 +4,7 @@ import argparse
 import shutil
 from dataclasses import replace
 
-from pipelines.session.options import add_setup_argument, setup_changes
+from pipelines.session.options import add_options, add_setup_argument, setup_changes
 from pipelines.session.output import print_data
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology.tables import dot, processes_table, streams_table, topics_table
@@ -13,8 +13,7 @@ from pipelines.table import topology_of
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_setup_argument(parser)
-    parser.add_argument("--base-port", type=int, metavar="P", help="first of the 40 UDP ports")
-    parser.add_argument("--dot", action="store_true", help="a graph for Graphviz instead")
+    add_options(parser, "--base-port", "--dot  a graph for Graphviz instead")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -2,9 +2,11 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on, add_session_argument
+from pipelines.commands.common import acting_on
+from pipelines.session.options import add_actions
 from pipelines.session.terminals import ask_desk, running_sessions
 from pipelines.session.training import (
     CAMERA,
@@ -22,22 +24,17 @@ _MISSING = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    exercises = parser.add_subparsers(dest="exercise", required=True, metavar="EXERCISE")
-    for name, (text, seconds) in EXERCISES.items():
-        exercise = exercises.add_parser(name, help=text, description=text)
-        if name == CAMERA:
-            exercise.add_argument("camera", metavar="NAME", help="the camera, such as iss_camera")
-        exercise.add_argument(
-            "seconds",
-            nargs="?",
-            type=float,
-            default=seconds,
-            metavar="S",
-            help=f"for S seconds (default {seconds:g})",
+    camera = "camera NAME  the camera, such as iss_camera"
+    exercises: dict[str, Sequence[str]] = {
+        name: (
+            *(text, camera)[: 1 + (name == CAMERA)],
+            f"seconds S <float?={seconds}>  for S seconds (default {seconds:g})",
+            "--session",
         )
-        add_session_argument(exercise)
-    text = "end all exercises at once"
-    add_session_argument(exercises.add_parser(END, help=text, description=text))
+        for name, (text, seconds) in EXERCISES.items()
+    }
+    end = ("end all exercises at once", "--session")
+    add_actions(parser, {**exercises, END: end}, "exercise")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,56 +4,57 @@ import argparse
 from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
-from pipelines.commands.common import add_inbox_argument, add_key_argument
 from pipelines.link.key_files import default_key_path, read_key, trusted_identities
 from pipelines.session.children import stopped_by_signals
+from pipelines.session.options import add_actions
 from pipelines.session.output import say
-from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.desk import DiskStore
 from pipelines.upkeep.version_keeper import VersionKeeper
 from telepresence.upkeep.file_store import read_folder, replace_file
 from telepresence.upkeep.manifest import MANIFEST, signed_manifest
 from telepresence.upkeep.version_stack import ELEMENTARY, VersionLimits
 
-_ACTIONS = {
-    "sign": "make the manifest of a version in a folder: checksums, signed by this machine's key",
-    "add": "take a signed version over from a folder; it is not started",
-    "list": "print the versions: the one that worked last first, the elementary one last",
-    "start": "start a version; a new one is on probation, a defective one is new again",
-    "confirm": "say that the running version works, where no program can tell",
-    "remove": "delete a version that does not run; the elementary one stays",
-    "run": "run the current version, watch it, and fall back from one that fails",
-}
 _SECONDS = VersionLimits().probation_ns // NS_PER_S
+_DIRECTORY, _NAME = "directory DIR <Path>  of all versions", "name NAME"
+_CALLED = f"--name <>  of the version; default: the folder's; {ELEMENTARY} for that one"
+#: By action: what it does, and its options.
+_ACTIONS = {
+    "sign": (
+        "make the manifest of a version in a folder: checksums, signed by this machine's key",
+        *("folder FOLDER <Path>  has the file `run`", _CALLED, "--key"),
+    ),
+    "add": (
+        "take a signed version over from a folder; it is not started",
+        *(_DIRECTORY, "folder FOLDER <Path>  of the version", _CALLED, "--key"),
+    ),
+    "list": (
+        "print the versions: the one that worked last first, the elementary one last",
+        _DIRECTORY,
+    ),
+    "start": (
+        "start a version; a new one is on probation, a defective one is new again",
+        *(_DIRECTORY, _NAME),
+    ),
+    "confirm": (
+        "say that the running version works, where no program can tell",
+        *(_DIRECTORY, _NAME),
+    ),
+    "remove": (
+        "delete a version that does not run; the elementary one stays",
+        *(_DIRECTORY, _NAME),
+    ),
+    "run": (
+        "run the current version, watch it, and fall back from one that fails",
+        _DIRECTORY,
+        f"--probation S <float={_SECONDS}>  contact without application data that is allowed; "
+        f"default: {_SECONDS}",
+        *("arguments ARGUMENT <...>  after --: of run", "--inbox", "--key"),
+    ),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    for name, text in _ACTIONS.items():
-        action = actions.add_parser(name, help=text, description=text)
-        if name == "sign":
-            action.add_argument("folder", type=Path, metavar="FOLDER", help="has the file `run`")
-        else:
-            action.add_argument("directory", type=Path, metavar="DIR", help="of all versions")
-        if name == "add":
-            action.add_argument("folder", type=Path, metavar="FOLDER", help="of the version")
-        if name in ("sign", "add"):
-            action.add_argument(
-                "--name", help=f"of the version; default: the folder's; {ELEMENTARY} for that one"
-            )
-        if name in ("start", "confirm", "remove"):
-            action.add_argument("name", metavar="NAME")
-        if name == "run":
-            action.add_argument(
-                "--probation",
-                type=float,
-                default=_SECONDS,
-                metavar="S",
-                help=f"contact without application data that is allowed; default: {_SECONDS}",
-            )
-            action.add_argument("arguments", nargs="*", metavar="ARGUMENT", help="after --: of run")
-            add_inbox_argument(action)
-        if name in ("sign", "add", "run"):
-            add_key_argument(action)
+    add_actions(parser, _ACTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -18,12 +18,11 @@ from pipelines.partner.connection_report import RtcCommandReport
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.report.report_file import end_with
+from pipelines.session.options import add_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--whep", metavar="URL", required=True, help="the endpoint (draft-ietf-wish-whep)"
-    )
+    add_options(parser, "--whep URL <!>  the endpoint (draft-ietf-wish-whep)")
     add_token_arguments(parser)
     add_redirect_argument(parser)
     add_output_arguments(parser)

@@ -7,7 +7,7 @@ from kontur_av.errors import ConfigError, refused
 from pipelines.commands.packets_options import DEFAULT_PACKETS, parse_frames, parse_packets
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.packets.yamcs import instance_files
-from pipelines.session.options import add_setup_argument
+from pipelines.session.options import add_options, add_setup_argument
 from pipelines.session.output import print_data
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
@@ -25,23 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     new = actions.add_parser("new", help=text, description=text)
     new.add_argument("directory", type=Path, metavar="DIR")
     add_setup_argument(new, default="spacejustin")
-    new.add_argument(
-        "--packets",
-        metavar="tcp:[HOST:]PORT|udp:HOST:PORT",
-        default=DEFAULT_PACKETS,
-        help=f"as of `stream`, with the session's host (default: {DEFAULT_PACKETS})",
+    add_options(
+        new,
+        f"--packets tcp:[HOST:]PORT|udp:HOST:PORT <={DEFAULT_PACKETS}>  as of `stream`, with the "
+        f"session's host (default: {DEFAULT_PACKETS})",
+        "--frames udp:HOST:PORT  as of `stream` (default: none)",
+        f"--end <{'|'.join(segment.value for segment in Segment)}={Segment.GROUND.value}>  the "
+        "session's end that it is joined to (default: ground)",
+        "--telemetry SPEC <*>  as of `stream`",
+        f"--http-port PORT <int={_HTTP_PORT}>  of YAMCS",
     )
-    new.add_argument("--frames", metavar="udp:HOST:PORT", help="as of `stream` (default: none)")
-    new.add_argument(
-        "--end",
-        choices=[segment.value for segment in Segment],
-        default=Segment.GROUND.value,
-        help="the session's end that it is joined to (default: ground)",
-    )
-    new.add_argument(
-        "--telemetry", action="append", default=[], metavar="SPEC", help="as of `stream`"
-    )
-    new.add_argument("--http-port", type=int, metavar="PORT", default=_HTTP_PORT, help="of YAMCS")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -144,12 +144,16 @@ Check = tuple[str, Callable[[], tuple[Figure, ...]], str]
 class DeviceCheck(Generic[R]):
     """Runs the checks of one device; each is a method, and `run` yields their results.
 
-    known: the class of the device's facts, which are asked for when it is switched on.
     clock: paces the cycles, and times the calls.
     """
 
-    def __init__(self, known: type, clock: Clock) -> None:
-        self._known, self._clock = known, clock
+    #: The class of the device's facts, which are asked for when it is switched on.
+    _known: type
+    #: What shows one of its axes behind x and y as a device.
+    _view: type["RobotAxis | JoystickAxis"]
+
+    def __init__(self, device: Any, clock: Clock) -> None:
+        self._device, self._clock = device, clock
         self._calls_ns: list[int] = []
         self._readings: list[R] = []
         #: While it was pushed by `moves`; it may not measure the same all the time.
@@ -251,15 +255,17 @@ class DeviceCheck(Generic[R]):
         readings = [AxisReading(one.x_m / lever_m, one.vx_m_s / lever_m) for one in self._readings]
         return Figure("beyond its limits", sum(bool(axis.take(one)) for one in readings), most=0)
 
-    def _of_axis(self, check: "DeviceCheck[R]", axis: MoreAxis) -> Sequence[Check]:
-        """Return the checks of an axis behind x and y, which `check` sees as a device."""
-        check._axis, check._calls_ns = axis, self._calls_ns
-        check._switch_on()
-        return [
-            (f"{axis.facts.name} {name}", each, lacks)
-            for name, each, lacks in check._checks()
-            if name not in _WHOLE
-        ]
+    def _axes_checks(self) -> Iterator[Check]:
+        """Yield the checks of the axes behind x and y; none of one that is described wrongly."""
+        for index, facts in enumerate(self._device.facts.more):
+            if isinstance(facts, AxisFacts):
+                view = self._view(self._device, index)
+                check = type(self)(view, self._clock)
+                check._axis, check._calls_ns = view.axis, self._calls_ns
+                check._switch_on()
+                for name, each, lacks in check._checks():
+                    if name not in _WHOLE:
+                        yield f"{facts.name} {name}", each, lacks
 
     def _check(self, name: str, check: Callable[[], tuple[Figure, ...]]) -> CheckResult:
         try:
@@ -334,11 +340,6 @@ def speed(reading: JoystickReading | RobotReading) -> float:
 
 def along(axis: int, size: float) -> tuple[float, float]:
     return (0.0, size) if axis else (size, 0.0)
-
-
-def more_axes_of(facts: Any) -> Sequence[int]:
-    """Return the numbers of the axes behind x and y; none of facts that describe them wrongly."""
-    return [at for at, one in enumerate(facts.more) if isinstance(one, AxisFacts)]
 
 
 def wrong_facts(facts: Any, known: type) -> str:

@@ -1,32 +1,38 @@
 """What lets a partner's joystick drive the robot, or an arm of its own; and a partner's robot."""
 
+import socket
 from collections.abc import Callable
 from contextlib import closing
 
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.arm_owner import STATE_OCTETS as ARM_STATE_OCTETS
 from pipelines.hand.arm_owner import ArmState
 from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
-from pipelines.hand.haptics import RobotEnd, robot_side
+from pipelines.hand.haptics import CYCLE_NS, RobotEnd, robot_side
 from pipelines.hand.robot_desk import limits_of
 from pipelines.hand.safety_ends import follow_stop, within
-from pipelines.session.datagrams import receive
+from pipelines.session.children import stopped_by_signals
+from pipelines.session.datagrams import Outlet, OwnOutlet, receive
 from pipelines.session.orders import KeptOrders
-from pipelines.session.process import Context
+from pipelines.session.process import Context, take_realtime
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
 from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import (
     ARM_ORDER_TOPIC,
     ARM_STATE_TOPIC,
+    LOOP_PRIORITY,
     SECOND_ROBOT_TOPIC,
     partner_ports,
 )
+from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.ownership import HapticOwnership, Owner
 from telepresence.haptics.partner_board import PartnerBoard
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_spec import open_robot
 from telepresence.haptics.sample import SAMPLE_OCTETS
+from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
 from telepresence.world import WorldState
@@ -137,3 +143,55 @@ def route_to_owner(ownership: HapticOwnership, to_partner: Send) -> Callable[[Se
         return send
 
     return routed
+
+
+#: How often it looks whether the robot answers.
+_LOOK_NS = 100 * NS_PER_MS
+
+
+def told(side: JoystickSide | RobotSide, peer: str) -> int:
+    """Print what went to the peer and came from it; return 0 if something came, else 1."""
+    figures = side.link
+    print(
+        f"{figures.sent} samples to the {peer}, {figures.received} from it, "
+        f"{figures.lost} lost, {figures.garbage} garbage"
+    )
+    return 0 if figures.received else 1
+
+
+def run_side(
+    side: JoystickSide | RobotSide,
+    before: Callable[[int], None],
+    way: tuple[socket.socket, Outlet | OwnOutlet],
+    seconds: float | None,
+) -> None:
+    """Run one side of the exchange at 1 kHz until it is stopped; before: called in each cycle."""
+    own, to_session = way
+    link = side.link
+    who, peer = ("joystick", "robot") if isinstance(side, JoystickSide) else ("robot", "joystick")
+    clock = MonotonicClock()
+    now_ns = clock.now_ns()
+    end_ns = None if seconds is None else now_ns + round(seconds * NS_PER_S)
+    schedule = PeriodicSchedule(start_ns=now_ns, period_ns=CYCLE_NS)
+    answers, look_ns = False, now_ns
+    print(f"{who}: waiting for the {peer}; Ctrl-C ends", flush=True)
+    take_realtime(LOOP_PRIORITY)
+    with stopped_by_signals() as stopped:
+        while not stopped() and (end_ns is None or now_ns < end_ns):
+            clock.sleep_until_ns(schedule.next_deadline_ns)
+            now_ns = clock.now_ns()
+            if schedule.handle_wakeup(now_ns) < 0:
+                continue
+            while (datagram := receive(own, SAMPLE_OCTETS + 1)) is not None:
+                side.handle_datagram(datagram, now_ns)
+            before(now_ns)
+            side.handle_cycle(now_ns, schedule.advance_ns)
+            sample = side.poll_transmit(now_ns)
+            if sample is not None:
+                to_session.send(sample)
+            if now_ns < look_ns:
+                continue
+            look_ns = now_ns + _LOOK_NS
+            if link.hearing is not answers:
+                answers = link.hearing
+                print(f"{who}: the {peer} {'answers' if answers else 'is silent'}", flush=True)

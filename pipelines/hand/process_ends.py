@@ -1,7 +1,9 @@
 """The processes of robot (ground) and joystick (space), each a 1 kHz loop."""
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import fields
 
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import (
@@ -14,7 +16,6 @@ from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.joystick_status import JoystickStatusTeller
-from pipelines.hand.mission_ends import both, follow_exercises, looking, seeing, serve_robot
 from pipelines.hand.partner_arm import (
     follow_owner,
     open_partner,
@@ -33,9 +34,11 @@ from pipelines.hand.safety_ends import (
     watch_camera,
     within,
 )
+from pipelines.session.mission_messages import LedsShown, PanelShown, RobotCommand, RobotOrder
 from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
-from pipelines.session.topic_ends import NumberedTopic
+from pipelines.session.robot_state import unpack_state
+from pipelines.session.topic_ends import MissionReader, MissionWriter, NumberedTopic, new_exercises
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
@@ -43,7 +46,12 @@ from pipelines.session.topology import (
     JOYSTICK_COMMAND_TOPIC,
     JOYSTICK_STATE_TOPIC,
     JOYSTICK_TRACE_TOPIC,
+    MISSION_LEDS_TOPIC,
+    MISSION_PANEL_TOPIC,
     ROBOT,
+    ROBOT_COMMAND_TOPIC,
+    ROBOT_ORDER_TOPIC,
+    ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
     ROBOT_TRACE_TOPIC,
     ROS2_HAND_TOPIC,
@@ -51,6 +59,7 @@ from pipelines.session.topology import (
     TRAINER_TOPIC,
     WALL_TOPIC,
 )
+from pipelines.session.training import Exercises
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice
@@ -65,8 +74,105 @@ from telepresence.haptics.partner_board import PartnerBoard
 from telepresence.haptics.robot_device import DrivenRobot, RobotDevice
 from telepresence.haptics.robot_spec import open_robot
 from telepresence.haptics.udp_robot import UdpRobot
-from telepresence.tasks.cosmonaut import Cosmonaut, Skill
+from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut, Skill
 from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.panel import PanelView
+from telepresence.tasks.panel_picture import DARK, PanelPicture
+from telepresence.tmtc.k2aci import PanelMode
+
+#: Orders and telecommands that can wait.
+_ORDERS = 16
+#: How late the cosmonaut sees the LED panel, in looks: about what the picture takes.
+_LATE = 3
+
+
+def both(first: Cycle, second: Cycle) -> Cycle:
+
+    def work(now_ns: int) -> None:
+        first(now_ns)
+        second(now_ns)
+
+    return work
+
+
+def serve_robot(bus: TopicBus, desk: RobotDesk, *, tasks: bool) -> Cycle:
+    """Return what takes orders and telecommands, and publishes what the controller does.
+
+    tasks: there is a kernel that orders.
+    """
+    writer = MissionWriter(bus, ROBOT_STATUS_TOPIC)
+    orders = MissionReader(bus, ROBOT_ORDER_TOPIC, RobotOrder, depth=_ORDERS) if tasks else None
+    commands = MissionReader(bus, ROBOT_COMMAND_TOPIC, RobotCommand, depth=_ORDERS)
+
+    def serve(now_ns: int) -> None:
+        if orders is not None:
+            while (order := orders.next()) is not None:
+                desk.handle_order(order, orders.newest_ns, now_ns)
+        # One at a time, so that each has its own answer.
+        if (command := commands.next()) is not None:
+            desk.handle_command(command, commands.newest_ns, now_ns)
+        status = desk.poll_status(now_ns)
+        if status is not None:
+            writer.publish(status, now_ns)
+
+    return serve
+
+
+def follow_exercises(bus: TopicBus, handle: Callable[[Exercises, int], None]) -> Cycle:
+    """Return what hands over a trainer's exercises, and the present instant, at each change."""
+    take = new_exercises(bus)
+
+    def follow(now_ns: int) -> None:
+        if (exercises := take()) is not None:
+            handle(exercises, now_ns)
+
+    return follow
+
+
+def looking(bus: TopicBus, cosmonaut: Cosmonaut, handle: OperatedHandle) -> Cycle:
+    """Return what lets a simulated cosmonaut see panel, LEDs and robot."""
+    panel = MissionReader(bus, MISSION_PANEL_TOPIC, PanelShown)
+    leds = MissionReader(bus, MISSION_LEDS_TOPIC, LedsShown)
+    robot = bus.reader(ROBOT_TOPIC)
+    seen: deque[PanelPicture] = deque([DARK] * _LATE, maxlen=_LATE)
+    tip_m = (0.0, 0.0)
+    due_ns = 0
+
+    def look(now_ns: int) -> None:
+        nonlocal tip_m, due_ns
+        if now_ns < due_ns:
+            return
+        due_ns = now_ns + LOOK_NS
+        panel.latest()
+        leds.latest()
+        if (octets := robot.latest_octets()) is not None:
+            state = unpack_state(octets)
+            tip_m = state.x_m, state.y_m
+        picture = seen[0]
+        seen.append(DARK if leds.newest is None else leds.newest.picture)
+        if panel.newest is not None:
+            view = _view(panel.newest)
+            cosmonaut.look(view, picture, tip_m, (handle.x_m, handle.y_m))
+
+    return look
+
+
+def seeing(bus: TopicBus, hand: Hand) -> Cycle:
+    """Return what lets a simulated hand see where the robot is."""
+    robot = bus.reader(ROBOT_TOPIC)
+
+    def see(_now_ns: int) -> None:
+        if (octets := robot.latest_octets()) is not None:
+            state = unpack_state(octets)
+            hand.see(state.x_m, state.y_m)
+
+    return see
+
+
+def _view(shown: PanelShown) -> PanelView:
+    found = {one.name: getattr(shown, one.name) for one in fields(PanelView)}
+    return PanelView(**found | {"mode": PanelMode(shown.mode)})
+
 
 #: Commands of a person that can wait; all that the topic can hold.
 _REQUESTS = 8

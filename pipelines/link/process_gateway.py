@@ -6,25 +6,228 @@ and the sleep.
 
 import secrets
 import select
-from collections.abc import Callable
+import socket
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
+from functools import partial
+from typing import Final
 
-from kontur_av.clock import NS_PER_S
-from kontur_av.media import CaptureStamp
+import msgspec
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.bus import TopicBus
-from pipelines.link.figures import SocketFigures
+from pipelines.link.figures import LINK_STATE_OCTETS, SocketFigures, link_values, pack_link
+from pipelines.link.frame_batch import pack_frames
 from pipelines.link.gateway_end import GatewayEnd
-from pipelines.link.gateway_ports import GatewayPorts
-from pipelines.link.link_topics import LinkTopics
-from pipelines.link.peer_socket import PeerPlan, PeerSocket, make_path
-from pipelines.session.datagrams import EndAddresses
+from pipelines.link.own_ends import PeerPlan, PeerSocket, make_path
+from pipelines.session.datagrams import (
+    LOOPBACK,
+    OWN_SENDERS,
+    EndAddresses,
+    Inlet,
+    Outlet,
+    OwnInlet,
+    OwnOutlet,
+    listen_own,
+    listen_to,
+    open_peer,
+    outlet,
+    receive,
+)
 from pipelines.session.process import Context
 from pipelines.session.rows import LatenessRow, SendingRow
-from pipelines.session.topic_ends import new_exercises
-from pipelines.session.topology import TRAINER_TOPIC, Segment
+from pipelines.session.topic_ends import NumberedTopic, new_exercises
+from pipelines.session.topology import (
+    TELECOMMAND,
+    TELEMETRY,
+    TRAINER_TOPIC,
+    Segment,
+    Topology,
+    gateway_topic,
+    link_state_topic,
+)
 from pipelines.session.training import Exercises
-from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
+from telepresence.link.backlog import BACKLOG_OCTETS
+from telepresence.link.figures import GatewayFigures
 from telepresence.link.flows import HapticReceived, PacketReceived
+from telepresence.link.frame import MAX_PACKET_OCTETS
+from telepresence.link.gateway import Gateway
+
+#: Frames of this time are one sample.
+_BATCH_NS: Final = 20 * NS_PER_MS
+#: Figures are made, and readers looked for, once in this many batches.
+_SELDOM: Final = 5
+#: Room for most samples; a topic makes more for a larger one.
+_FIGURES_OCTETS, _FRAMES_OCTETS = 4 << 10, 16 << 10
+
+
+class LinkTopics:
+    """Call `handle_time` at `due_ns`, when most of a slot is left.
+
+    due_ns: the instant of the next call.
+    """
+
+    def __init__(
+        self, bus: TopicBus, topology: Topology, segment: Segment, gateway: Gateway
+    ) -> None:
+        self.due_ns = 0
+        self._gateway = gateway
+        out, back = topology.link(segment.transmits), topology.link(segment.transmits.opposite)
+        self._figures = NumberedTopic(bus, gateway_topic(segment), max_octets=_FIGURES_OCTETS)
+        self._sent = NumberedTopic(bus, out.sent_frames_topic, max_octets=_FRAMES_OCTETS)
+        self._received = NumberedTopic(bus, back.received_frames_topic, max_octets=_FRAMES_OCTETS)
+        self._state = NumberedTopic(bus, link_state_topic(segment), max_octets=LINK_STATE_OCTETS)
+        # The first call looks for readers.
+        self._batches = _SELDOM - 1
+
+    def handle_time(self, now_ns: int) -> None:
+        self.due_ns = now_ns + _BATCH_NS
+        gateway = self._gateway
+        if gateway.frames_sent:
+            self._sent.publish_octets(pack_frames(gateway.frames_sent), now_ns)
+            gateway.frames_sent = []
+        if gateway.frames_received:
+            self._received.publish_octets(pack_frames(gateway.frames_received), now_ns)
+            gateway.frames_received = []
+        self._batches += 1
+        if self._batches % _SELDOM:
+            return
+        gateway.frames_sent = _kept(gateway.frames_sent, self._sent)
+        gateway.frames_received = _kept(gateway.frames_received, self._received)
+        if self._figures.has_readers():
+            figures = msgspec.msgpack.encode(gateway.report(now_ns))
+            self._figures.publish_octets(figures, now_ns)
+
+    def handle_figures(self, figures: GatewayFigures, now_ns: int) -> None:
+        """Publish for telemetry what was counted for the report anyway, twice a second."""
+        self._state.publish_octets(pack_link(link_values(figures)), now_ns)
+
+
+def _kept(
+    frames: list[tuple[int, bytes]] | None, topic: NumberedTopic
+) -> list[tuple[int, bytes]] | None:
+    if not topic.has_readers():
+        return None
+    return [] if frames is None else frames
+
+
+class GatewayPorts:
+    """The sockets of one end, with counts of strangers' datagrams.
+
+    session: whose own processes alone use the channels, but for maintenance; None: any program of
+    the host.
+    peer: the socket to the other end on another machine; None: it is on this one.
+    radio: becomes readable when a frame may have come.
+    frame: returns the next frame of the peer, or None.
+    to_peer: sends a frame.
+    """
+
+    def __init__(
+        self,
+        topology: Topology,
+        segment: Segment,
+        gateway: Gateway,
+        addresses: EndAddresses,
+        peer: PeerSocket | None,
+        session: str | None,
+    ) -> None:
+        (haptic_out,) = (row for row in topology.haptics if row.direction is segment.transmits)
+        (haptic_in,) = (row for row in topology.haptics if row is not haptic_out)
+
+        moving = {TELECOMMAND, TELEMETRY, haptic_out.name, haptic_in.name}
+        own = {row.name for row in topology.streams if row.sender is not None}
+
+        def entry(name: str, port: int) -> Inlet | OwnInlet:
+            if session is None or name not in own:
+                return Inlet((addresses.apps_bind, port), addresses.apps)
+            if name in moving:
+                return OwnInlet(listen_own(session, port))
+            return OwnInlet(listen_to((LOOPBACK, port), (OWN_SENDERS, port)))
+
+        def exit_to(name: str, port: int) -> Outlet | OwnOutlet:
+            # Past the gateways a sender has this port of ours, and nothing comes here.
+            if session is None or name not in own or topology.options.bypass:
+                return outlet(addresses.apps_bind, (addresses.apps, port))
+            if name in moving:
+                return OwnOutlet(session, port)
+            return outlet(OWN_SENDERS, (LOOPBACK, port), port=port)
+
+        self.radio: socket.socket
+        self.frame: Callable[[], bytes | None]
+        self.to_peer: Outlet | PeerSocket
+        self._not_peer: socket.socket | None = None
+        if peer is None:
+            here, there = topology.radio_port(segment), topology.radio_port(segment.peer)
+            self.radio, self._not_peer = open_peer((LOOPBACK, here), (LOOPBACK, there))
+            frame_octets = gateway.receiver.profile.frame_octets
+            self.frame = partial(receive, self.radio, frame_octets + 1)
+            self.to_peer = Outlet(self.radio)
+        else:
+            self.radio, self.frame, self.to_peer = peer.udp, peer.frame, peer
+        self._haptic_octets = gateway.sender.profile.insert_octets + 1
+        self._haptic = entry(haptic_out.name, haptic_out.entry_port)
+        self._fetch_haptic = self._haptic.receive
+        more_haptic = select.epoll()
+        more_haptic.register(self._haptic.udp.fileno(), select.EPOLLIN)
+        self._more_haptic = more_haptic.poll
+        self.to_haptic_end = exit_to(haptic_in.name, haptic_in.exit_port)
+        self._entries = {
+            flow.name: entry(flow.name, topology.stream(flow.name).entry_port)
+            for flow in gateway.sender.flows
+        }
+        self.exits = {
+            flow.name: exit_to(flow.name, topology.exit_port(flow.name))
+            for flow in gateway.receiver.flows
+        }
+        self._radio_strangers = 0
+        self._flow_by_fd = {inlet.udp.fileno(): name for name, inlet in self._entries.items()}
+        flow_ports = select.epoll()
+        for fd in self._flow_by_fd:
+            flow_ports.register(fd, select.EPOLLIN)
+        if self._not_peer is not None:
+            flow_ports.register(self._not_peer.fileno(), select.EPOLLIN)
+        #: Returns the flows' ports with datagrams. One epoll(7) costs less than a read of each
+        #: empty socket.
+        self.poll_flows = flow_ports.poll
+
+    def datagrams(self, ready: list[tuple[int, int]]) -> Iterator[tuple[str, bytes | None]]:
+        """Yield (flow, datagram) of the flows' ports, one of each port in turn.
+
+        ready: from `poll_flows`. A stranger's datagram is None.
+        """
+        flow_by_fd, entries = self._flow_by_fd, self._entries
+        while ready:
+            for fd, _events in ready:
+                flow = flow_by_fd.get(fd)
+                if flow is not None:
+                    yield flow, entries[flow].receive(MAX_PACKET_OCTETS + 1)
+                elif self._not_peer is not None:
+                    self._radio_strangers += receive(self._not_peer, 1) is not None
+                    yield "radio", None
+            ready = self.poll_flows(0)
+
+    def samples(self) -> Iterable[bytes | None]:
+        """Return the datagrams of the haptic port; a stranger's is None."""
+        sample = self._fetch_haptic(self._haptic_octets)
+        # Most slots have exactly one.
+        if sample is None:
+            return ()
+        return self._all_samples(sample) if self._more_haptic(0) else (sample,)
+
+    def _all_samples(self, first: bytes) -> Iterator[bytes | None]:
+        yield first
+        while self._more_haptic(0):
+            yield self._fetch_haptic(self._haptic_octets)
+
+    def strangers(self) -> dict[str, int]:
+        """Return the number of strangers' datagrams by port, if there were any.
+
+        A port is named by what it receives: "radio", "haptic", or the name of a flow.
+        """
+        counts = {"radio": self._radio_strangers, "haptic": self._haptic.strangers}
+        counts |= {name: inlet.strangers for name, inlet in self._entries.items()}
+        return {name: count for name, count in sorted(counts.items()) if count}
+
 
 _ON_THIS_MACHINE = EndAddresses()
 
@@ -73,7 +276,8 @@ def run_gateway(
     with ExitStack() as stack:
         if tell_backlog:
             bus = stack.enter_context(context.open_bus())
-            loop.publish = _backlog_publisher(context, segment, bus)
+            backlog_topic = topology.link(segment.transmits).backlog_topic
+            loop.backlogs = NumberedTopic(bus, backlog_topic, max_octets=BACKLOG_OCTETS)
             loop.topics = LinkTopics(bus, topology, segment, end.gateway)
             if trainer:
                 loop.exercises = new_exercises(bus)
@@ -85,7 +289,7 @@ def run_gateway(
 class _GatewayLoop:
     """Sleeps, and does one step of `end` after the other.
 
-    publish, topics, exercises: what is told to the session, and what a trainer says.
+    backlogs, topics, exercises: what is told to the session, and what a trainer says.
     """
 
     def __init__(
@@ -94,7 +298,7 @@ class _GatewayLoop:
         self._context, self._end, self._ports, self._path = context, end, ports, path
         self._slots, self._clock_ns = end.slots, context.clock.now_ns
         self._to_haptic_end = ports.to_haptic_end.send
-        self.publish: Callable[[Backlog, int], None] | None = None
+        self.backlogs: NumberedTopic | None = None
         self.topics: LinkTopics | None = None
         self.exercises: Callable[[], Exercises | None] | None = None
         # Lists, because an array checks the type of each number.
@@ -172,8 +376,8 @@ class _GatewayLoop:
         if self._path is not None and self._path.work(slots.deadline_ns):
             # What else can wait finds a slot of its own.
             return
-        if self.publish is not None and (backlog := slots.poll_backlog()) is not None:
-            self.publish(backlog, now_ns)
+        if self.backlogs is not None and (backlog := slots.poll_backlog()) is not None:
+            self.backlogs.publish_octets(backlog.pack(), now_ns)
         if now_ns >= slots.figures_ns and slots.poll_figures(now_ns, heard=False):
             self._context.tick(now_ns)
         # On one machine the peer's slot is at the same time, so its frame is most often here by
@@ -196,16 +400,3 @@ class _GatewayLoop:
         figures = self._end.tell(now_ns, None if self._path is None else self._path.report())
         if self.topics is not None:
             self.topics.handle_figures(figures, now_ns)
-
-
-def _backlog_publisher(
-    context: Context, segment: Segment, bus: TopicBus
-) -> Callable[[Backlog, int], None]:
-    """Return a function that publishes a backlog with its instant."""
-    topic = context.topology.link(segment.transmits).backlog_topic
-    writer = bus.writer(topic, max_octets=BACKLOG_OCTETS, wake=False)
-
-    def publish(backlog: Backlog, now_ns: int) -> None:
-        writer.publish_octets(backlog.pack(), CaptureStamp(now_ns, 0, "gateway"))
-
-    return publish

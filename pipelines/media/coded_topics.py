@@ -110,10 +110,15 @@ class SentTopic:
         # Also without a reader, because one that comes later needs them.
         self._sets = parameter_sets_of(unit.data, unit.codec) or self._sets
         if self._writer.has_readers():
-            coded, stamp = sent_unit(
-                unit, size=size, sequence=number, source=self._source, parameter_sets=self._sets
+            coded = CodedUnit(
+                data=unit.data,
+                key=unit.keyframe,
+                width=size[0],
+                height=size[1],
+                parameter_sets=self._sets,
+                codec=unit.codec,
             )
-            _publish(self._writer, coded, stamp)
+            _publish(self._writer, coded, CaptureStamp(now_ns, number, self._source))
         return wanted
 
 
@@ -161,22 +166,3 @@ def received_unit(
         quality if shown is None else shown.quality,
         unit.timestamp,
     )
-
-
-def sent_unit(
-    unit: AccessUnit, *, size: tuple[int, int], sequence: int, source: str, parameter_sets: bytes
-) -> tuple[CodedUnit, CaptureStamp]:
-    """Return an access unit and its stamp as they were sent.
-
-    size: in which it was coded. parameter_sets: the newest of the stream.
-    """
-    width, height = size
-    coded = CodedUnit(
-        data=unit.data,
-        key=unit.keyframe,
-        width=width,
-        height=height,
-        parameter_sets=parameter_sets,
-        codec=unit.codec,
-    )
-    return coded, CaptureStamp(unit.stamp.capture_ns, sequence, source)

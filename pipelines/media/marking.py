@@ -6,8 +6,7 @@ import cv2
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, VideoFrame, planes
-from kontur_av.sources.seam import SeamFinder
-from kontur_av.sources.stereo import StereoPair, merge
+from kontur_av.sources.stereo import SeamFinder, StereoPair, merge
 from kontur_av.streams.staleness import FUTURE_NS
 
 _WHITE_LUMA = 235  # ITU-R BT.601, narrow range

@@ -35,7 +35,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             when=stereo,
             segment=Segment.GROUND,
             stage=Stage.RELAY,
-            run="pipelines.media.process_stereo:run_stereo",
+            run="pipelines.media.process_capture:run_stereo",
             reads=tuple(row.topic for row in session.inputs if row.name in STEREO_INPUTS),
             writes=(STEREO_TOPIC, HALVES_TOPIC),
             what="merges the robot's two cameras into one picture",
@@ -48,7 +48,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             when=session.options.snapshots,
             segment=None,
             stage=Stage.SINK,
-            run="pipelines.media.process_snapshots:run_snapshots",
+            run="pipelines.media.process_display:run_snapshots",
             reads=(
                 *(row.displayed_topic for row in session.video_streams),
                 *given(stereo, STEREO_TOPIC),

@@ -8,7 +8,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from kontur_av.meters import Histogram
 from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
-from kontur_av.sources.page import FILLED_BY_OTHERS
+from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.streams.encoding_thread import switch_threads_often
 from kontur_av.streams.feeds import PictureFeed, SoundFeed
 from kontur_av.streams.paced_sender import UnitSent
@@ -21,6 +21,7 @@ from pipelines.media.rtp_reports import (
     latency_ms,
 )
 from pipelines.session.children import stopped_by_signals
+from pipelines.session.options import add_options
 from pipelines.session.output import reader_gone, say
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
@@ -137,8 +138,7 @@ def add_source_arguments(parser: argparse._ActionsContainer) -> None:
 
 
 def add_picture_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--size", metavar="WxH", default="640x480", help="default: 640x480")
-    parser.add_argument("--fps", metavar="N", type=int, default=30, help="default: 30")
+    add_options(parser, "--size WxH <=640x480>  default: 640x480", "--fps N <int=30>  default: 30")
 
 
 def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSource:

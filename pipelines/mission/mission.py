@@ -16,7 +16,8 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.task_journal import LinkMeanwhile, TaskJournal, TaskRow
 from telepresence.tasks.definitions import Catalogue
-from telepresence.tasks.end_conditions import (
+from telepresence.tasks.experiment import Experiment, Logged, Phase, TaskRun
+from telepresence.tasks.kernel import (
     ChooseCamera,
     ControlRobot,
     MoveRobot,
@@ -27,13 +28,28 @@ from telepresence.tasks.end_conditions import (
     ShowPicture,
     View,
 )
-from telepresence.tasks.experiment import Experiment, Logged, Phase, TaskRun
 from telepresence.tasks.panel_picture import DARK, PanelSender
 from telepresence.tasks.plan import NEEDS_TWO_HANDS, PlanFollower, SessionPlan
 from telepresence.tmtc.k2aci import K2aciMessage, TaskFinished, TaskResult
 
 _MOST_STEPS, _MOST_RUNS = 40, 20
 _KILLED = "the task's process was restarted"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskWish:
+    """Which tasks there are, who selects them, and where the LED panel is (None: built in).
+
+    plan: None: people select. runs: directory for one recording of each run. simulated: a simulated
+    cosmonaut does them. two_hands: the robot's hand can meet that of the partner's arm.
+    """
+
+    catalogue: Catalogue
+    plan: SessionPlan | None = None
+    leds: tuple[str, int] | None = None
+    runs: str | None = None
+    simulated: bool = False
+    two_hands: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

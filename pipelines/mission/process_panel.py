@@ -1,5 +1,8 @@
-"""The process of the mission control panel in space."""
+"""The processes of the mission control panel in space, and of the built-in LED panel."""
 
+import select
+import socket
+from contextlib import suppress
 from dataclasses import asdict
 
 from kontur_av.clock import NS_PER_MS
@@ -7,18 +10,57 @@ from pipelines.hand.hand_topics import unpack_status
 from pipelines.link.figures import CONNECTED, unpack_link
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
-from pipelines.session.mission_messages import PanelShown
+from pipelines.session.datagrams import Address
+from pipelines.session.mission_messages import LedsShown, PanelShown
 from pipelines.session.process import Context
 from pipelines.session.topic_ends import MissionWriter
 from pipelines.session.topology import (
     JOYSTICK_STATE_TOPIC,
+    MISSION_LEDS_TOPIC,
     MISSION_PANEL_TOPIC,
     PANEL,
     Segment,
+    leds_port,
     link_state_topic,
 )
 from telepresence.haptics.device.states import JoystickState
 from telepresence.tasks.panel import MissionPanel
+from telepresence.tasks.panel_picture import STATE_OCTETS, LedPanel
+
+_TICK_S = 0.02
+
+
+def run_leds(context: Context) -> None:
+    """Show what the datagrams say, and acknowledge them."""
+    clock, panel = context.clock, LedPanel()
+    udp = context.listen(leds_port(context.setup))
+    ready = select.poll()
+    ready.register(udp, select.POLLIN)
+    with context.open_bus() as bus:
+        writer = MissionWriter(bus, MISSION_LEDS_TOPIC)
+        while not context.stopping:
+            ready.poll(_TICK_S * 1000)
+            now_ns = clock.now_ns()
+            while (found := _receive(udp)) is not None:
+                octets, sender = found
+                panel.handle_datagram(octets, now_ns)
+                while (answer := panel.poll_transmit(now_ns)) is not None:
+                    with suppress(OSError):
+                        udp.sendto(answer, sender)
+            # Published repeatedly, for readers that have started since.
+            writer.publish(LedsShown.of(panel.picture(now_ns)), now_ns)
+            context.tick(now_ns)
+
+
+def _receive(udp: socket.socket) -> tuple[bytes, Address] | None:
+    while True:
+        try:
+            return udp.recvfrom(STATE_OCTETS + 1)
+        except BlockingIOError:
+            return None
+        except ConnectionError:
+            continue
+
 
 _TICK_NS = 50 * NS_PER_MS
 #: The panel's parameters are told once in this many ticks.

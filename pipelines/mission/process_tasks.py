@@ -20,7 +20,7 @@ from kontur_av.topics.session_files import make_session_root, session_root
 from pipelines.link.figures import CONNECTED, unpack_link
 from pipelines.media.following import Choice
 from pipelines.mission.figures import TaskFigures
-from pipelines.mission.mission import MissionGround, MissionMemory, Seen, robot_order
+from pipelines.mission.mission import MissionGround, MissionMemory, Seen, TaskWish, robot_order
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.datagrams import LOOPBACK, receive
@@ -54,11 +54,9 @@ from pipelines.session.topology import (
 )
 from pipelines.session.training import Exercises
 from telepresence.malformed import MALFORMED
-from telepresence.tasks.definitions import Catalogue, ControlMode
-from telepresence.tasks.end_conditions import ChooseCamera, OtherHand, Record
-from telepresence.tasks.kernel import TICK_NS
+from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.kernel import TICK_NS, ChooseCamera, OtherHand, Record
 from telepresence.tasks.panel_picture import ACKNOWLEDGEMENT_OCTETS
-from telepresence.tasks.plan import SessionPlan
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.world import WorldState
 
@@ -70,50 +68,30 @@ _TELL_EVERY = 10
 _OFF = RobotStatus(life=0, powered=False, mode=ControlMode.POSITION, x_m=0.0, y_m=0.0, push_n=0.0)
 
 
-def run_tasks(
-    context: Context,
-    plan: SessionPlan | None = None,
-    catalogue: Catalogue | None = None,
-    leds: tuple[str, int] | None = None,
-    runs: str | None = None,
-    two_hands: bool = False,
-) -> None:
-    """Execute tasks.
-
-    plan: selects them; None: people do. leds: address of a real LED panel. runs: directory for one
-    recording of each run. two_hands: the robot's hand can meet that of the partner's arm.
-    """
+def run_tasks(context: Context, wish: TaskWish | None = None) -> None:
+    """Execute tasks. wish: None: the built-in ones, which people select."""
     with context.open_bus() as bus:
-        _Tasks(context, bus, plan, catalogue or built_in_tasks(), leds, runs, two_hands).run()
+        _Tasks(context, bus, wish or TaskWish(catalogue=built_in_tasks())).run()
 
 
 class _Tasks:
     """The process's shell."""
 
-    def __init__(
-        self,
-        context: Context,
-        bus: TopicBus,
-        plan: SessionPlan | None,
-        catalogue: Catalogue,
-        leds: tuple[str, int] | None,
-        runs: str | None,
-        two_hands: bool,
-    ) -> None:
+    def __init__(self, context: Context, bus: TopicBus, wish: TaskWish) -> None:
         self._context, self._clock = context, context.clock
         now_ns = self._clock.now_ns()
         make_session_root(context.session)
         self._remembered = session_root(context.session) / "tasks"
         self._kept = _read(self._remembered)
         self._ground = MissionGround(
-            catalogue,
-            plan,
+            wish.catalogue,
+            wish.plan,
             now_ns=now_ns,
             memory=self._kept,
             first_number=now_ns // (100 * NS_PER_MS) % (1 << 32),
-            two_hands=two_hands,
+            two_hands=wish.two_hands,
         )
-        self._other_robot = bus.reader(SECOND_ROBOT_TOPIC) if two_hands else None
+        self._other_robot = bus.reader(SECOND_ROBOT_TOPIC) if wish.two_hands else None
         self._other: WorldState | None = None
         self._client = TmtcClient(bus, context.session, Segment.GROUND, TASKS, first_number=now_ns)
         self._status = MissionReader(bus, ROBOT_STATUS_TOPIC, RobotStatus)
@@ -126,8 +104,8 @@ class _Tasks:
         self._cameras = MissionWriter(bus, MISSION_CAMERA_TOPIC)
         self._shown = MissionWriter(bus, MISSION_GROUND_TOPIC, wake=True)
         self._udp = context.listen(0)
-        self._leds = leds or (LOOPBACK, leds_port(context.setup))
-        self._files = RunFiles(context.session, runs)
+        self._leds = wish.leds or (LOOPBACK, leds_port(context.setup))
+        self._files = RunFiles(context.session, wish.runs)
         self._number = now_ns
         self._camera, self._signal, self._life = "", False, 0
         self._link = LinkMeanwhile(0, 0, context.setup.radio_profile.longest_delay_ns)

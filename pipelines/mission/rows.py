@@ -43,7 +43,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             name=SELECTOR,
             segment=Segment.GROUND,
             stage=Stage.RELAY,
-            run="pipelines.mission.process_selector:run_selector",
+            run="pipelines.mission.process_tmtc:run_selector",
             stoppable=False,
             reads=(
                 FOLLOWED_TOPIC,
@@ -64,7 +64,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             name=CONSOLE,
             segment=Segment.SPACE,
             stage=Stage.LINK,
-            run="pipelines.mission.process_console:run_console",
+            run="pipelines.mission.process_tmtc:run_console",
             stoppable=False,
             reads=(JOYSTICK_STATE_TOPIC, link_state_topic(Segment.SPACE)),
             writes=(
@@ -109,7 +109,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             when=options.tasks,
             segment=Segment.GROUND,
             stage=Stage.LINK,
-            run="pipelines.mission.process_leds:run_leds",
+            run="pipelines.mission.process_panel:run_leds",
             writes=(MISSION_LEDS_TOPIC,),
             ports=(leds_port(setup),),
             what="the LED panel of the task board",

@@ -9,6 +9,7 @@ import re
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.mission.choosing import CAMERA
@@ -46,29 +47,21 @@ def supervisor_name(segment: Segment) -> str:
     return f"{segment.value}_supervisor"
 
 
-@dataclass(frozen=True, slots=True)
-class _Gauge:
-    """A parameter that each process has. loop: only a loop of 1 kHz."""
-
-    name: str
-    type: str
-    unit: str = ""
-    scale: float = 1.0
-    high: float | None = None
-    choices: tuple[str, ...] = ()
-    loop: bool = False
-    text: str = ""
+def _gauge(name: str, kind: str, unit: str = "", **more: Any) -> Parameter:
+    scale = 0.1 if unit else 1.0
+    return Parameter(name=name, number=0, type=kind, unit=unit, scale=scale, **more)
 
 
+#: What each process has as parameters, and what only a loop of 1 kHz has, too.
 _GAUGES = (
-    _Gauge("state", "choice", choices=("absent", "running", "stopped", "down")),
-    _Gauge("restarts", "u16"),
-    _Gauge("cpu", "u16", "%", 0.1, _BUSY_PERCENT, text="of one core, in the last second"),
-    _Gauge("age", "u16", "s", 0.1, _SILENT_S, text="of its newest figures, while it runs"),
-    *(_Gauge(one.name, "u32", loop=True) for one in fields(LoopFigures)),
-    _Gauge(
-        "left_out", "u16", "%", 0.1, 100 * LEFT_OUT_SHARE, loop=True, text="cycles, of the last"
-    ),
+    _gauge("state", "choice", choices=("absent", "running", "stopped", "down")),
+    _gauge("restarts", "u16"),
+    _gauge("cpu", "u16", "%", high=_BUSY_PERCENT, text="of one core, in the last second"),
+    _gauge("age", "u16", "s", high=_SILENT_S, text="of its newest figures, while it runs"),
+)
+_OF_LOOPS = (
+    *(_gauge(one.name, "u32") for one in fields(LoopFigures)),
+    _gauge("left_out", "u16", "%", high=100 * LEFT_OUT_SHARE, text="cycles, of the last"),
 )
 
 
@@ -98,16 +91,7 @@ def _supervising(table: Application, rows: Sequence[ProcessRow]) -> Application:
     for row in rows:
         gauges = _gauges(row)
         parameters += [
-            Parameter(
-                name=f"{names[row.name]}_{one.name}",
-                number=number,
-                type=one.type,
-                unit=one.unit,
-                scale=one.scale,
-                high=one.high,
-                choices=one.choices,
-                text=one.text,
-            )
+            replace(one, name=f"{names[row.name]}_{one.name}", number=number)
             for number, one in enumerate(gauges, len(parameters) + 1)
         ]
         ill = _event(row.name, "off_nominal", names)
@@ -166,9 +150,8 @@ def _structures(parameters: Sequence[Parameter]) -> tuple[Structure, ...]:
     )
 
 
-def _gauges(row: ProcessRow) -> tuple[_Gauge, ...]:
-    loop = row.priority == LOOP_PRIORITY
-    return tuple(one for one in _GAUGES if loop or not one.loop)
+def _gauges(row: ProcessRow) -> tuple[Parameter, ...]:
+    return (*_GAUGES, *(_OF_LOOPS if row.priority == LOOP_PRIORITY else ()))
 
 
 def _parameter_names(rows: Sequence[ProcessRow]) -> dict[str, str]:

@@ -11,9 +11,8 @@ from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.rtp.wire import AnyRtcpPacket, RtcpRrPacket, RtcpSrPacket, parse_rtcp
 from pipelines.partner.description import Kind, MediaLine
-from pipelines.partner.incoming import IncomingPicture, IncomingVoice
-from pipelines.partner.outgoing import OutgoingTrack
 from pipelines.partner.tally import MediaFigures
+from pipelines.partner.tracks import IncomingPicture, IncomingVoice, OutgoingTrack
 
 _LEAST_RTP_OCTETS = 12
 #: Longer packets are no RTP of a network with the usual limit.

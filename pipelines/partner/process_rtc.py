@@ -17,12 +17,12 @@ from pipelines.partner.decisions import WISH_OCTETS, UplinkWish
 from pipelines.partner.description import Kind
 from pipelines.partner.figures import RtcFigures
 from pipelines.partner.ice_servers import IceServers
-from pipelines.partner.incoming import PartnerTime
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.partner.peer import Programme, RtcPeer
 from pipelines.partner.samples import SamplePorts
 from pipelines.partner.server import RtcServer
 from pipelines.partner.tally import ConnectionSeen, SampleTally, Tally
+from pipelines.partner.tracks import PartnerTime
 from pipelines.session.messages import UNKNOWN_US
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop

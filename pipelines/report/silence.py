@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.meters import RateMeter
-from kontur_av.sources.page import FILLED_BY_OTHERS
+from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.streams.staleness import State
 from pipelines.media.figures import CaptureFigures, DisplayFigures
 from pipelines.report.collector import Collector

@@ -15,7 +15,7 @@ from typing import Any
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import rank_of
 from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
-from pipelines.media.watching import WATCHED
+from pipelines.media.showing import WATCHED
 from pipelines.report.model import ContentSkew, ListedContact, Ranks, SenseReport, SyncReport
 from pipelines.report.sync_matching import Matched, judge, match
 from pipelines.session.probe import Series

@@ -7,7 +7,7 @@ can change something.
 from collections.abc import Iterable, Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.sources.page import FILLED_BY_OTHERS
+from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.streams.paced_sender import SenderCounts
 from pipelines.media.figures import CaptureFigures
 from pipelines.report.collector import Collector

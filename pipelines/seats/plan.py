@@ -9,7 +9,7 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.media.previewing import preview_size
+from pipelines.media.taking_over import preview_size
 from pipelines.media.tip_region import board_view
 from pipelines.seats.mission_desk import application_texts
 from pipelines.seats.texts import (

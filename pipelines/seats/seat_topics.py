@@ -25,8 +25,7 @@ from pipelines.hand.hand_topics import (
     unpack_status,
 )
 from pipelines.media.following import Choice
-from pipelines.media.h264_copy import H264Copy
-from pipelines.media.key_picture_maker import KeyPictureMaker
+from pipelines.media.key_picture_maker import H264Copy, KeyPictureMaker
 from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.own_inputs import Given

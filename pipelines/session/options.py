@@ -1,7 +1,10 @@
 """The options of a session that several commands share."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from kontur_av.errors import ConfigError
@@ -9,6 +12,78 @@ from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import DEADBANDS, HAND_MODES, NO_RADIO, Setup
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile_file import load_radio
+
+_TYPES: dict[str, Callable[[str], Any]] = {"int": int, "float": float, "Path": Path}
+#: Rows that several commands have, by their first names.
+_COMMON = {
+    row.split()[0].rstrip(","): row
+    for row in (
+        "--seconds S <float>  end after S seconds (default: on Ctrl-C)",
+        "--session NAME  which one, where several run; its setup's name will do",
+        "--key FILE <Path>  the private key; default: kontur-av/key.pem in the configuration "
+        "directory",
+        "--inbox FOLDER <Path>  take updates and orders that come here as files",
+        "--raw PATH  write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
+        "--report FILE <Path>  write the report as JSON",
+        "--base-port P <int>  first of the 40 UDP ports",
+        "-q, --quiet  show nothing but mistakes",
+    )
+}
+
+
+def add_options(parser: argparse._ActionsContainer, *rows: str) -> None:
+    """Add options and positional arguments to a parser, or to a group of it.
+
+    A row is `NAMES METAVAR <KIND>  HELP`; an option without METAVAR and KIND is a flag. KIND is
+    `int`, `float`, `Path`, choices as `a|b`, or nothing for text. Then come `!` if it must be
+    given, `*` if it may be repeated, `?` if its value may be left out, `...` for any number of
+    values, and `=DEFAULT`. Where `?` is of an option, DEFAULT is what it then has. The first name
+    alone stands for a common row.
+    """
+    for row in rows:
+        head, _, text = _COMMON.get(row, row).partition("  ")
+        head, bracket, kind = head.partition(" <")
+        words = head.replace(", -", " -").split(" ")
+        option = row.startswith("-")
+        names = [word for word in words if word.startswith("-")] if option else words[:1]
+        metavar = " ".join(words[len(names) :]) or None
+        if option and not bracket and metavar is None:
+            parser.add_argument(*names, action="store_true", help=text)
+            continue
+        match = re.fullmatch(r"([^!*?.=]*)([!*?]|\.{3})?(?:=(.*))?", kind.removesuffix(">"))
+        assert match is not None, row
+        what, how, default = match.groups()
+        convert = _TYPES.get(what)
+        choices = what.split("|") if what and convert is None else None
+        value = convert(default) if convert is not None and default is not None else default
+        add = partial(
+            parser.add_argument,
+            *names,
+            metavar=metavar,
+            type=convert or str,
+            choices=choices,
+            help=text or None,
+        )
+        if how == "!":
+            add(required=True)
+        elif how == "*":
+            add(action="append", default=[])
+        elif how == "?" and option:
+            add(nargs="?", const=value)
+        else:
+            add(nargs="*" if how == "..." else how, default=value)
+
+
+def add_actions(
+    parser: argparse.ArgumentParser, actions: Mapping[str, Sequence[str]], kind: str = "action"
+) -> dict[str, argparse.ArgumentParser]:
+    """Add subcommands, each with a text and rows of options; return the parser of each."""
+    found = parser.add_subparsers(dest=kind, required=True, metavar=kind.upper())
+    parsers = {}
+    for name, (text, *rows) in actions.items():
+        parsers[name] = found.add_parser(name, help=text, description=text)
+        add_options(parsers[name], *rows)
+    return parsers
 
 
 def refuse_options(args: argparse.Namespace, why: str, *options: str) -> None:
@@ -33,13 +108,7 @@ def add_setup_argument(
 
 def add_source_argument(parser: argparse.ArgumentParser, kinds: str) -> None:
     """`--source`. kinds: what a SPEC may be."""
-    parser.add_argument(
-        "--source",
-        action="append",
-        default=[],
-        metavar="NAME=SPEC",
-        help=f"what an input captures: {kinds}; repeatable",
-    )
+    add_options(parser, f"--source NAME=SPEC <*>  what an input captures: {kinds}; repeatable")
 
 
 def add_radio_argument(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
@@ -58,19 +127,14 @@ def _said(default: str | None) -> str:
 def add_radio_arguments(parser: argparse.ArgumentParser, *, delay: bool = True) -> None:
     """`--radio`, `--radio-start`, `--seed` and, with `delay`, `--radio-delay-ms`."""
     add_radio_argument(parser)
-    parser.add_argument(
-        "--radio-start",
-        type=float,
-        metavar="S",
-        help="begin S seconds after a pass's acquisition of signal (negative: before it)",
+    add_options(
+        parser,
+        "--radio-start S <float>  begin S seconds after a pass's acquisition of signal (negative: "
+        "before it)",
     )
     if delay:
-        parser.add_argument(
-            "--radio-delay-ms", type=float, metavar="D", help="a cable with a delay one way"
-        )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="seed of the radio's random losses"
-    )
+        add_options(parser, "--radio-delay-ms D <float>  a cable with a delay one way")
+    add_options(parser, "--seed N <int=0>  seed of the radio's random losses")
 
 
 def radio_change(name_or_file: str) -> dict[str, Any]:
@@ -89,23 +153,20 @@ def radio_changes(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--deadband",
-        nargs="?",
-        const="picture",
-        choices=DEADBANDS,
-        help="leave out haptic samples that nobody would miss; the uplink video gets their room, "
-        "as a higher rate (picture, the default) or a lower delay (latency)",
+    add_options(
+        parser,
+        f"--deadband <{'|'.join(DEADBANDS)}?=picture>  leave out haptic samples that nobody would "
+        "miss; the uplink video gets their room, as a higher rate (picture, the default) or a "
+        "lower delay (latency)",
     )
 
 
 def add_hand_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--hand",
-        choices=HAND_MODES,
-        help="what the hand feels: the robot's delayed force (direct, the default), the wall that "
-        "the robot's side has estimated, rendered at the joystick (mediated), or that wall and "
-        "all other force directly (auto)",
+    add_options(
+        parser,
+        f"--hand <{'|'.join(HAND_MODES)}>  what the hand feels: the robot's delayed force "
+        "(direct, the default), the wall that the robot's side has estimated, rendered at the "
+        "joystick (mediated), or that wall and all other force directly (auto)",
     )
 
 
@@ -138,15 +199,9 @@ def _sources(options: Sequence[str]) -> Mapping[str, str]:
 
 
 def add_coding_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--recode",
-        action="store_true",
-        help="code the recorded pictures anew, by the session's encoder",
-    )
-    parser.add_argument(
-        "--cap-kbps",
-        action="append",
-        default=[],
-        metavar="STREAM=KBPS",
-        help="another cap for a replayed stream, like uplink_video=60; repeatable",
+    add_options(
+        parser,
+        "--recode  code the recorded pictures anew, by the session's encoder",
+        "--cap-kbps STREAM=KBPS <*>  another cap for a replayed stream, like uplink_video=60; "
+        "repeatable",
     )

@@ -16,7 +16,7 @@ from socket import socket
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.session.addresses import resolve
-from pipelines.session.options import refuse_options
+from pipelines.session.options import add_options, refuse_options
 from pipelines.session.output import say
 from pipelines.session.page_certificate import certificate_for, check_certificate
 from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
@@ -188,19 +188,17 @@ def write_private(path: Path, text: str) -> None:
 
 def add_page_arguments(parser: argparse.ArgumentParser) -> None:
     either = parser.add_mutually_exclusive_group()
-    either.add_argument(
-        "--page",
-        metavar="[HOST:]PORT",
-        help=f"where the browser pages are served (default 127.0.0.1:{_PORT}, "
-        "or the next free ports); TLS beyond loopback",
+    add_options(
+        either,
+        f"--page [HOST:]PORT  where the browser pages are served (default 127.0.0.1:{_PORT}, or "
+        "the next free ports); TLS beyond loopback",
+        "--no-page  serve no browser pages",
     )
-    either.add_argument("--no-page", action="store_true", help="serve no browser pages")
-    parser.add_argument("--open", action="store_true", help="open the first page in a browser")
-    parser.add_argument(
-        "--page-cert",
-        type=Path,
-        metavar="FILE",
-        help="PEM file with certificate and key for the pages (default: made for the session)",
+    add_options(
+        parser,
+        "--open  open the first page in a browser",
+        "--page-cert FILE <Path>  PEM file with certificate and key for the pages (default: made "
+        "for the session)",
     )
 
 

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipelines.report.html_page import Bar, section, table, track, whole_page
-from pipelines.study.plan import FACTORS, StudyPlan
-from pipelines.study.trial import TrialResult
+from pipelines.study.plan import FACTORS, StudyPlan, TrialResult
 
 #: What counts as a difference.
 ALPHA = 0.05
@@ -39,7 +38,7 @@ _MEASURES = (
 _Table = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Effect:
     """A test of one factor, or of two together, on one figure of one task.
 
@@ -65,7 +64,7 @@ class Effect:
         return self.p_holm < ALPHA
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Cell:
     """A figure of a task with one handle. half_ci: half a 95 % interval within participants, whose
     differences from each other are taken out first."""
@@ -143,14 +142,7 @@ def _cells(plan: StudyPlan, table: _Table, of: tuple[str, str, str]) -> Iterator
     spread = within.std(0, ddof=1) * sqrt(conditions / (conditions - 1))
     halves = spread / sqrt(count) * t.ppf(1.0 - ALPHA / 2.0, count - 1)
     for one, mean, half in zip(plan.handle.conditions, table.mean(0), halves, strict=True):
-        yield Cell(
-            task=of[0],
-            measure=of[1],
-            unit=of[2],
-            condition=one.words,
-            mean=float(mean),
-            half_ci=float(half),
-        )
+        yield Cell(*of, one.words, float(mean), float(half))
 
 
 def _effects(plan: StudyPlan, table: _Table, of: tuple[str, str, str]) -> Iterator[Effect]:
@@ -173,19 +165,7 @@ def _effects(plan: StudyPlan, table: _Table, of: tuple[str, str, str]) -> Iterat
             named = zip(levels[chosen[0]], cube.mean(others), strict=True)
             means = {f"{level:g}": float(mean) for level, mean in named}
         factor = " with ".join(FACTORS[number].partition("_")[0] for number in chosen)
-        f, df, df_error, p, eta2 = tested
-        yield Effect(
-            task=of[0],
-            measure=of[1],
-            unit=of[2],
-            factor=factor,
-            f=f,
-            df=df,
-            df_error=df_error,
-            p=p,
-            partial_eta2=eta2,
-            levels=means,
-        )
+        yield Effect(*of, factor, *tested, levels=means)
 
 
 def helmert(count: int) -> _Table:

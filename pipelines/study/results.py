@@ -14,13 +14,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError, refused
 from pipelines.recording.export.columns import Column
 from pipelines.recording.export.mat_file import write_v5
 from pipelines.report.report_file import write_text
 from pipelines.study.effects import StudyReport, account_of_study
-from pipelines.study.plan import StudyPlan
-from pipelines.study.trial import TrialResult
+from pipelines.study.plan import StudyPlan, TrialResult
 from telepresence.toml_file import read_toml, typed
 
 _FILE = "trials.jsonl"
@@ -48,7 +48,7 @@ def check_scipy() -> None:
         raise ConfigError("the effects need scipy: pip install 'kontur-av[study]'")
 
 
-class StudyFolder:
+class StudyFolder(Closing):
     """The folder of a study's results, held by one command at a time. ConfigError.
 
     results: of all trials that have finished. simulated: they are of simulated hands, and those
@@ -72,10 +72,7 @@ class StudyFolder:
         if self._file.seek(0, os.SEEK_END) == 0:
             self._append(msgspec.json.encode(head))
 
-    def __enter__(self) -> "StudyFolder":
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self._file.close()
 
     @property

@@ -16,7 +16,7 @@ from pipelines.session.page_sockets import PageListener
 from pipelines.session.seat_roles import VIEWER_WORDS, Role
 from pipelines.session.web_site import WebSite
 from pipelines.study.desk import StudyDesk, parse_press
-from pipelines.study.trial import TrialResult
+from pipelines.study.plan import TrialResult
 from telepresence.haptics.device.page import PageDevice, PageInput
 
 _TICK_S = 0.004

@@ -12,8 +12,7 @@ from urllib.parse import unquote, urlsplit
 
 from kontur_av.errors import ConfigError, refused
 from telepresence.upkeep.file_store import FileStore, StoredFile, fill_folder
-from telepresence.upkeep.manifest import RUN
-from telepresence.upkeep.sfv import SFV, fault_of, parse_sfv
+from telepresence.upkeep.manifest import RUN, SFV, fault_of, parse_sfv
 
 _PATIENCE_S = 10.0
 _PORT = 21

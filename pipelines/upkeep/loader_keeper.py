@@ -12,16 +12,18 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.desk import InboxFolder, answer_order, give_order, kept
-from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.desk import DiskStore, InboxFolder, answer_order, give_order, kept
 from pipelines.upkeep.ftp import fetch_copies
 from pipelines.upkeep.program import Program
 from telepresence.upkeep.app_loader import (
+    PAIRS,
     AppLoader,
     BootDevice,
     CheckCopy,
     Copy,
     FindFtp,
+    FlashCheck,
+    FlashFigures,
     LoaderEvent,
     LoadMode,
     NoteWorked,
@@ -31,11 +33,6 @@ from telepresence.upkeep.app_loader import (
     StopApplication,
     StoreMode,
     WriteUpdate,
-)
-from telepresence.upkeep.copies import (
-    PAIRS,
-    FlashCheck,
-    FlashFigures,
     check_update,
     copy_to_backup,
     note_worked,
@@ -44,7 +41,7 @@ from telepresence.upkeep.copies import (
     update_prime,
 )
 from telepresence.upkeep.file_store import StoredFile, read_folder, replace_file
-from telepresence.upkeep.sfv import SFV, fault_of, write_copy
+from telepresence.upkeep.manifest import SFV, fault_of, write_copy
 from telepresence.upkeep.version_stack import parse_status
 
 _POLL_NS = 100 * NS_PER_MS

@@ -117,7 +117,7 @@ def _newest(reader: Reader, *, wait: bool) -> bytes | None:
     return octets
 
 
-class MaintenanceLog:
+class MaintenanceLog(Closing):
     """A file of JSON lines, to which each run of a script appends. A context manager.
 
     Each line has `at` (UTC) and `what`: begin, step, output, contact, announced, milestone, end.
@@ -135,10 +135,7 @@ class MaintenanceLog:
         self._file.write(line + "\n")
         self._file.flush()
 
-    def __enter__(self) -> "MaintenanceLog":
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self._file.close()
 
 

@@ -7,18 +7,17 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.desk import InboxFolder, answer_order, give_order, kept
-from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.desk import DiskStore, InboxFolder, answer_order, give_order, kept
 from pipelines.upkeep.program import Program
 from telepresence.link.protection.identity import MachineIdentity
 from telepresence.upkeep.file_store import StoredFile, read_folder
-from telepresence.upkeep.stack_directory import VersionDirectory
 from telepresence.upkeep.version_stack import (
     ELEMENTARY,
     StackRecord,
     StartVersion,
     StopVersion,
     StoreRecord,
+    VersionDirectory,
     VersionLimits,
     VersionSwitch,
     parse_status,

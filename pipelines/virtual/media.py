@@ -9,16 +9,15 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import I420, CaptureStamp, VideoFrame
 from kontur_av.sources import BLOCK_NS
 from kontur_av.sources.pace import Pace
-from kontur_av.sources.page import FILLED_BY_OTHERS
+from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.sources.stereo import StereoPairer
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.media.figures import StereoFigures
 from pipelines.media.following import CameraFollower, Choice
-from pipelines.media.showing import Showing
+from pipelines.media.showing import OPERATORS, Showing
 from pipelines.media.stream_figures import video_sender
 from pipelines.media.taking_over import Capturing
 from pipelines.media.tip_region import tip_region
-from pipelines.media.watching import OPERATORS
 from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import (
     GROUND_MIC,
@@ -31,7 +30,6 @@ from pipelines.session.setup.table import (
     VideoStream,
     VoiceStream,
 )
-from pipelines.virtual.agenda import WALL_OFFSET_NS
 from pipelines.virtual.streams import (
     Display,
     VideoProcess,
@@ -41,7 +39,7 @@ from pipelines.virtual.streams import (
     VoiceSendProcess,
 )
 from pipelines.virtual.studio import Paired, Picture, Shot, VideoDecoding, VideoStudio, VoiceStudio
-from pipelines.virtual.workers import Coder, Job, Scene, Worker
+from pipelines.virtual.workers import WALL_OFFSET_NS, Coder, Job, Scene, Worker
 from telepresence.link.backlog import Backlog
 from telepresence.world import WorldState
 

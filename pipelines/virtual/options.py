@@ -4,10 +4,10 @@ import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
-from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.report.model import CodingCosts
+from pipelines.session.options import add_options
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.spec import GAME_CONTROLLER, PAGE, ROS2_HAND, open_device
@@ -21,41 +21,22 @@ _REAL_TIME = (PAGE, ROS2_HAND, GAME_CONTROLLER, UDP)
 
 
 def add_virtual_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--select",
-        action="append",
-        default=[],
-        metavar="T=CAMERA",
-        help="the operator selects CAMERA at second T; repeatable",
-    )
-    parser.add_argument(
-        "--plan",
-        type=Path,
-        metavar="PLAN.toml",
-        help="tasks that a simulated cosmonaut does, one after the other (docs/tasks.md)",
-    )
-    parser.add_argument(
-        "--robot",
-        metavar="SPEC",
-        help="sim, or a simulated robot of your own: module:Class (default: sim)",
-    )
-    parser.add_argument(
-        "--joystick",
-        metavar="SPEC",
-        help="sim, sim:FAULT or your own simulated one, with calibration, states and faults; "
-        "without, always in the application",
-    )
-    parser.add_argument(
-        "--no-media", action="store_true", help="haptics and telecommands alone: much faster"
+    add_options(
+        parser,
+        "--select T=CAMERA <*>  the operator selects CAMERA at second T; repeatable",
+        "--plan PLAN.toml <Path>  tasks that a simulated cosmonaut does, one after the other "
+        "(docs/tasks.md)",
+        "--robot SPEC  sim, or a simulated robot of your own: module:Class (default: sim)",
+        "--joystick SPEC  sim, sim:FAULT or your own simulated one, with calibration, states and "
+        "faults; without, always in the application",
+        "--no-media  haptics and telecommands alone: much faster",
     )
     for cost in fields(CodingCosts):
         what = cost.name.removesuffix("_ms").replace("_", " ")
-        parser.add_argument(
-            f"--{cost.name.replace('_', '-')}",
-            type=float,
-            default=cost.default,
-            metavar="MS",
-            help=f"virtual time to {what} ({cost.default} ms)",
+        add_options(
+            parser,
+            f"--{cost.name.replace('_', '-')} MS <float={cost.default}>  virtual time to {what} "
+            f"({cost.default} ms)",
         )
 
 

@@ -31,11 +31,9 @@ from pipelines.session.probe import FLUSH_NS
 from pipelines.session.setup.table import STEREO, Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
-from pipelines.virtual.agenda import FAR_NS, Agenda, Telling, Timer
-from pipelines.virtual.files import SimulatedFiles
 from pipelines.virtual.media import Consumer, Media
-from pipelines.virtual.mission import SimulatedMission, SimulatedTmtc
-from pipelines.virtual.workers import Scene, Workers
+from pipelines.virtual.mission import SimulatedFiles, SimulatedMission, SimulatedTmtc
+from pipelines.virtual.workers import FAR_NS, Agenda, Scene, Telling, Timer, Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle

@@ -20,7 +20,7 @@ from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
 from pipelines.media.following import CameraFollower, Choice
 from pipelines.media.gain import LinkedVideoSender, gain_of
-from pipelines.media.showing import Showing
+from pipelines.media.showing import OPERATORS, Recall, Showing, tell_click, tell_light
 from pipelines.media.stream_figures import (
     Outgoing,
     note_arrivals,
@@ -31,11 +31,9 @@ from pipelines.media.stream_figures import (
     voice_sender,
 )
 from pipelines.media.tip_region import TipRegion
-from pipelines.media.watching import OPERATORS, Recall, tell_click, tell_light
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.virtual.agenda import WALL_OFFSET_NS, Timer
 from pipelines.virtual.studio import Picture, VoiceDecoding
-from pipelines.virtual.workers import Batch, Coder, Job, Scene, Worker
+from pipelines.virtual.workers import WALL_OFFSET_NS, Batch, Coder, Job, Scene, Timer, Worker
 from telepresence.link.backlog import Backlog
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState

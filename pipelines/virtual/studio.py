@@ -4,10 +4,10 @@ Each coder is called with one job after the other, in a process of its own (`sim
 """
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import log10
-from typing import NamedTuple, cast
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -35,10 +35,11 @@ from pipelines.session.setup.table import VideoStream, VoiceStream
 from telepresence.world import StateAt, WorldState, audio_scenes, render
 
 #: The most pictures or blocks of a file that are kept until they are encoded.
-_KEPT = 16
+_MOST_KEPT = 16
 #: The tries to read the next picture or block of a file, each of at most ten seconds.
 _TRIES = 10
 _PATIENCE_NS = 10 * NS_PER_S
+_T = TypeVar("_T")
 
 
 class Shot(NamedTuple):
@@ -173,14 +174,20 @@ class _Film:
 
     def next(self) -> int | None:
         picture = empty_picture(self._stream.width, self._stream.height)
-        for _ in range(_TRIES):
-            stamp = self._source.read(picture, _PATIENCE_NS)
-            if stamp is not None:
-                self.pictures[stamp.sequence] = picture
-                if len(self.pictures) > _KEPT:
-                    self.pictures.popitem(last=False)
-                return stamp.capture_ns
-        return None
+        stamp = _tried(lambda: self._source.read(picture, _PATIENCE_NS))
+        return None if stamp is None else _kept(self.pictures, stamp, picture)
+
+
+def _tried(read: Callable[[], _T | None]) -> _T | None:
+    return next((found for _ in range(_TRIES) if (found := read()) is not None), None)
+
+
+def _kept(items: OrderedDict[int, _T], stamp: CaptureStamp, item: _T) -> int:
+    """Keep a picture or block of a file until it is encoded; return its capture instant."""
+    items[stamp.sequence] = item
+    if len(items) > _MOST_KEPT:
+        items.popitem(last=False)
+    return stamp.capture_ns
 
 
 class VideoDecoding:
@@ -310,14 +317,10 @@ class VoiceStudio:
         return self._encoder.encode(samples)
 
     def _next(self) -> int | None:
-        for _ in range(_TRIES):
-            frame = self._first.source.read(_PATIENCE_NS)
-            if frame is not None:
-                self._packets[frame.stamp.sequence] = self._encoder.encode(frame.samples)
-                if len(self._packets) > _KEPT:
-                    self._packets.popitem(last=False)
-                return frame.stamp.capture_ns
-        return None
+        frame = _tried(lambda: self._first.source.read(_PATIENCE_NS))
+        if frame is None:
+            return None
+        return _kept(self._packets, frame.stamp, self._encoder.encode(frame.samples))
 
     def _state_at(self, now_ns: int) -> WorldState:
         return self._state

@@ -32,8 +32,15 @@ from telepresence.files.pdus import (
     pack_pdu,
     parse_pdu,
 )
-from telepresence.files.receiver import MAX_FILE_OCTETS, FileReceiver, why
-from telepresence.files.sender import CANCELLED, FileSender, TransactionPace, closing
+from telepresence.files.sides import (
+    CANCELLED,
+    MAX_FILE_OCTETS,
+    FileReceiver,
+    FileSender,
+    TransactionPace,
+    closing,
+    why,
+)
 from telepresence.link.bucket import TokenBucket
 
 

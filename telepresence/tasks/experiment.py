@@ -14,8 +14,7 @@ from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.tasks.definitions import Catalogue, Operation, Task
-from telepresence.tasks.end_conditions import Order, View
-from telepresence.tasks.kernel import ENDING, KernelEvent, OperationEnded, TopKernel
+from telepresence.tasks.kernel import ENDING, KernelEvent, OperationEnded, Order, TopKernel, View
 from telepresence.tmtc.k2aci import (
     K2aciMessage,
     PanelMode,

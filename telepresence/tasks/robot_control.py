@@ -33,13 +33,6 @@ class Fault(StrEnum):
     OTHER = "other"
 
 
-class Interpolation(StrEnum):
-    """How the set position moves to its goal."""
-
-    MINIMUM_JERK = "minimum_jerk"
-    CONSTANT_SPEED = "constant_speed"
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotLimits:
     """Beyond these the robot switches itself off: force of the board (N), place (m), speed (m/s).
@@ -59,7 +52,7 @@ class RobotLimits:
 
 
 class Interpolator:
-    """The set position on a straight way from one place to another. Times in ns."""
+    """The set position on a straight way of minimum jerk. Times in ns."""
 
     def __init__(
         self,
@@ -68,18 +61,16 @@ class Interpolator:
         *,
         begin_ns: int,
         speed_m_s: float,
-        kind: Interpolation = Interpolation.MINIMUM_JERK,
     ) -> None:
         self.end = end
-        self._begin, self._begin_ns, self._kind = begin, begin_ns, kind
+        self._begin, self._begin_ns = begin, begin_ns
         way_m = hypot(end[0] - begin[0], end[1] - begin[1])
         self._lasts_ns = max(1, round(way_m / speed_m_s * NS_PER_S))
 
     def at(self, now_ns: int) -> tuple[float, float]:
         """The set position (m) at `now_ns`."""
         s = min(1.0, max(0.0, (now_ns - self._begin_ns) / self._lasts_ns))
-        if self._kind is Interpolation.MINIMUM_JERK:
-            s = s * s * s * (10.0 + s * (6.0 * s - 15.0))
+        s = s * s * s * (10.0 + s * (6.0 * s - 15.0))
         (x0, y0), (x1, y1) = self._begin, self.end
         return x0 + (x1 - x0) * s, y0 + (y1 - y0) * s
 
@@ -178,9 +169,7 @@ class RobotControl:
         self.mode = mode
         return ""
 
-    def move_to(
-        self, x_m: float, y_m: float, now_ns: int, kind: Interpolation = Interpolation.MINIMUM_JERK
-    ) -> str:
+    def move_to(self, x_m: float, y_m: float, now_ns: int) -> str:
         """Move the tip to (x_m, y_m); only if it is on, in position or impedance control."""
         if not self.powered or self.mode not in MOVING_MODES:
             return self._refuse("the robot is not on in position or impedance control")
@@ -193,9 +182,8 @@ class RobotControl:
             if self.mode is ControlMode.IMPEDANCE:
                 # Not from the tip, where the spring's force would be 0 at once.
                 begin = self._rest_m
-            self._way = Interpolator(
-                begin, (x_m, y_m), begin_ns=now_ns, speed_m_s=limits.speed_m_s, kind=kind
-            )
+            goal = (x_m, y_m)
+            self._way = Interpolator(begin, goal, begin_ns=now_ns, speed_m_s=limits.speed_m_s)
         return ""
 
     def set_torque(self, first_n_m: float, second_n_m: float, now_ns: int) -> str:

@@ -13,9 +13,19 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420, empty_picture
-from telepresence.world.backdrop import Backdrop, Caption
 from telepresence.world.board import blend
-from telepresence.world.brush import Body, Brush, Points, Yuv, capsule, disc, finish, yuv
+from telepresence.world.brush import (
+    Backdrop,
+    Body,
+    Brush,
+    Caption,
+    Points,
+    Yuv,
+    capsule,
+    disc,
+    finish,
+    yuv,
+)
 from telepresence.world.sound import Speech
 from telepresence.world.state import WorldState
 

@@ -7,7 +7,9 @@ from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.robot import Robot
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut, Skill
-from telepresence.tasks.end_conditions import (
+from telepresence.tasks.experiment import Experiment, Logged, Phase, TaskRun
+from telepresence.tasks.kernel import (
+    TICK_NS,
     ChooseCamera,
     ControlRobot,
     MoveRobot,
@@ -16,8 +18,6 @@ from telepresence.tasks.end_conditions import (
     ShowPicture,
     View,
 )
-from telepresence.tasks.experiment import Experiment, Logged, Phase, TaskRun
-from telepresence.tasks.kernel import TICK_NS
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.panel_picture import LedPanel, PanelSender
 from telepresence.tasks.robot_control import RobotControl

@@ -5,9 +5,9 @@ import subprocess
 
 import pytest
 
-from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.desk import DiskStore
 from telepresence.upkeep.file_store import StoredFile
-from telepresence.upkeep.sfv import SFV, fault_of, write_copy
+from telepresence.upkeep.manifest import SFV, fault_of, write_copy
 
 pytestmark = [
     pytest.mark.interop,

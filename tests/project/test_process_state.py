@@ -64,7 +64,7 @@ ALLOWED = {
     "pipelines/bench/course/ends.py": {"_become"},
     # The command itself, in a process of its own.
     "pipelines/cli.py": {"_loaded", "_apart"},
-    "pipelines/partner/far.py": {"_relay"},
+    "pipelines/partner/whip.py": {"_relay"},
     "pipelines/recording/live_output.py": {"_write"},
     "pipelines/virtual/simulate.py": {"_run"},
     "pipelines/session/launcher.py": {

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.__main__ import main as benchmark
 from benchmarks.video.peers import CONTENDERS
 from benchmarks.video.targets import DEFAULT
-from pipelines.bench.video.targets import OURS
+from pipelines.bench.video.figures import OURS
 from pipelines.cli import main
 
 pytestmark = pytest.mark.realtime

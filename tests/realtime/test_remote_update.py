@@ -9,14 +9,12 @@ from running_session import RunningSession, assert_sound
 from upkeep_programs import PROGRAM, WORKS, make, running, until
 
 from pipelines.link.key_files import make_key, read_key
-from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.desk import DiskStore
 from pipelines.upkeep.loader_keeper import LoaderKeeper
 from pipelines.upkeep.version_keeper import VersionKeeper
-from telepresence.upkeep.app_loader import Copy
-from telepresence.upkeep.copies import note_worked
+from telepresence.upkeep.app_loader import Copy, note_worked
 from telepresence.upkeep.file_store import read_folder, replace_file
-from telepresence.upkeep.manifest import MANIFEST, signed_manifest
-from telepresence.upkeep.sfv import SFV, sfv_text
+from telepresence.upkeep.manifest import MANIFEST, SFV, sfv_text, signed_manifest
 
 CRASHES = '#!/bin/sh\necho {name} >> "$TRACE"\nexit 1\n'
 #: It tells that an experiment runs while there is a file of its trace's name and .busy.

@@ -14,7 +14,7 @@ from robot_tip import STILL_M, Tip
 from running_session import eventually
 
 from kontur_av.clock import MonotonicClock
-from pipelines.hand.robot_check import RobotCheck
+from pipelines.hand.driver_checks import RobotCheck
 from telepresence.haptics.robot_spec import load_robot
 
 SOURCE = Path(__file__).resolve().parents[2] / "samples" / "udp_robot.c"

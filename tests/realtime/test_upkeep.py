@@ -13,9 +13,9 @@ from running_link import RunningLink, free_base_port, listening
 from upkeep_programs import command, make, running, until
 
 from pipelines.link.key_files import make_key
-from pipelines.upkeep.disk_store import DiskStore
+from pipelines.upkeep.desk import DiskStore
 from pipelines.upkeep.ftp import serve_ftp
-from telepresence.upkeep.sfv import fault_of
+from telepresence.upkeep.manifest import fault_of
 
 pytestmark = pytest.mark.realtime
 

@@ -9,8 +9,8 @@ from mission import Mission
 
 from telepresence.haptics.board import LIGHTS_M
 from telepresence.haptics.sample import MODE_OFF
-from telepresence.tasks.end_conditions import PowerRobot, View
 from telepresence.tasks.experiment import Experiment, Phase, RunStep, TaskRun
+from telepresence.tasks.kernel import PowerRobot, View
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.k2aci import (

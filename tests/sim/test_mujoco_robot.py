@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from kontur_av.clock import NS_PER_MS, ManualClock
-from pipelines.hand.robot_check import RobotCheck
+from pipelines.hand.driver_checks import RobotCheck
 from telepresence.haptics.robot_device import RobotReading
 from telepresence.tasks.definitions import Operation
-from telepresence.tasks.end_conditions import OtherHand, View
-from telepresence.tasks.kernel import TICK_NS, OperationEnded, TopKernel
+from telepresence.tasks.kernel import TICK_NS, OperationEnded, OtherHand, TopKernel, View
 from telepresence.tasks.panel_picture import DARK
 from telepresence.tasks.scores import ScoreKeeper
 from telepresence.tasks.task_files import built_in_tasks

@@ -2,8 +2,8 @@
 
 import pytest
 
+from pipelines.study.desk import simulate_person
 from pipelines.study.effects import study_report
-from pipelines.study.hands import simulate_person
 from pipelines.study.plan import Aiming, HandleLevels, StudyPlan, Tracking
 
 pytest.importorskip("scipy")

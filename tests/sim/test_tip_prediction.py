@@ -14,9 +14,8 @@ from kontur_av.media import empty_picture, planes
 from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.hand import Hand, Waypoint
 from telepresence.world import WorldState
-from telepresence.world.arm import TIP_RADIUS_M
 from telepresence.world.board_view import BoardView
-from telepresence.world.ground_views import GroundView, camera_of
+from telepresence.world.ground_views import TIP_RADIUS_M, GroundView, camera_of
 
 WIDTH, HEIGHT = 640, 480
 CAMERA = camera_of("static", WIDTH, HEIGHT)

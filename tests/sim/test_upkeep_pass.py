@@ -29,11 +29,13 @@ from telepresence.upkeep.app_loader import (
     StopApplication,
     StoreMode,
     WriteUpdate,
+    read_mode,
+    store_mode,
+    update_prime,
 )
-from telepresence.upkeep.copies import read_mode, store_mode, update_prime
 from telepresence.upkeep.file_store import StoredFile
 from telepresence.upkeep.inbox import TOLD, FileStamp, InboxTold, UpdateInbox, read_archive
-from telepresence.upkeep.sfv import SFV, fault_of, sfv_text, write_copy
+from telepresence.upkeep.manifest import SFV, fault_of, sfv_text, write_copy
 
 #: From 16 s after acquisition of signal on; the drop-outs last until second 44 of the pass.
 START_S, SECONDS = 16, 34

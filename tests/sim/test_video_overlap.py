@@ -13,9 +13,8 @@ from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.report.model import CodingCosts
 from pipelines.session.setup.table import VIDEO_PAYLOAD_OCTETS, VideoStream
-from pipelines.virtual.agenda import Agenda
 from pipelines.virtual.streams import VideoSendProcess
-from pipelines.virtual.workers import Job
+from pipelines.virtual.workers import Agenda, Job
 
 STREAM = VideoStream(name="video", cap_bps=512_000)
 CHANNEL_BPS = 530_000

@@ -20,10 +20,9 @@ from pipelines.media.stream_figures import video_sender
 from pipelines.media.tip_region import tip_region
 from pipelines.report.model import CodingCosts
 from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.virtual.agenda import Agenda
 from pipelines.virtual.streams import VideoSendProcess
 from pipelines.virtual.studio import Paired, Shot, VideoStudio
-from pipelines.virtual.workers import Job
+from pipelines.virtual.workers import Agenda, Job
 from telepresence.world import render, scripted_state
 from telepresence.world.ground_views import camera_of
 

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, empty_picture, planes
-from kontur_av.sources.seam import SeamFinder
-from kontur_av.sources.stereo import merge
+from kontur_av.sources.stereo import SeamFinder, merge
 from telepresence.world import render, scripted_state
 
 SCENE = "scene"

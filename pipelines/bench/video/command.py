@@ -24,14 +24,14 @@ from kontur_av.media import parse_size
 from pipelines.bench.course.marks import NUMBERS, check_width
 from pipelines.bench.video.clips import SCENE, Clip, film, scene
 from pipelines.bench.video.contenders import KONTUR_AV, ContenderError
-from pipelines.bench.video.run import TrialTerms, measure
-from pipelines.bench.video.targets import (
+from pipelines.bench.video.figures import (
     ALONE,
     OURS,
     headlines,
     judge,
     notes,
 )
+from pipelines.bench.video.run import TrialTerms, measure
 from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json, headline_tables

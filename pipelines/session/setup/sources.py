@@ -6,7 +6,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError, refused
 from kontur_av.sources import check_spec
-from kontur_av.sources.page import PAGE
+from kontur_av.sources.source import PAGE
 from pipelines.session.machine_checks import (
     NEEDED_SHM_OCTETS,
     check_descriptors,

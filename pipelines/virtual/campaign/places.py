@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
+from pipelines.session.options import add_options
 from pipelines.virtual.campaign.figures import Crash
 
 if TYPE_CHECKING:
@@ -206,13 +207,11 @@ _MOST_JOBS = 256
 
 
 def add_place_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--jobs", type=int, metavar="N", help="runs at a time (default: one for each processor)"
-    )
-    parser.add_argument(
-        "--cluster",
-        metavar="tcp://HOST:PORT",
-        help="let the workers of this Dask scheduler do the runs (docs/simulation.md)",
+    add_options(
+        parser,
+        "--jobs N <int>  runs at a time (default: one for each processor)",
+        "--cluster tcp://HOST:PORT  let the workers of this Dask scheduler do the runs "
+        "(docs/simulation.md)",
     )
 
 

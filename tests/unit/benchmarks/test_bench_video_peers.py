@@ -10,8 +10,7 @@ from benchmarks.video.groups import group_headlines, group_rows, group_verdicts
 from benchmarks.video.packages import PACKAGED, cached, matching
 from benchmarks.video.targets import DEFAULT, NARROW, STRANGE, TUNED, WIDE
 from benchmarks.video.vmaf import scores
-from pipelines.bench.video.figures import ContenderFigures, QualityMeans
-from pipelines.bench.video.targets import OURS, judge
+from pipelines.bench.video.figures import OURS, ContenderFigures, QualityMeans, judge
 
 
 def figures(**changes) -> ContenderFigures:

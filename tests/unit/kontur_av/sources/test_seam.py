@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.media import empty_picture, planes
-from kontur_av.sources.seam import SeamFinder
-from kontur_av.sources.stereo import merge
+from kontur_av.sources.stereo import SeamFinder, merge
 
 WIDTH, HEIGHT = 640, 480
 _GRAIN = np.random.default_rng(5).normal(110, 60, (60, 80)).astype(np.float32)

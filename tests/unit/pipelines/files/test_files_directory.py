@@ -2,10 +2,10 @@
 
 import pytest
 
-from pipelines.files.directory import FencedDirectory
+from pipelines.files.process_files import FencedDirectory
 from telepresence.files.entity import LARGEST_LISTING, STORE, DirectoryJob
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME, Key
-from telepresence.files.receiver import MAX_FILE_OCTETS
+from telepresence.files.sides import MAX_FILE_OCTETS
 
 KEY = Key(1, 2, 3)
 

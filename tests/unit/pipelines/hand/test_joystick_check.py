@@ -8,7 +8,7 @@ from user_parts import Guided, load
 
 from kontur_av.clock import ManualClock
 from pipelines.cli import main
-from pipelines.hand.joystick_check import JoystickCheck
+from pipelines.hand.driver_checks import JoystickCheck
 from telepresence.haptics.device.simulated import SimulatedDevice
 
 Lever = load("own_joystick.py").Lever

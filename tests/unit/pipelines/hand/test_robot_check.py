@@ -6,7 +6,7 @@ import pytest
 from user_parts import Guided, load
 
 from kontur_av.clock import ManualClock
-from pipelines.hand.robot_check import RobotCheck
+from pipelines.hand.driver_checks import RobotCheck
 
 own_robot = load("own_robot.py")
 CLOCK = ManualClock()

@@ -8,7 +8,7 @@ from kontur_av.codecs.h264 import H264Decoder
 from kontur_av.codecs.h265 import H265Encoder
 from kontur_av.media import CaptureStamp, VideoFrame
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.media.h264_copy import H264Copy
+from pipelines.media.key_picture_maker import H264Copy
 
 
 def units():

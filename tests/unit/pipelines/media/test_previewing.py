@@ -4,7 +4,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import check_size
-from pipelines.media.previewing import Previewing, preview_size
+from pipelines.media.taking_over import Previewing, preview_size
 
 
 @pytest.mark.parametrize(

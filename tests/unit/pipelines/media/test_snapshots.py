@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipelines.media.process_snapshots import _write
+from pipelines.media.process_display import _write
 
 
 def test_a_failed_write_is_no_snapshot(tmp_path):

@@ -5,7 +5,7 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS
 from kontur_av.detect import Click, Light
 from kontur_av.media import CaptureStamp, empty_picture
-from pipelines.media.watching import Recall, Watching, tell_click, tell_light
+from pipelines.media.showing import Recall, Watching, tell_click, tell_light
 from pipelines.session.probe import Probe
 from pipelines.session.rows import ClickRow, LightRow
 

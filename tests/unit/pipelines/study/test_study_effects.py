@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from pipelines.study.effects import Effect, helmert, holm, repeated_measures, study_report
-from pipelines.study.plan import HandleLevels, StudyPlan, Tracking, trials_of
-from pipelines.study.trial import TrialResult
+from pipelines.study.plan import HandleLevels, StudyPlan, Tracking, TrialResult, trials_of
 
 stats = pytest.importorskip("scipy.stats")
 

@@ -17,7 +17,7 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.task_journal import LinkMeanwhile
 from telepresence.tasks.definitions import ControlMode
-from telepresence.tasks.end_conditions import (
+from telepresence.tasks.kernel import (
     ChooseCamera,
     ControlRobot,
     MoveRobot,

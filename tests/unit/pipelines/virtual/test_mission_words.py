@@ -12,8 +12,8 @@ from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.task_journal import LinkMeanwhile
 from telepresence.haptics.board import LIGHTS_M
 from telepresence.tasks.definitions import ControlMode
-from telepresence.tasks.end_conditions import ChooseCamera, Record
 from telepresence.tasks.experiment import RunStep
+from telepresence.tasks.kernel import ChooseCamera, Record
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.panel_picture import pack_acknowledgement, parse_picture
 from telepresence.tasks.task_files import built_in_tasks

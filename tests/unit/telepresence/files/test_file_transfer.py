@@ -27,8 +27,7 @@ from telepresence.files.pdus import (
     pack_pdu,
     parse_pdu,
 )
-from telepresence.files.receiver import MAX_FILE_OCTETS
-from telepresence.files.sender import file_sum
+from telepresence.files.sides import MAX_FILE_OCTETS, file_sum
 
 OCTETS = Random(1).randbytes(50_000)
 

@@ -7,17 +7,21 @@ import pytest
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.board import LIGHTS_M
 from telepresence.tasks.definitions import Pattern, Pursue
-from telepresence.tasks.end_conditions import (
+from telepresence.tasks.kernel import (
+    TICK_NS,
     ChooseCamera,
     ControlRobot,
+    ElemopBegun,
+    ElemopEnded,
     MoveRobot,
+    OperationEnded,
     OtherHand,
     PowerRobot,
     Record,
     ShowPicture,
+    TopKernel,
     View,
 )
-from telepresence.tasks.kernel import TICK_NS, ElemopBegun, ElemopEnded, OperationEnded, TopKernel
 from telepresence.tasks.panel_picture import DARK
 from telepresence.tasks.places import curve_points
 from telepresence.tasks.task_files import built_in_tasks

@@ -2,9 +2,9 @@
 
 from failing_disk import FailingDisk
 
-from telepresence.upkeep.copies import FlashCheck
+from telepresence.upkeep.app_loader import FlashCheck
 from telepresence.upkeep.file_store import StoredFile
-from telepresence.upkeep.sfv import SFV, write_copy
+from telepresence.upkeep.manifest import SFV, write_copy
 
 FILES = {name: StoredFile(name.encode()) for name in ("run", "lib/a", "lib/b")}
 #: It reads the list, then one file a time.

@@ -11,8 +11,10 @@ from failing_disk import FailingDisk, PowerFailedError
 
 from kontur_av.errors import ConfigError
 from telepresence.link.protection.identity import MachineKey
-from telepresence.upkeep.app_loader import BootDevice, Copy, Mode
-from telepresence.upkeep.copies import (
+from telepresence.upkeep.app_loader import (
+    BootDevice,
+    Copy,
+    Mode,
     bootable,
     copy_to_backup,
     note_worked,
@@ -21,10 +23,8 @@ from telepresence.upkeep.copies import (
     update_prime,
 )
 from telepresence.upkeep.file_store import StoredFile
-from telepresence.upkeep.manifest import MANIFEST, signed_manifest
-from telepresence.upkeep.sfv import write_copy
-from telepresence.upkeep.stack_directory import VersionDirectory
-from telepresence.upkeep.version_stack import ELEMENTARY, VersionState
+from telepresence.upkeep.manifest import MANIFEST, signed_manifest, write_copy
+from telepresence.upkeep.version_stack import ELEMENTARY, VersionDirectory, VersionState
 
 CUTS = int(os.environ.get("KONTUR_CUTS", "1000"))
 KEY = MachineKey.from_seed(bytes(32))

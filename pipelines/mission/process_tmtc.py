@@ -1,9 +1,12 @@
-"""What the console and the selector have of PUS: a socket for requests, and the topic with news.
+"""The processes of console and selector: PUS of space and of the ground. `TmtcEnd` decides.
 
-`TmtcEnd` decides. This module carries octets between it, the topics of its segment and the radio.
+This module carries octets between it, the topics of its segment and the radio. The selector reads
+no pictures. A choice is kept in a file, then published, and its telecommand is completed when the
+sender has confirmed it.
 """
 
 import secrets
+from collections import deque
 from collections.abc import Callable
 from socket import socket
 
@@ -11,32 +14,44 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.topics.bus import Reader, TopicBus
-from kontur_av.topics.session_files import make_session_root
+from kontur_av.topics.session_files import make_session_root, session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
 from pipelines.link.figures import unpack_link
+from pipelines.media.following import CHOICE_OCTETS, unpack_confirmed
+from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, FunctionAsked, pack_news
 from pipelines.mission.tmtc_socket import TmtcSocket, write_dictionary
 from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
+from pipelines.session.datagrams import receive
 from pipelines.session.figures import ProcessState
-from pipelines.session.mission_messages import MISSION_OCTETS, RobotStatus, pack, unpack
-from pipelines.session.process import Context
+from pipelines.session.mission_messages import MISSION_OCTETS, CameraWish, RobotStatus, pack, unpack
+from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.reception import replace_file
 from pipelines.session.robot_state import unpack_state
 from pipelines.session.topic_ends import NumberedTopic, SampleTopic
 from pipelines.session.topology import (
+    FOLLOWED_TOPIC,
     JOYSTICK_COMMAND_TOPIC,
     JOYSTICK_STATE_TOPIC,
+    MISSION_CAMERA_TOPIC,
     ROBOT_COMMAND_TOPIC,
     ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
+    SELECTED_TOPIC,
+    SELECTOR,
+    TELECOMMAND,
     TELECOMMAND_KIND,
+    TELEMETRY,
     TELEMETRY_KIND,
     TMTC_TOPICS,
+    WALL_TOPIC,
     Segment,
     link_state_topic,
     packet_topics,
 )
+from telepresence.haptics.mediated.wall import WALL_OCTETS, is_wall
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import is_telecommand
 from telepresence.tmtc.pus.packets import COUNT_MODULUS
@@ -184,3 +199,79 @@ class TmtcDesk:
     def close(self) -> None:
         """Take no more requests."""
         self._requests.close()
+
+
+def run_selector(context: Context) -> None:
+    """Keep the choice of the camera, and change it by telecommand."""
+    clock, topology = context.clock, context.topology
+    # A selector that was killed goes on with its last choice.
+    remembered = session_root(context.session) / "selected"
+    known = remembered.read_text("ascii") if remembered.exists() else ""
+    choice = CameraChoice(
+        context.setup.cameras, context.probe, now_ns=clock.now_ns(), selected=known
+    )
+    udp = context.listen_own(topology.exit_port(TELECOMMAND))
+    to_gateway = context.own_sender(topology.entry_port(TELEMETRY))
+    context.on_flush(choice.tell)
+    with context.open_bus() as bus:
+        writer = NumberedTopic(bus, SELECTED_TOPIC, max_octets=CHOICE_OCTETS, wake=True)
+        reader = bus.reader(FOLLOWED_TOPIC)
+        wished = None
+        if MISSION_CAMERA_TOPIC in topology.reads(SELECTOR):
+            wished = bus.reader(MISSION_CAMERA_TOPIC)
+        newest_wish = -1
+        asked: deque[FunctionAsked] = deque()
+        desk = TmtcDesk(context, bus, Segment.GROUND, to_gateway, asked.append)
+        waiter = bus.waiter([reader], [udp.fileno(), desk.socket.fileno()])
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            changed = False
+            while (datagram := receive(udp)) is not None:
+                desk.handle_packet(datagram, now_ns)
+            if wished is not None and (octets := wished.latest_octets()) is not None:
+                wish = unpack(CameraWish, octets)
+                if wish.number > newest_wish:
+                    newest_wish = wish.number
+                    changed |= choice.select(wish.camera, now_ns)
+            while asked:
+                changed |= choice.handle_asked(asked.popleft(), now_ns)
+            if changed:
+                replace_file(remembered, choice.selected.encode("ascii"))
+            if (told := choice.poll_choice(now_ns)) is not None:
+                writer.publish_octets(told.pack(), now_ns)
+            if (confirmed := reader.latest_octets()) is not None:
+                choice.handle_confirmed(unpack_confirmed(confirmed))
+            while (request := choice.next_event()) is not None:
+                desk.end.handle_request(request, now_ns)
+            desk.work(now_ns)
+            wait_ns = 0 if asked else min(PATIENCE_NS, choice.poll_timeout() - now_ns)
+            waiter.wait(desk.wait_ns(now_ns, max(0, wait_ns)))
+        del waiter
+        desk.close()
+
+
+def run_console(context: Context) -> None:
+    """Carry packets between the link and the applications in space, and walls to the joystick."""
+    clock, topology = context.clock, context.topology
+    udp = context.listen_own(topology.exit_port(TELEMETRY))
+    to_gateway = context.own_sender(topology.entry_port(TELECOMMAND))
+    with context.open_bus() as bus:
+        walls = None
+        if context.setup.hand != "direct":
+            walls = NumberedTopic(bus, WALL_TOPIC, max_octets=WALL_OCTETS)
+        desk = TmtcDesk(context, bus, Segment.SPACE, to_gateway)
+        waiter = bus.waiter([], [udp.fileno(), desk.socket.fileno()])
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            wall = None
+            while (datagram := receive(udp)) is not None:
+                if not desk.handle_packet(datagram, now_ns) and is_wall(datagram):
+                    wall = datagram
+            if wall is not None and walls is not None:
+                walls.publish_octets(wall, now_ns)
+            desk.work(now_ns)
+            waiter.wait(desk.wait_ns(now_ns, PATIENCE_NS))
+        del waiter
+        desk.close()
