@@ -31,6 +31,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -44,8 +45,10 @@ from kontur_av.topics.notifier import NotificationListener, Notifier, WaitSet
 from kontur_av.topics.session_files import (
     SHARED_MEMORY,
     choose_session,
+    joins_path,
     make_session_root,
     notifier_path,
+    open_own_file,
     sessions,
 )
 
@@ -119,20 +122,24 @@ class Writer:
     """Publishes to one topic. Never blocks; the readers' oldest samples are dropped instead."""
 
     def __init__(
-        self, publisher: Any, readers: Callable[[], int], notifier: Notifier | None
+        self, publisher: Any, readers: Callable[[], int], notifier: Notifier | None, joins: Path
     ) -> None:
         # The method itself examines annotations each time, which takes ten times as long.
         self._loan = getattr(publisher, _LOAN, publisher.loan_slice_uninit)
         self._readers = readers
         self._notifier = notifier
+        self._joins = joins
 
     def has_readers(self) -> bool:
         """Whether the topic has a reader. A killed reader may count for some time."""
         return bool(self._readers())
 
-    def readers(self) -> int:
-        """How many readers the topic has; 1 stands for any number where topics are files."""
-        return self._readers()
+    def joins(self) -> int:
+        """How many readers have ever joined the topic.
+
+        The number of present readers does not show one that takes the place of a killed one.
+        """
+        return self._joins.stat().st_size if self._joins.exists() else 0
 
     def loan(self, octets: int, width: int = 0, height: int = 0) -> Loan:
         """Return a buffer of `octets` octets in shared memory."""
@@ -354,7 +361,7 @@ class TopicBus(Closing):
         self._ports.append(publisher)
         if notifier is not None:
             self._notifiers.append(notifier)
-        return Writer(publisher, readers, notifier)
+        return Writer(publisher, readers, notifier, joins_path(self._session, topic))
 
     def reader(self, topic: str, *, depth: int = 1) -> Reader:
         """Return a reader that keeps at most `depth` unread samples; the oldest are dropped."""
@@ -366,6 +373,9 @@ class TopicBus(Closing):
             raise self._no_topic(topic) from None
         listener = NotificationListener(notifier_path(self._session, topic))
         reader = Reader(subscriber, listener, self._readers.discard)
+        joins = open_own_file(joins_path(self._session, topic), os.O_APPEND)
+        with os.fdopen(joins, "ab") as file:
+            file.write(b"\0")
         self._readers.add(reader)
         return reader
 

@@ -16,7 +16,6 @@ The classes have those methods of iceoryx2's classes that `kontur_av.topics.bus`
 
 import fcntl
 import os
-import stat
 import struct
 from collections.abc import Callable
 from functools import partial
@@ -26,8 +25,7 @@ from typing import Self
 
 import numpy as np
 
-from kontur_av.errors import ConfigError
-from kontur_av.topics.session_files import shared_memory, topic_path
+from kontur_av.topics.session_files import open_own_file, shared_memory, topic_path
 
 #: How the names of topic files end.
 SUFFIX = ".topic"
@@ -75,11 +73,7 @@ class FileSample:
 class _TopicFile:
     def __init__(self, path: Path, header_octets: int) -> None:
         self._header_octets = header_octets
-        self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-        found = os.fstat(self._fd)
-        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
-            self.delete()
-            raise ConfigError(f"{path} is no file of yours: remove it")
+        self._fd = open_own_file(path)
 
     def delete(self) -> None:
         os.close(self._fd)

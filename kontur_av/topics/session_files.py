@@ -102,6 +102,22 @@ def notifier_path(session: str, topic: str) -> Path:
     return topic_path(session, topic, ".notifier")
 
 
+def open_own_file(path: Path, flags: int = 0) -> int:
+    """Open a file to read and write; ConfigError if another user made it, as /dev/shm is shared."""
+    always = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+    descriptor = os.open(path, flags | always, 0o600)
+    found = os.fstat(descriptor)
+    if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
+        os.close(descriptor)
+        raise ConfigError(f"{path} is no file of yours: remove it")
+    return descriptor
+
+
+def joins_path(session: str, topic: str) -> Path:
+    """Return the file that has one octet for each reader that ever joined a topic."""
+    return topic_path(session, topic, ".joins")
+
+
 def user_root() -> Path:
     """Return this user's directory for all sessions: in TMPDIR, if a socket's path fits there."""
     own = f"kontur-av-{os.getuid()}"

@@ -24,17 +24,17 @@ class _NewReaders:
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
-        self._readers = 0
+        self._joins = 0
         self._waiting = False
         self._asked_ns: int | None = None
 
     def handle_unit(self, codec: VideoCodec, now_ns: int, *, key: bool) -> bool:
         """A unit is to be published; return whether to ask for a key picture."""
-        before, self._readers = self._readers, self._writer.readers()
-        if key or codec == "h264" or not self._readers:
+        before, self._joins = self._joins, self._writer.joins()
+        if key or codec == "h264" or not self._writer.has_readers():
             self._waiting = False
             return False
-        self._waiting |= self._readers > before
+        self._waiting |= self._joins > before
         if self._waiting and (self._asked_ns is None or now_ns - self._asked_ns >= _APART_NS):
             self._asked_ns = now_ns
         if self._asked_ns is None or now_ns - self._asked_ns >= _ASKED_NS:

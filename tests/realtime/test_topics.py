@@ -151,6 +151,15 @@ def test_a_reader_of_a_resumed_topic_begins_with_a_fresh_sample(session):
         assert not writer.has_readers()
 
 
+def test_who_takes_the_place_of_a_reader_has_joined(session):
+    with TopicBus(session) as bus:
+        writer = bus.writer("a", max_octets=8)
+        assert writer.joins() == 0
+        bus.reader("a").close()
+        bus.reader("a")
+        assert writer.joins() == 2
+
+
 def test_a_waiter_wakes_for_a_socket_and_for_a_topic(session):
     read_fd, write_fd = os.pipe()
     with TopicBus(session) as bus:

@@ -94,16 +94,21 @@ def is_among(name, keys_found):
 RECORDS = [kind for kind in keys.TOLD if kind is not TrainerFigures]
 
 
+@pytest.fixture(scope="module")
+def documented():
+    return keys.counts_table() + keys.keys_tables(SessionReport)
+
+
 @pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
-def test_each_figure_of_a_record_is_in_report_page_recording_and_documents(kind):
+def test_each_figure_of_a_record_is_in_report_page_recording_and_documents(kind, documented):
     report, figures = told(made(kind))
+    reported = parts_of(report)
     on_page = {part for name in figures for part in name.split(".")}
     recorded = {RecordedFigure.of(*figure).name for figure in figures.items()}
-    documented = keys.counts_table() + keys.keys_tables(SessionReport)
     names = set(names_of(kind))
     assert names, "a record of figures"
     for name in names:
-        assert is_among(name, parts_of(report)), name
+        assert is_among(name, reported), name
         assert is_among(name, on_page), name
         assert any(is_among(name, one.split(".")) for one in recorded), name
         assert f"`{name}`" in documented or f".{name}`" in documented, name
