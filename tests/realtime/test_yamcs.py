@@ -24,7 +24,7 @@ from telepresence.tmtc.pus.user import EventReport, HousekeepingReport, Paramete
 pytestmark = pytest.mark.realtime
 
 #: Of telemetry that is compared.
-SECONDS = int(os.environ.get("KONTUR_YAMCS_SECONDS", "10"))
+SECONDS = int(os.environ.get("KONTUR_YAMCS_SECONDS", "20"))
 STAGES = ("Acknowledge_Sent", "Verifier_Accepted", "Verifier_Started", "CommandComplete")
 MS = 1_000_000
 #: Frames that the ground's gateway handles.
