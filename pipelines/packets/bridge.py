@@ -13,15 +13,8 @@ from pipelines.mission.tmtc_messages import CommandUpdate, ForwardCommand, TmtcN
 from pipelines.packets.figures import PacketsFigures
 from pipelines.session.probe import Probe
 from telepresence.link.bucket import TokenBucket
+from telepresence.tmtc.pus import head
 from telepresence.tmtc.pus.dictionary import Dictionary
-from telepresence.tmtc.pus.head import (
-    HEADER_OCTETS,
-    MAX_PACKET_OCTETS,
-    destination_of,
-    is_packet,
-    is_telecommand,
-    message_of,
-)
 from telepresence.tmtc.pus.packets import (
     COUNT_MODULUS,
     Telecommand,
@@ -247,11 +240,11 @@ class PacketBridge:
 
     def handle_telemetry(self, octets: bytes) -> bool:
         """A packet of the end; whether it is telemetry after PUS, for the other system."""
-        if not is_packet(octets) or is_telecommand(octets):
+        if not head.is_packet(octets) or head.is_telecommand(octets):
             return False
         self._add(outside_packets=1)
-        edition, source = divmod(destination_of(octets), EDITIONS)
-        if source == self._source and message_of(octets)[0] == SERVICE:
+        edition, source = divmod(head.destination_of(octets), EDITIONS)
+        if source == self._source and head.message_of(octets)[0] == SERVICE:
             self._note_end(octets, edition)
         return True
 
@@ -315,9 +308,9 @@ class PacketSplitter:
         """Return the packets that are complete now. ProtocolError: this is no stream of them."""
         self._octets += octets
         found = []
-        while len(self._octets) >= HEADER_OCTETS:
-            length = HEADER_OCTETS + 1 + int.from_bytes(self._octets[4:6], "big")
-            if length > MAX_PACKET_OCTETS:
+        while len(self._octets) >= head.HEADER_OCTETS:
+            length = head.HEADER_OCTETS + 1 + int.from_bytes(self._octets[4:6], "big")
+            if length > head.MAX_PACKET_OCTETS:
                 raise ProtocolError(f"a packet of {length} octets")
             if len(self._octets) < length:
                 break

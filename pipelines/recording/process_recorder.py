@@ -20,19 +20,13 @@ from kontur_av.errors import ConfigError
 from kontur_av.figures import plus
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
+from pipelines.recording import part_files
 from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Content, sources_of
 from pipelines.recording.desk import Ask, RecorderDesk, Start, Stop
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
-from pipelines.recording.part_files import (
-    LEAST_RECORDED_S,
-    PartFiles,
-    check_disk,
-    check_recordable,
-    clear_parts,
-)
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
 from pipelines.session.figures import SessionEvents
 from pipelines.session.process import PATIENCE_NS, Context
@@ -124,13 +118,13 @@ class _RecorderProcess:
         """Begin to record; why that is not possible, or ""."""
         path = Path(start.wish.file)
         try:
-            check_recordable(
+            part_files.check_recordable(
                 path,
                 overwrite=start.overwrite,
                 sources=self._context.setup.sources.values(),
             )
-            check_disk(path, self._context.setup, LEAST_RECORDED_S)
-            clear_parts(path)
+            part_files.check_disk(path, self._context.setup, part_files.LEAST_RECORDED_S)
+            part_files.clear_parts(path)
             write_wish(self._context.session, start.wish)
         except ConfigError as error:
             return str(error)
@@ -195,7 +189,7 @@ class _Recording:
         )
         self._maker = maker
         self._keys: dict[int, Future[bytes | None]] = {}
-        self._files = PartFiles(Path(wish.file))
+        self._files = part_files.PartFiles(Path(wish.file))
         self._open_part()
         self._bus = context.open_bus()
         sources = sources_of(topology, link_frames=wish.link_frames)

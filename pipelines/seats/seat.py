@@ -38,13 +38,8 @@ from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, place_name, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.device import states
 from telepresence.haptics.device.page import PageInput
-from telepresence.haptics.device.states import (
-    REQUESTS,
-    TRANSITIONS,
-    JoystickEvent,
-    JoystickState,
-)
 
 
 class PageRequest(NamedTuple):
@@ -99,15 +94,15 @@ _RULES: Mapping[type[SeatRequest], _Rule] = MappingProxyType(
 )
 
 
-def _allowed(status: JoystickStatus, state: JoystickState) -> tuple[str, ...]:
+def _allowed(status: JoystickStatus, state: states.JoystickState) -> tuple[str, ...]:
     """The requests that the joystick would take now."""
-    allowed = {one.value for one in REQUESTS if (state, one) in TRANSITIONS}
-    start = JoystickEvent.START.value
-    if status.partner is not None and state is JoystickState.HALTED:
+    allowed = {one.value for one in states.REQUESTS if (state, one) in states.TRANSITIONS}
+    start = states.JoystickEvent.START.value
+    if status.partner is not None and state is states.JoystickState.HALTED:
         # Nobody could leave a partner's robot that is silent otherwise.
         allowed.add(start)
     if status.partner and start in allowed:
-        allowed.add(JoystickEvent.START_RUSSIAN.value)
+        allowed.add(states.JoystickEvent.START_RUSSIAN.value)
     return tuple(sorted(allowed))
 
 
@@ -287,7 +282,7 @@ class Seat:
         number = page.number
         match request:
             case JoystickRequest():
-                event = JoystickEvent(request.event)
+                event = states.JoystickEvent(request.event)
                 self._desk.handle_request(number, request.request, event)
             case HandleRequest():
                 return self._hand_over[request.action](number)
@@ -307,7 +302,7 @@ class Seat:
     # What topics and the launcher tell
 
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
-        state = JoystickState(status.state)
+        state = states.JoystickState(status.state)
         told = texts.JoystickText(
             state=state.words,
             allowed=_allowed(status, state),
