@@ -1,7 +1,7 @@
 """What `kontur-av link` shows of its link: the report, a line a second, and the summary."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import reduce
 from typing import TypeVar
 
@@ -75,21 +75,14 @@ def _failures(
     return found
 
 
-@dataclass
-class _Seen:
-    """The figures of an end's last line."""
-
-    frames: int = 0
-    octets: Mapping[str, int] = field(default_factory=dict)
-
-
 class LinkView:
     """The present figures: for each end its state, what it sends by level, and what it lost."""
 
     def __init__(self, setup: Setup, ends: Sequence[Segment]) -> None:
         self._setup = setup
         self._ends = ends
-        self._seen = {end: _Seen() for end in ends}
+        #: By end: the figures of its last line.
+        self._seen = dict.fromkeys(ends, SenderFigures())
 
     def lines(self, collector: Collector, seconds: float, width: int | None = None) -> list[str]:
         """A line for each end; rates are those since the lines before.
@@ -109,9 +102,8 @@ class LinkView:
             return f"{end.value}: starting"
         profile = self._setup.profile(end.transmits)
         sent, received = link.transmit, link.receive
-        seen = self._seen[end]
-        rates = _rates_kbps(sent, seen, profile)
-        self._seen[end] = _Seen(sent.frames, dict(sent.octets))
+        rates = _rates_kbps(sent, self._seen[end], profile)
+        self._seen[end] = sent
         state = _state(link.supervision)
         levels = " ".join(f"{name} {rates[name]:.1f}" for name in _LEVELS)
         strangers = sum(figures.total(SocketFigures).strangers.values())
@@ -131,16 +123,14 @@ class LinkView:
         return fitted_line(parts, width, gap=", ")
 
 
-def _rates_kbps(sent: SenderFigures, seen: _Seen, profile: LinkProfile) -> dict[str, float]:
+def _rates_kbps(sent: SenderFigures, seen: SenderFigures, profile: LinkProfile) -> dict[str, float]:
     # Time is counted in slots of the link, so the rate is exact even if the figures come late. A
     # restarted gateway counts from 0.
-    begun_anew = sent.frames < seen.frames
-    frames = sent.frames - (0 if begun_anew else seen.frames)
-    seconds = max(1, frames) * profile.slot_ns / NS_PER_S
+    if sent.frames < seen.frames:
+        seen = SenderFigures()
+    seconds = max(1, sent.frames - seen.frames) * profile.slot_ns / NS_PER_S
     return {
-        name: 8
-        * (sent.octets.get(name, 0) - (0 if begun_anew else seen.octets.get(name, 0)))
-        / (1000 * seconds)
+        name: 8 * (sent.octets.get(name, 0) - seen.octets.get(name, 0)) / (1000 * seconds)
         for name in _LEVELS
     }
 

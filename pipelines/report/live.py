@@ -213,7 +213,7 @@ def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
     lines = [Text(str(silence), "dim" if silence.waits else "bold red") for silence in silent]
     for name in setup.inputs:
         process = collector.topology.input(name).process
-        fault = collector.process(process).source_fault
+        fault = collector.process(process).capture.source_fault
         if fault and all(silence.process != process for silence in silent):
             lines.append(Text(f"{process}: {fault}", "yellow"))
     return lines

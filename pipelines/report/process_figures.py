@@ -49,7 +49,7 @@ class ProcessFigures:
         self.told_ns = now_ns
         if self.began_ns is None:
             self.began_ns = now_ns
-        captured_ns, selected = self.captured_ns, self.selected
+        captured_ns, selected = self.capture.captured_ns, self.selected
         self.scheduler = message.scheduler or self.scheduler
         self.last_error = message.last_error or self.last_error
         for key, record in message.figures.items():
@@ -57,7 +57,7 @@ class ProcessFigures:
             self._told[key] = record if earlier is None else over(record, earlier)
         if self.selected != selected:
             self.selected_ns = now_ns
-        newest_ns = self.captured_ns
+        newest_ns = self.capture.captured_ns
         if newest_ns is not None and (captured_ns is None or newest_ns - captured_ns > _PAUSE_NS):
             self.gives_since_ns = newest_ns
 
@@ -94,18 +94,8 @@ class ProcessFigures:
         return [(f"{key[1]}." if key[1] else "", self.total(*key)) for key in keys]
 
     @property
-    def captured_ns(self) -> int | None:
-        """When an input captured last; None if it never did, or is not an input."""
-        return self.total(CaptureFigures).captured_ns
-
-    @property
-    def source_fault(self) -> str | None:
-        return self.total(CaptureFigures).source_fault
-
-    @property
-    def live_source(self) -> str | None:
-        """Whether an input captures its "own" source or that of a "page", in a session with any."""
-        return self.total(CaptureFigures).live_source
+    def capture(self) -> CaptureFigures:
+        return self.total(CaptureFigures)
 
     @property
     def selected(self) -> str | None:
@@ -120,7 +110,8 @@ class ProcessFigures:
 
     def silent_ns(self, now_ns: int | None = None) -> int:
         """How long an input has captured nothing by `now_ns`, or by its last report."""
-        since_ns = self.began_ns if self.captured_ns is None else self.captured_ns
+        captured_ns = self.capture.captured_ns
+        since_ns = self.began_ns if captured_ns is None else captured_ns
         if since_ns is None:
             return 0
         until_ns = self.told_ns if now_ns is None else now_ns

@@ -132,7 +132,8 @@ class SeatFeed:
         lives = {
             child.row.name: child.pid
             for child in launcher.children
-            if child.row.name in launcher.pages and self._watched(child.row.name)
+            if child.row.name in launcher.pages
+            and self._collector.process(child.row.name).total(PageFigures).watching
         }
         followers = self._followers(launcher)
         figures_due = bool(followers) and now_ns >= self._recorded_ns + _RECORDED_EVERY_NS
@@ -227,9 +228,6 @@ class SeatFeed:
     def handle_sent(self, process: str) -> None:
         if process in self._newest:
             self._told[process] = self._newest[process]
-
-    def _watched(self, process: str) -> bool:
-        return self._collector.process(process).total(PageFigures).watching > 0
 
 
 def end_trace(collector: Collector, launcher: Launcher) -> EndTrace:

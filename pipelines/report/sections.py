@@ -281,7 +281,7 @@ def process_report(
     return model.ProcessReport(
         cpu_s=round(cpu_s, 3),
         restarts=restarts,
-        source_fault=figures.source_fault if silence is None else silence.fault or None,
+        source_fault=figures.capture.source_fault if silence is None else silence.fault or None,
         scheduler=figures.scheduler,
         last_error=figures.last_error,
         silent_s=None if silence is None else round(silence.silent_ns / NS_PER_S, 1),

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 
@@ -82,19 +81,17 @@ Unpack = Callable[[bytes], Shown]
 #: Of both ends: what a trainer's exercises are.
 _EXERCISES: tuple[str, Unpack] = (TRAINER_TOPIC, Exercises.unpack)
 #: By end: kind of text, the topic of what the processes of a mission show.
-_SHOWN: Mapping[Segment, Mapping[str, tuple[str, Unpack]]] = MappingProxyType(
-    {
-        Segment.SPACE: {
-            "panel": (MISSION_PANEL_TOPIC, partial(unpack, PanelShown)),
-            "exercises": _EXERCISES,
-        },
-        Segment.GROUND: {
-            "experiment": (MISSION_GROUND_TOPIC, partial(unpack, ExperimentShown)),
-            "robot": (ROBOT_STATUS_TOPIC, partial(unpack, RobotStatus)),
-            "exercises": _EXERCISES,
-        },
-    }
-)
+_SHOWN: Mapping[Segment, Mapping[str, tuple[str, Unpack]]] = {
+    Segment.SPACE: {
+        "panel": (MISSION_PANEL_TOPIC, partial(unpack, PanelShown)),
+        "exercises": _EXERCISES,
+    },
+    Segment.GROUND: {
+        "experiment": (MISSION_GROUND_TOPIC, partial(unpack, ExperimentShown)),
+        "robot": (ROBOT_STATUS_TOPIC, partial(unpack, RobotStatus)),
+        "exercises": _EXERCISES,
+    },
+}
 
 
 @dataclass(frozen=True, kw_only=True)

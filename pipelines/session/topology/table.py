@@ -117,7 +117,6 @@ class Topology:
                 name=name,
                 writer=row.name,
                 readers=tuple(one.name for one in self.processes if name in one.reads),
-                sample=name.sample,
             )
             for row in self.processes
             for name in row.writes
