@@ -3,6 +3,7 @@
 import tomllib
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import count
 from typing import Final
 
@@ -268,11 +269,9 @@ class Bridge:
         for client in self._clients.values():
             client.handle_time(now_ns)
         while (answer := self.services.next_event()) is not None:
-            if (asking := self._clients.get(answer.client)) is not None:
-                try:
-                    asking.put_answer(answer.answer)
-                except ProtocolError:
-                    continue  # it does not read, and will be closed
+            if (asking := self._clients.get(answer[0])) is not None:
+                with suppress(ProtocolError):  # it does not read, and will be closed
+                    asking.put_answer(answer[1])
 
     def next_event(self) -> KeyAsked | None:
         asked = (video.next_event() for video in self._videos.values())

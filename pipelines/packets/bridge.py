@@ -11,7 +11,6 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.mission.tmtc_messages import CommandUpdate, ForwardCommand, TmtcNews
 from pipelines.packets.figures import PacketsFigures
-from pipelines.session.probe import Probe
 from telepresence.link.bucket import TokenBucket
 from telepresence.tmtc.pus import head
 from telepresence.tmtc.pus.dictionary import Dictionary
@@ -275,10 +274,6 @@ class PacketBridge:
         waited_ms = max(self.figures.outside_waited_ms, round(waited_ns / NS_PER_MS, 1))
         self.figures = replace(self.figures, outside_waited_ms=waited_ms)
         self._add(outside_dropped=count)
-
-    def tell(self, probe: Probe) -> None:
-        """Put the counters into the probe."""
-        probe.tell(self.figures)
 
     def _add(self, **counts: int) -> None:
         now = {name: getattr(self.figures, name) + count for name, count in counts.items()}
