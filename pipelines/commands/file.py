@@ -6,7 +6,8 @@ import time
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on, add_session_argument
-from pipelines.session.file_requests import (
+from pipelines.session.setup.segments import Segment
+from pipelines.session.terminal_lines import (
     CANCEL,
     STATE,
     STATUS,
@@ -16,7 +17,6 @@ from pipelines.session.file_requests import (
     listing,
     progress,
 )
-from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import ask_desk, running_sessions
 from telepresence.files.entity import DONE, FAILED
 

@@ -17,10 +17,10 @@ from pipelines.report.report_file import save_report, say_failures
 from pipelines.report.seat_feed import end_trace, session_report
 from pipelines.report.summary import print_summary
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
+from pipelines.session.kept_files import NotesReader, SessionNow, write_now
 from pipelines.session.launcher import Launcher
 from pipelines.session.output import output_that_may_fail
 from pipelines.session.topology import Segment
-from pipelines.session.upkeep_files import NotesReader, SessionNow, write_now
 from pipelines.upkeep.program import status_teller
 from telepresence.upkeep.version_stack import status_of
 

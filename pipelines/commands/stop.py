@@ -6,7 +6,7 @@ import pwd
 
 from kontur_av.topics.session_files import choose_session, sessions
 from pipelines.commands.common import acting_on, add_session_argument
-from pipelines.session.orders import KeptOrders
+from pipelines.session.kept_files import KeptOrders
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

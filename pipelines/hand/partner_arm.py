@@ -11,7 +11,7 @@ from pipelines.hand.haptics import RobotEnd, robot_side
 from pipelines.hand.robot_desk import limits_of
 from pipelines.hand.safety_ends import follow_stop, within
 from pipelines.session.datagrams import receive
-from pipelines.session.orders import KeptOrders
+from pipelines.session.kept_files import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
 from pipelines.session.topic_ends import NumberedTopic

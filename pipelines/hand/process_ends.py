@@ -33,7 +33,7 @@ from pipelines.hand.safety_ends import (
     watch_camera,
     within,
 )
-from pipelines.session.orders import KeptOrders
+from pipelines.session.kept_files import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import (

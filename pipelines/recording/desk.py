@@ -4,17 +4,15 @@ from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
-from pipelines.session.recorder_requests import (
+from pipelines.session.terminal_lines import (
+    MAX_LINE_OCTETS,
+    MOST_TERMINALS,
     START,
     STATE,
     STOP,
     RecordAnswer,
     RecordingWish,
     RecordRequest,
-)
-from pipelines.session.terminal_lines import (
-    MAX_LINE_OCTETS,
-    MOST_TERMINALS,
     Reply,
     pack_line,
     parse_line,

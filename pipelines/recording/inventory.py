@@ -11,8 +11,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.recording.facts import FACTS, MENDED, RecordingFacts
 from pipelines.recording.messages import RecorderLosses, unpack
-from pipelines.recording.recover import check_format
-from pipelines.recording.scan import Scan, ScanFigures
+from pipelines.recording.scan import Scan, ScanFigures, check_format
 from pipelines.session.topology.tables import Table
 
 _UNITS = ((1_000_000_000, "GB"), (1_000_000, "MB"), (1000, "kB"))

@@ -17,8 +17,7 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
-from pipelines.recording.recover import refuse_foreign
-from pipelines.recording.scan import FoundMessage, Scan
+from pipelines.recording.scan import FoundMessage, Scan, refuse_foreign
 
 #: A recorder writes messages within some seconds. What is further away has a wrong instant.
 FAR_NS = 60 * NS_PER_S

@@ -30,11 +30,16 @@ from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
 from pipelines.session.figures import SessionEvents
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.recorder_control import RECORDER_DESK, read_wish, remove_wish, write_wish
-from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.terminal_lines import Reply
-from pipelines.session.terminals import TerminalSockets, desk_path
+from pipelines.session.terminal_lines import RecordAnswer, RecordingWish, Reply
+from pipelines.session.terminals import (
+    RECORDER_DESK,
+    TerminalSockets,
+    desk_path,
+    read_wish,
+    remove_wish,
+    write_wish,
+)
 from pipelines.session.topology import SELECTED_TOPIC
 
 #: How often topics are read.

@@ -38,7 +38,7 @@ from pipelines.recording.session_messages import (
     SampleNumbers,
     SessionMessages,
 )
-from pipelines.session.recorder_requests import PartLimits
+from pipelines.session.terminal_lines import PartLimits
 from pipelines.session.topology import Topology
 
 #: After a fault of the disk, a new part is tried this often.

@@ -16,8 +16,7 @@ from pipelines.mission.figures import ComponentFigures, TaskFigures
 from pipelines.partner.figures import RtcFigures
 from pipelines.recording.figures import RecorderFigures
 from pipelines.report import model
-from pipelines.report.collector import Collector
-from pipelines.report.process_figures import ProcessFigures
+from pipelines.report.collector import Collector, ProcessFigures
 from pipelines.report.silence import Silence
 from pipelines.session.figures import DatedEvent, TrainerFigures
 from pipelines.session.task_journal import TaskRow

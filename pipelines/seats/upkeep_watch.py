@@ -13,10 +13,18 @@ import msgspec
 from kontur_av.clock import NS_PER_S
 from pipelines.seats.seat import Seat
 from pipelines.seats.texts import SoftwareText, TransferText, UpkeepText
-from pipelines.session.file_requests import STATUS, FileAnswer, FileRequest, TransferNow, desk_name
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
+from pipelines.session.terminal_lines import (
+    MAX_LINE_OCTETS,
+    STATUS,
+    FileAnswer,
+    FileRequest,
+    TransferNow,
+    desk_name,
+    pack_line,
+    parse_line,
+)
 from pipelines.session.terminals import desk_path
 from telepresence.files.entity import WAITING
 from telepresence.files.pdus import GET

@@ -9,7 +9,7 @@ from itertools import count
 from typing import Any, cast
 
 from kontur_av.clock import MonotonicClock
-from pipelines.session.doorway import HANDSHAKE_S, Doorway
+from pipelines.session.access import HANDSHAKE_S, Doorway
 from pipelines.session.page_sockets import PageListener
 
 _LOOK_S = 1.0

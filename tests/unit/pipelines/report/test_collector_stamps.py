@@ -8,8 +8,8 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.media.figures import CaptureFigures, SelectorFigures
+from pipelines.report.collector import ProcessFigures
 from pipelines.report.journeys import HapticFigures, Pauses, StreamFigures
-from pipelines.report.process_figures import ProcessFigures
 from pipelines.session.rows import OutRow, RxRow, ShownRow, TxRow
 
 START_NS = 1_000 * NS_PER_S
