@@ -138,7 +138,8 @@ def _kinds() -> Mapping[_Path, str]:
 def _declared(kind: Any, path: _Path) -> Iterator[tuple[_Path, str]]:
     """Where the report has counters and tables, from the types of its fields."""
     hints = get_type_hints(kind, include_extras=True)
-    names = {one.name: one.encode_name for one in _struct_fields(kind)}
+    fields = msgspec.structs.fields(kind) if issubclass(kind, msgspec.Struct) else ()
+    names = {one.name: one.encode_name for one in fields}
     for field, marks in marks_of(kind).items():
         below = path if is_flat(kind, field) else (*path, names.get(field, field))
         counted = field in _COUNTED or (is_dataclass(kind) and not marks)
@@ -157,10 +158,6 @@ def _below(hint: Any, path: _Path, counted: bool) -> Iterator[tuple[_Path, str]]
             yield from _below(row, (*path, _ANY), counted)
     elif is_dataclass(hint) or (isinstance(hint, type) and issubclass(hint, msgspec.Struct)):
         yield from _declared(hint, path)
-
-
-def _struct_fields(kind: Any) -> tuple[msgspec.structs.FieldInfo, ...]:
-    return msgspec.structs.fields(kind) if issubclass(kind, msgspec.Struct) else ()
 
 
 def _plain(hint: Any) -> Iterator[Any]:

@@ -101,7 +101,8 @@ def signal_ns(segment: str, collector: Collector) -> int:
     if not supervision.signal or lost > _SPOILED * (heard.frames_received + lost):
         return 0
     acquired_ns = supervision.begun_ns + supervision.contacts[-1].acquired_ns
-    if not _is_usable(figures.told_ns - supervision.begun_ns, collector.topology.setup):
+    ran_ns, setup = figures.told_ns - supervision.begun_ns, collector.topology.setup
+    if _usable_ns(ran_ns, setup) <= _usable_ns(ran_ns - _STEP_NS, setup):
         return 0
     return figures.told_ns - acquired_ns
 
@@ -138,11 +139,6 @@ def _usable_ns(until_ns: int, setup: Setup) -> int:
     begin_s = max(windows.usable_from_s - radio.start_s, 0.0)
     end_s = min(windows.usable_to_s - radio.start_s, until_ns / NS_PER_S)
     return max(0, round((end_s - begin_s) * NS_PER_S))
-
-
-def _is_usable(at_ns: int, setup: Setup) -> bool:
-    """Whether fades seldom end the lock at this time of the session."""
-    return _usable_ns(at_ns, setup) > _usable_ns(at_ns - _STEP_NS, setup)
 
 
 def stopped_ns(stream: VideoStream | VoiceStream, collector: Collector) -> int:

@@ -1,7 +1,7 @@
 """What the mission's pages of a seat show and ask for: chat, telecommands, telemetry, the radio."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from math import isfinite
 
 import msgspec
@@ -76,7 +76,16 @@ class TelemetryLog:
 
     @property
     def values_text(self) -> texts.ValuesText:
-        return texts.ValuesText(values=tuple(self._rows()))
+        rows = []
+        for (name, parameter), (value, at_us) in self._values.items():
+            if (name, parameter) in self._known:
+                level, plain = level_of(*self._known[name, parameter], value), _plain(value)
+                rows.append(
+                    texts.ValueText(
+                        application=name, name=parameter, value=plain, level=level, at_us=at_us
+                    )
+                )
+        return texts.ValuesText(values=tuple(rows))
 
     @property
     def events_text(self) -> texts.EventsText:
@@ -100,15 +109,6 @@ class TelemetryLog:
                     values={name: _plain(value) for name, value in report.values.items()},
                 )
             )
-
-    def _rows(self) -> Iterator[texts.ValueText]:
-        for (name, parameter), (value, at_us) in self._values.items():
-            if (name, parameter) in self._known:
-                level = level_of(*self._known[name, parameter], value)
-                plain = _plain(value)
-                yield texts.ValueText(
-                    application=name, name=parameter, value=plain, level=level, at_us=at_us
-                )
 
 
 def _plain(value: Value) -> Value | None:

@@ -92,7 +92,9 @@ class Access:
         path, _, query = target.partition("?")
         parts = path.split("/")[1:]
         if len(parts) == 1 and parts[0] in self._seats:
-            kind, token, name = AccessKind.PAGE, _token_of(query), parts[0]
+            fields = (field.partition("=") for field in query.split("&"))
+            token = next((value for name, _, value in fields if name == "token"), "")
+            kind, name = AccessKind.PAGE, parts[0]
         elif len(parts) == 3 and parts[1] == "static":
             kind, token, name = AccessKind.FILE, parts[0], parts[2]
         elif len(parts) == 2 and parts[1] in ("ws", "media"):
@@ -131,14 +133,6 @@ class Access:
 def is_token(given: str, own: str) -> bool:
     """Whether a stranger has given the token, compared in constant time."""
     return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), own.encode())
-
-
-def _token_of(query: str) -> str:
-    for field in query.split("&"):
-        name, _, value = field.partition("=")
-        if name == "token":
-            return value
-    return ""
 
 
 def _is_address(name: str) -> bool:

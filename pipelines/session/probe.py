@@ -133,7 +133,9 @@ class Probe:
         """Begin the next message if the present one was taken; else keep it for the next time."""
         self._due_ns = now_ns + FLUSH_NS
         if told:
-            self._clear()
+            self.message.orders.clear()
+            for series in self.message.series:
+                del series.values[:]
             return
         for series in self.message.series:
             if len(series.values) > _MAX_SERIES_VALUES:
@@ -141,8 +143,3 @@ class Probe:
                 self.dropped_values += len(series.values)
                 self.tell(ProbeFigures(probe_values_dropped=self.dropped_values))
                 del series.values[:]
-
-    def _clear(self) -> None:
-        self.message.orders.clear()
-        for series in self.message.series:
-            del series.values[:]

@@ -95,7 +95,10 @@ class TableCollector:
 def in_order(columns: Columns) -> Columns:
     """Return the rows sorted by their instants; rows of one instant stay in their order."""
     order = np.argsort(_numbers(columns["session_ns"]), kind="stable")
-    return {name: _picked(column, order) for name, column in columns.items()}
+    return {
+        name: column[order] if isinstance(column, np.ndarray) else [column[at] for at in order]
+        for name, column in columns.items()
+    }
 
 
 def haptic_tables(channels: Mapping[str, Columns], begin_ns: int) -> Tables:
@@ -205,9 +208,3 @@ def _packet_topic(topic: str) -> tuple[str, str, str]:
 def _numbers(column: Column) -> NDArray[Any]:
     assert isinstance(column, np.ndarray)
     return column
-
-
-def _picked(column: Column, order: NDArray[np.int64]) -> Column:
-    if isinstance(column, np.ndarray):
-        return column[order]
-    return [column[place] for place in order]
