@@ -36,7 +36,7 @@ from pipelines.recording.session_messages import (
     SampleNumbers,
     SessionMessages,
 )
-from pipelines.session.figures import SessionEvents, nested_values
+from pipelines.session.figures import SessionEvents, gathered, nested_values
 from pipelines.session.seat_roles import VIEWER_WORDS
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Topology
@@ -223,7 +223,6 @@ class Bridge:
             self._put_event(event, at.now_ns)
 
     def handle_camera(self, source: Source, unit: bytes, stamp: CaptureStamp, now_ns: int) -> None:
-        """A picture of a camera was coded."""
         message = self._messages.of_camera(source, unit, stamp, next(self._coded), now_ns)
         key = bool(parameter_sets(unit))
         for client in self._clients.values():
@@ -248,12 +247,7 @@ class Bridge:
             for client in self._clients.values():
                 client.put_parameters(changed)
         for event in told.events:
-            recorded = RecordedEvent(
-                session_ns=event.at_us * NS_PER_US,
-                number=event.number,
-                what=event.what,
-                text=event.text,
-            )
+            recorded = gathered(RecordedEvent, event, session_ns=event.at_us * NS_PER_US)
             self._put_event(recorded, now_ns)
 
     def handle_key_picture(self, asked: KeyAsked, key: bytes | None, now_ns: int) -> None:

@@ -216,13 +216,11 @@ def message_data(subscription: int, log_ns: int, data: bytes) -> bytes:
 
 
 def service_response(service: int, call: int, round_trip_ms: float) -> bytes:
-    """Return that a service was carried out."""
     head = _CALL_HEAD.pack(_RESPONSE, service, call, len(JSON))
     return head + JSON.encode() + msgspec.json.encode({"round_trip_ms": round_trip_ms})
 
 
 def service_failure(service: int, call: int, words: str) -> str:
-    """Return why a service was not carried out."""
     return _packed("serviceCallFailure", serviceId=service, callId=call, message=words)
 
 

@@ -329,7 +329,6 @@ class PeerQueue:
         self.max_age_ns = 0
 
     def put(self, packet: bytes, now_ns: int) -> None:
-        """Add a packet."""
         if len(self._packets) == self.DEPTH:
             # The first one may be half written, and must then be ended.
             del self._packets[1 if self._written else 0]

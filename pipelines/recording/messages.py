@@ -6,7 +6,6 @@ the name of the schema's field; `wall_ns` is the schema's `timestamp`. Haptic sa
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
 from enum import IntEnum
 from math import degrees, nan
 from typing import Annotated, Any, ClassVar, Final, TypeVar
@@ -40,6 +39,7 @@ from pipelines.recording.schemas import (
     numbered,
     record,
 )
+from pipelines.session.figures import gathered
 from pipelines.session.mission_messages import ExperimentShown, LedsShown, RunShown
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.mediated.wall import parse_wall
@@ -52,14 +52,6 @@ from telepresence.link.figures import (
 from telepresence.tmtc.pus.head import apid_of, is_packet, is_telecommand, message_of
 
 OPUS = "opus"
-T = TypeVar("T")
-
-
-def _gathered(kind: type[T], *sources: object, **given: object) -> T:
-    """A record of `given`, and of what the sources have under the names of its other fields."""
-    names = {one.name for one in fields(kind)}  # type: ignore[arg-type]
-    found = {name: getattr(one, name) for one in sources for name in names if hasattr(one, name)}
-    return kind(**found | given)
 
 
 class Recorded:
@@ -127,8 +119,7 @@ class UnitFacts(Recorded):
 
     @classmethod
     def of(cls, unit: CodedUnit, stamp: CaptureStamp) -> "UnitFacts":
-        """Return the facts of a sample of a topic."""
-        return _gathered(
+        return gathered(
             cls,
             *(unit, stamp),
             shows_loss=stamp.quality is not Quality.FRESH,
@@ -160,9 +151,8 @@ class RecordedExperiment(Recorded):
 
     @classmethod
     def of(cls, shown: ExperimentShown, session_ns: int) -> "RecordedExperiment":
-        """Return what is recorded of a sample."""
         ended = shown.runs[-1] if shown.runs else RunShown("", 0, "", "", None)
-        return _gathered(cls, ended, shown, session_ns=session_ns, ended_run=ended.run)
+        return gathered(cls, ended, shown, session_ns=session_ns, ended_run=ended.run)
 
 
 @record("LedPanel", "what the LED panel shows; told when it changes")
@@ -175,10 +165,9 @@ class RecordedLeds(Recorded):
 
     @classmethod
     def of(cls, shown: LedsShown, session_ns: int) -> "RecordedLeds":
-        """Return what is recorded of a sample."""
         spot_x_m, spot_y_m = shown.spot_m
         place = {"spot_x_m": spot_x_m, "spot_y_m": spot_y_m}
-        return _gathered(cls, shown, session_ns=session_ns, pattern=shown.pattern.value, **place)
+        return gathered(cls, shown, session_ns=session_ns, pattern=shown.pattern.value, **place)
 
 
 @record("TransferFrames", "frames of the radio link; both fields have the same number of values")
@@ -239,7 +228,7 @@ class LinkSent(Recorded):
         session_ns: int,
     ) -> "LinkSent":
         """Return what a gateway counts of the direction that it sends."""
-        return _gathered(
+        return gathered(
             cls,
             *(sender, radio, supervision),
             session_ns=session_ns,
@@ -247,7 +236,7 @@ class LinkSent(Recorded):
                 CarriedOctets(what=what, octets=octets) for what, octets in sender.octets.items()
             ),
             queues=tuple(
-                _gathered(QueueState, queue, level=level, dropped=sum(queue.drops.values()))
+                gathered(QueueState, queue, level=level, dropped=sum(queue.drops.values()))
                 for level, queue in sender.queue.items()
             ),
             radio_frames_lost=radio.frames_lost,
@@ -273,7 +262,7 @@ class LinkReceived(Recorded):
         cls, receiver: ReceiverFigures, supervision: SupervisionFigures, *, session_ns: int
     ) -> "LinkReceived":
         """Return what a gateway counts of the direction that it receives."""
-        return _gathered(
+        return gathered(
             cls,
             *(receiver, supervision),
             session_ns=session_ns,
@@ -325,7 +314,6 @@ class RecordedFigure:
 
     @classmethod
     def of(cls, name: str, value: float | str | bool | None) -> "RecordedFigure":
-        """Return a figure of a report."""
         if isinstance(value, str):
             return cls(name=name, number=nan, text=value)
         return cls(name=name, number=nan if value is None else float(value), text="")

@@ -28,7 +28,7 @@ from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
-from pipelines.session.figures import SessionEvents
+from pipelines.session.figures import SessionEvents, gathered
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.terminal_lines import RecordAnswer, RecordingWish, Reply
@@ -231,15 +231,10 @@ class _Recording:
         if news.figures:
             self._recorder.handle_figures(news.figures, news.at_us * NS_PER_US, self._now_ns())
         for event in news.events:
-            if event.at_us * NS_PER_US < self._since_ns:
-                continue
-            recorded = RecordedEvent(
-                session_ns=event.at_us * NS_PER_US,
-                number=event.number,
-                what=event.what,
-                text=event.text,
-            )
-            self._recorder.handle_event(recorded, self._now_ns())
+            at_ns = event.at_us * NS_PER_US
+            if at_ns >= self._since_ns:
+                recorded = gathered(RecordedEvent, event, session_ns=at_ns)
+                self._recorder.handle_event(recorded, self._now_ns())
 
     def handle_wake(self) -> None:
         """Read what has come, and write what can be written."""

@@ -94,7 +94,6 @@ class SampleNumbers:
         return topic in self._newest
 
     def forget(self, topic: str) -> None:
-        """A topic is read anew."""
         self._newest.pop(topic, None)
 
     def handle_sample(self, topic: str, sequence: int) -> int:

@@ -216,7 +216,6 @@ class Collector:
         return self.process(self.topology.gateway(segment).name)
 
     def shown(self, stream: str) -> DisplayFigures:
-        """The counts of the display that shows a stream."""
         return self.process(self.topology.media(stream).display).total(DisplayFigures, stream)
 
     def received(self, stream: str) -> ReceiverCounts:

@@ -12,6 +12,7 @@ from pipelines.media.previewing import preview_size
 from pipelines.media.tip_region import board_view
 from pipelines.seats import texts
 from pipelines.seats.mission_desk import application_texts
+from pipelines.session.figures import gathered
 from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
@@ -133,7 +134,7 @@ def seat_plan(
     session: the name of the session. dictionary: of its telecommands and telemetry.
     tasks: what people in space know of the tasks, in a session with some.
     """
-    setup, joystick, robot = topology.setup, JoystickModel(), RobotControllerModel()
+    setup, robot = topology.setup, RobotControllerModel()
     written = {topic for row in topology.processes for topic in row.writes}
     ground, tasked = segment is Segment.GROUND, topology.options.tasks
     streams = tuple(_streams(topology, segment))
@@ -150,9 +151,7 @@ def seat_plan(
         previews=tuple(previews),
         inputs=tuple(_input_text(each) for each in inputs),
         joystick=topology.options.joystick,
-        workspace=texts.WorkspaceText(
-            half_width_m=joystick.half_width_m, half_height_m=joystick.half_height_m
-        ),
+        workspace=gathered(texts.WorkspaceText, JoystickModel()),
         board=texts.BoardText(
             width_m=2 * robot.half_width_m,
             height_m=2 * robot.half_height_m,

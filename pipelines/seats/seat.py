@@ -18,6 +18,7 @@ from pipelines.seats.mission_desk import MissionDesk
 from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
 from pipelines.seats.own_inputs import OwnInputs
 from pipelines.seats.plan import SeatPlan, Shown
+from pipelines.session.figures import gathered
 from pipelines.session.messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, place_name, refusal
@@ -290,27 +291,16 @@ class Seat:
 
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
         state = states.JoystickState(status.state)
-        told = texts.JoystickText(
+        axes = (
+            gathered(texts.AxisText, axis, place=round(axis.place, 4), force=round(axis.force, 2))
+            for axis in status.axes
+        )
+        told = gathered(
+            texts.JoystickText,
+            status,
             state=state.words,
             allowed=_allowed(status, state),
-            reason=status.reason,
-            dead_man=status.dead_man,
-            force_limit_n=status.force_limit_n,
-            device=status.device,
-            axes=tuple(
-                texts.AxisText(
-                    name=axis.name,
-                    place=round(axis.place, 4),
-                    half_range=axis.half_range,
-                    force=round(axis.force, 2),
-                    force_limit=axis.force_limit,
-                )
-                for axis in status.axes
-            ),
-            test=status.test,
-            test_reason=status.test_reason,
-            experiment=status.experiment,
-            partner=status.partner,
+            axes=tuple(axes),
         )
         self._hear_robot(status.robot_stopped, status.robot_waits, "")
         self._desk.handle_status(status)

@@ -9,12 +9,10 @@ import ipaddress
 import secrets
 import socket
 import ssl
-import struct
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from fcntl import ioctl
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,8 +30,6 @@ _MOST_PORTS = 100
 _LAST_PORT = 65_535
 _TOKEN_OCTETS = 24
 _WAITING = 64
-#: ioctl of netdevice(7): the IPv4 address of an interface.
-_SIOCGIFADDR = 0x8915
 #: Any address beyond this network names the route to it; no datagram is sent.
 _FAR = ("192.0.2.1", 9)
 
@@ -63,9 +59,7 @@ class PageHost:
             found.reverse()
         if self.is_wildcard:
             found += [address for address in (reaches(_FAR),) if address is not None]
-            found += [*_ipv4_addresses(), socket.gethostname()]
-            if _ip(self.address).version == 6:
-                found += _ipv6_addresses()
+            found += [*_addresses(_ip(self.address).version == 6), socket.gethostname()]
         if self.is_loopback or self.is_wildcard:
             found.append("localhost")
         return tuple(dict.fromkeys(_as_browsers_write(name) for name in found))
@@ -205,24 +199,13 @@ def _as_browsers_write(host: str) -> str:
         return host.lower()
 
 
-def _ipv4_addresses() -> list[str]:
-    found = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        for _, name in socket.if_nameindex():
-            with suppress(OSError):  # an interface without an address
-                row = ioctl(udp, _SIOCGIFADDR, struct.pack("256s", name.encode()[:15]))
-                found.append(socket.inet_ntop(socket.AF_INET, row[20:24]))
-    return found
+def _addresses(version_6: bool) -> list[str]:
+    """Return those of all interfaces, but for link-local ones of IPv6, which no page has."""
+    # Loaded only where pages are on all addresses.
+    from aioice.ice import get_host_addresses
 
-
-def _ipv6_addresses() -> list[str]:
-    """Return those of all interfaces, but for link-local ones, which no address of a page has."""
-    try:
-        rows = Path("/proc/net/if_inet6").read_text().split("\n")
-    except OSError:
-        return []
-    found = [ipaddress.IPv6Address(int(row.split()[0], 16)) for row in rows if row]
-    return [str(address) for address in found if not address.is_link_local]
+    loopback = ["127.0.0.1", "::1"] if version_6 else ["127.0.0.1"]
+    return [*loopback, *get_host_addresses(use_ipv4=True, use_ipv6=version_6)]
 
 
 #: Apple's browsers refuse a certificate that is valid for longer than 825 days.

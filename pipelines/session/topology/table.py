@@ -111,7 +111,6 @@ class Topology:
 
     @cached_property
     def topics(self) -> tuple[TopicRow, ...]:
-        """The topics, in the order of their writers."""
         return tuple(
             TopicRow(
                 name=name,
