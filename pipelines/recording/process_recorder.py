@@ -7,7 +7,6 @@ What is being recorded is also in a file of the session's directory. So a record
 goes on, in a new part.
 """
 
-import select
 from concurrent.futures import Future, wait
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from kontur_av import __version__
-from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.figures import plus
 from pipelines.media.following import Choice
@@ -99,12 +98,7 @@ class _RecorderProcess:
 
     def _serve(self, terminals: TerminalSockets, wait_ns: int) -> None:
         desk = self._desk
-        asking = desk.terminals
-        ready = select.select(terminals.readers(asking), [], [], wait_ns / NS_PER_S)[0]
-        if (terminal := terminals.accept(ready)) is not None:
-            desk.handle_terminal(terminal)
-        for terminal, data in terminals.read(ready, asking):
-            desk.handle_octets(terminal, data, self._now_ns())
+        terminals.exchange(desk, wait_ns, self._now_ns)
         desk.handle_time(self._now_ns())
         while (event := desk.next_event()) is not None:
             match event:

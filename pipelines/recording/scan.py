@@ -394,7 +394,7 @@ class Recovery:
 
     figures: what the scan of the torn file found. If they are `sound`, there is nothing to mend.
 
-    Raises ProtocolError for octets that are not an MCAP file, and as `check_ours`.
+    Raises ProtocolError for octets that are not an MCAP file, and as `refuse_foreign`.
     """
 
     def __init__(self, octets: memoryview) -> None:
@@ -402,7 +402,8 @@ class Recovery:
         scan = Scan(octets)
         for _ in scan.items():
             pass
-        check_ours(scan)
+        check_format(scan)
+        refuse_foreign(scan)
         self.figures = scan.figures
 
     def pieces(self) -> Iterator[bytes]:
@@ -433,39 +434,22 @@ class Recovery:
         for channel in scan.channels.values():
             if channel.id not in declared:
                 stream.handle_channel(scan.schemas.get(channel.schema_id), channel)
-        figures = self.figures
-        told = {
-            "octets": figures.octets,
-            "unread_octets": figures.unread_octets,
-            "holes": len(figures.holes),
-            "messages": figures.messages,
-        }
+        names = ("octets", "unread_octets", "holes", "messages")
+        told = {name: getattr(self.figures, name) for name in names}
+        told["holes"] = len(self.figures.holes)
         items = sealed(MENDED, {name: str(value) for name, value in told.items()})
         stream.handle_metadata(MENDED, items)
         stream.handle_end()
         yield from _waiting(stream)
 
 
-def check_ours(scan: Scan) -> None:
-    """Raise ProtocolError unless a scan that is done found a recording that can be mended."""
-    check_format(scan)
-    refuse_foreign(
-        ours=scan.ours,
-        library=scan.library,
-        messages=scan.figures.messages,
-    )
-
-
-def refuse_foreign(*, ours: bool, library: str, messages: int) -> None:
-    """Raise ProtocolError for a file that is not `ours`, or of which nothing is left.
-
-    library: who wrote it, as its header says.
-    """
-    if ours:
+def refuse_foreign(scan: Scan) -> None:
+    """Raise ProtocolError if a scan that is done found no recording of ours, or nothing of it."""
+    if scan.ours:
         return
-    if messages and not library.startswith(LIBRARY.split()[0]):
+    if scan.figures.messages and not scan.library.startswith(LIBRARY.split()[0]):
         raise ProtocolError(
-            f"it was written by {library or 'an unknown program'}, not by kontur-av: "
+            f"it was written by {scan.library or 'an unknown program'}, not by kontur-av: "
             "`kontur-av info` shows what is in it"
         )
     raise ProtocolError("nothing in it can be read any more")

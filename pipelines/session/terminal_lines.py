@@ -44,22 +44,19 @@ class Reply(NamedTuple):
     last: bool
 
 
-class LineDesk(Generic[_Content]):
-    """Answers one line of each terminal. Read from those in `asking` only.
+_Event = TypeVar("_Event")
+
+
+class TerminalDesk(Generic[_Event]):
+    """Terminals that ask. Read from those in `asking` only, and drain `next_event` afterwards.
 
     A terminal is a connection, known by a number that is never used again.
-
-    kind: of the requests. answer: called with a request and its instant; anything else is not
-    answered.
     """
 
-    def __init__(
-        self, kind: type[_Content], answer: Callable[[_Content, int], msgspec.Struct]
-    ) -> None:
-        self._kind, self._answer = kind, answer
+    def __init__(self) -> None:
         #: By terminal: what it has sent so far.
         self._lines: dict[int, bytes] = {}
-        self._replies: deque[Reply] = deque()
+        self._events: deque[Reply | _Event] = deque()
 
     @property
     def asking(self) -> list[int]:
@@ -68,22 +65,39 @@ class LineDesk(Generic[_Content]):
 
     def handle_terminal(self, terminal: int) -> None:
         if len(self._lines) >= MOST_TERMINALS:
-            self._replies.append(Reply(terminal, b"", last=True))
+            self._events.append(Reply(terminal, b"", last=True))
         else:
             self._lines[terminal] = b""
 
     def handle_octets(self, terminal: int, data: bytes, now_ns: int) -> None:
         """A terminal in `asking` has sent octets, b"" if it has closed its side."""
+        raise NotImplementedError
+
+    def next_event(self) -> Reply | _Event | None:
+        return self._events.popleft() if self._events else None
+
+
+class LineDesk(TerminalDesk[Reply], Generic[_Content]):
+    """Answers one line of each terminal.
+
+    kind: of the requests. answer: called with a request and its instant; anything else is not
+    answered.
+    """
+
+    def __init__(
+        self, kind: type[_Content], answer: Callable[[_Content, int], msgspec.Struct]
+    ) -> None:
+        super().__init__()
+        self._kind, self._answer = kind, answer
+
+    def handle_octets(self, terminal: int, data: bytes, now_ns: int) -> None:
         line = self._lines[terminal] = self._lines[terminal] + data
         if b"\n" not in line and data and len(line) < MAX_LINE_OCTETS:
             return
         del self._lines[terminal]
         request = parse_line(line, self._kind)
         octets = b"" if request is None else pack_line(self._answer(request, now_ns))
-        self._replies.append(Reply(terminal, octets, last=True))
-
-    def next_event(self) -> Reply | None:
-        return self._replies.popleft() if self._replies else None
+        self._events.append(Reply(terminal, octets, last=True))
 
 
 START, STOP, STATE = "start", "stop", "state"

@@ -32,6 +32,7 @@ from pipelines.session.terminal_lines import (
     RecordAnswer,
     RecordingWish,
     RecordRequest,
+    TerminalDesk,
     pack_line,
     parse_line,
 )
@@ -91,6 +92,15 @@ class TerminalSockets:
                 data = b""
             yield terminal, data
 
+    def exchange(self, desk: TerminalDesk[Any], wait_ns: int, now_ns: Callable[[], int]) -> None:
+        """Wait for terminals, and pass what they do to the desk."""
+        asking = desk.asking
+        ready = select.select(self.readers(asking), [], [], wait_ns / NS_PER_S)[0]
+        if (terminal := self.accept(ready)) is not None:
+            desk.handle_terminal(terminal)
+        for terminal, data in self.read(ready, asking):
+            desk.handle_octets(terminal, data, now_ns())
+
     def send(self, terminal: int, octets: bytes, *, last: bool) -> None:
         """Send octets. last: and close the connection."""
         with suppress(OSError):  # the terminal may have gone
@@ -118,14 +128,8 @@ def serve_terminals(
     terminals = TerminalSockets(desk_path(context.session, name))
     while not context.stopping:
         context.tick(clock.now_ns())
-        asking = desk.asking
-        ready = select.select(terminals.readers(asking), [], [], PATIENCE_NS / NS_PER_S)[0]
-        now_ns = clock.now_ns()
-        if (terminal := terminals.accept(ready)) is not None:
-            desk.handle_terminal(terminal)
-        for terminal, data in terminals.read(ready, asking):
-            desk.handle_octets(terminal, data, now_ns)
-        follow(now_ns)
+        terminals.exchange(desk, PATIENCE_NS, clock.now_ns)
+        follow(clock.now_ns())
         while (reply := desk.next_event()) is not None:
             terminals.send(reply.terminal, reply.octets, last=reply.last)
     terminals.close()

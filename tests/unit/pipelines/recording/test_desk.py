@@ -27,7 +27,7 @@ class Talk:
         self.error = ""
 
     def say(self, terminal, request, now_ns=0):
-        if terminal not in self.desk.terminals:
+        if terminal not in self.desk.asking:
             self.desk.handle_terminal(terminal)
         octets = request if isinstance(request, bytes) else pack_line(request)
         self.desk.handle_octets(terminal, octets, now_ns)
