@@ -60,13 +60,8 @@ class Skew:
         farthest = self._later.max
         if self._earlier.max > farthest:
             farthest = -self._earlier.max
-        return SkewReport(
-            p50=self._percentile(50) / 1e6,
-            p95=self._percentile(95) / 1e6,
-            p99=self._percentile(99) / 1e6,
-            max=farthest / 1e6,
-            count=self.count,
-        )
+        p50, p95, p99 = (self._percentile(p) / 1e6 for p in (50, 95, 99))
+        return SkewReport(p50=p50, p95=p95, p99=p99, max=farthest / 1e6, count=self.count)
 
     @property
     def count(self) -> int:

@@ -112,11 +112,8 @@ def spread_ms(histogram: Histogram) -> model.Spread:
     """Percentiles of values in ns, in ms; to the microsecond, because more would be noise."""
     summary = histogram.summary_ms()
     return model.Spread(
-        p50=round(summary["p50"], 3),
-        p95=round(summary["p95"], 3),
-        p99=round(summary["p99"], 3),
+        **{name: round(summary[name], 3) for name in ("p50", "p95", "p99", "max")},
         p99_9=round(histogram.percentile(99.9) / NS_PER_MS, 3),
-        max=round(summary["max"], 3),
         mean=round(histogram.mean / NS_PER_MS, 3),
         count=histogram.count,
     )

@@ -300,10 +300,7 @@ def _inputs(topology: Topology, segment: Segment) -> Iterator[SeatInput]:
 def _input_text(one: SeatInput) -> texts.InputText:
     if one.size is None:
         return texts.InputText(index=one.index, name=one.name, kind="audio")
-    width, height = one.size
-    return texts.InputText(
-        index=one.index, name=one.name, kind="video", width=width, height=height, fps=one.fps
-    )
+    return gathered(texts.InputText, one, kind="video", width=one.size[0], height=one.size[1])
 
 
 _MOST = 5

@@ -102,7 +102,7 @@ class ProcessState(msgspec.Struct, frozen=True, kw_only=True):
     loop: LoopFigures = LoopFigures()
 
 
-def gathered(kind: type[T], *sources: object, **given: Any) -> T:
+def gathered(kind: type[T], /, *sources: object, **given: Any) -> T:
     """Return a record of `given`, and of what the sources have under its other fields' names."""
     names: Iterable[str] = getattr(kind, "__struct_fields__", None) or kind.__dataclass_fields__  # type: ignore[attr-defined]
     found = {name: getattr(one, name) for one in sources for name in names if hasattr(one, name)}
