@@ -17,7 +17,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from pipelines.session.datagrams import reaches
 from pipelines.session.seat_roles import PEOPLE, Role
 
@@ -218,10 +218,8 @@ def check_certificate(path: Path) -> None:
     """Raise ConfigError if `path` is no PEM file with a valid certificate and its key."""
     from cryptography import x509
 
-    try:
+    with refused(f"--page-cert {path}: cannot be read"):
         data = path.read_bytes()
-    except OSError as error:
-        raise _refused(path, f"cannot be read: {error.strerror}") from None
     try:
         first = x509.load_pem_x509_certificates(data)[0]
     except ValueError:
