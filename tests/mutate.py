@@ -115,7 +115,6 @@ NEAR: dict[str, tuple[str, ...]] = {
     ),
     "pipelines/report/collector.py": (f"{UNIT}/pipelines/report",),
     "pipelines/report/journeys.py": (f"{UNIT}/pipelines/report",),
-    "pipelines/report/process_figures.py": (f"{UNIT}/pipelines/report",),
     "pipelines/session/session_switch.py": (f"{UNIT}/pipelines/session/test_restarts.py",),
 }
 

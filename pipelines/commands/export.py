@@ -93,7 +93,7 @@ def _with_progress(recording: JoinedRecording) -> Iterator[JoinedMessage]:
 def _losses(paths: Sequence[Path], recording: JoinedRecording) -> Iterator[str]:
     """A line for each part of which something cannot be read."""
     for path, part in zip(paths, recording.parts, strict=True):
-        figures = part.inventory.figures
+        figures = part.inventory.scan.figures
         if figures.holes:
             yield (
                 f"{path} is torn or damaged: {figures.unread_octets} of {figures.octets} octets "

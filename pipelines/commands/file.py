@@ -6,7 +6,9 @@ import time
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
-from pipelines.session.file_requests import (
+from pipelines.session.options import add_actions, add_options
+from pipelines.session.setup.segments import Segment
+from pipelines.session.terminal_lines import (
     CANCEL,
     STATE,
     STATUS,
@@ -16,8 +18,6 @@ from pipelines.session.file_requests import (
     listing,
     progress,
 )
-from pipelines.session.options import add_actions, add_options
-from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import ask_desk, running_sessions
 from telepresence.files.entity import DONE, FAILED
 

@@ -16,10 +16,10 @@ from pipelines.report.model import ReplayReport
 from pipelines.report.report_file import end_report
 from pipelines.report.seat_feed import end_trace, session_report
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
+from pipelines.session.kept_files import NotesReader, SessionNow, write_now
 from pipelines.session.launcher import Launcher
 from pipelines.session.options import add_options
 from pipelines.session.topology import Segment
-from pipelines.session.upkeep_files import NotesReader, SessionNow, write_now
 from pipelines.upkeep.program import status_teller
 from telepresence.upkeep.version_stack import status_of
 

@@ -17,8 +17,7 @@ from pipelines.media.rtp_reports import SavedReport
 from pipelines.recording.live_output import LiveWriter
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
-from pipelines.recording.received_media import PictureOutput, SoundOutput
-from pipelines.recording.receiving import ReceiveShell
+from pipelines.recording.received_media import PictureOutput, ReceiveShell, SoundOutput
 from pipelines.report.report_file import check_writable, end_with
 from pipelines.session.options import add_options
 

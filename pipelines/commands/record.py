@@ -13,9 +13,9 @@ from pipelines.commands.common import (
 from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_recordable
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.options import add_options
-from pipelines.session.recorder_control import begin_recording, hold_recording, recorded_sessions
-from pipelines.session.recorder_requests import RecordingWish
 from pipelines.session.setup.table import Setup
+from pipelines.session.terminal_lines import RecordingWish
+from pipelines.session.terminals import begin_recording, hold_recording, recorded_sessions
 
 #: Shorter or smaller parts than these make no sense.
 _LEAST_S, _LEAST_MB = 1.0, 0.1

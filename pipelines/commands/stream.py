@@ -37,9 +37,9 @@ from pipelines.session.options import (
     add_source_argument,
 )
 from pipelines.session.output import say
-from pipelines.session.recorder_control import write_wish
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
+from pipelines.session.terminals import write_wish
 from pipelines.session.topology import RECORDER
 
 

@@ -1,7 +1,8 @@
 """What terminals ask of the file transfer, and the answers. A core."""
 
 from kontur_av.errors import ConfigError
-from pipelines.session.file_requests import (
+from pipelines.session.setup.segments import Segment
+from pipelines.session.terminal_lines import (
     CANCEL,
     STATE,
     STATUS,
@@ -9,7 +10,6 @@ from pipelines.session.file_requests import (
     FileRequest,
     TransferNow,
 )
-from pipelines.session.setup.segments import Segment
 from telepresence.files.entity import DONE, FAILED, PUT, FileEntity, Transfer
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
 

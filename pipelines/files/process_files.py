@@ -14,9 +14,8 @@ from kontur_av.topics.session_files import make_session_root
 from pipelines.files.desk import ENTITIES, FileDesk
 from pipelines.files.service_sockets import ServiceSockets, ServicesPlan
 from pipelines.session.datagrams import receive
-from pipelines.session.file_requests import FileAnswer, FileRequest, desk_name
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.terminal_lines import LineDesk
+from pipelines.session.terminal_lines import FileAnswer, FileRequest, LineDesk, desk_name
 from pipelines.session.terminals import TerminalSockets, desk_path
 from pipelines.session.topology import Segment, maintenance_stream
 from telepresence.files.entity import LARGEST_LISTING, PUT, STORE, DirectoryJob, FileEntity, fenced

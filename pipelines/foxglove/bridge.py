@@ -3,6 +3,7 @@
 import tomllib
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import count
 from typing import Final
 
@@ -11,24 +12,8 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.foxglove import protocol
 from pipelines.foxglove.client import Client
-from pipelines.foxglove.protocol import (
-    FollowParameters,
-    GetParameters,
-    LeaveParameters,
-    SetParameters,
-    Subscribe,
-    Unsubscribe,
-    Value,
-    advertise,
-    advertise_services,
-    parameter_values,
-    parse_octets,
-    parse_text,
-    server_info,
-    service_failure,
-    status,
-)
 from pipelines.foxglove.services import Services
 from pipelines.foxglove.video import KeyAsked, LiveVideo
 from pipelines.recording.channels import (
@@ -51,7 +36,7 @@ from pipelines.recording.session_messages import (
     SampleNumbers,
     SessionMessages,
 )
-from pipelines.session.figures import SessionEvents, nested_values
+from pipelines.session.figures import SessionEvents, gathered, nested_values
 from pipelines.session.seat_roles import VIEWER_WORDS
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Topology
@@ -80,7 +65,7 @@ class Bridge:
     def __init__(self, topology: Topology, session: str, *, wall_offset_ns: int, life: int) -> None:
         self._session = session
         self._rows = {row.number: row.topic for row in live_channels(topology)}
-        self._advertised = advertise(live_channels(topology))
+        self._advertised = protocol.advertise(live_channels(topology))
         self._sources = sources_of(topology)
         self._messages = SessionMessages(wall_offset_ns)
         self._numbers = SampleNumbers()
@@ -118,10 +103,10 @@ class Bridge:
         number = next(self._client_numbers)
         client = self._clients[number] = Client(commands=commands)
         name = f"kontur-av {self._session}"
-        client.put_answer(server_info(name, self._session, commands=commands))
+        client.put_answer(protocol.server_info(name, self._session, commands=commands))
         client.put_answer(self._advertised)
         if commands:
-            client.put_answer(advertise_services(self.services.rows))
+            client.put_answer(protocol.advertise_services(self.services.rows))
         return number
 
     def handle_closed(self, number: int) -> None:
@@ -133,32 +118,32 @@ class Bridge:
         """A client's request. ProtocolError for anything else; then close it."""
         client = self._clients[number]
         client.handle_request(now_ns)
-        match parse_text(text):
-            case Subscribe(subscriptions):
+        match protocol.parse_text(text):
+            case protocol.Subscribe(subscriptions):
                 for one in subscriptions:
                     self._subscribe(client, one.id, one.channel_id, now_ns)
-            case Unsubscribe(numbers):
+            case protocol.Unsubscribe(numbers):
                 for one_number in numbers:
                     client.unsubscribe(one_number)
-            case GetParameters(names, request):
-                client.put_answer(parameter_values(self._parameters(names), request))
-            case SetParameters():
-                client.put_answer(status("parameters are only to be read"))
-            case FollowParameters(names):
+            case protocol.GetParameters(names, request):
+                client.put_answer(protocol.parameter_values(self._parameters(names), request))
+            case protocol.SetParameters():
+                client.put_answer(protocol.status("parameters are only to be read"))
+            case protocol.FollowParameters(names):
                 client.follows |= set(self._parameters(names))
-            case LeaveParameters(names):
+            case protocol.LeaveParameters(names):
                 client.follows -= set(names or client.follows)
 
     def handle_octets(self, number: int, octets: bytes, now_ns: int) -> None:
         """A client's call of a service. ProtocolError for anything else; then close it."""
         client = self._clients[number]
         client.handle_request(now_ns)
-        call = parse_octets(octets)
+        call = protocol.parse_octets(octets)
         error = VIEWER_WORDS
         if client.commands:
             error = self.services.handle_call(number, call, now_ns)
         if error:
-            client.put_answer(service_failure(call.service, call.call, error))
+            client.put_answer(protocol.service_failure(call.service, call.call, error))
 
     def waits(self, number: int) -> bool:
         return self._clients[number].waits
@@ -173,7 +158,7 @@ class Bridge:
         if topic is not None:
             error = client.subscribe(topic, subscription)
         if error or topic is None:
-            client.put_answer(status(error))
+            client.put_answer(protocol.status(error))
             return
         if topic in self._coders:
             self._coders[topic].handle_part()
@@ -186,7 +171,7 @@ class Bridge:
                 if message.channel == topic:
                     client.put(message, now_ns)
 
-    def _parameters(self, names: Sequence[str]) -> dict[str, Value]:
+    def _parameters(self, names: Sequence[str]) -> dict[str, protocol.Value]:
         """The values of those that there are; all without any name."""
         figures = {f"figures.{name}": value for name, value in self._figures.items()}
         known = {**self._setup, **figures}
@@ -238,7 +223,6 @@ class Bridge:
             self._put_event(event, at.now_ns)
 
     def handle_camera(self, source: Source, unit: bytes, stamp: CaptureStamp, now_ns: int) -> None:
-        """A picture of a camera was coded."""
         message = self._messages.of_camera(source, unit, stamp, next(self._coded), now_ns)
         key = bool(parameter_sets(unit))
         for client in self._clients.values():
@@ -255,7 +239,7 @@ class Bridge:
         if told.figures:
             before, self._figures, self._figures_ns = self._figures, told.figures, at_ns
             self._put([self._messages.of_figures(told.figures, at_ns, now_ns)], now_ns)
-            changed: dict[str, Value] = {
+            changed: dict[str, protocol.Value] = {
                 f"figures.{name}": value
                 for name, value in told.figures.items()
                 if name not in before or before[name] != value
@@ -263,12 +247,7 @@ class Bridge:
             for client in self._clients.values():
                 client.put_parameters(changed)
         for event in told.events:
-            recorded = RecordedEvent(
-                session_ns=event.at_us * NS_PER_US,
-                number=event.number,
-                what=event.what,
-                text=event.text,
-            )
+            recorded = gathered(RecordedEvent, event, session_ns=event.at_us * NS_PER_US)
             self._put_event(recorded, now_ns)
 
     def handle_key_picture(self, asked: KeyAsked, key: bytes | None, now_ns: int) -> None:
@@ -284,11 +263,9 @@ class Bridge:
         for client in self._clients.values():
             client.handle_time(now_ns)
         while (answer := self.services.next_event()) is not None:
-            if (asking := self._clients.get(answer.client)) is not None:
-                try:
-                    asking.put_answer(answer.answer)
-                except ProtocolError:
-                    continue  # it does not read, and will be closed
+            if (asking := self._clients.get(answer[0])) is not None:
+                with suppress(ProtocolError):  # it does not read, and will be closed
+                    asking.put_answer(answer[1])
 
     def next_event(self) -> KeyAsked | None:
         asked = (video.next_event() for video in self._videos.values())

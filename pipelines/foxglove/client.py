@@ -57,7 +57,7 @@ class Client:
         self._answers: deque[bytes | str] = deque()
         self._changed: dict[str, Value] = {}
         self._messages: deque[_Waiting] = deque()
-        self._octets = 0
+        self.waiting_octets = 0
         self._untold = False
         self._told_ns: int | None = None
 
@@ -116,10 +116,6 @@ class Client:
     def waits(self) -> bool:
         return bool(self._answers or self._changed or self._messages)
 
-    @property
-    def waiting_octets(self) -> int:
-        return self._octets
-
     def oldest_age_ns(self, now_ns: int) -> int:
         return now_ns - self._messages[0].since_ns if self._messages else 0
 
@@ -140,14 +136,14 @@ class Client:
             return
         data = message_data(number, max(0, message.log_ns), message.data)
         self._messages.append(_Waiting(message.channel, data, now_ns))
-        self._octets += len(data)
+        self.waiting_octets += len(data)
         self.handle_time(now_ns)
 
     def handle_time(self, now_ns: int) -> None:
         """Drop what waits for too long."""
-        while self._octets > MOST_OCTETS or self.oldest_age_ns(now_ns) > MOST_AGE_NS:
+        while self.waiting_octets > MOST_OCTETS or self.oldest_age_ns(now_ns) > MOST_AGE_NS:
             oldest = self._messages.popleft()
-            self._octets -= len(oldest.data)
+            self.waiting_octets -= len(oldest.data)
             self._drop(oldest.channel, 1)
             if oldest.channel in self._begun:
                 self._begun.discard(oldest.channel)
@@ -168,7 +164,7 @@ class Client:
         kept = deque(one for one in self._messages if one.channel != channel)
         removed = len(self._messages) - len(kept)
         self._messages = kept
-        self._octets = sum(len(one.data) for one in kept)
+        self.waiting_octets = sum(len(one.data) for one in kept)
         return removed
 
     def poll_transmit(self) -> bytes | str | None:
@@ -182,6 +178,6 @@ class Client:
         if not self._messages:
             return None
         oldest = self._messages.popleft()
-        self._octets -= len(oldest.data)
+        self.waiting_octets -= len(oldest.data)
         self.sent[oldest.channel] += 1
         return oldest.data

@@ -65,8 +65,8 @@ class _FoxgloveServer:
             life=self._now_ns(),
         )
         self._site = WebSite(context.pages[FOXGLOVE], seat=FOXGLOVE)
-        self._serving = ServingLoop(context, self._handle_time)
         self._sockets = SeatSockets(self._now_ns)
+        self._serving = ServingLoop(context, self._sockets.handle_time)
         self._wakes: dict[int, asyncio.Event] = {}
         self._topics = _Topics(context, bus, self._bridge)
         self._maker = KeyPictureMaker()
@@ -103,9 +103,6 @@ class _FoxgloveServer:
             self._topics.read(self._now_ns())
             self._settle()
             await asyncio.sleep((_WAKE_NS if self._wakes else _IDLE_NS) / NS_PER_S)
-
-    def _handle_time(self, now_ns: int) -> None:
-        self._sockets.handle_time(now_ns)
 
     def _take_figures(self) -> None:
         while (text := self._context.receive_figures()) is not None:

@@ -37,52 +37,42 @@ class Subscription(msgspec.Struct, frozen=True, rename="camel"):
     channel_id: _Id
 
 
-class Subscribe(msgspec.Struct, frozen=True, tag_field="op", tag="subscribe"):
+class _Text(msgspec.Struct, frozen=True, tag_field="op", rename="camel"):
+    """A client's text; `op` says of which kind it is."""
+
+
+class Subscribe(_Text, frozen=True, tag="subscribe"):
     """Send the messages of these channels from now on."""
 
     subscriptions: Annotated[list[Subscription], msgspec.Meta(max_length=500)]
 
 
-class Unsubscribe(msgspec.Struct, frozen=True, tag_field="op", tag="unsubscribe", rename="camel"):
+class Unsubscribe(_Text, frozen=True, tag="unsubscribe"):
     """Send no more of these."""
 
     subscription_ids: Annotated[list[_Id], msgspec.Meta(max_length=500)]
 
 
-class GetParameters(
-    msgspec.Struct, frozen=True, tag_field="op", tag="getParameters", rename="camel"
-):
+class GetParameters(_Text, frozen=True, tag="getParameters"):
     """Tell the values of these parameters; none: of all."""
 
     parameter_names: _Names
     id: _Name | None = None
 
 
-class SetParameters(msgspec.Struct, frozen=True, tag_field="op", tag="setParameters"):
+class SetParameters(_Text, frozen=True, tag="setParameters"):
     """Refused: all parameters are only to be read."""
 
     id: _Name | None = None
 
 
-class FollowParameters(
-    msgspec.Struct,
-    frozen=True,
-    tag_field="op",
-    tag="subscribeParameterUpdates",
-    rename="camel",
-):
+class FollowParameters(_Text, frozen=True, tag="subscribeParameterUpdates"):
     """Tell the values of these parameters when they change; none: of all."""
 
     parameter_names: _Names
 
 
-class LeaveParameters(
-    msgspec.Struct,
-    frozen=True,
-    tag_field="op",
-    tag="unsubscribeParameterUpdates",
-    rename="camel",
-):
+class LeaveParameters(_Text, frozen=True, tag="unsubscribeParameterUpdates"):
     """Tell no more of these; none: of any."""
 
     parameter_names: _Names
@@ -149,7 +139,7 @@ def parse_fields(row: ServiceRow, call: ServiceCall) -> Mapping[str, str]:
 def server_info(name: str, session: str, *, commands: bool) -> str:
     """Return a server's first message. commands: whether the client may call services."""
     capabilities = ["parameters", "parametersSubscribe", *["services"] * commands]
-    return _text(
+    return _packed(
         "serverInfo",
         name=name,
         capabilities=capabilities,
@@ -173,7 +163,7 @@ def advertise(rows: Iterable[ChannelRow]) -> str:
                 "schemaEncoding": schema.encoding,
             }
         )
-    return _text("advertise", channels=channels)
+    return _packed("advertise", channels=channels)
 
 
 def advertise_services(rows: Iterable[ServiceRow]) -> str:
@@ -189,7 +179,7 @@ def advertise_services(rows: Iterable[ServiceRow]) -> str:
         }
         for row in rows
     ]
-    return _text("advertiseServices", services=services)
+    return _packed("advertiseServices", services=services)
 
 
 def _schema(name: str, fields: Mapping[str, str], kind: str) -> dict[str, str]:
@@ -212,11 +202,13 @@ def parameter_values(values: Mapping[str, Value], request: str | None = None) ->
         {"name": name} if value is None else {"name": name, "value": value}
         for name, value in values.items()
     ]
-    return _text("parameterValues", parameters=told, **({} if request is None else {"id": request}))
+    return _packed(
+        "parameterValues", parameters=told, **({} if request is None else {"id": request})
+    )
 
 
 def status(words: str) -> str:
-    return _text("status", level=WARNING, message=words)
+    return _packed("status", level=WARNING, message=words)
 
 
 def message_data(subscription: int, log_ns: int, data: bytes) -> bytes:
@@ -224,15 +216,13 @@ def message_data(subscription: int, log_ns: int, data: bytes) -> bytes:
 
 
 def service_response(service: int, call: int, round_trip_ms: float) -> bytes:
-    """Return that a service was carried out."""
     head = _CALL_HEAD.pack(_RESPONSE, service, call, len(JSON))
     return head + JSON.encode() + msgspec.json.encode({"round_trip_ms": round_trip_ms})
 
 
 def service_failure(service: int, call: int, words: str) -> str:
-    """Return why a service was not carried out."""
-    return _text("serviceCallFailure", serviceId=service, callId=call, message=words)
+    return _packed("serviceCallFailure", serviceId=service, callId=call, message=words)
 
 
-def _text(op: str, **fields: object) -> str:
+def _packed(op: str, **fields: object) -> str:
     return msgspec.json.encode({"op": op, **fields}).decode()

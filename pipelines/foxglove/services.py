@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import count
-from typing import Final, NamedTuple
+from typing import Final
 
 from kontur_av.errors import ProtocolError
 from pipelines.foxglove.protocol import (
@@ -27,13 +27,6 @@ _COMMANDS = {
     "/task/start": (Segment.GROUND, TASKS, "start", {}),
     "/task/abort": (Segment.GROUND, TASKS, "abort", {}),
 }
-
-
-class Answer(NamedTuple):
-    """An answer for a client."""
-
-    client: int
-    answer: bytes | str
 
 
 class Services:
@@ -104,8 +97,8 @@ class Services:
                 return segment, request
         return None
 
-    def next_event(self) -> Answer | None:
-        """Return an answer, or None. Its client may be gone."""
+    def next_event(self) -> tuple[int, bytes | str] | None:
+        """Return the number of a client, which may be gone, and an answer for it; or None."""
         for desk in self._desks.values():
             if (answered := desk.next_event()) is not None:
                 call = self._open.pop(answered.request)
@@ -114,5 +107,5 @@ class Services:
                 else:
                     trip_ms = answered.round_trip_ms or 0.0
                     told = service_response(call.service, call.call, trip_ms)
-                return Answer(answered.page, told)
+                return answered.page, told
         return None

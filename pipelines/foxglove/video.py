@@ -5,7 +5,7 @@ for which pictures were dropped, is sent a key picture that shows the picture be
 units. Other clients are sent nothing of it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -46,10 +46,6 @@ class _Held:
     at: Instants
     pictures: list[ChannelMessage] = field(default_factory=list)
 
-    @property
-    def is_old(self) -> bool:
-        return sum(len(one.data) for one in self.pictures) > MOST_HELD_OCTETS
-
 
 class LiveVideo:
     """One stream in its channel. clients: all, by number."""
@@ -58,7 +54,7 @@ class LiveVideo:
         self, source: Source, messages: SessionMessages, clients: Mapping[int, Client]
     ) -> None:
         self._source, self._messages, self._clients = source, messages, clients
-        self.channel, self._facts_channel = source.channels
+        self.channel = source.channels[0]
         self._start = StreamStart()
         self._held: _Held | None = None
         self._key_ns: int | None = None
@@ -79,7 +75,8 @@ class LiveVideo:
                 if client.lacks(self.channel, now_ns)
             ]
         begun = self._start.handle_unit(unit, stamp, now_ns, begins=bool(takers))
-        if not any(client.reads(name) for client, name in self._readers()):
+        channels, clients = self._source.channels, self._clients.values()
+        if not any(client.reads(name) for client in clients for name in channels):
             return
         picture, facts = self._messages.of_unit(self._source, unit, unit.data, stamp, at)
         waiting = takers if self._held is None else self._held.takers
@@ -100,7 +97,7 @@ class LiveVideo:
                 self.undecodable += client.reads(self.channel)
         if self._held is not None and not unit.refused:
             self._held.pictures.append(picture)
-            if self._held.is_old:
+            if sum(len(one.data) for one in self._held.pictures) > MOST_HELD_OCTETS:
                 self._handle_key(None, now_ns)
         if begun is None:
             return
@@ -157,8 +154,3 @@ class LiveVideo:
                 # What is too much for the client ends its beginning again.
                 if client.has_begun(self.channel):
                     client.put(message, now_ns)
-
-    def _readers(self) -> Iterator[tuple[Client, str]]:
-        for client in self._clients.values():
-            yield client, self.channel
-            yield client, self._facts_channel

@@ -79,10 +79,10 @@ class _End(Generic[Side]):
         if self.side.axes is not None:
             for name, port in self.side.axes.report().items():
                 self._probe.tell(port, name)
-        self._sent.extend_plain(link.take_sent_stamps())
+        self._sent.extend(link.take_sent_stamps())
         stamps = link.take_received_stamps()
         if not self._of_partner():
-            self._received.extend_plain(stamps)
+            self._received.extend(stamps)
         while link.next_event() is not None:
             pass
 

@@ -14,7 +14,7 @@ from pipelines.hand.robot_desk import limits_of
 from pipelines.hand.safety_ends import follow_stop, within
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.datagrams import Outlet, OwnOutlet, receive
-from pipelines.session.orders import KeptOrders
+from pipelines.session.kept_files import KeptOrders
 from pipelines.session.process import Context, take_realtime
 from pipelines.session.robot_state import STATE_OCTETS, pack_state
 from pipelines.session.topic_ends import NumberedTopic

@@ -34,8 +34,8 @@ from pipelines.hand.safety_ends import (
     watch_camera,
     within,
 )
+from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import LedsShown, PanelShown, RobotCommand, RobotOrder
-from pipelines.session.orders import KeptOrders
 from pipelines.session.process import Context
 from pipelines.session.robot_state import unpack_state
 from pipelines.session.topic_ends import MissionReader, MissionWriter, NumberedTopic, new_exercises

@@ -152,8 +152,8 @@ class ReplayedEnd:
         link = self._link
         self._probe.tell(link.sent_figures())
         self._probe.tell(link.received_figures())
-        self._sent.extend_plain(link.take_sent_stamps())
-        self._received.extend_plain(link.take_received_stamps())
+        self._sent.extend(link.take_sent_stamps())
+        self._received.extend(link.take_received_stamps())
         while (step := self._steps.next_event()) is not None:
             self._felt.add(StepRow(step.instant_ns))
         while link.next_event() is not None:

@@ -16,7 +16,7 @@ from pipelines.hand.haptic_loop import Cycle
 from pipelines.hand.haptics import RobotEnd
 from pipelines.hand.robot_desk import RobotDesk
 from pipelines.media.following import Choice
-from pipelines.session.orders import KeptOrders
+from pipelines.session.kept_files import KeptOrders
 from pipelines.session.setup.table import STEREO, Setup
 from pipelines.session.topology import HALVES_TOPIC, JOYSTICK, ROBOT, SELECTED_TOPIC, Topology
 from telepresence.haptics.device.handle import OperatedHandle

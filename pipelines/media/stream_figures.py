@@ -142,7 +142,7 @@ def note_unit(probe: Probe, unit: ReceivedUnit) -> None:
 
 def note_arrivals(probe: Probe, receiver: VoiceReceiver) -> None:
     """Packets of a voice may have come."""
-    probe.series(RxRow).extend_plain(receiver.take_arrivals())
+    probe.series(RxRow).extend(receiver.take_arrivals())
 
 
 def to_gateway(

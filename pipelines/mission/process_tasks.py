@@ -27,8 +27,9 @@ from pipelines.session.datagrams import LOOPBACK, receive
 from pipelines.session.mission_messages import CameraWish, RobotStatus
 from pipelines.session.process import Context
 from pipelines.session.reception import replace_file
-from pipelines.session.recorder_control import RecorderLink
-from pipelines.session.recorder_requests import (
+from pipelines.session.robot_state import unpack_state
+from pipelines.session.task_journal import KEPT, LinkMeanwhile
+from pipelines.session.terminal_lines import (
     START,
     STATE,
     STOP,
@@ -36,8 +37,7 @@ from pipelines.session.recorder_requests import (
     RecordingWish,
     RecordRequest,
 )
-from pipelines.session.robot_state import unpack_state
-from pipelines.session.task_journal import KEPT, LinkMeanwhile
+from pipelines.session.terminals import RecorderLink
 from pipelines.session.topic_ends import MissionReader, MissionWriter, new_exercises
 from pipelines.session.topology import (
     MISSION_CAMERA_TOPIC,

@@ -11,17 +11,9 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
 from pipelines.mission.tmtc_messages import CommandUpdate, ForwardCommand, TmtcNews
 from pipelines.packets.figures import PacketsFigures
-from pipelines.session.probe import Probe
 from telepresence.link.bucket import TokenBucket
+from telepresence.tmtc.pus import head
 from telepresence.tmtc.pus.dictionary import Dictionary
-from telepresence.tmtc.pus.head import (
-    HEADER_OCTETS,
-    MAX_PACKET_OCTETS,
-    destination_of,
-    is_packet,
-    is_telecommand,
-    message_of,
-)
 from telepresence.tmtc.pus.packets import (
     COUNT_MODULUS,
     Telecommand,
@@ -247,11 +239,11 @@ class PacketBridge:
 
     def handle_telemetry(self, octets: bytes) -> bool:
         """A packet of the end; whether it is telemetry after PUS, for the other system."""
-        if not is_packet(octets) or is_telecommand(octets):
+        if not head.is_packet(octets) or head.is_telecommand(octets):
             return False
         self._add(outside_packets=1)
-        edition, source = divmod(destination_of(octets), EDITIONS)
-        if source == self._source and message_of(octets)[0] == SERVICE:
+        edition, source = divmod(head.destination_of(octets), EDITIONS)
+        if source == self._source and head.message_of(octets)[0] == SERVICE:
             self._note_end(octets, edition)
         return True
 
@@ -283,10 +275,6 @@ class PacketBridge:
         self.figures = replace(self.figures, outside_waited_ms=waited_ms)
         self._add(outside_dropped=count)
 
-    def tell(self, probe: Probe) -> None:
-        """Put the counters into the probe."""
-        probe.tell(self.figures)
-
     def _add(self, **counts: int) -> None:
         now = {name: getattr(self.figures, name) + count for name, count in counts.items()}
         self.figures = replace(self.figures, **now)
@@ -315,9 +303,9 @@ class PacketSplitter:
         """Return the packets that are complete now. ProtocolError: this is no stream of them."""
         self._octets += octets
         found = []
-        while len(self._octets) >= HEADER_OCTETS:
-            length = HEADER_OCTETS + 1 + int.from_bytes(self._octets[4:6], "big")
-            if length > MAX_PACKET_OCTETS:
+        while len(self._octets) >= head.HEADER_OCTETS:
+            length = head.HEADER_OCTETS + 1 + int.from_bytes(self._octets[4:6], "big")
+            if length > head.MAX_PACKET_OCTETS:
                 raise ProtocolError(f"a packet of {length} octets")
             if len(self._octets) < length:
                 break
@@ -341,7 +329,6 @@ class PeerQueue:
         self.max_age_ns = 0
 
     def put(self, packet: bytes, now_ns: int) -> None:
-        """Add a packet."""
         if len(self._packets) == self.DEPTH:
             # The first one may be half written, and must then be ended.
             del self._packets[1 if self._written else 0]

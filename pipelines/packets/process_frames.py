@@ -4,6 +4,7 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.topics.bus import Reader
 from pipelines.link.frame_batch import unpack_frames
 from pipelines.packets.figures import FrameFigures
+from pipelines.recording.session_messages import SampleNumbers
 from pipelines.session.datagrams import LOOPBACK, Address, Outlet, is_loopback, outlet
 from pipelines.session.process import Context
 from pipelines.session.setup.segments import Direction
@@ -53,7 +54,7 @@ class FrameCopies:
     def __init__(self, reader: Reader, to: Outlet) -> None:
         self._reader, self.to = reader, to
         self.copied = self.missed = 0
-        self._sequence: int | None = None
+        self._numbers = SampleNumbers()
 
     def copy(self) -> None:
         """Send on what waits; then the other direction has its turn."""
@@ -62,10 +63,7 @@ class FrameCopies:
                 return
             with lease:
                 sequence, octets = lease.stamp.sequence, lease.octets()
-            # A gateway that was started again counts from 0.
-            if self._sequence is not None and sequence > self._sequence:
-                self.missed += sequence - self._sequence - 1
-            self._sequence = sequence
+            self.missed += self._numbers.handle_sample("", sequence)
             for _, frame in unpack_frames(octets):
                 self.to.send(frame)
                 self.copied += 1

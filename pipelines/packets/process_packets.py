@@ -52,7 +52,7 @@ def run_packets(context: Context, plan: PacketsPlan) -> None:
         source=FOREIGN_SOURCES[segment.value],
         epoch_ns=clock.wall_offset_ns,
     )
-    context.on_flush(lambda: bridge.tell(context.probe))
+    context.on_flush(lambda: context.probe.tell(bridge.figures))
     peers = _Datagrams(plan.socket, plan.peer) if plan.peer is not None else _Streams(plan.socket)
     with context.open_bus() as bus:
         packets = [

@@ -1,21 +1,18 @@
 """Takes requests to record and to stop, and says what became of them. A core."""
 
-from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
-from pipelines.session.recorder_requests import (
+from pipelines.session.terminal_lines import (
+    MAX_LINE_OCTETS,
     START,
     STATE,
     STOP,
     RecordAnswer,
     RecordingWish,
     RecordRequest,
-)
-from pipelines.session.terminal_lines import (
-    MAX_LINE_OCTETS,
-    MOST_TERMINALS,
     Reply,
+    TerminalDesk,
     pack_line,
     parse_line,
 )
@@ -44,32 +41,19 @@ class Ask(NamedTuple):
     terminal: int
 
 
-class RecorderDesk:
-    """A terminal is a connection, known by a number that is never used again.
+class RecorderDesk(TerminalDesk[Start | Stop | Ask]):
+    """wish: what is recorded at present. A held recording ends when no terminal holds it any more.
 
-    wish: what is recorded at present. A held recording ends when no terminal holds it any more.
-    After each input drain `next_event`. Call `handle_time` at least once a second.
+    Call `handle_time` at least once a second.
     """
 
     def __init__(self, wish: RecordingWish | None, now_ns: int) -> None:
+        super().__init__()
         self.wish = wish
-        self._lines: dict[int, bytes] = {}
         self._holders: set[int] = set()
         self._free_ns = now_ns
-        self._events: deque[Reply | Start | Stop | Ask] = deque()
-
-    @property
-    def terminals(self) -> list[int]:
-        return list(self._lines)
-
-    def handle_terminal(self, terminal: int) -> None:
-        if len(self._lines) >= MOST_TERMINALS:
-            self._events.append(Reply(terminal, b"", last=True))
-        else:
-            self._lines[terminal] = b""
 
     def handle_octets(self, terminal: int, data: bytes, now_ns: int) -> None:
-        """A terminal has sent octets; b"" if it has gone."""
         if terminal not in self._lines:
             return
         self._lines[terminal] += data
@@ -105,9 +89,6 @@ class RecorderDesk:
         elif now_ns - self._free_ns >= HOLD_NS:
             self._free_ns = now_ns
             self._events.append(Stop(None))
-
-    def next_event(self) -> Reply | Start | Stop | Ask | None:
-        return self._events.popleft() if self._events else None
 
     def _handle_line(self, terminal: int, line: bytes) -> None:
         request = parse_line(line, RecordRequest)

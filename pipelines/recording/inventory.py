@@ -11,8 +11,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.recording.facts import FACTS, MENDED, RecordingFacts
 from pipelines.recording.messages import RecorderLosses, unpack
-from pipelines.recording.recover import check_format
-from pipelines.recording.scan import Scan, ScanFigures
+from pipelines.recording.scan import Scan, check_format
 from pipelines.session.topology.tables import Table
 
 _UNITS = ((1_000_000_000, "GB"), (1_000_000, "MB"), (1000, "kB"))
@@ -61,17 +60,15 @@ class ChannelInventory:
 class Inventory:
     """What is in a file.
 
-    library: who wrote it; empty: not known. facts: None if they are lost, or of another program.
+    facts: None if they are lost, or of another program.
     mended: what `recover` noted of the torn file that this one was made of.
     losses: what the recorder could not keep, by its newest message.
     """
 
-    library: str
-    ours: bool
+    scan: Scan
     facts: RecordingFacts | None
     mended: Mapping[str, str]
     losses: RecorderLosses | None
-    figures: ScanFigures
     channels: Sequence[ChannelInventory]
 
 
@@ -106,12 +103,10 @@ def take_inventory(octets: memoryview) -> Inventory:
             name = "" if schema is None else schema.name
             channels[channel.id] = ChannelInventory(channel.topic, name)
     return Inventory(
-        library=scan.library,
-        ours=scan.ours,
+        scan=scan,
         facts=facts,
         mended=mended,
         losses=losses,
-        figures=scan.figures,
         channels=sorted(channels.values(), key=lambda each: each.topic),
     )
 
@@ -127,16 +122,16 @@ def inventory_lines(inventory: Inventory, name: str, width: int) -> list[str]:
 
 
 def _head(inventory: Inventory, name: str) -> Iterator[str]:
-    figures, facts = inventory.figures, inventory.facts
+    scan, facts = inventory.scan, inventory.facts
+    figures = scan.figures
     yield (
         f"{name}: {_size(figures.octets)}, {figures.messages} messages on "
         f"{len(inventory.channels)} channels"
     )
-    if not inventory.ours:
-        library = inventory.library or "an unknown program"
-        yield f"written by {library}: not a recording of kontur-av"
+    if not scan.ours:
+        yield f"written by {scan.library or 'an unknown program'}: not a recording of kontur-av"
     elif facts is None:
-        yield f"written by {inventory.library}; its facts are lost"
+        yield f"written by {scan.library}; its facts are lost"
     else:
         yield (
             f"session {facts.session} of setup {facts.setup}, part {facts.part}, "
@@ -151,8 +146,8 @@ def _head(inventory: Inventory, name: str) -> Iterator[str]:
 
 
 def _state(inventory: Inventory, name: str) -> Iterator[str]:
-    figures = inventory.figures
-    mend = f"; `kontur-av recover {name}` mends it" if inventory.ours else ""
+    figures = inventory.scan.figures
+    mend = f"; `kontur-av recover {name}` mends it" if inventory.scan.ours else ""
     if figures.holes:
         places = f"{len(figures.holes)} places" if len(figures.holes) > 1 else "one place"
         yield (f"torn or damaged: {_size(figures.unread_octets)} in {places} cannot be read{mend}")

@@ -17,8 +17,7 @@ from pipelines.recording.messages import (
     unpack,
     unpack_haptics,
 )
-from pipelines.recording.recover import refuse_foreign
-from pipelines.recording.scan import FoundMessage, Scan
+from pipelines.recording.scan import FoundMessage, Scan, refuse_foreign
 
 #: A recorder writes messages within some seconds. What is further away has a wrong instant.
 FAR_NS = 60 * NS_PER_S
@@ -159,9 +158,7 @@ def read_part(octets: memoryview) -> Part:
     The offset of its clocks is in its facts. Where they are lost, a message says it, too.
     """
     inventory = take_inventory(octets)
-    refuse_foreign(
-        ours=inventory.ours, library=inventory.library, messages=inventory.figures.messages
-    )
+    refuse_foreign(inventory.scan)
     facts = inventory.facts
     offset_ns = _offset_of_messages(octets) if facts is None else facts.wall_ns - facts.session_ns
     return Part(octets=octets, inventory=inventory, wall_offset_ns=offset_ns)

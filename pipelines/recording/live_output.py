@@ -23,6 +23,7 @@ from kontur_av.media import VideoCodec
 from pipelines.media.rtp_reports import ForwardedReport
 from pipelines.recording.matroska import CodedContainer, Remuxer, begins_stream
 from pipelines.session.addresses import resolve
+from pipelines.session.figures import gathered
 from pipelines.session.output import say
 
 #: Without delays in the muxer: a picture's length is told, so that no player waits for the next.
@@ -117,14 +118,10 @@ class LiveWriter:
         self._process.join()
 
     def report(self) -> ForwardedReport:
-        state = self._state
-        return ForwardedReport(
-            to=self._shown,
-            packets=state.written,
-            left_out=self._offered - state.written,
-            connections=state.connections,
-            faults=state.faults,
-            last_fault=state.last_fault,
+        written = self._state.written
+        left_out = self._offered - written
+        return gathered(
+            ForwardedReport, self._state, to=self._shown, packets=written, left_out=left_out
         )
 
     @property

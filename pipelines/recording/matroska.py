@@ -42,7 +42,6 @@ class CodedContainer:
 
     @property
     def has_video(self) -> bool:
-        """Whether `begin_video` was successful."""
         return self._video is not None
 
     def begin_video(self, unit: bytes, codec: VideoCodec = "h264") -> bool:

@@ -294,10 +294,21 @@ class McapStream:
 
     def _summary(self) -> bytes:
         """The summary, the offsets of its groups, the footer, and the magic octets of the end."""
+        statistics = Statistics(
+            attachment_count=len(self._attachment_indexes),
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._chunk_indexes),
+            message_count=self._counts.total(),
+            message_start_time=self._first_ns,
+            message_end_time=self._last_ns,
+            metadata_count=len(self._metadata_indexes),
+            schema_count=len(self._schemas),
+        )
         groups: tuple[tuple[Opcode, list[McapRecord]], ...] = (
             (Opcode.SCHEMA, [*self._schemas.values()]),
             (Opcode.CHANNEL, [*self._channels.values()]),
-            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.STATISTICS, [statistics]),
             (Opcode.CHUNK_INDEX, [*self._chunk_indexes]),
             (Opcode.METADATA_INDEX, [*self._metadata_indexes]),
             (Opcode.ATTACHMENT_INDEX, [*self._attachment_indexes]),
@@ -323,19 +334,6 @@ class McapStream:
         checked = bytes(summary + offsets) + octets_of(footer)[:-4]
         footer.summary_crc = crc32(checked)
         return bytes(summary + offsets) + octets_of(footer) + MAGIC
-
-    def _statistics(self) -> Statistics:
-        return Statistics(
-            attachment_count=len(self._attachment_indexes),
-            channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunk_indexes),
-            message_count=self._counts.total(),
-            message_start_time=self._first_ns,
-            message_end_time=self._last_ns,
-            metadata_count=len(self._metadata_indexes),
-            schema_count=len(self._schemas),
-        )
 
 
 class _OpenChunk:

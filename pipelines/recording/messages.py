@@ -39,6 +39,7 @@ from pipelines.recording.schemas import (
     numbered,
     record,
 )
+from pipelines.session.figures import gathered
 from pipelines.session.mission_messages import ExperimentShown, LedsShown, RunShown
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.mediated.wall import parse_wall
@@ -118,14 +119,10 @@ class UnitFacts(Recorded):
 
     @classmethod
     def of(cls, unit: CodedUnit, stamp: CaptureStamp) -> "UnitFacts":
-        """Return the facts of a sample of a topic."""
-        return cls(
-            capture_ns=stamp.capture_ns,
-            key=unit.key,
-            damaged=unit.damaged,
+        return gathered(
+            cls,
+            *(unit, stamp),
             shows_loss=stamp.quality is not Quality.FRESH,
-            refused=unit.refused,
-            dated=unit.dated,
             width_px=unit.width,
             height_px=unit.height,
             octets=len(unit.data),
@@ -154,18 +151,8 @@ class RecordedExperiment(Recorded):
 
     @classmethod
     def of(cls, shown: ExperimentShown, session_ns: int) -> "RecordedExperiment":
-        """Return what is recorded of a sample."""
         ended = shown.runs[-1] if shown.runs else RunShown("", 0, "", "", None)
-        return cls(
-            session_ns=session_ns,
-            phase=shown.phase,
-            task=shown.task,
-            run=shown.run,
-            elemop=shown.elemop,
-            ended_run=ended.run,
-            result=ended.result,
-            reason=ended.reason,
-        )
+        return gathered(cls, ended, shown, session_ns=session_ns, ended_run=ended.run)
 
 
 @record("LedPanel", "what the LED panel shows; told when it changes")
@@ -178,15 +165,9 @@ class RecordedLeds(Recorded):
 
     @classmethod
     def of(cls, shown: LedsShown, session_ns: int) -> "RecordedLeds":
-        """Return what is recorded of a sample."""
         spot_x_m, spot_y_m = shown.spot_m
-        return cls(
-            session_ns=session_ns,
-            pattern=shown.pattern.value,
-            leds=shown.leds,
-            spot_x_m=spot_x_m,
-            spot_y_m=spot_y_m,
-        )
+        place = {"spot_x_m": spot_x_m, "spot_y_m": spot_y_m}
+        return gathered(cls, shown, session_ns=session_ns, pattern=shown.pattern.value, **place)
 
 
 @record("TransferFrames", "frames of the radio link; both fields have the same number of values")
@@ -247,30 +228,18 @@ class LinkSent(Recorded):
         session_ns: int,
     ) -> "LinkSent":
         """Return what a gateway counts of the direction that it sends."""
-        return cls(
+        return gathered(
+            cls,
+            *(sender, radio, supervision),
             session_ns=session_ns,
-            capacity_bps=sender.capacity_bps,
-            frames=sender.frames,
-            haptic_sent=sender.haptic_sent,
-            haptic_superseded=sender.haptic_superseded,
             carried=tuple(
                 CarriedOctets(what=what, octets=octets) for what, octets in sender.octets.items()
             ),
             queues=tuple(
-                QueueState(
-                    level=level,
-                    packets=queue.packets,
-                    octets=queue.octets,
-                    oldest_age_ns=queue.oldest_age_ns,
-                    accepted=queue.accepted,
-                    dropped=sum(queue.drops.values()),
-                )
+                gathered(QueueState, queue, level=level, dropped=sum(queue.drops.values()))
                 for level, queue in sender.queue.items()
             ),
-            delay_ns=radio.delay_ns,
             radio_frames_lost=radio.frames_lost,
-            signal=supervision.signal,
-            state=supervision.state,
         )
 
 
@@ -293,16 +262,14 @@ class LinkReceived(Recorded):
         cls, receiver: ReceiverFigures, supervision: SupervisionFigures, *, session_ns: int
     ) -> "LinkReceived":
         """Return what a gateway counts of the direction that it receives."""
-        return cls(
+        return gathered(
+            cls,
+            *(receiver, supervision),
             session_ns=session_ns,
             frames=receiver.frames_received,
-            frames_lost=receiver.frames_lost,
             frames_dropped=sum(receiver.frames_dropped.values()),
-            haptic_received=receiver.haptic_received,
             packets=sum(receiver.packets.values()),
             packets_dropped=sum(receiver.packets_dropped.values()),
-            signal=supervision.signal,
-            state=supervision.state,
         )
 
 
@@ -347,7 +314,6 @@ class RecordedFigure:
 
     @classmethod
     def of(cls, name: str, value: float | str | bool | None) -> "RecordedFigure":
-        """Return a figure of a report."""
         if isinstance(value, str):
             return cls(name=name, number=nan, text=value)
         return cls(name=name, number=nan if value is None else float(value), text="")

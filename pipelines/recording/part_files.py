@@ -135,7 +135,8 @@ class PartFiles:
         self._path = path
         self._pieces: SimpleQueue[PartPiece | None] = SimpleQueue()
         self._results: deque[tuple[int, str]] = deque()
-        self._waiting = 0
+        #: How much was put and is not written yet.
+        self.waiting_octets = 0
         self._lock = threading.Lock()
         #: By part: its open file. Only the writing thread closes one.
         self._files: dict[int, int] = {}
@@ -156,11 +157,6 @@ class PartFiles:
     def newest(self) -> Path:
         return part_path(self._path, max(1, self._last))
 
-    @property
-    def waiting_octets(self) -> int:
-        """How much was put and is not written yet."""
-        return self._waiting
-
     def open(self) -> int:
         """Create the file of the next part and return its number; OSError if that fails."""
         for part in range(self._last + 1, _MOST_PARTS):
@@ -180,7 +176,7 @@ class PartFiles:
     def put(self, piece: "PartPiece") -> None:
         """Write a piece as soon as the disk permits."""
         with self._lock:
-            self._waiting += len(piece.octets)
+            self.waiting_octets += len(piece.octets)
         self._pieces.put(piece)
 
     def results(self) -> Iterator[tuple[int, str]]:
@@ -204,7 +200,7 @@ class PartFiles:
             if piece.part in self._files:
                 self._write_piece(piece)
             with self._lock:
-                self._waiting -= len(piece.octets)
+                self.waiting_octets -= len(piece.octets)
         for part in list(self._files):
             self._forget(part)
 

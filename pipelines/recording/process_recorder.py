@@ -7,7 +7,6 @@ What is being recorded is also in a file of the session's directory. So a record
 goes on, in a new part.
 """
 
-import select
 from concurrent.futures import Future, wait
 from dataclasses import replace
 from pathlib import Path
@@ -15,32 +14,31 @@ from pathlib import Path
 import msgspec
 
 from kontur_av import __version__
-from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.figures import plus
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
+from pipelines.recording import part_files
 from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Content, sources_of
 from pipelines.recording.desk import Ask, RecorderDesk, Start, Stop
 from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.figures import RecorderFigures
 from pipelines.recording.messages import RecordedEvent
-from pipelines.recording.part_files import (
-    LEAST_RECORDED_S,
-    PartFiles,
-    check_disk,
-    check_recordable,
-    clear_parts,
-)
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
-from pipelines.session.figures import SessionEvents
+from pipelines.session.figures import SessionEvents, gathered
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.recorder_control import RECORDER_DESK, read_wish, remove_wish, write_wish
-from pipelines.session.recorder_requests import RecordAnswer, RecordingWish
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.terminal_lines import Reply
-from pipelines.session.terminals import TerminalSockets, desk_path
+from pipelines.session.terminal_lines import RecordAnswer, RecordingWish, Reply
+from pipelines.session.terminals import (
+    RECORDER_DESK,
+    TerminalSockets,
+    desk_path,
+    read_wish,
+    remove_wish,
+    write_wish,
+)
 from pipelines.session.topology import SELECTED_TOPIC
 
 #: How often topics are read.
@@ -100,12 +98,7 @@ class _RecorderProcess:
 
     def _serve(self, terminals: TerminalSockets, wait_ns: int) -> None:
         desk = self._desk
-        asking = desk.terminals
-        ready = select.select(terminals.readers(asking), [], [], wait_ns / NS_PER_S)[0]
-        if (terminal := terminals.accept(ready)) is not None:
-            desk.handle_terminal(terminal)
-        for terminal, data in terminals.read(ready, asking):
-            desk.handle_octets(terminal, data, self._now_ns())
+        terminals.exchange(desk, wait_ns, self._now_ns)
         desk.handle_time(self._now_ns())
         while (event := desk.next_event()) is not None:
             match event:
@@ -124,13 +117,13 @@ class _RecorderProcess:
         """Begin to record; why that is not possible, or ""."""
         path = Path(start.wish.file)
         try:
-            check_recordable(
+            part_files.check_recordable(
                 path,
                 overwrite=start.overwrite,
                 sources=self._context.setup.sources.values(),
             )
-            check_disk(path, self._context.setup, LEAST_RECORDED_S)
-            clear_parts(path)
+            part_files.check_disk(path, self._context.setup, part_files.LEAST_RECORDED_S)
+            part_files.clear_parts(path)
             write_wish(self._context.session, start.wish)
         except ConfigError as error:
             return str(error)
@@ -195,7 +188,7 @@ class _Recording:
         )
         self._maker = maker
         self._keys: dict[int, Future[bytes | None]] = {}
-        self._files = PartFiles(Path(wish.file))
+        self._files = part_files.PartFiles(Path(wish.file))
         self._open_part()
         self._bus = context.open_bus()
         sources = sources_of(topology, link_frames=wish.link_frames)
@@ -232,15 +225,10 @@ class _Recording:
         if news.figures:
             self._recorder.handle_figures(news.figures, news.at_us * NS_PER_US, self._now_ns())
         for event in news.events:
-            if event.at_us * NS_PER_US < self._since_ns:
-                continue
-            recorded = RecordedEvent(
-                session_ns=event.at_us * NS_PER_US,
-                number=event.number,
-                what=event.what,
-                text=event.text,
-            )
-            self._recorder.handle_event(recorded, self._now_ns())
+            at_ns = event.at_us * NS_PER_US
+            if at_ns >= self._since_ns:
+                recorded = gathered(RecordedEvent, event, session_ns=at_ns)
+                self._recorder.handle_event(recorded, self._now_ns())
 
     def handle_wake(self) -> None:
         """Read what has come, and write what can be written."""

@@ -1,20 +1,31 @@
-"""The output of a received stream: pictures or sound, figures, perhaps a file and a player."""
+"""Receives a stream in real time: pictures or sound, figures, perhaps a file and a player."""
 
+import contextlib
+import selectors
 from collections.abc import Sequence
 
-from kontur_av.clock import NS_PER_S, MonotonicClock
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.media import AUDIO_CLOCK_HZ
-from kontur_av.meters import Histogram
+from kontur_av.meters import Histogram, RateMeter
 from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
-from pipelines.media.rtp_reports import OutputReport
+from kontur_av.streams.udp import UdpReceiver
+from pipelines.media.rtp_reports import (
+    OutputReport,
+    ReceivedLatency,
+    ReceivedStages,
+    ReceiveReport,
+    latency_ms,
+)
 from pipelines.recording.live_output import LiveWriter
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
+from pipelines.session.children import stopped_by_signals
+from pipelines.session.output import reader_gone, say
 
 #: What a picture's timestamp may run ahead of its arrival, or behind it, and a sound's of its play.
 _PICTURE_S, _SOUND_S = 10.0, 0.25
@@ -164,3 +175,143 @@ class SoundOutput:
 
     def report(self) -> OutputReport:
         return OutputReport(voice=self.receiver.counts)
+
+
+_SILENCE_NS = 5 * NS_PER_S
+_SILENCE_AFTER_GOODBYE_NS = NS_PER_S
+_LONGEST_WAIT_NS = 200 * NS_PER_MS
+
+
+class ReceiveShell:
+    """Drives sockets and receiver in real time."""
+
+    def __init__(
+        self,
+        stream: StreamDescription,
+        output: PictureOutput | SoundOutput,
+        udp: UdpReceiver,
+        clock: MonotonicClock,
+        raw: RawPictures | None,
+    ) -> None:
+        self._raw = raw
+        self._watched: int | None = None
+        self._stream = stream
+        self._clock = clock
+        self._output = output
+        self._receiver = output.receiver
+        self._udp = udp
+        self._rate = RateMeter()
+        self._last_packet_ns: int | None = None
+        self._payload_octets = 0
+
+    def run(self, seconds: float | None) -> ReceiveReport:
+        """Receive until the end; the report, without the outputs."""
+        start_ns = self._clock.now_ns()
+        end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
+        next_line_ns = start_ns + NS_PER_S
+        say(f"waiting for {self._stream.kind} on UDP port {self._stream.port}")
+        with stopped_by_signals() as stopped, selectors.DefaultSelector() as selector:
+            for one in self._udp.sockets:
+                selector.register(one, selectors.EVENT_READ)
+            while not (stopped() or reader_gone()):
+                now_ns = self._clock.now_ns()
+                if self._has_ended(now_ns) if end_ns is None else now_ns >= end_ns:
+                    break
+                if now_ns >= next_line_ns:
+                    next_line_ns += NS_PER_S
+                    self._line(now_ns - start_ns)
+                due = [self._receiver.poll_timeout(), end_ns]
+                until_ns = min([next_line_ns, *(d for d in due if d is not None)])
+                wait_ns = min(max(until_ns - now_ns, 0), _LONGEST_WAIT_NS)
+                if self._raw is not None:
+                    self._watch(selector, self._raw.pending())
+                selector.select(wait_ns / NS_PER_S)
+                self._udp.exchange(self._receiver, self._clock)
+                self._note(self._clock.now_ns())
+                self._output.drain()
+                if self._raw is not None and self._raw.pending() is not None:
+                    self._raw.handle_writable()
+            self._output.finish()
+        return self._report(start_ns)
+
+    def _watch(self, selector: selectors.BaseSelector, wanted: int | None) -> None:
+        """Wake when the reader of raw pictures can take the rest of a picture."""
+        if self._watched is not None:
+            # The descriptor may have been closed, or another one of its number opened.
+            with contextlib.suppress(KeyError, ValueError):
+                selector.unregister(self._watched)
+        if wanted is not None:
+            selector.register(wanted, selectors.EVENT_WRITE)
+        self._watched = wanted
+
+    def _has_ended(self, now_ns: int) -> bool:
+        if self._last_packet_ns is None:
+            return False
+        ended = self._receiver.ended
+        patience_ns = _SILENCE_AFTER_GOODBYE_NS if ended else _SILENCE_NS
+        return now_ns - self._last_packet_ns > patience_ns
+
+    def _note(self, now_ns: int) -> None:
+        """Count the payload that has come since the last call."""
+        octets = self._receiver.counts.rtp.rtp_payload_octets
+        if octets > self._payload_octets:
+            self._last_packet_ns = now_ns
+            self._rate.add(now_ns, octets - self._payload_octets)
+            self._payload_octets = octets
+
+    def _line(self, passed_ns: int) -> None:
+        counts = self._receiver.counts.rtp
+        latency = self._output.decoded_ns
+        say(
+            f"{passed_ns / NS_PER_S:6.0f} s  {counts.rtp_packets} packets, {counts.rtp_lost} lost, "
+            f"{self._output.decoded} decoded, {self._rate.mean_bps() / 1000:.1f} kbit/s"
+            + (
+                f", latency {latency.percentile(95) / NS_PER_MS:.1f} ms (95 %)"
+                if latency.count
+                else ""
+            )
+        )
+
+    def _report(self, start_ns: int) -> ReceiveReport:
+        counts, rate, output = self._receiver.counts.rtp, self._rate, self._output
+        latency = None
+        if output.decoded_ns.count:
+            latency = ReceivedLatency(
+                **output.decoded_ns.summary_ms(),
+                stages=ReceivedStages(capture_to_received=latency_ms(output.received_ns)),
+                clock="the wall clocks of both hosts",
+            )
+        failed = []
+        if not counts.rtp_packets:
+            failed.append(f"no packet came to UDP port {self._stream.port}: {self._what_came()}")
+        elif not output.decoded:
+            failed.append(
+                f"{counts.rtp_packets} packets came, but nothing could be decoded"
+                + self._output.missing()
+            )
+        return ReceiveReport(
+            stream=self._stream.kind,
+            seconds=(self._clock.now_ns() - start_ns) / NS_PER_S,
+            seconds_of_stream=((rate.last_ns or 0) - (rate.first_ns or 0)) / NS_PER_S,
+            payload_bps_mean=rate.mean_bps(),
+            payload_bps_max_1s=rate.max_bps(NS_PER_S),
+            payload_bps_max_100ms=rate.max_bps(100 * NS_PER_MS),
+            output=output.report(),
+            latency_ms=latency,
+            cpu_s=0.0,
+            failed=failed,
+        )
+
+    def _what_came(self) -> str:
+        """Say what came instead of the stream's packets."""
+        counts, other = self._receiver.counts.rtp, self._receiver.other_payload_type
+        if other is not None:
+            return (
+                f"those that came have payload type {other}, not the {self._stream.payload_type} "
+                "of the SDP: take the sender's SDP"
+            )
+        if self._udp.reported:
+            return "only the sender's reports came (RTCP): is there a firewall before this port?"
+        if counts.garbage:
+            return f"{counts.garbage} datagrams came that are not RTP"
+        return "is the sender running?"

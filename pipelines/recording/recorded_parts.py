@@ -20,7 +20,8 @@ def read_recording(first: Path) -> tuple[list[Path], JoinedRecording]:
     faults: dict[int, str] = {}
     for number, path in paths.items():
         try:
-            found[number] = _part(path)
+            with refused(path, ProtocolError):
+                found[number] = read_part(octets_of_file(path))
         except ConfigError as error:
             faults[number] = f"{error}; it is left out"
     if not found:
@@ -32,8 +33,3 @@ def read_recording(first: Path) -> tuple[list[Path], JoinedRecording]:
     for _, fault in sorted(faults.items()):
         print(f"kontur-av: {fault}", file=sys.stderr)
     return [paths[number] for number in parts], JoinedRecording(parts=[*parts.values()])
-
-
-def _part(path: Path) -> Part:
-    with refused(path, ProtocolError):
-        return read_part(octets_of_file(path))

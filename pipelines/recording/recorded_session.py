@@ -84,34 +84,25 @@ class RecordedSession:
     @property
     def instants_ns(self) -> tuple[int, int]:
         """The first and the last instant of anything that was sent."""
-        found = [unit.capture_ns for units in self._media for unit in (units[0], units[-1])]
+        media = (*self.pictures.values(), *self.voices.values())
+        found = [unit.capture_ns for units in media for unit in (units[0], units[-1])]
         found += [int(rows["time_ns"][at]) for rows in self.haptics.values() for at in (0, -1)]
         found += [one.sent_ns for each in self.packets.values() for one in (each[0], each[-1])]
         return min(found), max(found)
 
     def begin(self, seconds: float) -> "RecordedSession":
         end_ns = self.instants_ns[0] + round(seconds * NS_PER_S)
-        pictures, voices = (
-            {name: kept for name, units in each.items() if (kept := _before(units, end_ns))}
-            for each in (self.pictures, self.voices)
-        )
-        haptics = {key: rows[rows["time_ns"] < end_ns] for key, rows in self.haptics.items()}
-        packets = {
-            name: early
-            for name, sent in self.packets.items()
-            if (early := [packet for packet in sent if packet.sent_ns < end_ns])
+        media = {
+            field: {
+                name: early
+                for name, sent in getattr(self, field).items()
+                if (early := [one for one in sent if one[0] < end_ns])
+            }
+            for field in ("pictures", "voices", "packets")
         }
-        return replace(
-            self,
-            pictures=pictures,
-            voices=voices,
-            haptics={key: rows for key, rows in haptics.items() if len(rows)},
-            packets=packets,
-        )
-
-    @property
-    def _media(self) -> list[list[SentUnit]]:
-        return [*self.pictures.values(), *self.voices.values()]
+        haptics = {key: rows[rows["time_ns"] < end_ns] for key, rows in self.haptics.items()}
+        kept = {key: rows for key, rows in haptics.items() if len(rows)}
+        return replace(self, haptics=kept, **media)  # type: ignore[arg-type]
 
 
 def read_session(recording: JoinedRecording) -> RecordedSession:
@@ -130,10 +121,6 @@ def read_session(recording: JoinedRecording) -> RecordedSession:
     if not (session.pictures or session.voices or session.haptics or session.packets):
         raise ProtocolError("nothing that was sent is in it")
     return session
-
-
-def _before(units: list[SentUnit], end_ns: int) -> list[SentUnit]:
-    return [unit for unit in units if unit.capture_ns < end_ns]
 
 
 def _is_replayed(found: JoinedMessage) -> bool:

@@ -38,7 +38,7 @@ from pipelines.recording.session_messages import (
     SampleNumbers,
     SessionMessages,
 )
-from pipelines.session.recorder_requests import PartLimits
+from pipelines.session.terminal_lines import PartLimits
 from pipelines.session.topology import Topology
 
 #: After a fault of the disk, a new part is tried this often.
@@ -137,7 +137,8 @@ class Recorder:
         self._losses_ns = 0
         self._own_number = 0
         self._parts = self._octets = self._faults = 0
-        self._fault = ""
+        #: Why nothing is written at present; "" if all is well.
+        self.fault = ""
 
     # Samples
 
@@ -303,7 +304,7 @@ class Recorder:
         part: the part whose file failed; None: a new file could not be opened. why: in words.
         """
         self._faults += 1
-        self._fault = why
+        self.fault = why
         self._retry_ns = now_ns + RETRY_NS
         if part is None:
             return
@@ -322,7 +323,7 @@ class Recorder:
         _, messages, octets = self._writing.popleft()
         self._kept.update(messages)
         self._octets += octets
-        self._fault = "" if self._stream is not None else self._fault
+        self.fault = "" if self._stream is not None else self.fault
 
     def handle_abandoned(self) -> None:
         """What was not written until now never will be."""
@@ -400,11 +401,6 @@ class Recorder:
 
     # Figures
 
-    @property
-    def fault(self) -> str:
-        """Why nothing is written at present; "" if all is well."""
-        return self._fault
-
     def figures(self, file: str | None) -> RecorderFigures:
         """Return what was kept and lost so far. file: the newest."""
         waiting = 0 if self._stream is None else self._stream.waiting_octets
@@ -416,7 +412,7 @@ class Recorder:
             late_keys=self._keys_late,
             file=file,
             recording=file is not None,
-            fault=self._fault or None,
+            fault=self.fault or None,
             waiting_octets=waiting,
             channels={
                 self._topics[number]: RecordedChannel(

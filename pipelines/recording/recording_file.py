@@ -134,7 +134,8 @@ class Outputs:
         try:
             if kind is None:
                 for path in self._paths:
-                    _sync(_unfinished(path))
+                    with _unfinished(path).open("rb") as file:
+                        os.fsync(file.fileno())
                 for path in self._paths:
                     _finish(path, overwrite=self._overwrite)
                 self._made.clear()
@@ -149,8 +150,3 @@ class Outputs:
                     directory.rmdir()
         if isinstance(error, OSError):
             raise ConfigError(f"the export cannot be written: {error.strerror}") from None
-
-
-def _sync(path: Path) -> None:
-    with path.open("rb") as file:
-        os.fsync(file.fileno())

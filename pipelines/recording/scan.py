@@ -20,25 +20,26 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Footer, Header, Message, Metadata, Schema
 
 from kontur_av.errors import ProtocolError
-from kontur_av.recorded_format import FORMAT_KEY
+from kontur_av.recorded_format import FORMAT, FORMAT_KEY
 from kontur_av.sources.chunks import unpacked_chunk
-from pipelines.recording.facts import FACTS, RecordingFacts, is_sealed, needs_seal
-from pipelines.recording.mcap_stream import (
-    CHUNK,
-    HEAD,
-    LENGTH_4,
-    LENGTH_8,
-    MAGIC,
-    MESSAGE,
-    Kind,
-    octets_of,
-    parse_record,
+from pipelines.recording import mcap_stream
+from pipelines.recording.facts import (
+    FACTS,
+    LIBRARY,
+    MENDED,
+    RecordingFacts,
+    is_sealed,
+    needs_seal,
+    sealed,
 )
+from pipelines.recording.mcap_stream import McapStream
 
 #: A longer record is damage.
 _MOST_RECORD_OCTETS = 1 << 40
-_DATA_END_OCTETS = len(octets_of(DataEnd(data_section_crc=0)))
-_FOOTER_OCTETS = len(octets_of(Footer(summary_start=0, summary_offset_start=0, summary_crc=0)))
+_DATA_END_OCTETS = len(mcap_stream.octets_of(DataEnd(data_section_crc=0)))
+_FOOTER_OCTETS = len(
+    mcap_stream.octets_of(Footer(summary_start=0, summary_offset_start=0, summary_crc=0))
+)
 _KNOWN_RECORDS = 256
 #: From this opcode on a record is some program's own.
 _PRIVATE = 0x80
@@ -104,7 +105,7 @@ class Scan:
     """
 
     def __init__(self, octets: memoryview) -> None:
-        if bytes(octets[: len(MAGIC)]) != MAGIC:
+        if bytes(octets[: len(mcap_stream.MAGIC)]) != mcap_stream.MAGIC:
             raise ProtocolError("it is not an MCAP file")
         self.figures = ScanFigures(octets=len(octets))
         self.header: Header | None = None
@@ -115,10 +116,10 @@ class Scan:
         #: Schemas and channels outside of chunks, which no check covers.
         self._loose_schemas: dict[int, Schema] = {}
         self._loose_channels: dict[int, Channel] = {}
-        self._confirmed = len(MAGIC)
+        self._confirmed = len(mcap_stream.MAGIC)
         # Chunks repeat the same few records over and over.
-        self._read_schema = lru_cache(_KNOWN_RECORDS)(partial(parse_record, Schema))
-        self._read_channel = lru_cache(_KNOWN_RECORDS)(partial(parse_record, Channel))
+        self._read_schema = lru_cache(_KNOWN_RECORDS)(partial(mcap_stream.parse_record, Schema))
+        self._read_channel = lru_cache(_KNOWN_RECORDS)(partial(mcap_stream.parse_record, Channel))
 
     @property
     def library(self) -> str:
@@ -132,7 +133,7 @@ class Scan:
 
     def items(self) -> Iterator[FoundMessage | Metadata | Attachment]:
         """Yield messages, metadata and attachments in the order of the file."""
-        at, size = len(MAGIC), len(self._octets)
+        at, size = len(mcap_stream.MAGIC), len(self._octets)
         while at < size:
             read = self._record(at)
             if read is None:
@@ -173,7 +174,7 @@ class Scan:
         if opcode == Opcode.MESSAGE:
             return self._loose_message(begin, end)
         if opcode == Opcode.MESSAGE_INDEX:
-            (length,) = LENGTH_4.unpack_from(self._octets, begin + 2)
+            (length,) = mcap_stream.LENGTH_4.unpack_from(self._octets, begin + 2)
             return _Read([], end, False) if length == end - begin - 6 else None
         if opcode == Opcode.HEADER and self.header is None:
             self.header = self._read(Header, begin, end)
@@ -190,10 +191,10 @@ class Scan:
 
     def _head(self, at: int) -> tuple[int, int, int] | None:
         """Opcode, first octet and end of the content of a record that is there as a whole."""
-        if at + HEAD.size > len(self._octets):
+        if at + mcap_stream.HEAD.size > len(self._octets):
             return None
-        opcode, length = HEAD.unpack_from(self._octets, at)
-        begin = at + HEAD.size
+        opcode, length = mcap_stream.HEAD.unpack_from(self._octets, at)
+        begin = at + mcap_stream.HEAD.size
         if length > len(self._octets) - begin:
             return None
         # Shorter than any content that is looked at before it is read as a whole.
@@ -203,14 +204,14 @@ class Scan:
 
     def _is_followed(self, end: int) -> bool:
         """Whether a record without a check may end here: another one begins, or the file ends."""
-        if end + HEAD.size > len(self._octets):
+        if end + mcap_stream.HEAD.size > len(self._octets):
             return True
-        opcode, length = HEAD.unpack_from(self._octets, end)
+        opcode, length = mcap_stream.HEAD.unpack_from(self._octets, end)
         known = Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= _PRIVATE
         return bool(known and length < _MOST_RECORD_OCTETS)
 
-    def _read(self, kind: type[Kind], begin: int, end: int) -> Kind | None:
-        return parse_record(kind, bytes(self._octets[begin:end]))
+    def _read(self, kind: type[mcap_stream.Kind], begin: int, end: int) -> mcap_stream.Kind | None:
+        return mcap_stream.parse_record(kind, bytes(self._octets[begin:end]))
 
     def _metadata(self, at: int, begin: int, end: int) -> _Read | None:
         record = self._read(Metadata, begin, end)
@@ -225,11 +226,11 @@ class Scan:
         if record.name == FACTS and (told := record.metadata.get("format")):
             self.formats.add(told)
         # The check does not cover the length that stands before the record.
-        return _Read([record], at + len(octets_of(record)) if checked else end, checked)
+        return _Read([record], at + len(mcap_stream.octets_of(record)) if checked else end, checked)
 
     def _attachment(self, begin: int, end: int) -> _Read | None:
         """An attachment is a user's. Its check may be 0: none."""
-        (told,) = LENGTH_4.unpack_from(self._octets, end - 4)
+        (told,) = mcap_stream.LENGTH_4.unpack_from(self._octets, end - 4)
         checked = told == crc32(self._octets[begin : end - 4])
         if not checked and (told or not self._is_followed(end)):
             return None
@@ -238,7 +239,7 @@ class Scan:
 
     def _loose_message(self, begin: int, end: int) -> _Read | None:
         """A message outside of chunks: only in a file that another program wrote without chunks."""
-        if self.figures.chunks or end - begin < MESSAGE.size:
+        if self.figures.chunks or end - begin < mcap_stream.MESSAGE.size:
             return None
         message = self._message(begin, end, self._octets)
         # A copy of ours tells its channels first. Otherwise it is a damaged chunk.
@@ -249,13 +250,13 @@ class Scan:
         return _Read([] if found is None else [found], end, False)
 
     def _message(self, begin: int, end: int, octets: memoryview | bytes) -> Message:
-        channel_id, sequence, log_ns, publish_ns = MESSAGE.unpack_from(octets, begin)
+        channel_id, sequence, log_ns, publish_ns = mcap_stream.MESSAGE.unpack_from(octets, begin)
         return Message(
             channel_id=channel_id,
             sequence=sequence,
             log_time=log_ns,
             publish_time=publish_ns,
-            data=bytes(octets[begin + MESSAGE.size : end]),
+            data=bytes(octets[begin + mcap_stream.MESSAGE.size : end]),
         )
 
     def _with_channel(
@@ -297,15 +298,15 @@ class Scan:
         messages: list[Message] = []
         at = 0
         while at < len(plain):
-            if at + HEAD.size > len(plain):
+            if at + mcap_stream.HEAD.size > len(plain):
                 return None
-            opcode, length = HEAD.unpack_from(plain, at)
-            first = at + HEAD.size
+            opcode, length = mcap_stream.HEAD.unpack_from(plain, at)
+            first = at + mcap_stream.HEAD.size
             at = first + length
             if at > len(plain):
                 return None
             if opcode == Opcode.MESSAGE:
-                if length < MESSAGE.size:
+                if length < mcap_stream.MESSAGE.size:
                     return None
                 messages.append(self._message(first, at, plain))
             elif opcode == Opcode.SCHEMA:
@@ -322,14 +323,14 @@ class Scan:
         """What is in a chunk, or None if its check is wrong."""
         octets = self._octets
         try:
-            _, _, size, crc = CHUNK.unpack_from(octets, begin)
-            at = begin + CHUNK.size
-            (length,) = LENGTH_4.unpack_from(octets, at)
-            at += LENGTH_4.size
+            _, _, size, crc = mcap_stream.CHUNK.unpack_from(octets, begin)
+            at = begin + mcap_stream.CHUNK.size
+            (length,) = mcap_stream.LENGTH_4.unpack_from(octets, at)
+            at += mcap_stream.LENGTH_4.size
             compression = bytes(octets[at : at + min(length, 8)]).decode("ascii", "replace")
             at += length
-            (length,) = LENGTH_8.unpack_from(octets, at)
-            at += LENGTH_8.size
+            (length,) = mcap_stream.LENGTH_8.unpack_from(octets, at)
+            at += mcap_stream.LENGTH_8.size
         except (struct.error, OverflowError):
             return None
         if at + length != end:
@@ -358,10 +359,10 @@ class Scan:
         """Whether the data end at this octet, and after it comes a right end of the file."""
         octets, size = self._octets, len(self._octets)
         begin = at + _DATA_END_OCTETS
-        footer_at = size - len(MAGIC) - _FOOTER_OCTETS
-        if footer_at < begin or bytes(octets[-len(MAGIC) :]) != MAGIC:
+        footer_at = size - len(mcap_stream.MAGIC) - _FOOTER_OCTETS
+        if footer_at < begin or bytes(octets[-len(mcap_stream.MAGIC) :]) != mcap_stream.MAGIC:
             return False
-        data_end = self._read(DataEnd, at + HEAD.size, begin)
+        data_end = self._read(DataEnd, at + mcap_stream.HEAD.size, begin)
         head = self._head(footer_at)
         if data_end is None or head is None or head[0] != Opcode.FOOTER:
             return False
@@ -369,7 +370,7 @@ class Scan:
         if footer is None or footer.summary_start not in (0, begin):
             return False
         if footer.summary_crc and footer.summary_crc != crc32(
-            octets[begin : size - len(MAGIC) - LENGTH_4.size]
+            octets[begin : size - len(mcap_stream.MAGIC) - mcap_stream.LENGTH_4.size]
         ):
             return False
         self.figures.closed = True
@@ -386,3 +387,84 @@ def first_facts(octets: memoryview) -> RecordingFacts | None:
         if isinstance(item, Metadata) and item.name == FACTS:
             return RecordingFacts.of(item.metadata)
     return None
+
+
+class Recovery:
+    """What can be read of a recording, as a file that any MCAP reader opens.
+
+    figures: what the scan of the torn file found. If they are `sound`, there is nothing to mend.
+
+    Raises ProtocolError for octets that are not an MCAP file, and as `refuse_foreign`.
+    """
+
+    def __init__(self, octets: memoryview) -> None:
+        self._octets = octets
+        scan = Scan(octets)
+        for _ in scan.items():
+            pass
+        check_format(scan)
+        refuse_foreign(scan)
+        self.figures = scan.figures
+
+    def pieces(self) -> Iterator[bytes]:
+        """Yield the octets of the whole file, in order."""
+        stream = McapStream(library=LIBRARY)
+        scan = Scan(self._octets)
+        declared: set[int] = set()
+        for item in scan.items():
+            if isinstance(item, Metadata):
+                stream.handle_metadata(item.name, item.metadata)
+            elif isinstance(item, Attachment):
+                stream.handle_attachment(item)
+            else:
+                schema, channel, message = item
+                if channel.id not in declared:
+                    declared.add(channel.id)
+                    stream.handle_channel(schema, channel)
+                stream.handle_message(
+                    channel.id,
+                    message.data,
+                    log_ns=message.log_time,
+                    publish_ns=message.publish_time,
+                    sequence=message.sequence,
+                    now_ns=0,
+                )
+            yield from _waiting(stream)
+        # Those that have no message say what was to be recorded.
+        for channel in scan.channels.values():
+            if channel.id not in declared:
+                stream.handle_channel(scan.schemas.get(channel.schema_id), channel)
+        names = ("octets", "unread_octets", "holes", "messages")
+        told = {name: getattr(self.figures, name) for name in names}
+        told["holes"] = len(self.figures.holes)
+        items = sealed(MENDED, {name: str(value) for name, value in told.items()})
+        stream.handle_metadata(MENDED, items)
+        stream.handle_end()
+        yield from _waiting(stream)
+
+
+def refuse_foreign(scan: Scan) -> None:
+    """Raise ProtocolError if a scan that is done found no recording of ours, or nothing of it."""
+    if scan.ours:
+        return
+    if scan.figures.messages and not scan.library.startswith(LIBRARY.split()[0]):
+        raise ProtocolError(
+            f"it was written by {scan.library or 'an unknown program'}, not by kontur-av: "
+            "`kontur-av info` shows what is in it"
+        )
+    raise ProtocolError("nothing in it can be read any more")
+
+
+def check_format(scan: Scan) -> None:
+    """Raise ProtocolError if a scan that is done found a recording of a newer format."""
+    newer = sorted(text for text in scan.formats if not text.isdecimal() or int(text) > FORMAT)
+    if newer:
+        raise ProtocolError(
+            f"it has format {newer[-1]}, and this kontur-av reads up to format {FORMAT}: "
+            "install a newer one"
+        )
+
+
+def _waiting(stream: McapStream) -> Iterator[bytes]:
+    while (octets := stream.poll_transmit(0)) is not None:
+        yield octets

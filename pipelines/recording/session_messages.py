@@ -16,6 +16,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, rows_of
 from pipelines.link.frame_batch import unpack_frames
+from pipelines.recording import messages
 from pipelines.recording.channels import (
     EVENTS,
     LOG_LINES,
@@ -24,26 +25,6 @@ from pipelines.recording.channels import (
     SESSION_FIGURES,
     Content,
     Source,
-)
-from pipelines.recording.messages import (
-    LinkReceived,
-    LinkSent,
-    LogLevel,
-    LogLine,
-    RecordedEvent,
-    RecordedExperiment,
-    RecordedFigure,
-    RecordedFigures,
-    RecordedFrames,
-    RecordedLeds,
-    RecordedPacket,
-    RecordedPicture,
-    RecordedSound,
-    UnitFacts,
-    haptic_samples,
-    pack,
-    pack_haptics,
-    packet_words,
 )
 from pipelines.session.mission_messages import ExperimentShown, LedsShown, unpack
 from telepresence.link.figures import GatewayFigures
@@ -113,7 +94,6 @@ class SampleNumbers:
         return topic in self._newest
 
     def forget(self, topic: str) -> None:
-        """A topic is read anew."""
         self._newest.pop(topic, None)
 
     def handle_sample(self, topic: str, sequence: int) -> int:
@@ -145,46 +125,57 @@ class SessionMessages:
             rows = rows_of(octets)
             if not len(rows):
                 return []
-            told = [pack_haptics(haptic_samples(rows, rows[way])) for way in (SENT, RECEIVED)]
+            told = [
+                messages.pack_haptics(messages.haptic_samples(rows, rows[way]))
+                for way in (SENT, RECEIVED)
+            ]
             at_ns = int(rows["time_ns"][0])
         elif source.content is Content.SOUND:
             # A receiver that has no sender report yet cannot date its packets.
             at_ns = stamp.capture_ns or at.published_ns
-            told = [pack(RecordedSound(wall_ns=at_ns + self._offset_ns, data=octets))]
+            told = [
+                messages.pack(messages.RecordedSound(wall_ns=at_ns + self._offset_ns, data=octets))
+            ]
         elif source.content is Content.PACKET:
-            packet = RecordedPacket(session_ns=at_ns, data=octets, what=packet_words(octets))
-            told = [pack(packet)]
+            packet = messages.RecordedPacket(
+                session_ns=at_ns, data=octets, what=messages.packet_words(octets)
+            )
+            told = [messages.pack(packet)]
         elif source.content is Content.GATEWAY:
             found = msgspec.msgpack.decode(octets, type=GatewayFigures)
             state = found.supervision
-            sent = LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
-            received = LinkReceived.of(found.receive, state, session_ns=at_ns)
-            told = [pack(sent), pack(received)]
+            sent = messages.LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
+            received = messages.LinkReceived.of(found.receive, state, session_ns=at_ns)
+            told = [messages.pack(sent), messages.pack(received)]
         elif source.content in (Content.EXPERIMENT, Content.LEDS):
             if self._shown.get(source.topic) == octets:
                 return []
             self._shown[source.topic] = octets
             if source.content is Content.EXPERIMENT:
-                told = [pack(RecordedExperiment.of(unpack(ExperimentShown, octets), at_ns))]
+                told = [
+                    messages.pack(
+                        messages.RecordedExperiment.of(unpack(ExperimentShown, octets), at_ns)
+                    )
+                ]
             else:
-                told = [pack(RecordedLeds.of(unpack(LedsShown, octets), at_ns))]
+                told = [messages.pack(messages.RecordedLeds.of(unpack(LedsShown, octets), at_ns))]
         elif source.content is Content.FRAMES:
             frames = unpack_frames(octets)
             if not frames:
                 return []
             times, data = zip(*frames, strict=True)
-            told = [pack(RecordedFrames(time_ns=times, data=data))]
+            told = [messages.pack(messages.RecordedFrames(time_ns=times, data=data))]
             at_ns = times[0]
         else:
             raise ValueError(f"{source.topic}: its samples are not octets")
         return _messages(source.channels, told, at_ns + self._offset_ns, stamp.sequence, at)
 
-    def touches(self, source: Source, octets: bytes) -> Sequence[RecordedEvent]:
+    def touches(self, source: Source, octets: bytes) -> Sequence[messages.RecordedEvent]:
         """Return the touches in a sample of the robot's haptics."""
         if source.content is not Content.HAPTICS or source.name != "robot":
             return []
         return [
-            RecordedEvent(session_ns=at_ns, number=0, what="touch", text=text)
+            messages.RecordedEvent(session_ns=at_ns, number=0, what="touch", text=text)
             for at_ns, text in self._contact.handle_rows(rows_of(octets))
         ]
 
@@ -193,10 +184,10 @@ class SessionMessages:
     ) -> Sequence[ChannelMessage]:
         """Return an access unit and its facts. data: what takes its place."""
         wall_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns
-        picture = RecordedPicture(
+        picture = messages.RecordedPicture(
             wall_ns=wall_ns, frame_id=source.name, data=data, format=unit.codec
         )
-        told = [pack(picture), pack(UnitFacts.of(unit, stamp))]
+        told = [messages.pack(picture), messages.pack(messages.UnitFacts.of(unit, stamp))]
         return _messages(source.channels, told, wall_ns, stamp.sequence, at)
 
     def of_key(
@@ -205,9 +196,9 @@ class SessionMessages:
         """Return a key picture that is added ahead of a unit, and its facts."""
         added = replace(unit, key=True, damaged=False)
         log_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns - _AHEAD_NS
-        picture = RecordedPicture(wall_ns=log_ns, frame_id=source.name, data=key)
-        facts = replace(UnitFacts.of(added, stamp), octets=len(key), added=True)
-        told = [pack(picture), pack(facts)]
+        picture = messages.RecordedPicture(wall_ns=log_ns, frame_id=source.name, data=key)
+        facts = replace(messages.UnitFacts.of(added, stamp), octets=len(key), added=True)
+        told = [messages.pack(picture), messages.pack(facts)]
         return _messages(source.channels, told, log_ns, max(0, stamp.sequence - 1), at)
 
     def of_camera(
@@ -215,16 +206,16 @@ class SessionMessages:
     ) -> ChannelMessage:
         """Return a picture of a camera that was coded. number: of those that were."""
         wall_ns = stamp.capture_ns + self._offset_ns
-        picture = RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=unit)
+        picture = messages.RecordedPicture(wall_ns=wall_ns, frame_id=source.name, data=unit)
         at = Instants(now_ns, now_ns)
-        return ChannelMessage(source.channels[0], pack(picture), wall_ns, number, at)
+        return ChannelMessage(source.channels[0], messages.pack(picture), wall_ns, number, at)
 
-    def of_event(self, event: RecordedEvent, now_ns: int) -> Sequence[ChannelMessage]:
+    def of_event(self, event: messages.RecordedEvent, now_ns: int) -> Sequence[ChannelMessage]:
         wall_ns = event.session_ns + self._offset_ns
-        level = LogLevel.WARNING if event.what in _WARNINGS else LogLevel.INFO
-        line = LogLine(wall_ns=wall_ns, level=level, message=event.text, name=event.what)
+        level = messages.LogLevel.WARNING if event.what in _WARNINGS else messages.LogLevel.INFO
+        line = messages.LogLine(wall_ns=wall_ns, level=level, message=event.text, name=event.what)
         self._events += 1
-        told, at = [pack(event), pack(line)], Instants(now_ns, now_ns)
+        told, at = [messages.pack(event), messages.pack(line)], Instants(now_ns, now_ns)
         return _messages((EVENTS, LOG_LINES), told, wall_ns, self._events, at)
 
     def handle_fresh(self) -> None:
@@ -243,11 +234,11 @@ class SessionMessages:
             if name not in before or before[name] != value
         }
         self._told = {**before, **fresh}
-        changed = [RecordedFigure.of(name, value) for name, value in fresh.items()]
-        told = RecordedFigures(session_ns=session_ns, figures=changed)
+        changed = [messages.RecordedFigure.of(name, value) for name, value in fresh.items()]
+        told = messages.RecordedFigures(session_ns=session_ns, figures=changed)
         self._figures += 1
         at, wall_ns = Instants(now_ns, now_ns), session_ns + self._offset_ns
-        return ChannelMessage(SESSION_FIGURES, pack(told), wall_ns, self._figures, at)
+        return ChannelMessage(SESSION_FIGURES, messages.pack(told), wall_ns, self._figures, at)
 
 
 def _messages(

@@ -239,11 +239,11 @@ class EventLog:
         self._silent = set(silent)
         for name in self._collector.setup.inputs:
             process = self._collector.topology.input(name).process
-            fault = self._collector.process(process).source_fault
+            capture = self._collector.process(process).capture
+            fault, live = capture.source_fault, capture.live_source
             if fault and fault != self._faults.get(process):
                 yield now_ns, "input", f"{process}: {fault}"
                 self._faults[process] = fault
-            live = self._collector.process(process).live_source
             if live is not None and live != self._live.get(process, "own"):
                 who = "a page took over" if live == "page" else "its own source again"
                 yield now_ns, "input", f"{name}: {who}"

@@ -83,7 +83,7 @@ def _leaves(
 ) -> Iterator[tuple[_Path, str, Mapping[str, str], float]]:
     """Each number below `value`: its path with `*` for a row of a table, name, labels, value."""
     if isinstance(value, Mapping):
-        table = path in _tables()
+        table = _kinds().get(path) == "table"
         for key, below in value.items():
             row = (*path, _ANY if table else key)
             # A process counts what it likes: each has a name of its own.
@@ -108,7 +108,7 @@ def _add(
     name, per_unit = _named(name)
     family = families.get(name)
     if family is None:
-        kind = CounterMetricFamily if path in _counters() else GaugeMetricFamily
+        kind = CounterMetricFamily if _kinds().get(path) == "counter" else GaugeMetricFamily
         words = f"{'.'.join(path)} of the report (docs/report.md)."
         family = families[name] = kind(name, words, labels=list(labels))
     family.add_metric(list(labels.values()), value / per_unit)
@@ -131,19 +131,15 @@ def _named(way: str) -> tuple[str, float]:
 
 
 @cache
-def _counters() -> frozenset[_Path]:
-    return frozenset(path for path, what in _declared(SessionReport, ()) if what == "counter")
-
-
-@cache
-def _tables() -> frozenset[_Path]:
-    return frozenset(path for path, what in _declared(SessionReport, ()) if what == "table")
+def _kinds() -> Mapping[_Path, str]:
+    return dict(_declared(SessionReport, ()))
 
 
 def _declared(kind: Any, path: _Path) -> Iterator[tuple[_Path, str]]:
     """Where the report has counters and tables, from the types of its fields."""
     hints = get_type_hints(kind, include_extras=True)
-    names = {one.name: one.encode_name for one in _struct_fields(kind)}
+    fields = msgspec.structs.fields(kind) if issubclass(kind, msgspec.Struct) else ()
+    names = {one.name: one.encode_name for one in fields}
     for field, marks in marks_of(kind).items():
         below = path if is_flat(kind, field) else (*path, names.get(field, field))
         counted = field in _COUNTED or (is_dataclass(kind) and not marks)
@@ -162,10 +158,6 @@ def _below(hint: Any, path: _Path, counted: bool) -> Iterator[tuple[_Path, str]]
             yield from _below(row, (*path, _ANY), counted)
     elif is_dataclass(hint) or (isinstance(hint, type) and issubclass(hint, msgspec.Struct)):
         yield from _declared(hint, path)
-
-
-def _struct_fields(kind: Any) -> tuple[msgspec.structs.FieldInfo, ...]:
-    return msgspec.structs.fields(kind) if issubclass(kind, msgspec.Struct) else ()
 
 
 def _plain(hint: Any) -> Iterator[Any]:

@@ -20,17 +20,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.figures import marks_of, plus
 from pipelines.recording.figures import RecorderFigures
+from pipelines.report import model
 from pipelines.report.collector import Collector
-from pipelines.report.model import (
-    RECEIVED,
-    CpuReport,
-    DirectionReport,
-    EndTrace,
-    HapticReport,
-    SessionReport,
-    StreamReport,
-    TraceSeries,
-)
 from pipelines.report.sections import spread_ms
 from pipelines.report.session_report import skew_reports, stream_latency_ms
 from pipelines.report.sync_figures import sync_section
@@ -51,8 +42,8 @@ _NEEDS = "write both with `kontur-av stream --end … --report FILE` of one sess
 class JoinedEnd(NamedTuple):
     """The report of an end, and its trace."""
 
-    report: SessionReport
-    trace: EndTrace
+    report: model.SessionReport
+    trace: model.EndTrace
 
 
 @dataclass
@@ -78,12 +69,12 @@ class _Timed:
 
 
 def join_reports(
-    first: SessionReport,
-    second: SessionReport,
+    first: model.SessionReport,
+    second: model.SessionReport,
     *,
     read_setup: Callable[[str], Setup],
     table_of: Callable[[Setup], Topology],
-) -> SessionReport:
+) -> model.SessionReport:
     """Return the report of the whole session; the order of the two does not matter.
 
     read_setup: makes a setup of its TOML text (`pipelines.session.setup.setup_file`).
@@ -136,7 +127,7 @@ def join_reports(
     )
 
 
-def _ends(first: SessionReport, second: SessionReport) -> dict[Segment, JoinedEnd]:
+def _ends(first: model.SessionReport, second: model.SessionReport) -> dict[Segment, JoinedEnd]:
     ends: dict[Segment, JoinedEnd] = {}
     for report in (first, second):
         if report.end is None or report.trace is None:
@@ -161,7 +152,7 @@ def _check_alike(ground: Setup, space: Setup) -> None:
             raise ConfigError(f"the ends had setups with different {name}; give both the same")
 
 
-def _collect(collector: Collector, ground: EndTrace, space: EndTrace) -> int:
+def _collect(collector: Collector, ground: model.EndTrace, space: model.EndTrace) -> int:
     """Give the rows of both ends to the collector; return the largest error of an instant (ns)."""
     history, shift_ns = _clock(ground, space)
     timed, errors_ns = [], [0]
@@ -177,7 +168,7 @@ def _collect(collector: Collector, ground: EndTrace, space: EndTrace) -> int:
     return max(errors_ns)
 
 
-def _clock(ground: EndTrace, space: EndTrace) -> tuple[ClockHistory, int]:
+def _clock(ground: model.EndTrace, space: model.EndTrace) -> tuple[ClockHistory, int]:
     """Where the clock of the ground was, by instants of space; what else to add (ns).
 
     The offsets are between wall times.
@@ -197,7 +188,7 @@ def _clock(ground: EndTrace, space: EndTrace) -> tuple[ClockHistory, int]:
     return reversed_, shift_ns
 
 
-def _history(every: Iterable[TraceSeries]) -> ClockHistory:
+def _history(every: Iterable[model.TraceSeries]) -> ClockHistory:
     history = ClockHistory()
     for series in every:
         if TRACED.get(series.kind) is ClockRow:
@@ -207,7 +198,7 @@ def _history(every: Iterable[TraceSeries]) -> ClockHistory:
 
 
 def _timed(
-    series: TraceSeries, topology: Topology, clock: tuple[ClockHistory, int] | None
+    series: model.TraceSeries, topology: Topology, clock: tuple[ClockHistory, int] | None
 ) -> tuple[_Timed | None, int]:
     """The rows on the clock of the ground, and the largest error of their instants (ns).
 
@@ -252,7 +243,7 @@ def _replay(collector: Collector, timed: list[_Timed]) -> None:
     collector.handle_end()
 
 
-def _both_ran(ground: EndTrace, space: EndTrace) -> tuple[int, int]:
+def _both_ran(ground: model.EndTrace, space: model.EndTrace) -> tuple[int, int]:
     """From when to when both ends ran, on the clock of the ground."""
     history, shift_ns = _clock(ground, space)
     instants_ns = np.array([space.began_ns, space.ended_ns], np.int64)
@@ -265,16 +256,16 @@ def _both_ran(ground: EndTrace, space: EndTrace) -> tuple[int, int]:
 
 def _received(report: msgspec.Struct) -> Mapping[str, Any]:
     marks = marks_of(type(report))
-    return {name: getattr(report, name) for name, one in marks.items() if RECEIVED in one}
+    return {name: getattr(report, name) for name, one in marks.items() if model.RECEIVED in one}
 
 
 def _stream(
     name: str,
-    reports: Mapping[Segment, SessionReport],
+    reports: Mapping[Segment, model.SessionReport],
     collector: Collector,
     error_ns: int,
     both_ran_ns: tuple[int, int],
-) -> StreamReport:
+) -> model.StreamReport:
     direction = collector.topology.media(name).direction
     sent = reports[direction.sender].streams[name]
     received = reports[direction.receiver].streams[name]
@@ -292,10 +283,10 @@ def _stream(
 
 def _haptic(
     key: str,
-    reports: Mapping[Segment, SessionReport],
+    reports: Mapping[Segment, model.SessionReport],
     collector: Collector,
     both_ran_ns: tuple[int, int],
-) -> HapticReport:
+) -> model.HapticReport:
     direction = collector.topology.haptic(key).direction
     sent = reports[direction.sender].haptic[key]
     received = reports[direction.receiver].haptic[key]
@@ -310,16 +301,16 @@ def _haptic(
 
 
 def _direction(
-    topology: Topology, name: str, reports: Mapping[Segment, SessionReport]
-) -> DirectionReport:
+    topology: Topology, name: str, reports: Mapping[Segment, model.SessionReport]
+) -> model.DirectionReport:
     (link,) = (row for row in topology.links if row.direction.value == name)
     received = reports[link.direction.receiver].link[name]
     sent = reports[link.direction.sender].link[name]
     return msgspec.structs.replace(sent, **_received(received))
 
 
-def _cpu(ground: CpuReport, space: CpuReport) -> CpuReport:
-    return CpuReport(
+def _cpu(ground: model.CpuReport, space: model.CpuReport) -> model.CpuReport:
+    return model.CpuReport(
         total_s=round(ground.total_s + space.total_s, 2),
         launcher_s=round(ground.launcher_s + space.launcher_s, 2),
         cores_used=round(ground.cores_used + space.cores_used, 3),

@@ -18,7 +18,7 @@ from kontur_av.meters import Histogram, RateMeter, rank_of
 from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
 from pipelines.report.model import LipSyncReport, SkewReport
 from pipelines.report.terms import LONGEST_GAP_NS, DelaySums
-from pipelines.session.rows import CodingRow, DecodedRow, OutRow, Row, RxRow, ShownRow, TxRow
+from pipelines.session.rows import OutRow, Row, ShownRow
 from telepresence.haptics.latency import LatencyMatcher
 
 #: This many latencies of a sense are remembered, to be compared with those of another one: 20 s of
@@ -60,13 +60,8 @@ class Skew:
         farthest = self._later.max
         if self._earlier.max > farthest:
             farthest = -self._earlier.max
-        return SkewReport(
-            p50=self._percentile(50) / 1e6,
-            p95=self._percentile(95) / 1e6,
-            p99=self._percentile(99) / 1e6,
-            max=farthest / 1e6,
-            count=self.count,
-        )
+        p50, p95, p99 = (self._percentile(p) / 1e6 for p in (50, 95, 99))
+        return SkewReport(p50=p50, p95=p95, p99=p99, max=farthest / 1e6, count=self.count)
 
     @property
     def count(self) -> int:
@@ -180,7 +175,7 @@ class Pauses:
 
 @dataclass(slots=True)
 class _Journey:
-    """What is known so far of one access unit or block of sound."""
+    """What is known so far of one access unit or block of sound, in the columns of its rows."""
 
     seen_ns: int
     capture_ns: int | None = None
@@ -189,12 +184,13 @@ class _Journey:
     received_ns: int | None = None
     displayed_ns: int | None = None
     #: Of pictures: at the encoder, encoding begun, decoded; the capture of the one before it that
-    #: was displayed lies `gap_ns` back; octets and packets.
+    #: was displayed lies `gap_ns` back.
     came_ns: int = 0
     begun_ns: int | None = None
     decoded_ns: int | None = None
     gap_ns: int = 0
-    size: tuple[int, int] = (0, 0)
+    octets: int = 0
+    packets: int = 0
 
 
 class StreamFigures:
@@ -223,24 +219,18 @@ class StreamFigures:
         self._captured_ns: int | None = None
         self._journeys: OrderedDict[int, _Journey] = OrderedDict()
 
-    @property
-    def last_shown_ns(self) -> int | None:
-        """When a picture or a block of sound was displayed last."""
-        return self.pauses.last_ns
-
     def handle_rows(self, kind: type[Row], rows: NDArray[np.int64], now_ns: int) -> None:
         """Rows of one `kind`, shape (n, columns), from its sender, receiver or display."""
         if kind is OutRow:
             self.handle_out(rows)
-            return
-        handlers = {
-            TxRow: self.handle_tx,
-            CodingRow: self.handle_coding,
-            DecodedRow: self.handle_decoded,
-            RxRow: self.handle_rx,
-            ShownRow: self.handle_shown,
-        }
-        handlers[kind](rows, now_ns)
+        elif kind is ShownRow:
+            self.handle_shown(rows, now_ns)
+        else:
+            for timestamp, *values in rows.tolist():
+                journey = self._journey(timestamp, now_ns)
+                for name, value in zip(kind._fields[1:], values, strict=True):
+                    setattr(journey, name, value)
+                self._finish(timestamp, journey)
 
     def handle_out(self, rows: NDArray[np.int64]) -> None:
         for instant_ns, octets, cap_bps in rows.tolist():
@@ -251,31 +241,6 @@ class StreamFigures:
             bps = self.rate.last_bps(at_ns)
             if bps - cap_bps > self.above_cap_bps[0]:
                 self.above_cap_bps = bps - cap_bps, bps
-
-    def handle_tx(self, rows: NDArray[np.int64], now_ns: int) -> None:
-        for timestamp, capture_ns, encoded_ns, sent_ns in rows.tolist():
-            journey = self._journey(timestamp, now_ns)
-            journey.capture_ns, journey.encoded_ns = capture_ns, encoded_ns
-            journey.sent_ns = sent_ns
-            self._finish(timestamp, journey)
-
-    def handle_coding(self, rows: NDArray[np.int64], now_ns: int) -> None:
-        """Of a picture: when it came to the encoder and when encoding began, octets, packets."""
-        for timestamp, came_ns, begun_ns, octets, packets in rows.tolist():
-            journey = self._journey(timestamp, now_ns)
-            journey.came_ns, journey.begun_ns = came_ns, begun_ns
-            journey.size = octets, packets
-
-    def handle_decoded(self, rows: NDArray[np.int64], now_ns: int) -> None:
-        """When a picture was decoded; without it, that is when it was displayed."""
-        for timestamp, decoded_ns in rows.tolist():
-            self._journey(timestamp, now_ns).decoded_ns = decoded_ns
-
-    def handle_rx(self, rows: NDArray[np.int64], now_ns: int) -> None:
-        for timestamp, received_ns in rows.tolist():
-            journey = self._journey(timestamp, now_ns)
-            journey.received_ns = received_ns
-            self._finish(timestamp, journey)
 
     def handle_shown(self, rows: NDArray[np.int64], now_ns: int) -> None:
         for timestamp, capture_ns, displayed_ns in rows.tolist():
@@ -321,12 +286,10 @@ class StreamFigures:
         for stage, begin_ns, end_ns in zip(STAGES, instants, instants[1:], strict=False):
             self.stages[stage].add(end_ns - begin_ns)
         if journey.begun_ns is not None and 0 < journey.gap_ns <= LONGEST_GAP_NS:
-            decoded_ns = journey.decoded_ns
-            if decoded_ns is None:
-                decoded_ns = journey.displayed_ns
             captured, encoded, _, received, displayed = instants
-            way = captured, journey.came_ns, journey.begun_ns, encoded, received, decoded_ns
-            self.way.add((*way, displayed), journey.gap_ns, journey.size)
+            decoded = displayed if journey.decoded_ns is None else journey.decoded_ns
+            way = captured, journey.came_ns, journey.begun_ns, encoded, received, decoded
+            self.way.add((*way, displayed), journey.gap_ns, (journey.octets, journey.packets))
         del self._journeys[timestamp]
 
     def negative(self) -> dict[str, int]:

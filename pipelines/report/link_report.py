@@ -1,7 +1,7 @@
 """What `kontur-av link` shows of its link: the report, a line a second, and the summary."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import reduce
 from typing import TypeVar
 
@@ -9,16 +9,8 @@ from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.figures import plus
 from kontur_av.meters import Histogram
 from pipelines.link.figures import SocketFigures, WayInFigures
+from pipelines.report import model
 from pipelines.report.collector import Collector
-from pipelines.report.model import (
-    DirectionReport,
-    GatewayReport,
-    LineReport,
-    LinkRadio,
-    LinkReport,
-    NeedReport,
-    Punctuality,
-)
 from pipelines.report.result import fitted_line
 from pipelines.report.sections import clock_words, cpu_report, process_report
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
@@ -42,16 +34,16 @@ def build_link_report(
     cpu_s: Mapping[str, float],
     restarts: Mapping[str, int],
     launcher_cpu_s: float,
-) -> LinkReport:
+) -> model.LinkReport:
     """The whole report. With one end alone each direction lacks what the other end would count.
 
     seconds: how long the link ran. cpu_s, restarts: of each process, over all its lives.
     """
-    return LinkReport(
+    return model.LinkReport(
         setup=collector.setup.name,
         seconds=round(seconds, 3),
         ends=[end.value for end in ends],
-        radio=LinkRadio(profile=collector.setup.radio_profile.name, seed=seed),
+        radio=model.LinkRadio(profile=collector.setup.radio_profile.name, seed=seed),
         link={
             direction: link_figures(collector, direction) for direction in ("uplink", "downlink")
         },
@@ -83,21 +75,14 @@ def _failures(
     return found
 
 
-@dataclass
-class _Seen:
-    """The figures of an end's last line."""
-
-    frames: int = 0
-    octets: Mapping[str, int] = field(default_factory=dict)
-
-
 class LinkView:
     """The present figures: for each end its state, what it sends by level, and what it lost."""
 
     def __init__(self, setup: Setup, ends: Sequence[Segment]) -> None:
         self._setup = setup
         self._ends = ends
-        self._seen = {end: _Seen() for end in ends}
+        #: By end: the figures of its last line.
+        self._seen = dict.fromkeys(ends, SenderFigures())
 
     def lines(self, collector: Collector, seconds: float, width: int | None = None) -> list[str]:
         """A line for each end; rates are those since the lines before.
@@ -117,9 +102,8 @@ class LinkView:
             return f"{end.value}: starting"
         profile = self._setup.profile(end.transmits)
         sent, received = link.transmit, link.receive
-        seen = self._seen[end]
-        rates = _rates_kbps(sent, seen, profile)
-        self._seen[end] = _Seen(sent.frames, dict(sent.octets))
+        rates = _rates_kbps(sent, self._seen[end], profile)
+        self._seen[end] = sent
         state = _state(link.supervision)
         levels = " ".join(f"{name} {rates[name]:.1f}" for name in _LEVELS)
         strangers = sum(figures.total(SocketFigures).strangers.values())
@@ -139,21 +123,19 @@ class LinkView:
         return fitted_line(parts, width, gap=", ")
 
 
-def _rates_kbps(sent: SenderFigures, seen: _Seen, profile: LinkProfile) -> dict[str, float]:
+def _rates_kbps(sent: SenderFigures, seen: SenderFigures, profile: LinkProfile) -> dict[str, float]:
     # Time is counted in slots of the link, so the rate is exact even if the figures come late. A
     # restarted gateway counts from 0.
-    begun_anew = sent.frames < seen.frames
-    frames = sent.frames - (0 if begun_anew else seen.frames)
-    seconds = max(1, frames) * profile.slot_ns / NS_PER_S
+    if sent.frames < seen.frames:
+        seen = SenderFigures()
+    seconds = max(1, sent.frames - seen.frames) * profile.slot_ns / NS_PER_S
     return {
-        name: 8
-        * (sent.octets.get(name, 0) - (0 if begun_anew else seen.octets.get(name, 0)))
-        / (1000 * seconds)
+        name: 8 * (sent.octets.get(name, 0) - seen.octets.get(name, 0)) / (1000 * seconds)
         for name in _LEVELS
     }
 
 
-def summary_lines(report: LinkReport) -> list[str]:
+def summary_lines(report: model.LinkReport) -> list[str]:
     """The end of a run for people: each direction, its ledger, each end, the cost."""
     lines = [f"{report.setup}, {report.seconds:.1f} s, radio {report.radio.profile}"]
     for direction, link in report.link.items():
@@ -171,7 +153,7 @@ def summary_lines(report: LinkReport) -> list[str]:
     return lines
 
 
-def _direction(direction: str, link: DirectionReport) -> list[str]:
+def _direction(direction: str, link: model.DirectionReport) -> list[str]:
     lines = []
     sender, receiver = link.sender, link.receiver
     if sender.frames:
@@ -207,14 +189,14 @@ def _state(supervision: SupervisionFigures) -> str:
     return f"{state} ({supervision.why})" if state in ("check", "refused") else state
 
 
-def ledger_line(link: DirectionReport) -> str:
+def ledger_line(link: model.DirectionReport) -> str:
     """The uses of a direction's octets; 100 % in all."""
     shares = link.octets_percent.items()
     used = ", ".join(f"{kind} {share:.2f}" for kind, share in shares)
     return f"of {sum(link.sender.octets.values())} octets, in %: {used}"
 
 
-def peer_lines(end: str, gateway: GatewayReport) -> list[str]:
+def peer_lines(end: str, gateway: model.GatewayReport) -> list[str]:
     """The path to the other machine, if there is one."""
     peer = gateway.peer
     if peer is None:
@@ -229,7 +211,7 @@ def peer_lines(end: str, gateway: GatewayReport) -> list[str]:
     return [line if peer.protected else f"{line}; NOT PROTECTED"]
 
 
-def end_line(end: str, gateway: GatewayReport) -> str:
+def end_line(end: str, gateway: model.GatewayReport) -> str:
     supervision = gateway.supervision
     contacts = 0 if supervision is None else len(supervision.contacts)
     contact_s = 0.0 if supervision is None else supervision.contact_ns / NS_PER_S
@@ -246,7 +228,7 @@ def end_line(end: str, gateway: GatewayReport) -> str:
 RecordT = TypeVar("RecordT")
 
 
-def link_figures(collector: Collector, direction: str) -> DirectionReport:
+def link_figures(collector: Collector, direction: str) -> model.DirectionReport:
     """One direction of the link, from what its two gateways have reported."""
     setup = collector.setup
     link = collector.topology.link(Direction(direction))
@@ -254,19 +236,19 @@ def link_figures(collector: Collector, direction: str) -> DirectionReport:
     sent = _all_lives(SenderFigures(), [life.transmit for life in near.links()])
     received = _all_lives(ReceiverFigures(), [life.receive for life in far.links()])
     need, profile = setup.need(link.direction), setup.profile(link.direction)
-    return DirectionReport(
+    return model.DirectionReport(
         # Known even if the sender is on another machine.
         sender=replace(sent, capacity_bps=profile.capacity_bps),
         receiver=received,
         below_haptics_bps=profile.media_bps,
-        needed_at_caps_bps=NeedReport(
+        needed_at_caps_bps=model.NeedReport(
             payload=need.payload_bps,
             headers=need.overhead_bps,
             reserve=need.reserve_bps,
             spare=need.spare_bps,
         ),
         arithmetic=[
-            LineReport(what=line.what, stream=line.stream, bps=line.bps)
+            model.LineReport(what=line.what, stream=line.stream, bps=line.bps)
             for line in setup.channel_table(link.direction)
         ],
         freed_bps=_freed_bps(profile, sent),
@@ -301,11 +283,11 @@ def ledger_percent(octets: Mapping[str, int]) -> dict[str, float]:
     return {kind: (whole + (kind in losers)) / 100 for kind, (whole, _) in shares.items()}
 
 
-def gateway_figures(collector: Collector, end: str) -> GatewayReport:
+def gateway_figures(collector: Collector, end: str) -> model.GatewayReport:
     """What only this end knows: the link of its last life, and its sockets."""
     figures = collector.gateway(Segment(end))
     last = next(reversed(list(figures.links())), None)
-    return GatewayReport(
+    return model.GatewayReport(
         supervision=None if last is None else last.supervision,
         radio=None if last is None else last.radio,
         sockets=figures.total(SocketFigures),
@@ -326,8 +308,8 @@ def peer_words(figures: PeerFigures) -> str:
     return words if figures.protected else f"NOT PROTECTED, {words}"
 
 
-def punctuality_us(histogram: Histogram) -> Punctuality:
+def punctuality_us(histogram: Histogram) -> model.Punctuality:
     """Percentiles of values in ns, in µs."""
     summary = histogram.summary_ms()
     us = {name: round(summary[name] * 1000, 1) for name in ("p50", "p95", "p99", "max")}
-    return Punctuality(**us, p99_9=round(histogram.percentile(99.9) / NS_PER_US, 1))
+    return model.Punctuality(**us, p99_9=round(histogram.percentile(99.9) / NS_PER_US, 1))

@@ -83,11 +83,12 @@ class LiveView:
 
     def show(self, launcher: Launcher) -> None:
         if self._live is not None:
+            path = path_line(self._collector)
             self._live.update(
                 Group(
                     Text(first_line(launcher, self._collector, self._console.width), "bold"),
                     streams_table(launcher, self._collector, self._console.width),
-                    *_path(self._collector),
+                    *([Text(path, "bold red" if "NOT PROTECTED" in path else "dim")] * bool(path)),
                     *(Text(line, "dim") for line in clock_lines(self._collector)),
                     *_inputs(launcher, self._collector),
                     *_recording(self._collector),
@@ -213,15 +214,10 @@ def _inputs(launcher: Launcher, collector: Collector) -> list[Text]:
     lines = [Text(str(silence), "dim" if silence.waits else "bold red") for silence in silent]
     for name in setup.inputs:
         process = collector.topology.input(name).process
-        fault = collector.process(process).source_fault
+        fault = collector.process(process).capture.source_fault
         if fault and all(silence.process != process for silence in silent):
             lines.append(Text(f"{process}: {fault}", "yellow"))
     return lines
-
-
-def _path(collector: Collector) -> list[Text]:
-    line = path_line(collector)
-    return [Text(line, "bold red" if "NOT PROTECTED" in line else "dim")] if line else []
 
 
 def _recording(collector: Collector) -> list[Text]:

@@ -29,7 +29,10 @@ def fitted_table(
     columns = list(zip(ranks, *rows, strict=True))
     # A column has a space at each side and a border.
     widths = [
-        3 + max(Text.from_markup(heading).cell_len, *map(_cell_len, cells), 0)
+        3
+        + max(
+            Text.from_markup(heading).cell_len, *(Text.assemble(cell).cell_len for cell in cells), 0
+        )
         for heading, *cells in columns
     ]
     rank = list(ranks.values())
@@ -61,10 +64,6 @@ def fitted_line(parts: Sequence[str], width: int | None, *, gap: str = _GAP) -> 
             continue
         line += gap + part
     return line
-
-
-def _cell_len(cell: str | Text) -> int:
-    return cell.cell_len if isinstance(cell, Text) else len(cell)
 
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"

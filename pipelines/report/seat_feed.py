@@ -8,7 +8,7 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.collector import Collector
-from pipelines.report.event_log import EventLog, ProcessNow
+from pipelines.report.event_log import ProcessNow
 from pipelines.report.model import EndTrace, SessionReport, to_json
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.report.session_report import build_report
@@ -101,6 +101,8 @@ class SeatFeed:
 
     def __init__(self, collector: Collector) -> None:
         self._figures = SeatFigures(collector)
+        #: What happened, and what a systems operator must know now.
+        self.log = self._figures.log
         self._collector = collector
         #: By page process: its life, and the newest event that it was sent.
         self._told: dict[str, tuple[int | None, int]] = {}
@@ -132,7 +134,8 @@ class SeatFeed:
         lives = {
             child.row.name: child.pid
             for child in launcher.children
-            if child.row.name in launcher.pages and self._watched(child.row.name)
+            if child.row.name in launcher.pages
+            and self._collector.process(child.row.name).total(PageFigures).watching
         }
         followers = self._followers(launcher)
         figures_due = bool(followers) and now_ns >= self._recorded_ns + _RECORDED_EVERY_NS
@@ -202,7 +205,7 @@ class SeatFeed:
 
     def _events(self, process: str, pid: int | None) -> list[Event]:
         life, number = self._told.get(process, (pid, 0))
-        events = self._figures.log.after(number if life == pid else 0)
+        events = self.log.after(number if life == pid else 0)
         self._newest[process] = pid, events[-1].number if events else number
         return events
 
@@ -219,17 +222,9 @@ class SeatFeed:
             if following.get(child.row.name)
         }
 
-    @property
-    def log(self) -> EventLog:
-        """What happened, and what a systems operator must know now."""
-        return self._figures.log
-
     def handle_sent(self, process: str) -> None:
         if process in self._newest:
             self._told[process] = self._newest[process]
-
-    def _watched(self, process: str) -> bool:
-        return self._collector.process(process).total(PageFigures).watching > 0
 
 
 def end_trace(collector: Collector, launcher: Launcher) -> EndTrace:

@@ -39,7 +39,7 @@ from pipelines.report.session_report import (
 from pipelines.report.silence import last_bps, shown_now, silences
 from pipelines.report.sync_figures import LIMITS
 from pipelines.seats.figures import HOLDER, PageFigures
-from pipelines.session.figures import Event
+from pipelines.session.figures import Event, gathered
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.topology import PAGES, Segment
 
@@ -219,14 +219,8 @@ class SeatFigures:
                 spent_s = cpu_s[process.name] - before_s[process.name]
                 cpu = round(spent_s * NS_PER_S / (now_ns - before_ns), 3)
             segment = self._topology.process(process.name).segment
-            yield SeatProcess(
-                name=process.name,
-                segment=None if segment is None else segment.value,
-                cpu=cpu,
-                restarts=process.restarts,
-                running=process.running,
-                error=process.error,
-            )
+            place = None if segment is None else segment.value
+            yield gathered(SeatProcess, process, segment=place, cpu=cpu)
 
 
 def _direction(report: DirectionReport) -> SeatDirection:

@@ -15,17 +15,8 @@ from pipelines.media.figures import DisplayFigures
 from pipelines.mission.figures import ComponentFigures, TaskFigures
 from pipelines.partner.figures import RtcFigures
 from pipelines.recording.figures import RecorderFigures
-from pipelines.report.collector import Collector
-from pipelines.report.model import (
-    CpuReport,
-    ProcessReport,
-    RtcReport,
-    RtcShownReport,
-    SecondArmReport,
-    Spread,
-    Warning,
-)
-from pipelines.report.process_figures import ProcessFigures
+from pipelines.report import model
+from pipelines.report.collector import Collector, ProcessFigures
 from pipelines.report.silence import Silence
 from pipelines.session.figures import DatedEvent, TrainerFigures
 from pipelines.session.task_journal import TaskRow
@@ -57,12 +48,12 @@ def arm_report(collector: Collector, epoch_ns: int) -> OwnershipFigures | None:
     return replace(arm, events=events)
 
 
-def second_arm_report(collector: Collector) -> SecondArmReport | None:
+def second_arm_report(collector: Collector) -> model.SecondArmReport | None:
     """Return the figures of a partner's own arm; None without one."""
     if collector.topology.setup.partner_arm != "second":
         return None
     arm = collector.process(SECOND_ROBOT)
-    return SecondArmReport(
+    return model.SecondArmReport(
         sender=arm.total(SamplesSent),
         receiver=arm.total(SamplesReceived),
         port=arm.total(PortFigures),
@@ -101,14 +92,14 @@ def run_since(epoch_ns: int, run: TaskRow) -> TaskRow:
     return change(run, selected_ns=run.selected_ns - epoch_ns, steps=steps)
 
 
-def task_warnings(collector: Collector) -> list[Warning]:
+def task_warnings(collector: Collector) -> list[model.Warning]:
     """Runs that should have a file of their own, and have none."""
     told = collector.process(TASKS).total(TaskFigures)
     if not told.unrecorded:
         return []
     why = f": {told.unrecorded_why}" if told.unrecorded_why else ""
     return [
-        Warning(
+        model.Warning(
             what="not_recorded",
             where=TASKS,
             measured=f"{told.unrecorded} runs have no recording of their own{why}",
@@ -117,35 +108,32 @@ def task_warnings(collector: Collector) -> list[Warning]:
     ]
 
 
-def spread_ms(histogram: Histogram) -> Spread:
+def spread_ms(histogram: Histogram) -> model.Spread:
     """Percentiles of values in ns, in ms; to the microsecond, because more would be noise."""
     summary = histogram.summary_ms()
-    return Spread(
-        p50=round(summary["p50"], 3),
-        p95=round(summary["p95"], 3),
-        p99=round(summary["p99"], 3),
+    return model.Spread(
+        **{name: round(summary[name], 3) for name in ("p50", "p95", "p99", "max")},
         p99_9=round(histogram.percentile(99.9) / NS_PER_MS, 3),
-        max=round(summary["max"], 3),
         mean=round(histogram.mean / NS_PER_MS, 3),
         count=histogram.count,
     )
 
 
-def rtc_report(collector: Collector, seconds: float) -> RtcReport | None:
+def rtc_report(collector: Collector, seconds: float) -> model.RtcReport | None:
     """The leg of a session of `seconds`; None without one."""
     if collector.topology.setup.rtc is None:
         return None
     figures = collector.process(RTC).find(RtcFigures)
     if figures is None:
         return None
-    return RtcReport(
+    return model.RtcReport(
         figures=figures,
         mean_bps={
             name: round(8 * stream.octets / max(seconds, 1e-9))
             for name, stream in sorted(figures.streams.items())
         },
         shown={
-            name: RtcShownReport(
+            name: model.RtcShownReport(
                 display=collector.process(RTC_DISPLAY).total(DisplayFigures, name),
                 latency_ms=spread_ms(collector.partner[name]),
             )
@@ -212,7 +200,7 @@ def seat_recording(collector: Collector) -> dict[str, str | int | None]:
     }
 
 
-def recorder_warnings(collector: Collector) -> list[Warning]:
+def recorder_warnings(collector: Collector) -> list[model.Warning]:
     """What is not in the recording, and whether the disk or the processors were too slow for it.
 
     A disk makes the recorder drop what it has read. What was gone before it was read is missing
@@ -229,7 +217,7 @@ def recorder_warnings(collector: Collector) -> list[Warning]:
         measured += f", of which {missed} were gone before they were read"
     mends = [_DISK] * bool(dropped or figures.disk_faults) + [_PROCESSOR] * bool(missed)
     mend = "; ".join(mends)
-    return [Warning(what="not_recorded", where=RECORDER, measured=measured + why, mend=mend)]
+    return [model.Warning(what="not_recorded", where=RECORDER, measured=measured + why, mend=mend)]
 
 
 def recording_line(collector: Collector) -> tuple[str, bool] | None:
@@ -268,9 +256,11 @@ def clock_lines(collector: Collector) -> Iterator[str]:
             yield clock_words(segment.peer.value, link.clock)
 
 
-def cpu_report(cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float) -> CpuReport:
+def cpu_report(
+    cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float
+) -> model.CpuReport:
     total_s = sum(cpu_s.values()) + launcher_cpu_s
-    return CpuReport(
+    return model.CpuReport(
         total_s=round(total_s, 2),
         launcher_s=round(launcher_cpu_s, 2),
         cores_used=round(total_s / max(seconds, 1e-9), 3),
@@ -279,15 +269,15 @@ def cpu_report(cpu_s: Mapping[str, float], launcher_cpu_s: float, seconds: float
 
 def process_report(
     figures: ProcessFigures, cpu_s: float, restarts: int, silence: Silence | None = None
-) -> ProcessReport:
+) -> model.ProcessReport:
     """One process, with the CPU time and restarts that its launcher knows.
 
     silence: of an input that delivers nothing.
     """
-    return ProcessReport(
+    return model.ProcessReport(
         cpu_s=round(cpu_s, 3),
         restarts=restarts,
-        source_fault=figures.source_fault if silence is None else silence.fault or None,
+        source_fault=figures.capture.source_fault if silence is None else silence.fault or None,
         scheduler=figures.scheduler,
         last_error=figures.last_error,
         silent_s=None if silence is None else round(silence.silent_ns / NS_PER_S, 1),

@@ -13,41 +13,10 @@ from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.media.figures import GainFigures
 from pipelines.recording.figures import FoxgloveFigures
+from pipelines.report import model, sections, silence
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import Pauses, StreamFigures
 from pipelines.report.link_report import gateway_figures, link_figures, punctuality_us
-from pipelines.report.model import (
-    HapticReport,
-    SessionReport,
-    SkewReport,
-    Stages,
-    StreamLatency,
-    StreamReport,
-)
-from pipelines.report.sections import (
-    arm_report,
-    component_reports,
-    cpu_report,
-    exercises,
-    process_report,
-    recorder_report,
-    recorder_warnings,
-    rtc_report,
-    second_arm_report,
-    spread_ms,
-    task_runs,
-    task_warnings,
-)
-from pipelines.report.silence import (
-    MISSED_NS,
-    missed_ns,
-    never_met,
-    signal_ns,
-    silences,
-    stopped_ns,
-    taken_by_page,
-    waits_for_page,
-)
 from pipelines.report.sync_figures import disagreements, sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
@@ -69,7 +38,7 @@ def build_report(
     launcher_cpu_s: float,
     media: bool = True,
     stopped_s: Sequence[tuple[float, float]] = (),
-) -> SessionReport:
+) -> model.SessionReport:
     """The whole report.
 
     seconds: how long the session ran. cpu_s, restarts: of each process, over all its lives.
@@ -81,8 +50,8 @@ def build_report(
     whole_s, seconds = seconds, seconds - sum(end_s - begin_s for begin_s, end_s in stopped_s)
     uplink = link_figures(collector, "uplink")
     topology, alone = collector.topology, collector.topology.alone
-    silent = {one.process: one for one in silences(collector)}
-    return SessionReport(
+    silent = {one.process: one for one in silence.silences(collector)}
+    return model.SessionReport(
         setup=setup.name,
         end=None if alone is None else alone.value,
         seconds=round(whole_s, 3),
@@ -105,9 +74,9 @@ def build_report(
         # Contacts are felt on the ground, and seen and heard in space.
         sync=None if alone else sync_section(setup, collector.sync, media=media),
         lip_sync=collector.lip_sync.summary() if collector.lip_sync.counted_ns else None,
-        cpu=cpu_report(cpu_s, launcher_cpu_s, seconds),
+        cpu=sections.cpu_report(cpu_s, launcher_cpu_s, seconds),
         processes={
-            name: process_report(
+            name: sections.process_report(
                 collector.process(name), cpu_s[name], restarts[name], silent.get(name)
             )
             for name in cpu_s
@@ -115,18 +84,18 @@ def build_report(
         failures=failures(collector, seconds, media=media),
         warnings=[
             *find_warnings(collector, seconds=seconds, restarts=restarts, media=media),
-            *recorder_warnings(collector),
-            *task_warnings(collector),
+            *sections.recorder_warnings(collector),
+            *sections.task_warnings(collector),
         ],
-        recorder=recorder_report(collector),
+        recorder=sections.recorder_report(collector),
         foxglove=collector.process(FOXGLOVE).find(FoxgloveFigures),
-        exercises=exercises(collector, _radio_epoch_ns(collector)),
-        rtc=rtc_report(collector, seconds),
-        arm=arm_report(collector, _radio_epoch_ns(collector)),
+        exercises=sections.exercises(collector, _radio_epoch_ns(collector)),
+        rtc=sections.rtc_report(collector, seconds),
+        arm=sections.arm_report(collector, _radio_epoch_ns(collector)),
         safety=safety_report(collector),
-        second_arm=second_arm_report(collector),
-        tasks=task_runs(collector, _radio_epoch_ns(collector)),
-        telemetry=component_reports(collector, _radio_epoch_ns(collector)),
+        second_arm=sections.second_arm_report(collector),
+        tasks=sections.task_runs(collector, _radio_epoch_ns(collector)),
+        telemetry=sections.component_reports(collector, _radio_epoch_ns(collector)),
     )
 
 
@@ -138,7 +107,7 @@ def safety_report(collector: Collector) -> SafetyFigures | None:
     return replace(told, since_s=round(told.since_s - _radio_epoch_ns(collector) / NS_PER_S, 3))
 
 
-def skew_reports(collector: Collector) -> dict[str, SkewReport | None]:
+def skew_reports(collector: Collector) -> dict[str, model.SkewReport | None]:
     """The skews by name; None where nothing was compared, as in a setup without voices."""
     return {
         name: skew.summary_ms() if skew.count else None for name, skew in collector.skews.items()
@@ -161,13 +130,13 @@ def _pauses_s(pauses: Pauses, collector: Collector) -> list[tuple[float, float]]
 
 def stream_report(
     stream: VideoStream | VoiceStream, collector: Collector, seconds: float
-) -> StreamReport:
+) -> model.StreamReport:
     figures = collector.streams[stream.name]
     row = collector.topology.media(stream.name)
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     gain, display = sender.find(GainFigures), collector.shown(stream.name)
     seconds = max(seconds, 1e-9)
-    return StreamReport(
+    return model.StreamReport(
         side=collector.topology.side_here(row),
         cap_bps=stream.cap_bps,
         gained_bps=None if gain is None else round(gain.gained_bits / seconds),
@@ -192,11 +161,11 @@ def stream_report(
     )
 
 
-def stream_latency_ms(figures: StreamFigures) -> StreamLatency:
-    return StreamLatency(
-        **msgspec.structs.asdict(spread_ms(figures.latency)),
-        stages=Stages(
-            **{stage: spread_ms(histogram) for stage, histogram in figures.stages.items()}
+def stream_latency_ms(figures: StreamFigures) -> model.StreamLatency:
+    return model.StreamLatency(
+        **msgspec.structs.asdict(sections.spread_ms(figures.latency)),
+        stages=model.Stages(
+            **{stage: sections.spread_ms(histogram) for stage, histogram in figures.stages.items()}
         ),
     )
 
@@ -209,19 +178,19 @@ def joystick_report(collector: Collector) -> JoystickFigures | None:
     return collector.process("joystick").find(JoystickFigures)
 
 
-def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> HapticReport:
+def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> model.HapticReport:
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     profile, figures = collector.setup.profile(row.direction), collector.haptics[row.key]
     sent, received = sender.total(SamplesSent), receiver.total(SamplesReceived)
     left_out = sent.left_out
-    return HapticReport(
+    return model.HapticReport(
         side=collector.topology.side_here(row),
         cap_bps=haptic_cap_bps(profile),
         payload_bps_mean=haptic_bps(profile, received.received, seconds),
         sender=sent,
         saved_bps=None if left_out is None else haptic_bps(profile, left_out, seconds),
         receiver=received,
-        latency_ms=spread_ms(figures.latency),
+        latency_ms=sections.spread_ms(figures.latency),
         unmatched=figures.unmatched,
         pauses_s=_pauses_s(figures.pauses, collector),
         lateness_us=punctuality_us(sender.lateness),
@@ -243,11 +212,11 @@ def haptic_bps(profile: LinkProfile, samples: int, seconds: float) -> int:
 def failures(collector: Collector, seconds: float, *, media: bool = True) -> list[str]:
     """What broke a promise of the project; empty for a good run."""
     setup = collector.setup
-    found = never_met(collector, seconds)
+    found = silence.never_met(collector, seconds)
     topology = collector.topology
     delay_ns = setup.radio_profile.longest_delay_ns
     # The radio may keep all back. So only what is missed while there is a signal counts.
-    signals_ns = {segment: signal_ns(segment, collector) for segment in ("ground", "space")}
+    signals_ns = {segment: silence.signal_ns(segment, collector) for segment in ("ground", "space")}
     whole_ns = round(seconds * NS_PER_S)
     for stream in setup.streams if media else ():
         figures = collector.streams[stream.name]
@@ -257,13 +226,13 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
         if topology.alone is not None:
             # Whether the other machine sends or shows anything is not known here.
             continue
-        still_ns = stopped_ns(stream, collector)
+        still_ns = silence.stopped_ns(stream, collector)
         heard_ns = signals_ns[collector.topology.media(stream.name).direction.receiver.value]
-        long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
+        long_enough = min(whole_ns, heard_ns) >= silence.MISSED_NS + delay_ns
         if long_enough and collector.shown(stream.name).frames_displayed == 0:
-            if not waits_for_page(stream, collector):
+            if not silence.waits_for_page(stream, collector):
                 found.append(f"{stream.name}: nothing was displayed")
-        elif min(still_ns, heard_ns) >= missed_ns(stream) + delay_ns:
+        elif min(still_ns, heard_ns) >= silence.missed_ns(stream) + delay_ns:
             found.append(
                 f"{stream.name}: nothing was displayed in the last {still_ns / NS_PER_S:.1f} s, "
                 "though its input went on"
@@ -273,7 +242,7 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
     for row in collector.topology.haptics:
         receiver = collector.process(row.receiver)
         heard_ns = signals_ns[row.direction.receiver.value]
-        long_enough = min(whole_ns, heard_ns) >= MISSED_NS + delay_ns
+        long_enough = min(whole_ns, heard_ns) >= silence.MISSED_NS + delay_ns
         both = topology.alone is None
         if both and long_enough and receiver.total(SamplesReceived).received == 0:
             found.append(f"haptic_{row.key}: no sample was received")
@@ -289,7 +258,7 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
     joystick = joystick_report(collector)
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")
-    taken = {stream.name for stream in setup.streams if taken_by_page(stream, collector)}
+    taken = {stream.name for stream in setup.streams if silence.taken_by_page(stream, collector)}
     if topology.alone is None:
         found += disagreements(sync_section(setup, collector.sync, media=media), unjudged=taken)
     for process, reported in collector.processes.items():

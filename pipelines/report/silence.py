@@ -53,7 +53,7 @@ def silences(collector: Collector, now_ns: int | None = None) -> list[Silence]:
         video = setup.kind_of(name) == "video"
         if silent_ns >= _missed_ns(setup.stream_of(name).fps if video else VOICE_PACKETS_PER_S):
             waits = setup.source(name) in FILLED_BY_OTHERS
-            fault = "no page gives it" if waits else figures.source_fault or ""
+            fault = "no page gives it" if waits else figures.capture.source_fault or ""
             sense = "picture" if video else "sound"
             found.append(Silence(process, sense, silent_ns, fault, waits))
     return found
@@ -64,7 +64,7 @@ def waits_for_page(stream: VideoStream | VoiceStream, collector: Collector) -> b
     inputs = _chosen_inputs(stream, collector)
     return all(
         collector.setup.source(name) in FILLED_BY_OTHERS
-        and collector.process(collector.topology.input(name).process).captured_ns is None
+        and collector.process(collector.topology.input(name).process).capture.captured_ns is None
         for name in inputs
     )
 
@@ -101,7 +101,8 @@ def signal_ns(segment: str, collector: Collector) -> int:
     if not supervision.signal or lost > _SPOILED * (heard.frames_received + lost):
         return 0
     acquired_ns = supervision.begun_ns + supervision.contacts[-1].acquired_ns
-    if not _is_usable(figures.told_ns - supervision.begun_ns, collector.topology.setup):
+    ran_ns, setup = figures.told_ns - supervision.begun_ns, collector.topology.setup
+    if _usable_ns(ran_ns, setup) <= _usable_ns(ran_ns - _STEP_NS, setup):
         return 0
     return figures.told_ns - acquired_ns
 
@@ -140,14 +141,9 @@ def _usable_ns(until_ns: int, setup: Setup) -> int:
     return max(0, round((end_s - begin_s) * NS_PER_S))
 
 
-def _is_usable(at_ns: int, setup: Setup) -> bool:
-    """Whether fades seldom end the lock at this time of the session."""
-    return _usable_ns(at_ns, setup) > _usable_ns(at_ns - _STEP_NS, setup)
-
-
 def stopped_ns(stream: VideoStream | VoiceStream, collector: Collector) -> int:
     """How long (ns) a stream has shown nothing while its input delivered; 0 if it never showed."""
-    shown_ns = collector.streams[stream.name].last_shown_ns
+    shown_ns = collector.streams[stream.name].pauses.last_ns
     if shown_ns is None:
         return 0
     if stream.name == collector.setup.uplink_video.name:
@@ -155,8 +151,9 @@ def stopped_ns(stream: VideoStream | VoiceStream, collector: Collector) -> int:
     longest_ns = 0
     for name in _chosen_inputs(stream, collector):
         figures = collector.process(collector.topology.input(name).process)
-        if figures.captured_ns is not None:
-            given_ns = figures.captured_ns - max(shown_ns, figures.gives_since_ns)
+        captured_ns = figures.capture.captured_ns
+        if captured_ns is not None:
+            given_ns = captured_ns - max(shown_ns, figures.gives_since_ns)
             longest_ns = max(longest_ns, given_ns)
     return longest_ns
 

@@ -8,16 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from kontur_av.clock import NS_PER_MS
+from pipelines.report import model
 from pipelines.report.link_report import end_line, ledger_line, peer_lines
-from pipelines.report.model import (
-    ContentSkew,
-    HapticReport,
-    SessionReport,
-    SkewReport,
-    Spread,
-    StreamReport,
-    SyncReport,
-)
 from pipelines.report.result import fitted_line, fitted_table
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
@@ -48,7 +40,7 @@ def task_line(run: TaskRow) -> str:
     return f"task {run.name}, run {run.run}: {run.result.replace('_', ' ')}{took}{why}"
 
 
-def print_summary(report: SessionReport) -> None:
+def print_summary(report: model.SessionReport) -> None:
     """The streams, the senses and the cost, on standard output."""
     # Without a terminal no width limits the table; the widest one takes about this.
     console = Console() if Console().is_terminal else Console(width=118)
@@ -132,7 +124,7 @@ def print_summary(report: SessionReport) -> None:
         console.print(f"[bold red]failed:[/] {escape(failure)}", highlight=False)
 
 
-def first_line(report: SessionReport, width: int) -> str:
+def first_line(report: model.SessionReport, width: int) -> str:
     """The setup, how long the session ran, its radio, and the link's last state."""
     first = next(iter(report.gateways.values()))
     parts = [f"{report.setup}, {report.seconds:.1f} s"]
@@ -145,7 +137,7 @@ def first_line(report: SessionReport, width: int) -> str:
     return fitted_line(parts, width)
 
 
-def streams_table(report: SessionReport, width: int) -> Table:
+def streams_table(report: model.SessionReport, width: int) -> Table:
     """A row for each stream and each direction of haptics; columns that fit `width`."""
     rows = [
         *([name, *_stream_cells(stream)] for name, stream in report.streams.items()),
@@ -157,7 +149,7 @@ def streams_table(report: SessionReport, width: int) -> Table:
     return fitted_table(_COLUMNS, rows, width)
 
 
-def _stream_cells(stream: StreamReport) -> list[str]:
+def _stream_cells(stream: model.StreamReport) -> list[str]:
     sent = [stream.payload_bps_mean, stream.payload_bps_max_1s, stream.payload_bps_max_100ms]
     return [
         _kbps(stream.cap_bps),
@@ -168,7 +160,7 @@ def _stream_cells(stream: StreamReport) -> list[str]:
     ]
 
 
-def _haptic_cells(haptic: HapticReport, seconds: float) -> list[str]:
+def _haptic_cells(haptic: model.HapticReport, seconds: float) -> list[str]:
     felt = [
         _kbps(haptic.payload_bps_mean),
         "",
@@ -183,12 +175,12 @@ def _haptic_cells(haptic: HapticReport, seconds: float) -> list[str]:
     ]
 
 
-def _latency_cells(latency: Spread) -> list[str]:
+def _latency_cells(latency: model.Spread) -> list[str]:
     values = latency.p50, latency.p95, latency.p99, latency.max
     return [f"{value:.1f}" if latency.count else NO_SAMPLE for value in values]
 
 
-def stages_line(report: SessionReport) -> str:
+def stages_line(report: model.SessionReport) -> str:
     """Where the time of the uplink's picture goes, mean of an event; empty without pictures."""
     if report.video_lead is None:
         return ""
@@ -198,7 +190,7 @@ def stages_line(report: SessionReport) -> str:
     return f"uplink picture {video.total:.0f} ms: {parts}"
 
 
-def _print_content(console: Console, sync: SyncReport | None) -> None:
+def _print_content(console: Console, sync: model.SyncReport | None) -> None:
     if sync is None:
         return
     senses = [
@@ -213,7 +205,7 @@ def _print_content(console: Console, sync: SyncReport | None) -> None:
     )
 
 
-def _skews(skews: Mapping[str, SkewReport | ContentSkew | None]) -> list[str]:
+def _skews(skews: Mapping[str, model.SkewReport | model.ContentSkew | None]) -> list[str]:
     return [
         f"{name.replace('_', ' to ')} {skew.p50:+.1f} (p95 {skew.p95:+.1f})"
         for name, skew in skews.items()

@@ -328,16 +328,11 @@ def _both_ms(values_ns: tuple[int, int]) -> tuple[float, float]:
 
 
 def _listed(event: SensedEvent, start_ns: int) -> ListedContact:
-    latencies_ms = {
-        sense: None if (value_ns := event.latency_ns(sense)) is None else _ms(value_ns)
-        for sense in SENSES
-    }
+    latencies_ns = {f"{sense}_ms": event.latency_ns(sense) for sense in SENSES}
     return ListedContact(
         at_s=round((event.instant_ns - start_ns) / NS_PER_S, 4),
         led=event.led,
-        light_ms=latencies_ms["light"],
-        click_ms=latencies_ms["click"],
-        force_ms=latencies_ms["force"],
+        **{name: None if value is None else _ms(value) for name, value in latencies_ns.items()},
     )
 
 

@@ -5,8 +5,7 @@ from typing import Final, NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from pipelines.mission.figures import TaskFigures
-from pipelines.report.collector import Collector
-from pipelines.report.process_figures import ProcessFigures
+from pipelines.report.collector import Collector, ProcessFigures
 from pipelines.seats.figures import PageFigures
 from pipelines.session.task_journal import OPEN
 from pipelines.session.topology import JOYSTICK, PAGES, ROBOT, TASKS, Segment

@@ -69,7 +69,6 @@ class JoinedStream:
         self._again_ns: int | None = None
 
     def handle_subscriber(self, now_ns: int) -> None:
-        """Somebody has subscribed."""
         self._again_ns = now_ns + _AGAIN_NS
         if self._wanted is None:
             self._begins = True
@@ -162,7 +161,6 @@ class OutgoingMessages:
         self._numbers.forget(source.topic)
 
     def handle_subscriber(self, source: RosSource, now_ns: int) -> None:
-        """Somebody has subscribed to access units."""
         self._stream(source).handle_subscriber(now_ns)
 
     def due(self, source: RosSource, captured_ns: int) -> bool:

@@ -111,7 +111,8 @@ class _Publisher:
     def __init__(self, session: zenoh.Session, node: Node, number: int, endpoint: Endpoint) -> None:
         token = node.publisher_token(number, endpoint)
         self._gid, self.sent = gid_of(token), 0
-        reliable = endpoint.quality is not RosQuality.SENSOR
+        sensor = endpoint.quality is RosQuality.SENSOR
+        reliability = zenoh.Reliability.BEST_EFFORT if sensor else zenoh.Reliability.RELIABLE
         self._plain = self._latched = None
         drop = zenoh.CongestionControl.DROP
         if endpoint.quality is RosQuality.LATCHED:
@@ -119,18 +120,14 @@ class _Publisher:
                 session,
                 node.key(endpoint),
                 congestion_control=drop,
-                reliability=zenoh.Reliability.RELIABLE,
+                reliability=reliability,
                 cache=CacheConfig(1),
                 sample_miss_detection=MissDetectionConfig(heartbeat=None, sporadic_heartbeat=0.5),
                 publisher_detection=True,
             )
         else:
             self._plain = session.declare_publisher(
-                node.key(endpoint),
-                congestion_control=drop,
-                reliability=zenoh.Reliability.RELIABLE
-                if reliable
-                else zenoh.Reliability.BEST_EFFORT,
+                node.key(endpoint), congestion_control=drop, reliability=reliability
             )
         self._token = session.liveliness().declare_token(token)
 
@@ -279,7 +276,9 @@ class _Ros2Process:
         for source, reader in self._readers.items():
             if source.content is RosContent.PICTURE:
                 continue
-            samples: deque[tuple[bytes, CaptureStamp]] = deque(maxlen=_most(source))
+            # Of haptics no more are published at once than a subscriber keeps, too.
+            most = KEPT if source.content is RosContent.HAPTICS else _DEPTH
+            samples: deque[tuple[bytes, CaptureStamp]] = deque(maxlen=most)
             for _ in range(_DEPTH):
                 if (lease := reader.next()) is None:
                     break
@@ -364,11 +363,6 @@ class _Ros2Process:
 def _newest() -> "zenoh.handlers.RingChannel[zenoh.Sample]":
     """What keeps the newest samples, so that none of zenoh's threads waits."""
     return zenoh.handlers.RingChannel(_DEPTH)
-
-
-def _most(source: RosSource) -> int:
-    """How many samples are published at once: of haptics those that a subscriber keeps, too."""
-    return KEPT if source.content is RosContent.HAPTICS else _DEPTH
 
 
 def _runs(topology: Topology, source: RosSource) -> bool:

@@ -6,23 +6,9 @@ from itertools import count
 from msgspec.structs import replace
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
+from pipelines.mission import tmtc_messages
 from pipelines.mission.choosing import CAMERA, SELECT
-from pipelines.mission.tmtc_messages import (
-    CommandUpdate,
-    K2aciArrived,
-    K2aciUpdate,
-    SendCommand,
-    SendK2aci,
-    selection_error,
-)
-from pipelines.seats.texts import (
-    Answered,
-    ChatLine,
-    ChatText,
-    CommandLine,
-    CommandRequest,
-    CommandsText,
-)
+from pipelines.seats import texts
 from telepresence.tmtc.k2aci import MAX_CHAT_OCTETS, Chat, ChatRole
 from telepresence.tmtc.retransmission import Retransmission
 
@@ -47,30 +33,30 @@ class CommandDesk:
     def __init__(self, client: str) -> None:
         self.unverified = 0
         self._client = client
-        self._lines: deque[CommandLine] = deque(maxlen=_MOST_LINES)
+        self._lines: deque[texts.CommandLine] = deque(maxlen=_MOST_LINES)
         self._numbers = count(1)
-        self._outbox: Retransmission[SendCommand] = Retransmission(
+        self._outbox: Retransmission[tmtc_messages.SendCommand] = Retransmission(
             timeout_ns=AGAIN_NS, most=_MOST_OPEN, patience_ns=_PATIENCE_NS, longest=1
         )
         #: By number: page and request that wait for the end.
         self._open: dict[int, tuple[int, int]] = {}
         #: By number: the camera that it selects.
         self._selects: dict[int, str] = {}
-        self._events: deque[Answered] = deque()
+        self._events: deque[texts.Answered] = deque()
 
     @property
-    def text(self) -> CommandsText:
+    def text(self) -> texts.CommandsText:
         """All telecommands that are kept, the oldest first."""
-        return CommandsText(commands=tuple(self._lines))
+        return texts.CommandsText(commands=tuple(self._lines))
 
-    def handle_request(self, page: int, asked: CommandRequest, who: str, now_ns: int) -> None:
+    def handle_request(self, page: int, asked: texts.CommandRequest, who: str, now_ns: int) -> None:
         """A page asks for a telecommand that it may give. who: its person."""
         if len(self._open) >= _MOST_OPEN:
-            refused = Answered(page, asked.request, "too many telecommands are open", 0.0)
+            refused = texts.Answered(page, asked.request, "too many telecommands are open", 0.0)
             self._events.append(refused)
             return
         number = next(self._numbers)
-        command = SendCommand(
+        command = tmtc_messages.SendCommand(
             self._client, number, asked.application, asked.verb, asked.name, asked.arguments
         )
         self._outbox.handle_put(command, now_ns, number)
@@ -79,10 +65,10 @@ class CommandDesk:
             self._selects[number] = str(asked.arguments[0])
         given = (asked.application, asked.name or asked.verb, *asked.arguments)
         words, at_us = " ".join(map(str, given)), now_ns // NS_PER_US
-        line = CommandLine(number=number, at_us=at_us, who=who, words=words, stage="sent")
+        line = texts.CommandLine(number=number, at_us=at_us, who=who, words=words, stage="sent")
         self._lines.append(line)
 
-    def handle_update(self, update: CommandUpdate) -> bool:
+    def handle_update(self, update: tmtc_messages.CommandUpdate) -> bool:
         """What became of a telecommand; False if it is of another process."""
         if update.client != self._client:
             return False
@@ -90,18 +76,20 @@ class CommandDesk:
         self._settle(update)
         return True
 
-    def poll_transmit(self, now_ns: int) -> SendCommand | None:
+    def poll_transmit(self, now_ns: int) -> tmtc_messages.SendCommand | None:
         while (number := self._outbox.next_given_up(now_ns)) is not None:
             self._outbox.pop(number)
-            given_up = CommandUpdate(self._client, number, "", "refused", done=True, reason=_SILENT)
+            given_up = tmtc_messages.CommandUpdate(
+                self._client, number, "", "refused", done=True, reason=_SILENT
+            )
             self._settle(given_up)
         due = self._outbox.poll_transmit(now_ns)
         return None if due is None else due[1].item
 
-    def next_event(self) -> Answered | None:
+    def next_event(self) -> texts.Answered | None:
         return self._events.popleft() if self._events else None
 
-    def _settle(self, update: CommandUpdate) -> None:
+    def _settle(self, update: tmtc_messages.CommandUpdate) -> None:
         for index, line in enumerate(self._lines):
             if line.number == update.id and not line.done:
                 told = {name: getattr(update, name) for name in _TOLD}
@@ -117,8 +105,8 @@ class CommandDesk:
             camera = self._selects.pop(update.id, "")
             error = "" if update.ok else update.reason or update.stage
             if camera and error:
-                camera, error = "", selection_error(camera, update)
-            self._events.append(Answered(*opened, error, update.round_trip_ms, camera))
+                camera, error = "", tmtc_messages.selection_error(camera, update)
+            self._events.append(texts.Answered(*opened, error, update.round_trip_ms, camera))
 
 
 _MOST_CHAT_LINES = 100
@@ -136,14 +124,14 @@ class ChatLog:
     def __init__(self, client: str) -> None:
         self._client = client
         self._numbers = count(1)
-        self._lines: deque[ChatLine] = deque(maxlen=_MOST_CHAT_LINES)
-        self._outbox: Retransmission[SendK2aci] = Retransmission(
+        self._lines: deque[texts.ChatLine] = deque(maxlen=_MOST_CHAT_LINES)
+        self._outbox: Retransmission[tmtc_messages.SendK2aci] = Retransmission(
             timeout_ns=AGAIN_NS, most=_MOST_WAITING, patience_ns=_PATIENCE_NS, longest=1
         )
 
     @property
-    def text(self) -> ChatText:
-        return ChatText(lines=tuple(self._lines))
+    def text(self) -> texts.ChatText:
+        return texts.ChatText(lines=tuple(self._lines))
 
     def handle_said(self, sender: ChatRole, text: str, now_ns: int) -> str:
         """A person of this end has written a line; return why it is not sent, or ""."""
@@ -157,11 +145,11 @@ class ChatLog:
             return f"{_MOST_WAITING} lines wait for the other end"
         number = self._add(sender, text, "waiting", now_ns)
         fields = {"sender": str(sender), "text": text}
-        request = SendK2aci(self._client, number, "Chat", {**fields})
+        request = tmtc_messages.SendK2aci(self._client, number, "Chat", {**fields})
         self._outbox.handle_put(request, now_ns, number)
         return ""
 
-    def handle_arrived(self, news: K2aciArrived, now_ns: int) -> bool:
+    def handle_arrived(self, news: tmtc_messages.K2aciArrived, now_ns: int) -> bool:
         """A message of the other end; False if it is not of the chat."""
         if news.kind != Chat.__name__:
             return False
@@ -169,7 +157,7 @@ class ChatLog:
         self._add(said, str(news.fields["text"]), "received", now_ns)
         return True
 
-    def handle_update(self, update: K2aciUpdate) -> bool:
+    def handle_update(self, update: tmtc_messages.K2aciUpdate) -> bool:
         """What became of a line; False if it is of another process."""
         if update.client != self._client:
             return False
@@ -177,7 +165,7 @@ class ChatLog:
         self._settle(update.id, update.state, update.reason, update.round_trip_ms)
         return True
 
-    def poll_transmit(self, now_ns: int) -> SendK2aci | None:
+    def poll_transmit(self, now_ns: int) -> tmtc_messages.SendK2aci | None:
         while (number := self._outbox.next_given_up(now_ns)) is not None:
             self._outbox.pop(number)
             self._settle(number, "refused", _CHAT_SILENT, 0.0)
@@ -187,7 +175,9 @@ class ChatLog:
     def _add(self, sender: ChatRole, text: str, state: str, now_ns: int) -> int:
         number = next(self._numbers)
         at_us = now_ns // NS_PER_US
-        line = ChatLine(number=number, at_us=at_us, sender=str(sender), text=text, state=state)
+        line = texts.ChatLine(
+            number=number, at_us=at_us, sender=str(sender), text=text, state=state
+        )
         self._lines.append(line)
         return number
 

@@ -85,7 +85,6 @@ class HandleOwnership:
         return ""
 
     def may_move(self, page: int) -> bool:
-        """Whether the inputs of this page count."""
         return page == self.state.holder
 
     def next_event(self) -> HandleState | None:

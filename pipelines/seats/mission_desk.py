@@ -1,36 +1,16 @@
 """What the mission's pages of a seat show and ask for: chat, telecommands, telemetry, the radio."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from math import isfinite
 
 import msgspec
 from msgspec.structs import asdict, replace
 
 from kontur_av.clock import NS_PER_US
-from pipelines.mission.tmtc_messages import (
-    CommandUpdate,
-    K2aciArrived,
-    K2aciUpdate,
-    Reported,
-    TmtcNews,
-    TmtcRequest,
-)
+from pipelines.mission import tmtc_messages
+from pipelines.seats import texts
 from pipelines.seats.command_desk import ChatLog, CommandDesk
-from pipelines.seats.texts import (
-    Answered,
-    ApplicationText,
-    ChatRequest,
-    CommandRequest,
-    EventLine,
-    EventsText,
-    Level,
-    ParameterText,
-    RadioText,
-    ValuesText,
-    ValueText,
-    pack_text,
-)
 from pipelines.session.seat_roles import Role, chat_role, refusal
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary import Application, Dictionary, Monitor
@@ -39,7 +19,7 @@ from telepresence.tmtc.pus.values import Parameter, Value
 _MOST_EVENTS = 100
 
 
-def level_of(application: Application, parameter: Parameter, value: Value) -> Level:
+def level_of(application: Application, parameter: Parameter, value: Value) -> texts.Level:
     """Return the colour of a value: "bad" beyond a monitor's limit, "warn" beyond its own.
 
     "good" within limits, "none" without any.
@@ -47,8 +27,8 @@ def level_of(application: Application, parameter: Parameter, value: Value) -> Le
     if isinstance(value, str | bool) or not isfinite(value):
         return "none"
     monitors = [one for one in application.monitors if one.parameter == parameter.name]
-    level: Level = "none"
-    limits: list[tuple[Level, float | None, float | None]] = [
+    level: texts.Level = "none"
+    limits: list[tuple[texts.Level, float | None, float | None]] = [
         ("warn", parameter.low, parameter.high),
         *(("bad", one.low, one.high) for one in monitors),
     ]
@@ -60,20 +40,20 @@ def level_of(application: Application, parameter: Parameter, value: Value) -> Le
     return level
 
 
-def application_texts(dictionary: Dictionary) -> tuple[ApplicationText, ...]:
+def application_texts(dictionary: Dictionary) -> tuple[texts.ApplicationText, ...]:
     """What a page must know of the applications once."""
     return tuple(_application_text(one) for one in dictionary.applications)
 
 
-def _application_text(one: Application) -> ApplicationText:
+def _application_text(one: Application) -> texts.ApplicationText:
     limits = {monitor.parameter: monitor for monitor in one.monitors}
-    said = msgspec.convert(one, ApplicationText, from_attributes=True)
+    said = msgspec.convert(one, texts.ApplicationText, from_attributes=True)
     return replace(
         said, parameters=tuple(_limited(each, limits.get(each.name)) for each in said.parameters)
     )
 
 
-def _limited(one: ParameterText, monitor: Monitor | None) -> ParameterText:
+def _limited(one: texts.ParameterText, monitor: Monitor | None) -> texts.ParameterText:
     """A parameter without limits of its own has those of its monitor."""
     if monitor is None:
         return one
@@ -91,19 +71,28 @@ class TelemetryLog:
             for parameter in one.parameters
         }
         self._values: dict[tuple[str, str], tuple[Value, int]] = {}
-        self._events: deque[EventLine] = deque(maxlen=_MOST_EVENTS)
+        self._events: deque[texts.EventLine] = deque(maxlen=_MOST_EVENTS)
         self._number = 0
 
     @property
-    def values_text(self) -> ValuesText:
-        return ValuesText(values=tuple(self._rows()))
+    def values_text(self) -> texts.ValuesText:
+        rows = []
+        for (name, parameter), (value, at_us) in self._values.items():
+            if (name, parameter) in self._known:
+                level, plain = level_of(*self._known[name, parameter], value), _plain(value)
+                rows.append(
+                    texts.ValueText(
+                        application=name, name=parameter, value=plain, level=level, at_us=at_us
+                    )
+                )
+        return texts.ValuesText(values=tuple(rows))
 
     @property
-    def events_text(self) -> EventsText:
+    def events_text(self) -> texts.EventsText:
         """All events that are kept, the oldest first."""
-        return EventsText(events=tuple(self._events))
+        return texts.EventsText(events=tuple(self._events))
 
-    def handle_report(self, report: Reported, now_ns: int) -> None:
+    def handle_report(self, report: tmtc_messages.Reported, now_ns: int) -> None:
         """Housekeeping, parameters, an event, or an application that is alive."""
         now_us = now_ns // NS_PER_US
         for name, value in report.values.items():
@@ -111,7 +100,7 @@ class TelemetryLog:
         if report.kind in ("event", "alive"):
             self._number += 1
             self._events.append(
-                EventLine(
+                texts.EventLine(
                     number=self._number,
                     at_us=now_us,
                     application=report.application,
@@ -120,15 +109,6 @@ class TelemetryLog:
                     values={name: _plain(value) for name, value in report.values.items()},
                 )
             )
-
-    def _rows(self) -> Iterator[ValueText]:
-        for (name, parameter), (value, at_us) in self._values.items():
-            if (name, parameter) in self._known:
-                level = level_of(*self._known[name, parameter], value)
-                plain = _plain(value)
-                yield ValueText(
-                    application=name, name=parameter, value=plain, level=level, at_us=at_us
-                )
 
 
 def _plain(value: Value) -> Value | None:
@@ -141,7 +121,7 @@ _PEER = {Segment.SPACE: "the ground", Segment.GROUND: "space"}
 
 def radio_text(
     segment: Segment, *, hears: bool | None, heard: bool | None, unverified: int
-) -> RadioText:
+) -> texts.RadioText:
     """Return what to say at an end.
 
     hears: good frames of the peer arrive here. heard: the peer said so of ours in its newest
@@ -151,16 +131,16 @@ def radio_text(
     sent = f" The last {unverified} were not acknowledged." if unverified > 1 else ""
     if hears is False:
         words = f"Nothing arrives from {peer}: telecommands go out unacknowledged.{sent}"
-        return RadioText(level="bad", words=words)
+        return texts.RadioText(level="bad", words=words)
     if hears and heard is False:
         words = f"{peer.capitalize()} does not hear us: telecommands do not arrive there.{sent}"
-        return RadioText(level="bad", words=words)
+        return texts.RadioText(level="bad", words=words)
     if unverified:
         count = "telecommand was" if unverified == 1 else f"{unverified} telecommands were"
-        return RadioText(level="warn", words=f"The last {count} not acknowledged by {peer}.")
+        return texts.RadioText(level="warn", words=f"The last {count} not acknowledged by {peer}.")
     if hears is None:
-        return RadioText(level="none", words="Nobody knows yet whether the radio carries.")
-    return RadioText(level="good", words="Both directions carry.")
+        return texts.RadioText(level="none", words="Nobody knows yet whether the radio carries.")
+    return texts.RadioText(level="good", words="Both directions carry.")
 
 
 _SIGNAL_EVENTS = {"signal_acquired": True, "signal_lost": False}
@@ -199,7 +179,7 @@ class MissionDesk:
         self.texts: dict[str, str] = {}
 
     def handle_command(
-        self, page: int, role: Role, asked: CommandRequest, now_ns: int
+        self, page: int, role: Role, asked: texts.CommandRequest, now_ns: int
     ) -> str | None:
         """A page asks for a telecommand; return why it may not. None: the answer comes later."""
         refused = refusal(role, self._segment, asked.deed)
@@ -212,7 +192,7 @@ class MissionDesk:
         self._changed.add("commands")
         return None
 
-    def handle_chat(self, role: Role, said: ChatRequest, now_ns: int) -> str:
+    def handle_chat(self, role: Role, said: texts.ChatRequest, now_ns: int) -> str:
         """A page writes a line; return why it is not sent, or ""."""
         refused = refusal(role, self._segment, "chat")
         if refused:
@@ -220,17 +200,17 @@ class MissionDesk:
         self._changed.add("chat")
         return self._chat.handle_said(chat_role(role, self._segment), said.text, now_ns)
 
-    def handle_news(self, news: TmtcNews, now_ns: int) -> None:
-        if isinstance(news, CommandUpdate):
+    def handle_news(self, news: tmtc_messages.TmtcNews, now_ns: int) -> None:
+        if isinstance(news, tmtc_messages.CommandUpdate):
             if self._commands.handle_update(news):
                 self._changed |= {"commands", "radio"}
-        elif isinstance(news, K2aciUpdate):
+        elif isinstance(news, tmtc_messages.K2aciUpdate):
             if self._chat.handle_update(news):
                 self._changed.add("chat")
-        elif isinstance(news, K2aciArrived):
+        elif isinstance(news, tmtc_messages.K2aciArrived):
             if self._chat.handle_arrived(news, now_ns):
                 self._changed.add("chat")
-        elif isinstance(news, Reported):
+        elif isinstance(news, tmtc_messages.Reported):
             self._telemetry.handle_report(news, now_ns)
             if news.application == f"{self._segment.peer.value}_gateway":
                 # It says whether it hears us; its event is the quicker one.
@@ -252,10 +232,10 @@ class MissionDesk:
             self._shown[kind] = text
             self._changed.add(kind)
 
-    def poll_transmit(self, now_ns: int) -> TmtcRequest | None:
+    def poll_transmit(self, now_ns: int) -> tmtc_messages.TmtcRequest | None:
         return self._commands.poll_transmit(now_ns) or self._chat.poll_transmit(now_ns)
 
-    def next_event(self) -> Answered | None:
+    def next_event(self) -> texts.Answered | None:
         return self._commands.next_event()
 
     def poll_texts(self) -> dict[str, str]:
@@ -263,7 +243,7 @@ class MissionDesk:
         for kind in sorted(self._changed):
             maker = self._makers.get(kind)
             shown = {"kind": kind} | named(self._shown[kind]) if maker is None else maker()
-            fresh[kind] = pack_text(shown)
+            fresh[kind] = texts.pack_text(shown)
         self._changed.clear()
         self.texts |= fresh
         return fresh

@@ -18,7 +18,7 @@ A replay is as long as the history from which it is taken, and there is one at a
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
@@ -133,7 +133,7 @@ class Lane:
 class ClientQueue:
     """What waits to be sent to one page. Take it with `pop` when the page can take more.
 
-    lanes: indices of the streams of pictures.
+    lanes: by index of a stream of pictures.
     overflowed: the page asks and does not read; close it.
     sound_left_out: blocks that were dropped because the page was too slow.
     """
@@ -141,7 +141,7 @@ class ClientQueue:
     def __init__(self, lanes: Iterable[int]) -> None:
         self.overflowed = False
         self.sound_left_out = 0
-        self._lanes = {index: Lane() for index in lanes}
+        self.lanes = {index: Lane() for index in lanes}
         self._answers: deque[str] = deque()
         self._pongs: deque[bytes] = deque(maxlen=_MOST_PONGS)
         self._state: deque[str] = deque(maxlen=1)
@@ -155,7 +155,7 @@ class ClientQueue:
 
     def __len__(self) -> int:
         others = len(self._newest) + len(self._figures) + len(self._previews)
-        return others + sum(map(len, self._urgent)) + sum(map(len, self._lanes.values()))
+        return others + sum(map(len, self._urgent)) + sum(map(len, self.lanes.values()))
 
     @property
     def _urgent(self) -> list[deque[bytes] | deque[str]]:
@@ -165,13 +165,7 @@ class ClientQueue:
     @property
     def units_left_out(self) -> int:
         """Units and blocks of sound that were dropped because the page was too slow."""
-        return self.sound_left_out + sum(lane.left_out for lane in self._lanes.values())
-
-    def lane(self, stream: int) -> Lane:
-        return self._lanes[stream]
-
-    def closed_lanes(self) -> Iterator[int]:
-        return (index for index, lane in self._lanes.items() if not lane.open)
+        return self.sound_left_out + sum(lane.left_out for lane in self.lanes.values())
 
     def put_answer(self, text: str) -> None:
         """A text that must not be lost."""
@@ -202,7 +196,7 @@ class ClientQueue:
         for line in self._urgent:
             if line:
                 return line.popleft()
-        for lane in self._lanes.values():
+        for lane in self.lanes.values():
             if (unit := lane.pop()) is not None:
                 return unit
         for kind in self._newest:
@@ -271,7 +265,7 @@ class SeatMedia:
             return
         message = _packed(stream, kept)
         for page in self._seeing():
-            lane = page.queue.lane(stream)
+            lane = page.queue.lanes[stream]
             if lane.open or not page.idle:
                 lane.put_unit(message, key=kept.key)
             else:
@@ -329,12 +323,12 @@ class SeatMedia:
 
     def replay(self, page: OpenPage) -> None:
         """Open the closed lanes of a page with what a decoder needs to begin now."""
-        for stream in list(page.queue.closed_lanes()):
-            units = self._histories[stream].replay()
+        for stream, lane in page.queue.lanes.items():
+            units = None if lane.open else self._histories[stream].replay()
             if units is not None:
                 *before, last = units
                 messages = [*(_packed(stream, unit, REPLAYED) for unit in before)]
-                page.queue.lane(stream).put_replay([*messages, _packed(stream, last)])
+                lane.put_replay([*messages, _packed(stream, last)])
 
     def _seeing(self) -> list[OpenPage]:
         """Pages with pictures, sound and haptics."""
@@ -345,7 +339,7 @@ class SeatMedia:
         return [
             index
             for index in self._histories
-            if any(not page.queue.lane(index).open for page in self._seeing())
+            if any(not page.queue.lanes[index].open for page in self._seeing())
         ]
 
     def _replay_idle(self) -> None:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 
@@ -11,22 +10,9 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.media.taking_over import preview_size
 from pipelines.media.tip_region import board_view
+from pipelines.seats import texts
 from pipelines.seats.mission_desk import application_texts
-from pipelines.seats.texts import (
-    BoardText,
-    CameraText,
-    ExerciseText,
-    InputText,
-    PassText,
-    PreviewText,
-    SeatText,
-    StreamText,
-    TaskText,
-    UpkeepText,
-    Via,
-    WelcomeText,
-    WorkspaceText,
-)
+from pipelines.session.figures import gathered
 from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
 from pipelines.session.seat_roles import Role
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
@@ -66,7 +52,7 @@ class SeatStream:
     filmed_topics: by camera, the pictures that its sender encodes; none if they are not here.
     """
 
-    text: StreamText
+    text: texts.StreamText
     topic: str
     decoded_topic: str | None = None
     filmed_topics: Mapping[str, str] = field(default_factory=dict)
@@ -76,7 +62,7 @@ class SeatStream:
         return self.text.index
 
     @property
-    def via(self) -> Via:
+    def via(self) -> texts.Via:
         return self.text.via
 
 
@@ -91,24 +77,22 @@ class SeatInput:
     fps: int
 
 
-Shown = PanelShown | ExperimentShown | RobotStatus | Exercises | UpkeepText
+Shown = PanelShown | ExperimentShown | RobotStatus | Exercises | texts.UpkeepText
 Unpack = Callable[[bytes], Shown]
 #: Of both ends: what a trainer's exercises are.
 _EXERCISES: tuple[str, Unpack] = (TRAINER_TOPIC, Exercises.unpack)
 #: By end: kind of text, the topic of what the processes of a mission show.
-_SHOWN: Mapping[Segment, Mapping[str, tuple[str, Unpack]]] = MappingProxyType(
-    {
-        Segment.SPACE: {
-            "panel": (MISSION_PANEL_TOPIC, partial(unpack, PanelShown)),
-            "exercises": _EXERCISES,
-        },
-        Segment.GROUND: {
-            "experiment": (MISSION_GROUND_TOPIC, partial(unpack, ExperimentShown)),
-            "robot": (ROBOT_STATUS_TOPIC, partial(unpack, RobotStatus)),
-            "exercises": _EXERCISES,
-        },
-    }
-)
+_SHOWN: Mapping[Segment, Mapping[str, tuple[str, Unpack]]] = {
+    Segment.SPACE: {
+        "panel": (MISSION_PANEL_TOPIC, partial(unpack, PanelShown)),
+        "exercises": _EXERCISES,
+    },
+    Segment.GROUND: {
+        "experiment": (MISSION_GROUND_TOPIC, partial(unpack, ExperimentShown)),
+        "robot": (ROBOT_STATUS_TOPIC, partial(unpack, RobotStatus)),
+        "exercises": _EXERCISES,
+    },
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +110,7 @@ class SeatPlan:
     inputs: tuple[SeatInput, ...]
     traces: Mapping[int, str]
     backlog_topic: str
-    text: SeatText
+    text: texts.SeatText
     dictionary: Dictionary
     orders: bool
     shown: Mapping[str, tuple[str, Unpack]] = field(default_factory=dict)
@@ -150,25 +134,25 @@ def seat_plan(
     session: the name of the session. dictionary: of its telecommands and telemetry.
     tasks: what people in space know of the tasks, in a session with some.
     """
-    setup, joystick, robot = topology.setup, JoystickModel(), RobotControllerModel()
+    setup, robot = topology.setup, RobotControllerModel()
     written = {topic for row in topology.processes for topic in row.writes}
     ground, tasked = segment is Segment.GROUND, topology.options.tasks
     streams = tuple(_streams(topology, segment))
     previews = dict(_previews(topology)) if ground else {}
     inputs = tuple(_inputs(topology, segment))
-    text = SeatText(
+    text = texts.SeatText(
         seat=segment,
         setup=setup.name,
         session=session,
         streams=tuple(each.text for each in streams),
-        cameras=tuple(CameraText(name=row.name, inputs=row.inputs) for row in topology.cameras),
+        cameras=tuple(
+            texts.CameraText(name=row.name, inputs=row.inputs) for row in topology.cameras
+        ),
         previews=tuple(previews),
         inputs=tuple(_input_text(each) for each in inputs),
         joystick=topology.options.joystick,
-        workspace=WorkspaceText(
-            half_width_m=joystick.half_width_m, half_height_m=joystick.half_height_m
-        ),
-        board=BoardText(
+        workspace=gathered(texts.WorkspaceText, JoystickModel()),
+        board=texts.BoardText(
             width_m=2 * robot.half_width_m,
             height_m=2 * robot.half_height_m,
             wall_x_m=WALL_X_M,
@@ -181,7 +165,7 @@ def seat_plan(
         applications=application_texts(dictionary),
         tasks=tasked,
         task_list=tuple(
-            TaskText(name=one.name, text=one.text)
+            texts.TaskText(name=one.name, text=one.text)
             for one in (() if tasks is None else tasks.tasks.values())
         ),
         views={} if ground else dict(_views(setup)),
@@ -213,22 +197,22 @@ def _views(setup: Setup) -> Iterator[tuple[str, tuple[float, ...]]]:
 
 def welcome_text(
     role: Role, segment: Segment, *, ports: dict[str, int], people: dict[str, str], tasks: bool
-) -> WelcomeText:
+) -> texts.WelcomeText:
     """Return what a person of `role` is told where people choose a page.
 
     people: by role, its token; tokens of others are for the owner alone.
     """
     told = people if role is Role.OPERATOR else {}
-    return WelcomeText(role=role, seat=segment, ports=ports, tasks=tasks, people=told)
+    return texts.WelcomeText(role=role, seat=segment, ports=ports, tasks=tasks, people=told)
 
 
-def _exercises(topology: Topology) -> Iterator[ExerciseText]:
+def _exercises(topology: Topology) -> Iterator[texts.ExerciseText]:
     """What the trainer of this machine can do, each camera apart."""
     reach = TrainerReach.of(topology)
     for name, (text, seconds) in EXERCISES.items():
         for camera in reach.cameras if name == CAMERA else ("",):
             if not reach.lacks(name, camera):
-                yield ExerciseText(name=name, text=text, seconds=seconds, camera=camera)
+                yield texts.ExerciseText(name=name, text=text, seconds=seconds, camera=camera)
 
 
 def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:
@@ -237,16 +221,18 @@ def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:
     for row in topology.media_streams:
         video = row if isinstance(row, VideoRow) else None
         if row.direction.receiver is segment and video is None:
-            yield SeatStream(text=told(index, Via.SOUND, row.stream), topic=row.received_topic)
+            yield SeatStream(
+                text=told(index, texts.Via.SOUND, row.stream), topic=row.received_topic
+            )
         elif row.direction.receiver is segment and video is not None:
             yield SeatStream(
-                text=told(index, Via.CODED, row.stream),
+                text=told(index, texts.Via.CODED, row.stream),
                 topic=video.coded_topic,
                 decoded_topic=video.decoded_topic,
             )
         elif segment is Segment.GROUND and video is not None:
             yield SeatStream(
-                text=told(index, Via.SENT, row.stream),
+                text=told(index, texts.Via.SENT, row.stream),
                 topic=video.sent_topic,
                 filmed_topics={row.name: row.topic for row in topology.cameras},
             )
@@ -257,19 +243,19 @@ def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:
     if segment is Segment.GROUND and leg is not None:
         # The picture and the voice of a partner across the Internet.
         yield SeatStream(
-            text=told(index, Via.CODED, partner_camera(leg)),
+            text=told(index, texts.Via.CODED, partner_camera(leg)),
             topic=RTC_CODED_CAMERA_TOPIC,
             decoded_topic=RTC_DECODED_CAMERA_TOPIC,
         )
-        voice = told(index + 1, Via.SOUND, partner_voice(leg))
+        voice = told(index + 1, texts.Via.SOUND, partner_voice(leg))
         yield SeatStream(text=voice, topic=RTC_VOICE_TOPIC)
 
 
 def _stream_text(
-    topology: Topology, index: int, via: Via, stream: VideoStream | VoiceStream
-) -> StreamText:
+    topology: Topology, index: int, via: texts.Via, stream: VideoStream | VoiceStream
+) -> texts.StreamText:
     video = stream if isinstance(stream, VideoStream) else None
-    return StreamText(
+    return texts.StreamText(
         index=index,
         name=stream.name,
         kind="voice" if video is None else "video",
@@ -282,12 +268,12 @@ def _stream_text(
     )
 
 
-def _previews(topology: Topology) -> Iterator[tuple[PreviewText, str]]:
+def _previews(topology: Topology) -> Iterator[tuple[texts.PreviewText, str]]:
     """The small pictures of each camera input, and their topics."""
     for index, name in enumerate(topology.setup.camera_inputs):
         stream = topology.setup.stream_of(name)
         width, height = preview_size(stream.width, stream.height)
-        text = PreviewText(index=index, input=name, width=width, height=height)
+        text = texts.PreviewText(index=index, input=name, width=width, height=height)
         yield text, topology.input(name).preview_topic
 
 
@@ -311,19 +297,16 @@ def _inputs(topology: Topology, segment: Segment) -> Iterator[SeatInput]:
         )
 
 
-def _input_text(one: SeatInput) -> InputText:
+def _input_text(one: SeatInput) -> texts.InputText:
     if one.size is None:
-        return InputText(index=one.index, name=one.name, kind="audio")
-    width, height = one.size
-    return InputText(
-        index=one.index, name=one.name, kind="video", width=width, height=height, fps=one.fps
-    )
+        return texts.InputText(index=one.index, name=one.name, kind="audio")
+    return gathered(texts.InputText, one, kind="video", width=one.size[0], height=one.size[1])
 
 
 _MOST = 5
 
 
-def passes_ahead(profile: RadioProfile) -> Iterator[PassText]:
+def passes_ahead(profile: RadioProfile) -> Iterator[texts.PassText]:
     """This session's pass and the next four; none of a radio without an orbit."""
     contact = profile.contact
     if contact is None:
@@ -341,7 +324,7 @@ def passes_ahead(profile: RadioProfile) -> Iterator[PassText]:
         rise = np.datetime64(flight.rise.removesuffix("Z"), "s")
         first = rise if first is None else first
         acquisition_s = float((rise - first).astype(int))
-        yield PassText(
+        yield texts.PassText(
             acquisition=flight.rise,
             acquisition_s=acquisition_s,
             loss_s=round(acquisition_s + flight.visible_s, 1),

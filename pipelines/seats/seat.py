@@ -3,7 +3,6 @@
 from collections import deque
 from collections.abc import Callable, Mapping
 from itertools import count
-from types import MappingProxyType
 from typing import NamedTuple
 
 from msgspec.structs import asdict, replace
@@ -19,32 +18,14 @@ from pipelines.seats.mission_desk import MissionDesk
 from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
 from pipelines.seats.own_inputs import OwnInputs
 from pipelines.seats.plan import SeatPlan, Shown
-from pipelines.seats.texts import (
-    Answered,
-    ChatRequest,
-    CommandRequest,
-    ExerciseRequest,
-    FetchRequest,
-    HandleRequest,
-    JoystickRequest,
-    RecordingRequest,
-    SeatRequest,
-    SessionRequest,
-    StopRequest,
-    parse_seat_request,
-)
+from pipelines.session.figures import gathered
 from pipelines.session.messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.seat_roles import VIEWER_WORDS, Role, place_name, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.device import states
 from telepresence.haptics.device.page import PageInput
-from telepresence.haptics.device.states import (
-    REQUESTS,
-    TRANSITIONS,
-    JoystickEvent,
-    JoystickState,
-)
 
 
 class PageRequest(NamedTuple):
@@ -54,7 +35,7 @@ class PageRequest(NamedTuple):
     """
 
     page: int
-    request: RecordingRequest | ExerciseRequest | FetchRequest
+    request: texts.RecordingRequest | texts.ExerciseRequest | texts.FetchRequest
 
 
 class StopAsked(NamedTuple):
@@ -84,30 +65,30 @@ class _Rule(NamedTuple):
     elsewhere: str = ""
 
 
-_RULES: Mapping[type[SeatRequest], _Rule] = MappingProxyType(
-    {
-        JoystickRequest: _Rule(
-            "joystick", (Segment.SPACE,), "the joystick is at the operator's seat"
-        ),
-        HandleRequest: _Rule("hand", (Segment.SPACE,), "the handle is at the operator's seat"),
-        SessionRequest: _Rule("session"),
-        StopRequest: _Rule("stop"),
-        RecordingRequest: _Rule("record", (Segment.GROUND,), "ground control records the session"),
-        ExerciseRequest: _Rule("exercise"),
-        FetchRequest: _Rule("fetch", (Segment.GROUND,), "ground control fetches files"),
-    }
-)
+_RULES: Mapping[type[texts.SeatRequest], _Rule] = {
+    texts.JoystickRequest: _Rule(
+        "joystick", (Segment.SPACE,), "the joystick is at the operator's seat"
+    ),
+    texts.HandleRequest: _Rule("hand", (Segment.SPACE,), "the handle is at the operator's seat"),
+    texts.SessionRequest: _Rule("session"),
+    texts.StopRequest: _Rule("stop"),
+    texts.RecordingRequest: _Rule(
+        "record", (Segment.GROUND,), "ground control records the session"
+    ),
+    texts.ExerciseRequest: _Rule("exercise"),
+    texts.FetchRequest: _Rule("fetch", (Segment.GROUND,), "ground control fetches files"),
+}
 
 
-def _allowed(status: JoystickStatus, state: JoystickState) -> tuple[str, ...]:
+def _allowed(status: JoystickStatus, state: states.JoystickState) -> tuple[str, ...]:
     """The requests that the joystick would take now."""
-    allowed = {one.value for one in REQUESTS if (state, one) in TRANSITIONS}
-    start = JoystickEvent.START.value
-    if status.partner is not None and state is JoystickState.HALTED:
+    allowed = {one.value for one in states.REQUESTS if (state, one) in states.TRANSITIONS}
+    start = states.JoystickEvent.START.value
+    if status.partner is not None and state is states.JoystickState.HALTED:
         # Nobody could leave a partner's robot that is silent otherwise.
         allowed.add(start)
     if status.partner and start in allowed:
-        allowed.add(JoystickEvent.START_RUSSIAN.value)
+        allowed.add(states.JoystickEvent.START_RUSSIAN.value)
     return tuple(sorted(allowed))
 
 
@@ -259,25 +240,27 @@ class Seat:
         page = self._pages[number]
         if not page.texts.handle_message(now_ns):
             raise ProtocolError("too many requests")
-        request = parse_seat_request(text)
+        request = texts.parse_seat_request(text)
         error = self._handle_request(page, request, now_ns)
         if error is not None:
-            self._answer(Answered(number, request.request, error))
+            self._answer(texts.Answered(number, request.request, error))
         self._settle_hand(now_ns)
         self._settle_desk(now_ns)
         self._settle_mission(now_ns)
 
-    def _handle_request(self, page: OpenPage, request: SeatRequest, now_ns: int) -> str | None:
+    def _handle_request(
+        self, page: OpenPage, request: texts.SeatRequest, now_ns: int
+    ) -> str | None:
         """Return why a request is not carried out, or ""; None: its answer comes later."""
         if page.role is Role.VIEWER:
             return VIEWER_WORDS
-        if isinstance(request, CommandRequest):
+        if isinstance(request, texts.CommandRequest):
             return self.mission.handle_command(page.number, page.role, request, now_ns)
-        if isinstance(request, ChatRequest):
+        if isinstance(request, texts.ChatRequest):
             return self.mission.handle_chat(page.role, request, now_ns)
         rule, segment = _RULES[type(request)], self.plan.segment
         deed = rule.deed
-        if isinstance(request, StopRequest):
+        if isinstance(request, texts.StopRequest):
             deed = f"robot.{'emergency_stop' if request.action == 'stop' else 'release_stop'}"
         # Nobody but the trainer spoils a session, not even its owner.
         owner = page.role is Role.OPERATOR and deed != "exercise"
@@ -286,49 +269,38 @@ class Seat:
             return refused or rule.elsewhere
         number = page.number
         match request:
-            case JoystickRequest():
-                event = JoystickEvent(request.event)
+            case texts.JoystickRequest():
+                event = states.JoystickEvent(request.event)
                 self._desk.handle_request(number, request.request, event)
-            case HandleRequest():
+            case texts.HandleRequest():
                 return self._hand_over[request.action](number)
-            case SessionRequest():
+            case texts.SessionRequest():
                 if not self.plan.orders:
                     return "ground control starts and stops the session"
                 self._events.append(Order(request.action))
                 return ""
-            case StopRequest():
+            case texts.StopRequest():
                 by = f"the {page.role.words} at the page of {segment.value}"
                 self._events.append(StopAsked(request.action == "stop", by))
                 return ""
-            case RecordingRequest() | ExerciseRequest() | FetchRequest():
+            case texts.RecordingRequest() | texts.ExerciseRequest() | texts.FetchRequest():
                 self._events.append(PageRequest(number, request))
         return None
 
     # What topics and the launcher tell
 
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
-        state = JoystickState(status.state)
-        told = texts.JoystickText(
+        state = states.JoystickState(status.state)
+        axes = (
+            gathered(texts.AxisText, axis, place=round(axis.place, 4), force=round(axis.force, 2))
+            for axis in status.axes
+        )
+        told = gathered(
+            texts.JoystickText,
+            status,
             state=state.words,
             allowed=_allowed(status, state),
-            reason=status.reason,
-            dead_man=status.dead_man,
-            force_limit_n=status.force_limit_n,
-            device=status.device,
-            axes=tuple(
-                texts.AxisText(
-                    name=axis.name,
-                    place=round(axis.place, 4),
-                    half_range=axis.half_range,
-                    force=round(axis.force, 2),
-                    force_limit=axis.force_limit,
-                )
-                for axis in status.axes
-            ),
-            test=status.test,
-            test_reason=status.test_reason,
-            experiment=status.experiment,
-            partner=status.partner,
+            axes=tuple(axes),
         )
         self._hear_robot(status.robot_stopped, status.robot_waits, "")
         self._desk.handle_status(status)
@@ -370,7 +342,7 @@ class Seat:
 
     def handle_answered(self, asked: PageRequest, error: str) -> None:
         """The answer of recorder, trainer or file transfer. error: "" if it does what was asked."""
-        self._answer(Answered(asked.page, asked.request.request, error))
+        self._answer(texts.Answered(asked.page, asked.request.request, error))
 
     def handle_figures(self, text: bytes, now_ns: int) -> None:
         """A message of the launcher; pages get it unchanged."""
@@ -452,7 +424,7 @@ class Seat:
         if command is not None:
             self._events.append(command)
 
-    def _answer(self, answered: Answered) -> None:
+    def _answer(self, answered: texts.Answered) -> None:
         number, request, error, round_trip_ms, _ = answered
         if number in self._pages:
             text = texts.AnswerText(

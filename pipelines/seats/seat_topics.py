@@ -33,18 +33,18 @@ from pipelines.seats.plan import SeatStream, Unpack
 from pipelines.seats.seat import PageRequest, Seat, StopAsked
 from pipelines.seats.texts import FetchRequest, RecordingRequest, Via
 from pipelines.seats.upkeep_watch import ask_process, fetch
-from pipelines.session.orders import KeptOrders
+from pipelines.session.kept_files import KeptOrders
 from pipelines.session.process import Context
-from pipelines.session.recorder_control import RECORDER_DESK
-from pipelines.session.recorder_requests import (
+from pipelines.session.serving_loop import Feed, ServingLoop, TopicState
+from pipelines.session.session_switch import Order
+from pipelines.session.terminal_lines import (
     START,
     STOP,
     RecordAnswer,
     RecordingWish,
     RecordRequest,
 )
-from pipelines.session.serving_loop import Feed, ServingLoop, TopicState
-from pipelines.session.session_switch import Order
+from pipelines.session.terminals import RECORDER_DESK
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,

@@ -13,10 +13,19 @@ import msgspec
 from kontur_av.clock import NS_PER_S
 from pipelines.seats.seat import Seat
 from pipelines.seats.texts import SoftwareText, TransferText, UpkeepText
-from pipelines.session.file_requests import STATUS, FileAnswer, FileRequest, TransferNow, desk_name
+from pipelines.session.figures import gathered
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
+from pipelines.session.terminal_lines import (
+    MAX_LINE_OCTETS,
+    STATUS,
+    FileAnswer,
+    FileRequest,
+    TransferNow,
+    desk_name,
+    pack_line,
+    parse_line,
+)
 from pipelines.session.terminals import desk_path
 from telepresence.files.entity import WAITING
 from telepresence.files.pdus import GET
@@ -107,15 +116,12 @@ def software_in(directory: Path, end: str) -> Iterator[SoftwareText]:
                 with os.fdopen(descriptor, "rb") as file:
                     written_s = os.fstat(descriptor).st_mtime
                     told = msgspec.json.decode(file.read(LARGEST_TOLD), type=InboxTold)
-                yield SoftwareText(
+                yield gathered(
+                    SoftwareText,
+                    told,
                     end=end,
                     inbox=path.parent.name,
                     written=f"{datetime.fromtimestamp(written_s, UTC):%Y-%m-%d %H:%M:%S}",
-                    runs=told.runs,
-                    why=told.why,
-                    states=told.states,
-                    waiting=told.waiting,
-                    busy=told.busy,
                     answers=tuple(
                         f"{one.file}: {'taken' if one.taken else 'refused'}, {one.text}"
                         for one in told.answers

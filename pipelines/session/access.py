@@ -1,4 +1,10 @@
-"""Who may open what at a seat: the token in the address, and the names by which it is reached."""
+"""Who may open what at a seat, and how many connections are kept, and for how long. A core.
+
+The token in the address says who asks, and the host by which name the seat is reached. Whoever has
+not shown a token is a stranger. A stranger's connection is closed after `STRANGER_NS`, and the
+oldest of them makes room for a new one. So idle connections keep nobody out who has a token, and
+take few of the process's descriptors.
+"""
 
 import hmac
 import re
@@ -8,6 +14,7 @@ from ipaddress import ip_address
 from types import MappingProxyType
 from typing import NamedTuple
 
+from kontur_av.clock import NS_PER_S
 from pipelines.session.seat_roles import Role
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
@@ -85,7 +92,9 @@ class Access:
         path, _, query = target.partition("?")
         parts = path.split("/")[1:]
         if len(parts) == 1 and parts[0] in self._seats:
-            kind, token, name = AccessKind.PAGE, _token_of(query), parts[0]
+            fields = (field.partition("=") for field in query.split("&"))
+            token = next((value for name, _, value in fields if name == "token"), "")
+            kind, name = AccessKind.PAGE, parts[0]
         elif len(parts) == 3 and parts[1] == "static":
             kind, token, name = AccessKind.FILE, parts[0], parts[2]
         elif len(parts) == 2 and parts[1] in ("ws", "media"):
@@ -126,14 +135,6 @@ def is_token(given: str, own: str) -> bool:
     return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), own.encode())
 
 
-def _token_of(query: str) -> str:
-    for field in query.split("&"):
-        name, _, value = field.partition("=")
-        if name == "token":
-            return value
-    return ""
-
-
 def _is_address(name: str) -> bool:
     try:
         ip_address(name)
@@ -169,3 +170,57 @@ def headers(host: str) -> dict[str, str]:
         "Permissions-Policy": "camera=(self), microphone=(self), gamepad=(self)",
         "Cache-Control": "no-store",
     }
+
+
+#: Connections in all; of strangers in all, and from one address.
+MOST_CONNECTIONS, MOST_STRANGERS, MOST_OF_ADDRESS = 256, 64, 32
+#: A stranger's longest time, and the longest that TLS may take to agree on keys.
+STRANGER_NS = 10 * NS_PER_S
+HANDSHAKE_S = 5.0
+
+
+class Doorway:
+    """Connections by numbers that the caller chooses. Close those that the methods return.
+
+    closed: connections that were closed so far, to make room or for their time.
+    """
+
+    def __init__(self) -> None:
+        self.closed = 0
+        #: By number, oldest first: address, and when it came.
+        self._strangers: dict[int, tuple[str, int]] = {}
+        self._known: set[int] = set()
+
+    def __len__(self) -> int:
+        return len(self._strangers) + len(self._known)
+
+    def handle_accepted(self, number: int, address: str, now_ns: int) -> list[int]:
+        """A connection has come; return those to close, which may be itself."""
+        self._strangers[number] = (address, now_ns)
+        closing = []
+        same = [one for one, (host, _) in self._strangers.items() if host == address]
+        if len(same) > MOST_OF_ADDRESS:
+            closing.append(same[0])
+        elif len(self._strangers) > MOST_STRANGERS or len(self) > MOST_CONNECTIONS:
+            closing.append(next(iter(self._strangers)))
+        return self._close(closing)
+
+    def handle_known(self, number: int) -> None:
+        if self._strangers.pop(number, None) is not None:
+            self._known.add(number)
+
+    def handle_closed(self, number: int) -> None:
+        self._strangers.pop(number, None)
+        self._known.discard(number)
+
+    def handle_time(self, now_ns: int) -> list[int]:
+        """Return the connections of strangers whose time is over."""
+        return self._close(
+            [one for one, (_, since) in self._strangers.items() if now_ns - since >= STRANGER_NS]
+        )
+
+    def _close(self, closing: list[int]) -> list[int]:
+        for number in closing:
+            del self._strangers[number]
+        self.closed += len(closing)
+        return closing

@@ -4,11 +4,13 @@ A record is told by `Probe.tell`, and held by the report. A process that was sta
 from 0; `kontur_av.figures` says how its lives are joined.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import msgspec
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,6 +100,13 @@ class ProcessState(msgspec.Struct, frozen=True, kw_only=True):
     cpu_s: float = 0.0
     age_ms: float = 0.0
     loop: LoopFigures = LoopFigures()
+
+
+def gathered(kind: type[T], /, *sources: object, **given: Any) -> T:
+    """Return a record of `given`, and of what the sources have under its other fields' names."""
+    names: Iterable[str] = getattr(kind, "__struct_fields__", None) or kind.__dataclass_fields__  # type: ignore[attr-defined]
+    found = {name: getattr(one, name) for one in sources for name in names if hasattr(one, name)}
+    return kind(**found | given)
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

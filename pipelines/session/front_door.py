@@ -9,7 +9,7 @@ from itertools import count
 from typing import Any, cast
 
 from kontur_av.clock import MonotonicClock
-from pipelines.session.doorway import HANDSHAKE_S, Doorway
+from pipelines.session.access import HANDSHAKE_S, Doorway
 from pipelines.session.page_sockets import PageListener
 
 _LOOK_S = 1.0
@@ -35,7 +35,7 @@ class FrontDoor:
         self._doorway = Doorway()
         self._visitors: dict[int, _Visitor] = {}
         #: By what a request names as its transport.
-        self._by_transport: dict[object, int] = {}
+        self.by_transport: dict[object, int] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
     @property
@@ -54,7 +54,7 @@ class FrontDoor:
 
     def handle_known(self, transport: object) -> None:
         """The connection of a request with a token is no stranger's."""
-        number = self._by_transport.get(transport)
+        number = self.by_transport.get(transport)
         if number is not None:
             self._doorway.handle_known(number)
 
@@ -108,12 +108,9 @@ class FrontDoor:
             if (visitor := self._visitors.pop(number, None)) is not None:
                 visitor.end()
 
-    def handle_transport(self, visitor: "_Visitor", transport: asyncio.BaseTransport) -> None:
-        self._by_transport[transport] = visitor.number
-
     def handle_gone(self, visitor: "_Visitor") -> None:
         self._visitors.pop(visitor.number, None)
-        self._by_transport.pop(visitor.transport, None)
+        self.by_transport.pop(visitor.transport, None)
         self._doorway.handle_closed(visitor.number)
 
 
@@ -136,7 +133,7 @@ class _Visitor(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast(asyncio.Transport, transport)
-        self._door.handle_transport(self, transport)
+        self._door.by_transport[transport] = self.number
         self._inner.connection_made(transport)
 
     def data_received(self, data: bytes) -> None:

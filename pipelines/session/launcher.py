@@ -24,21 +24,12 @@ from typing import Protocol
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
+from pipelines.session import session_switch
 from pipelines.session.children import ENDING, handled
 from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
 from pipelines.session.process import Collections, Context, become
-from pipelines.session.session_switch import (
-    NO_ROOM,
-    PATIENCE_NS,
-    Activity,
-    Order,
-    ProcessOrder,
-    RestartPolicy,
-    SessionSwitch,
-    SwitchAction,
-)
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import RECORDER, ProcessRow, Topology
 
@@ -93,10 +84,10 @@ class Child:
     told_error: str = ""
     #: Whether its present life is to end because the session is stopped.
     stopped: bool = False
-    policy: RestartPolicy = field(init=False)
+    policy: session_switch.RestartPolicy = field(init=False)
 
     def __post_init__(self) -> None:
-        self.policy = RestartPolicy(self.row.stage)
+        self.policy = session_switch.RestartPolicy(self.row.stage)
 
     def cpu_s(self) -> float:
         if self.pid is None:
@@ -136,7 +127,7 @@ class Launcher:
     children: list[Child] = field(init=False)
     started_ns: int = 0
     ended_ns: int = 0
-    switch: SessionSwitch = field(default_factory=SessionSwitch)
+    switch: session_switch.SessionSwitch = field(default_factory=session_switch.SessionSwitch)
     _collections: Collections = field(default_factory=Collections)
     _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector)
     _stop: bool = False
@@ -228,11 +219,11 @@ class Launcher:
                     dues_ns.append(due_ns)
             self._attend(min(due for due in dues_ns if due is not None) - self.clock.now_ns())
 
-    def handle_order(self, order: Order) -> None:
+    def handle_order(self, order: session_switch.Order) -> None:
         """Stop all processes but those of the pages, or start them again."""
         self.switch.handle_order(order, self.clock.now_ns())
 
-    def _handle_process_order(self, order: ProcessOrder) -> None:
+    def _handle_process_order(self, order: session_switch.ProcessOrder) -> None:
         """Stop or start a process; see `ProcessOrder`."""
         child = next((one for one in self.children if one.row.name == order.process), None)
         if child is None or child.policy.wanted is order.run:
@@ -244,17 +235,19 @@ class Launcher:
                 os.kill(child.pid, signal.SIGTERM)
 
     def _keeps_alive(self, child: Child) -> bool:
-        return self.switch.activity is Activity.RUNNING or child.row.name in self.pages
+        return (
+            self.switch.activity is session_switch.Activity.RUNNING or child.row.name in self.pages
+        )
 
     def _follow_switch(self, now_ns: int) -> None:
         self.switch.handle_timeout(now_ns)
         if all(child.pid is None for child in self.children if child.row.name not in self.pages):
             self.switch.handle_all_ended(now_ns)
         while (action := self.switch.next_event()) is not None:
-            if action is SwitchAction.START:
+            if action is session_switch.SwitchAction.START:
                 self.listener.handle_resumed(now_ns)
                 continue  # `_watch` starts them in order
-            number = signal.SIGTERM if action is SwitchAction.END else signal.SIGKILL
+            number = signal.SIGTERM if action is session_switch.SwitchAction.END else signal.SIGKILL
             for child in self.children:
                 if child.pid is not None and child.row.name not in self.pages:
                     child.stopped = True
@@ -313,7 +306,7 @@ class Launcher:
             child.told_error = message.last_error or child.told_error
             self.listener.handle_message(child.row.name, message, now_ns)
             for order in message.orders:
-                if isinstance(order, ProcessOrder):
+                if isinstance(order, session_switch.ProcessOrder):
                     self._handle_process_order(order)
                 elif child.row.name in self.pages:
                     self.switch.handle_order(order, now_ns)
@@ -411,7 +404,7 @@ class Launcher:
 
     def _await(self, child: Child) -> None:
         """Wait until a process has reported, or does not within its time."""
-        until_ns = self.clock.now_ns() + PATIENCE_NS
+        until_ns = self.clock.now_ns() + session_switch.PATIENCE_NS
         while child.pid is not None and not child.told and not self._stop:
             left_ns = until_ns - self.clock.now_ns()
             if left_ns <= 0:
@@ -432,7 +425,7 @@ class Launcher:
             for child in children:
                 if child.pid is not None:
                     os.kill(child.pid, number)
-            deadline_ns = self.clock.now_ns() + PATIENCE_NS
+            deadline_ns = self.clock.now_ns() + session_switch.PATIENCE_NS
             while any(child.pid is not None for child in children):
                 remaining_ns = deadline_ns - self.clock.now_ns()
                 if remaining_ns <= 0:
@@ -448,7 +441,7 @@ def _one_line(error: BaseException) -> str:
 
 def _signal_name(number: int) -> str:
     if number == signal.SIGBUS:
-        return NO_ROOM
+        return session_switch.NO_ROOM
     try:
         return signal.Signals(number).name
     except ValueError:  # most real-time signals have no name

@@ -16,6 +16,7 @@ from typing import Annotated, Literal, TypeVar
 import msgspec
 
 from kontur_av.errors import ProtocolError, refused
+from pipelines.session.figures import gathered
 from telepresence.malformed import MALFORMED
 from telepresence.tasks.definitions import ControlMode, Pattern
 from telepresence.tasks.panel_picture import PanelPicture
@@ -174,9 +175,7 @@ class LedsShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
     @classmethod
     def of(cls, picture: PanelPicture) -> "LedsShown":
-        return cls(
-            pattern=picture.pattern, leds=picture.leds, spot_m=picture.spot_m, colour=picture.colour
-        )
+        return gathered(cls, picture)
 
     @property
     def picture(self) -> PanelPicture:

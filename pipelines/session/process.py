@@ -11,15 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
-from pipelines.session.datagrams import (
-    LOOPBACK,
-    OWN_SENDERS,
-    OwnOutlet,
-    listen,
-    listen_own,
-    listen_to,
-    outlet,
-)
+from pipelines.session import datagrams
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Probe
 from pipelines.session.session_switch import Order, ProcessOrder
@@ -86,26 +78,26 @@ class Context:
 
     def listen(self, port: int) -> socket.socket:
         """Open a UDP socket on loopback that never blocks, for datagrams of any sender."""
-        return listen((LOOPBACK, port))
+        return datagrams.listen((datagrams.LOOPBACK, port))
 
     def listen_media(self, port: int) -> socket.socket:
         """Open a UDP socket for datagrams of the session's own gateway; see `OWN_SENDERS`."""
-        return listen_to((LOOPBACK, port), (OWN_SENDERS, port))
+        return datagrams.listen_to((datagrams.LOOPBACK, port), (datagrams.OWN_SENDERS, port))
 
     def sender(self, port: int) -> Callable[[bytes], None]:
         """Return a function that sends one datagram to `port` on loopback, from `OWN_SENDERS`.
 
         It ignores a port without a listener.
         """
-        return outlet(OWN_SENDERS, (LOOPBACK, port), port=port).send
+        return datagrams.outlet(datagrams.OWN_SENDERS, (datagrams.LOOPBACK, port), port=port).send
 
     def listen_own(self, port: int) -> socket.socket:
         """Open the session's own socket in the place of `port`, which its user alone reaches."""
-        return listen_own(self.session, port)
+        return datagrams.listen_own(self.session, port)
 
     def own_sender(self, port: int) -> Callable[[bytes], None]:
         """Return a function that sends one datagram to the session's own socket for `port`."""
-        return OwnOutlet(self.session, port).send
+        return datagrams.OwnOutlet(self.session, port).send
 
     def on_flush(self, fill: Callable[[], None]) -> None:
         """Call `fill` before each flush, to put counters and gauges into the probe."""

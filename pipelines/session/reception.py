@@ -48,14 +48,11 @@ class Incoming:
         # before it was sent. Reports are first, because the first of them dates the first picture.
         if self._rtcp in ready:
             while (datagram := receive(self._rtcp)) is not None:
-                self._handle_report(datagram, self._clock.now_ns())
+                if self._receiver.handle_report(datagram, self._clock.now_ns()):
+                    replace_file(self._memory, datagram)
         if self._rtp in ready:
             while (datagram := receive(self._rtp)) is not None:
                 self._receiver.handle_packet(datagram, self._clock.now_ns())
-
-    def _handle_report(self, datagram: bytes, now_ns: int) -> None:
-        if self._receiver.handle_report(datagram, now_ns):
-            replace_file(self._memory, datagram)
 
 
 def replace_file(path: Path, content: bytes) -> None:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from enum import Enum
-from types import MappingProxyType
 
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.k2aci import ChatRole
@@ -25,12 +24,10 @@ class Role(Enum):
 
 
 #: By end: its people, besides the session's owner, its trainer and those who watch.
-PEOPLE: Mapping[Segment, tuple[Role, ...]] = MappingProxyType(
-    {
-        Segment.SPACE: (Role.COSMONAUT,),
-        Segment.GROUND: (Role.EXPERIMENTER, Role.SUPERVISOR, Role.SYSTEMS),
-    }
-)
+PEOPLE: Mapping[Segment, tuple[Role, ...]] = {
+    Segment.SPACE: (Role.COSMONAUT,),
+    Segment.GROUND: (Role.EXPERIMENTER, Role.SUPERVISOR, Role.SYSTEMS),
+}
 
 VIEWER_WORDS = "a viewer may watch only"
 
@@ -38,35 +35,33 @@ _JOYSTICK = (
     *("calibrate", "start", "start_russian", "stop", "halt", "resume", "acknowledge", "test"),
 )
 #: Who may do what. Telecommands are named APPLICATION.FUNCTION, those of reports `housekeeping`.
-_MAY: Mapping[str, tuple[Role, ...]] = MappingProxyType(
-    {
-        "hand": (Role.COSMONAUT,),
-        "joystick": (Role.COSMONAUT,),
-        "session": (Role.COSMONAUT, Role.SUPERVISOR),
-        "record": PEOPLE[Segment.GROUND],
-        "chat": (*PEOPLE[Segment.SPACE], *PEOPLE[Segment.GROUND]),
-        "housekeeping": (Role.SUPERVISOR, Role.SYSTEMS),
-        **{f"joystick.{name}": (Role.COSMONAUT, Role.SUPERVISOR) for name in _JOYSTICK},
-        "camera.select": (Role.COSMONAUT,),
-        "panel.button": (Role.COSMONAUT,),
-        "tasks.select": (Role.EXPERIMENTER,),
-        "tasks.start": (Role.EXPERIMENTER,),
-        "tasks.abort": (Role.EXPERIMENTER, Role.SUPERVISOR),
-        **{
-            f"{end}_supervisor.{name}": (Role.SUPERVISOR, Role.SYSTEMS)
-            for end in ("space", "ground")
-            for name in ("start", "stop")
-        },
-        "robot.power_on": (Role.EXPERIMENTER,),
-        "robot.power_off": (Role.EXPERIMENTER, Role.SUPERVISOR),
-        "robot.set_mode": (Role.EXPERIMENTER,),
-        "robot.reset_error": (Role.EXPERIMENTER,),
-        "robot.emergency_stop": (*PEOPLE[Segment.SPACE], *PEOPLE[Segment.GROUND]),
-        "robot.release_stop": (Role.COSMONAUT, Role.SUPERVISOR),
-        "fetch": (Role.SUPERVISOR, Role.SYSTEMS),
-        "exercise": (Role.TRAINER,),
-    }
-)
+_MAY: Mapping[str, tuple[Role, ...]] = {
+    "hand": (Role.COSMONAUT,),
+    "joystick": (Role.COSMONAUT,),
+    "session": (Role.COSMONAUT, Role.SUPERVISOR),
+    "record": PEOPLE[Segment.GROUND],
+    "chat": (*PEOPLE[Segment.SPACE], *PEOPLE[Segment.GROUND]),
+    "housekeeping": (Role.SUPERVISOR, Role.SYSTEMS),
+    **{f"joystick.{name}": (Role.COSMONAUT, Role.SUPERVISOR) for name in _JOYSTICK},
+    "camera.select": (Role.COSMONAUT,),
+    "panel.button": (Role.COSMONAUT,),
+    "tasks.select": (Role.EXPERIMENTER,),
+    "tasks.start": (Role.EXPERIMENTER,),
+    "tasks.abort": (Role.EXPERIMENTER, Role.SUPERVISOR),
+    **{
+        f"{end}_supervisor.{name}": (Role.SUPERVISOR, Role.SYSTEMS)
+        for end in ("space", "ground")
+        for name in ("start", "stop")
+    },
+    "robot.power_on": (Role.EXPERIMENTER,),
+    "robot.power_off": (Role.EXPERIMENTER, Role.SUPERVISOR),
+    "robot.set_mode": (Role.EXPERIMENTER,),
+    "robot.reset_error": (Role.EXPERIMENTER,),
+    "robot.emergency_stop": (*PEOPLE[Segment.SPACE], *PEOPLE[Segment.GROUND]),
+    "robot.release_stop": (Role.COSMONAUT, Role.SUPERVISOR),
+    "fetch": (Role.SUPERVISOR, Role.SYSTEMS),
+    "exercise": (Role.TRAINER,),
+}
 
 
 def refusal(role: Role, segment: Segment, deed: str) -> str:

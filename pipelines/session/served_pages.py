@@ -18,8 +18,14 @@ from kontur_av.topics.session_files import session_root
 from pipelines.session.addresses import resolve
 from pipelines.session.options import add_options, refuse_options
 from pipelines.session.output import say
-from pipelines.session.page_certificate import certificate_for, check_certificate
-from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
+from pipelines.session.page_sockets import (
+    PageHost,
+    PageListener,
+    bind_pages,
+    certificate_for,
+    check_certificate,
+    listeners,
+)
 from pipelines.session.seat_roles import Role
 from pipelines.session.topology import PAGES, Segment
 

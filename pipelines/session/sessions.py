@@ -81,9 +81,10 @@ def _lock_new(session: str) -> int | None:
                 os.close(lock)
                 return None
             # Another process may have removed the file before it was locked.
-            if _same(lock, path):
-                os.pwrite(lock, str(os.getsid(0)).encode(), 0)
-                return lock
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(lock), path.stat()):
+                    os.pwrite(lock, str(os.getsid(0)).encode(), 0)
+                    return lock
             os.close(lock)
 
 
@@ -112,10 +113,3 @@ def _locked(lock: int) -> bool:
     except BlockingIOError:
         return False
     return True
-
-
-def _same(lock: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(lock), path.stat())
-    except FileNotFoundError:
-        return False

@@ -11,7 +11,6 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
-from types import MappingProxyType
 from typing import Final
 
 import msgspec
@@ -29,15 +28,13 @@ TRAINER_DESK = "trainer"
 LOS, JOYSTICK, ROBOT = "los", "joystick-error", "robot-fault"
 TASK, CAMERA, END = "task-failed", "camera-lost", "end"
 #: By exercise: what it does, and how long it lasts by default (s).
-EXERCISES: Mapping[str, tuple[str, float]] = MappingProxyType(
-    {
-        LOS: ("no frame gets through, either way", 20.0),
-        JOYSTICK: ("the joystick has a fault, and recovers afterwards", 5.0),
-        ROBOT: ("the robot has a fault and is off; afterwards the fault can be reset", 5.0),
-        TASK: ("each task fails", 1.0),
-        CAMERA: ("a camera gives no pictures", 10.0),
-    }
-)
+EXERCISES: Mapping[str, tuple[str, float]] = {
+    LOS: ("no frame gets through, either way", 20.0),
+    JOYSTICK: ("the joystick has a fault, and recovers afterwards", 5.0),
+    ROBOT: ("the robot has a fault and is off; afterwards the fault can be reset", 5.0),
+    TASK: ("each task fails", 1.0),
+    CAMERA: ("a camera gives no pictures", 10.0),
+}
 #: An exercise is no longer than this.
 LONGEST_S = 3600.0
 #: How many events are kept for the report.

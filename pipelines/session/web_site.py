@@ -75,7 +75,6 @@ class WebSite:
             self._door.handle_known(request.transport)
 
     def refuse(self, refusal: AccessError) -> web.Response:
-        """Count a refusal; its answer."""
         if refusal.reason:
             self.refused[refusal.reason] = self.refused.get(refusal.reason, 0) + 1
         return web.Response(

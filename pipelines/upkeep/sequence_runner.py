@@ -18,11 +18,11 @@ from kontur_av.errors import refused
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.link.figures import unpack_link
 from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.kept_files import Note, add_note, read_now
 from pipelines.session.mission_messages import ExperimentShown, unpack
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import running_sessions
 from pipelines.session.topology import MISSION_GROUND_TOPIC, link_state_topic
-from pipelines.session.upkeep_files import Note, add_note, read_now
 from pipelines.upkeep.sequence import (
     CONTACT,
     MILESTONE,

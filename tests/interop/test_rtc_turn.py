@@ -12,7 +12,7 @@ import pytest
 from running_session import PATIENCE_S, eventually
 from two_hosts import GROUND_PUBLIC, OUTSIDE, PORT, TwoHosts
 
-from pipelines.session.page_certificate import make_certificate
+from pipelines.session.page_sockets import make_certificate
 
 pytestmark = pytest.mark.interop
 

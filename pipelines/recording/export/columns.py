@@ -13,18 +13,8 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.hand.haptic_trace import ACTED, CONTACT, DEAD_MAN
+from pipelines.recording import messages
 from pipelines.recording.joined import FAR_NS, JoinedMessage
-from pipelines.recording.messages import (
-    FIGURES,
-    HAPTIC_SAMPLES,
-    LOSSES,
-    SCHEMAS,
-    TRANSFER_FRAMES,
-    RecordedFrames,
-    parse_message,
-    unpack,
-    unpack_haptics,
-)
 from pipelines.recording.schemas import TIMESTAMP, MessageSchema
 
 #: Numbers of any type, (rows,), or a text for each row.
@@ -46,7 +36,7 @@ _TYPES = {
     "uint64": np.uint64,
     "Level": np.int32,
 }
-_BY_NAME = {schema.full_name: schema for schema in SCHEMAS}
+_BY_NAME = {schema.full_name: schema for schema in messages.SCHEMAS}
 #: Fields that are the row's instant already.
 _INSTANTS = {"session_ns", "capture_ns", "timestamp"}
 #: What MATLAB's `namelengthmax` and `iskeyword` say.
@@ -135,7 +125,7 @@ def _joined_column(name: str, blocks: Sequence[Rows]) -> Column:
 
 def _one_row(message: JoinedMessage) -> tuple[list[int], Rows]:
     schema = _BY_NAME[message.schema]
-    parsed = parse_message(schema, message.data)
+    parsed = messages.parse_message(schema, message.data)
     session_ns = message.session_ns
     rows: _NewRows = {
         "published_ns": np.array([message.published_ns], np.int64),
@@ -178,7 +168,7 @@ def _add(rows: _NewRows, name: str, kind: str, value: Any, *, picture: bool = Fa
 
 
 def _haptics(message: JoinedMessage) -> tuple[NDArray[np.int64], Rows]:
-    samples = unpack_haptics(message.data)
+    samples = messages.unpack_haptics(message.data)
     rows = {name: samples[name] for name in samples.dtype.names or () if name != "time_ns"}
     return samples["time_ns"], rows | flag_columns(samples["flags"])
 
@@ -195,7 +185,7 @@ def flag_columns(flags: NDArray[np.uint32]) -> dict[str, NDArray[Any]]:
 
 
 def _frames(message: JoinedMessage) -> tuple[Sequence[int], Rows]:
-    frames = unpack(RecordedFrames, message.data)
+    frames = messages.unpack(messages.RecordedFrames, message.data)
     octets = np.array([len(data) for data in frames.data], np.uint32)
     return frames.time_ns, {"octets": octets, "data_hex": [data.hex() for data in frames.data]}
 
@@ -203,7 +193,7 @@ def _frames(message: JoinedMessage) -> tuple[Sequence[int], Rows]:
 def _each_part(message: JoinedMessage) -> tuple[list[int], Rows]:
     schema = _BY_NAME[message.schema]
     (inner,) = schema.nested
-    parsed = parse_message(schema, message.data)
+    parsed = messages.parse_message(schema, message.data)
     parts = getattr(parsed, schema.fields[-1].name)
     rows: _NewRows = {}
     for row in inner.fields:
@@ -213,10 +203,10 @@ def _each_part(message: JoinedMessage) -> tuple[list[int], Rows]:
 
 
 _SPECIAL: Mapping[str, Callable[[JoinedMessage], tuple[Any, Rows]]] = {
-    HAPTIC_SAMPLES.full_name: _haptics,
-    TRANSFER_FRAMES.full_name: _frames,
-    LOSSES.full_name: _each_part,
-    FIGURES.full_name: _each_part,
+    messages.HAPTIC_SAMPLES.full_name: _haptics,
+    messages.TRANSFER_FRAMES.full_name: _frames,
+    messages.LOSSES.full_name: _each_part,
+    messages.FIGURES.full_name: _each_part,
 }
 
 

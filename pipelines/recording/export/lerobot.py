@@ -20,16 +20,8 @@ from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import I420, empty_picture
 from pipelines.recording.channels import RECEIVED, SENT
+from pipelines.recording.export import episodes
 from pipelines.recording.export.columns import Columns
-from pipelines.recording.export.episodes import (
-    TASK_CHANNELS,
-    Placed,
-    Run,
-    TaskRuns,
-    place_pictures,
-    row_instants,
-    usual_fps,
-)
 from pipelines.recording.export.films import FilmUnit, FilmUnits
 from pipelines.recording.export.tables import NEAR_NS, TableCollector
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
@@ -92,7 +84,7 @@ class LeRobotExport:
         self._takers = {topic: one for one in self._cameras for topic in one.topics}
         self._directory, self._recording, self._fps = directory, recording, fps
         self._haptics = TableCollector(recording.begin_ns)
-        self._tasks = TaskRuns()
+        self._tasks = episodes.TaskRuns()
         self._outputs: Outputs | None = None
         self._lines: list[str] = []
 
@@ -109,7 +101,7 @@ class LeRobotExport:
             camera.handle_message(message)
         elif message.schema == HAPTIC_SAMPLES.full_name:
             self._haptics.handle_message(message)
-        elif message.topic in TASK_CHANNELS:
+        elif message.topic in episodes.TASK_CHANNELS:
             self._tasks.handle_message(message)
 
     def end(self) -> None:
@@ -120,12 +112,12 @@ class LeRobotExport:
         leading = self._cameras[0]
         if not len(leading.captures_ns):
             raise ConfigError(f"no picture of {leading.topic} can be decoded")
-        fps = usual_fps(leading.captures_ns) if self._fps is None else self._fps
+        fps = episodes.usual_fps(leading.captures_ns) if self._fps is None else self._fps
         cameras = [leading, *self._gapless(self._cameras[1:], leading.captures_ns)]
         begin_ns = max(hand.begin_ns, *(one.captures_ns[0] for one in cameras))
         facts = self._recording.facts
         setup = facts.setup if facts is not None and facts.setup else "telepresence"
-        runs = self._tasks.runs() or [Run(setup, begin_ns, None, "")]
+        runs = self._tasks.runs() or [episodes.Run(setup, begin_ns, None, "")]
         writing = _Writing(self._directory, self._outputs, cameras, hand, fps, setup)
         for run in runs:
             writing.add_run(run, begin_ns)
@@ -311,7 +303,7 @@ class _Writing:
         self._left_out = {camera.key: 0 for camera in cameras}
         self._old = self._total = 0
 
-    def add_run(self, run: Run, begin_ns: int) -> None:
+    def add_run(self, run: episodes.Run, begin_ns: int) -> None:
         """Write a run as one episode, or several if it is long."""
         leading = self._cameras[0].captures_ns
         last_ns = min(self._hand.end_ns, int(leading[-1]))
@@ -321,13 +313,15 @@ class _Writing:
             first_ns = int(leading[first])
             if first_ns > end_ns:
                 break
-            self._add(run, row_instants(first_ns, min(end_ns, first_ns + _LONGEST_NS), self._fps))
+            self._add(
+                run, episodes.row_instants(first_ns, min(end_ns, first_ns + _LONGEST_NS), self._fps)
+            )
             at_ns = first_ns + _LONGEST_NS + 1
 
-    def _add(self, run: Run, instants_ns: NDArray[np.int64]) -> None:
+    def _add(self, run: episodes.Run, instants_ns: NDArray[np.int64]) -> None:
         number, count = len(self.episodes), len(instants_ns)
         placed = {
-            one.key: place_pictures(one.captures_ns, instants_ns, self._fps)
+            one.key: episodes.place_pictures(one.captures_ns, instants_ns, self._fps)
             for one in self._cameras
         }
         leading = placed[self._cameras[0].key]
@@ -372,7 +366,7 @@ class _Writing:
         self._rows.append(rows)
         self._total += count
 
-    def _write_film(self, camera: _Camera, placed: Placed, number: int) -> _Colours:
+    def _write_film(self, camera: _Camera, placed: episodes.Placed, number: int) -> _Colours:
         self._repeated[camera.key] += int((~placed.own).sum())
         self._left_out[camera.key] += placed.left_out
         colours, step = _Colours(), -(-len(placed.pictures) // _SAMPLED_PICTURES)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from pipelines.recording import messages
 from pipelines.recording.channels import EVENTS, RECEIVED, SENT
 from pipelines.recording.export.columns import (
     Column,
@@ -20,14 +21,6 @@ from pipelines.recording.export.columns import (
     table_names,
 )
 from pipelines.recording.joined import JoinedMessage
-from pipelines.recording.messages import (
-    HAPTIC_SAMPLES,
-    LOG,
-    NO_SAMPLE,
-    SPACE_PACKET,
-    TRANSFER_FRAMES,
-    VIDEO,
-)
 
 #: An event belongs to the newest haptic cycle that is not older than this.
 NEAR_NS = 20 * NS_PER_MS
@@ -38,7 +31,7 @@ _INSTANT_BITS = 46
 #: The variable that says where the tables come from.
 RECORDING = "recording"
 _HAPTIC, _FACTS = "/haptic/", "/facts"
-_LEFT_OUT = {LOG.full_name, TRANSFER_FRAMES.full_name}
+_LEFT_OUT = {messages.LOG.full_name, messages.TRANSFER_FRAMES.full_name}
 
 Tables = dict[str, Columns]
 
@@ -74,8 +67,10 @@ class TableCollector:
         found = {topic: in_order(joined(rows)) for topic, rows in self._rows.items()}
         self._rows.clear()
         tables: Tables = {}
-        haptics = haptic_tables(self._taken(found, HAPTIC_SAMPLES.full_name), self._begin_ns)
-        packets = self._taken(found, SPACE_PACKET.full_name)
+        haptics = haptic_tables(
+            self._taken(found, messages.HAPTIC_SAMPLES.full_name), self._begin_ns
+        )
+        packets = self._taken(found, messages.SPACE_PACKET.full_name)
         tables |= haptics
         if EVENTS in found:
             events = found.pop(EVENTS)
@@ -83,7 +78,7 @@ class TableCollector:
         if packets:
             commands = _commands(packets)
             tables["commands"] = commands | rows_of_haptics(commands, haptics)
-        pictures = {topic for topic in found if self._schemas[topic] == VIDEO.full_name}
+        pictures = {topic for topic in found if self._schemas[topic] == messages.VIDEO.full_name}
         shown = {
             base if (base := topic.removesuffix(_FACTS)) in pictures else topic: columns
             for topic, columns in found.items()
@@ -100,7 +95,10 @@ class TableCollector:
 def in_order(columns: Columns) -> Columns:
     """Return the rows sorted by their instants; rows of one instant stay in their order."""
     order = np.argsort(_numbers(columns["session_ns"]), kind="stable")
-    return {name: _picked(column, order) for name, column in columns.items()}
+    return {
+        name: column[order] if isinstance(column, np.ndarray) else [column[at] for at in order]
+        for name, column in columns.items()
+    }
 
 
 def haptic_tables(channels: Mapping[str, Columns], begin_ns: int) -> Tables:
@@ -142,7 +140,7 @@ def _received_ns(sent: Columns, received: Columns | None) -> NDArray[np.int64]:
     row = order[np.maximum(place, 0)]
     right = (
         (place >= 0)
-        & (_numbers(received["sequence"]) != NO_SAMPLE)
+        & (_numbers(received["sequence"]) != messages.NO_SAMPLE)
         & (_numbers(sent["sequence"])[row] == _numbers(received["sequence"]))
         & (received_ns - sent_ns[row] < _MOST_DELAY_NS)
     )
@@ -163,7 +161,7 @@ def _keys(
 
 def _acted_on(own_ns: NDArray[np.int64], received: Columns | None) -> NDArray[np.int32]:
     """The number of the sample on which an end acted in each of its cycles."""
-    found = np.full(len(own_ns), NO_SAMPLE, np.int32)
+    found = np.full(len(own_ns), messages.NO_SAMPLE, np.int32)
     if received is not None and len(received["session_ns"]):
         cycles = _numbers(received["session_ns"])
         place = np.minimum(np.searchsorted(cycles, own_ns), len(cycles) - 1)
@@ -210,9 +208,3 @@ def _packet_topic(topic: str) -> tuple[str, str, str]:
 def _numbers(column: Column) -> NDArray[Any]:
     assert isinstance(column, np.ndarray)
     return column
-
-
-def _picked(column: Column, order: NDArray[np.int64]) -> Column:
-    if isinstance(column, np.ndarray):
-        return column[order]
-    return [column[place] for place in order]

@@ -25,16 +25,7 @@ from telepresence.haptics.axes import AxisName, more_axes, sample_octets
 from telepresence.haptics.envelope import SafetyLimits
 from telepresence.haptics.mediated.wall import WALL_OCTETS
 from telepresence.haptics.sample import SAMPLE_OCTETS
-from telepresence.link.arithmetic import (
-    RESERVE_BPS,
-    RESERVE_DOWN_BPS,
-    ChannelNeed,
-    StreamNeed,
-    TableLine,
-    channel_table,
-    check_fit,
-    freed_need_bps,
-)
+from telepresence.link import arithmetic
 from telepresence.link.flows import Level
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.path import RadioPath
@@ -471,25 +462,28 @@ class Setup:
         every = (self.uplink_video, self.uplink_voice, self.downlink_video, self.downlink_voice)
         return tuple(stream for stream in every if stream is not None)
 
-    def need(self, direction: Direction) -> ChannelNeed:
+    def need(self, direction: Direction) -> arithmetic.ChannelNeed:
         """What a direction carries with all streams at their caps; ConfigError if too much."""
         streams, reserve_bps = self._needs(direction)
-        return check_fit(self.profile(direction), streams, reserve_bps=reserve_bps)
+        return arithmetic.check_fit(self.profile(direction), streams, reserve_bps=reserve_bps)
 
-    def _needs(self, direction: Direction) -> tuple[list[StreamNeed], int]:
+    def _needs(self, direction: Direction) -> tuple[list[arithmetic.StreamNeed], int]:
         """What the streams of a direction need, and what is kept beside them (bit/s)."""
         if direction is Direction.UPLINK:
-            return [*_needs(self.uplink_voice, self.uplink_video), *self._walls], RESERVE_BPS
-        return _needs(self.downlink_voice, self.downlink_video), RESERVE_DOWN_BPS
+            return [
+                *_needs(self.uplink_voice, self.uplink_video),
+                *self._walls,
+            ], arithmetic.RESERVE_BPS
+        return _needs(self.downlink_voice, self.downlink_video), arithmetic.RESERVE_DOWN_BPS
 
     @property
-    def _walls(self) -> tuple[StreamNeed, ...]:
+    def _walls(self) -> tuple[arithmetic.StreamNeed, ...]:
         """What the messages with walls need of the uplink."""
         if self.hand == "direct":
             return ()
         payload_bps = 8 * WALL_OCTETS * _WALLS_PER_S
         return (
-            StreamNeed(
+            arithmetic.StreamNeed(
                 name="walls", payload_bps=payload_bps, packets_per_s=_WALLS_PER_S, level=Level.TMTC
             ),
         )
@@ -500,17 +494,17 @@ class Setup:
         voice = self.uplink_voice if stream == self.uplink_video else self.downlink_voice
         walls = self._walls if stream == self.uplink_video else ()
         needs = [*_needs(voice, grown), *walls]
-        return max(gain_bps, freed_need_bps(self.profile_of(stream), needs))
+        return max(gain_bps, arithmetic.freed_need_bps(self.profile_of(stream), needs))
 
-    def channel_table(self, direction: Direction) -> tuple[TableLine, ...]:
+    def channel_table(self, direction: Direction) -> tuple[arithmetic.TableLine, ...]:
         """The arithmetic of `need`, line by line."""
         streams, reserve_bps = self._needs(direction)
-        return channel_table(self.profile(direction), streams, reserve_bps=reserve_bps)
+        return arithmetic.channel_table(self.profile(direction), streams, reserve_bps=reserve_bps)
 
 
-def _needs(*streams: VideoStream | VoiceStream | None) -> list[StreamNeed]:
+def _needs(*streams: VideoStream | VoiceStream | None) -> list[arithmetic.StreamNeed]:
     return [
-        StreamNeed(
+        arithmetic.StreamNeed(
             name=stream.name,
             payload_bps=stream.cap_bps,
             packets_per_s=(

@@ -233,9 +233,8 @@ class LinkRow:
 
 @dataclass(frozen=True, kw_only=True)
 class TopicRow:
-    """A topic in shared memory. sample: one sample of it, in words."""
+    """A topic in shared memory."""
 
     name: Topic
     writer: str
     readers: tuple[str, ...]
-    sample: str

@@ -111,13 +111,11 @@ class Topology:
 
     @cached_property
     def topics(self) -> tuple[TopicRow, ...]:
-        """The topics, in the order of their writers."""
         return tuple(
             TopicRow(
                 name=name,
                 writer=row.name,
                 readers=tuple(one.name for one in self.processes if name in one.reads),
-                sample=name.sample,
             )
             for row in self.processes
             for name in row.writes

@@ -109,7 +109,9 @@ def streams_table(topology: Topology) -> Table:
 def topics_table(topology: Topology) -> Table:
     return Table(
         headings=("topic", "writer", "sample", "readers"),
-        rows=[(row.name, row.writer, row.sample, _listed(row.readers)) for row in topology.topics],
+        rows=[
+            (row.name, row.writer, row.name.sample, _listed(row.readers)) for row in topology.topics
+        ],
         spare=("sample",),
     )
 

@@ -8,7 +8,7 @@ from kontur_av.errors import ConfigError
 from pipelines.cli import main
 from pipelines.commands import common, stop
 from pipelines.commands.common import acting_on
-from pipelines.session.orders import KeptOrders
+from pipelines.session.kept_files import KeptOrders
 from pipelines.session.sessions import hold_session, started_here
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from pipelines.cli import main
 from pipelines.commands import file
-from pipelines.session.file_requests import FileAnswer
+from pipelines.session.terminal_lines import FileAnswer
 
 UNDER_WAY = FileAnswer(ok=True, number=7, state="sending", octets=5, size=5)
 DONE = FileAnswer(ok=True, number=7, state=file.DONE, octets=5, size=5)

@@ -6,7 +6,7 @@ import pytest
 
 from pipelines.mission import process_tasks
 from pipelines.mission.process_tasks import RunFiles
-from pipelines.session.recorder_requests import START, STOP, RecordAnswer
+from pipelines.session.terminal_lines import START, STOP, RecordAnswer
 
 
 class Recorder:

@@ -2,8 +2,15 @@
 
 from kontur_av.clock import NS_PER_S
 from pipelines.recording.desk import HOLD_NS, Ask, RecorderDesk, Start, Stop
-from pipelines.session.recorder_requests import RecordAnswer, RecordingWish, RecordRequest
-from pipelines.session.terminal_lines import MAX_LINE_OCTETS, Reply, pack_line, parse_line
+from pipelines.session.terminal_lines import (
+    MAX_LINE_OCTETS,
+    RecordAnswer,
+    RecordingWish,
+    RecordRequest,
+    Reply,
+    pack_line,
+    parse_line,
+)
 
 WISH = RecordingWish(file="/tmp/a.mcap")
 HELD = RecordingWish(file="/tmp/a.mcap", held=True)
@@ -20,7 +27,7 @@ class Talk:
         self.error = ""
 
     def say(self, terminal, request, now_ns=0):
-        if terminal not in self.desk.terminals:
+        if terminal not in self.desk.asking:
             self.desk.handle_terminal(terminal)
         octets = request if isinstance(request, bytes) else pack_line(request)
         self.desk.handle_octets(terminal, octets, now_ns)

@@ -12,7 +12,7 @@ from pipelines.recording.facts import FACTS
 from pipelines.recording.inventory import ChannelInventory, inventory_lines, take_inventory
 from pipelines.recording.mcap_stream import McapStream
 from pipelines.recording.messages import LOSSES, ChannelLoss, RecorderLosses, pack
-from pipelines.recording.recover import Recovery
+from pipelines.recording.scan import Recovery
 from pipelines.recording.schemas import descriptor_set
 
 WRITTEN = write([Step(100_000_000, count % 2, 0, b"12345") for count in range(20)])

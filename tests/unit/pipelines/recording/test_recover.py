@@ -15,8 +15,7 @@ from kontur_av.recorded_format import FORMAT_KEY
 from pipelines.recording.facts import FACTS, MENDED, RecordingFacts, sealed
 from pipelines.recording.inventory import take_inventory
 from pipelines.recording.mcap_stream import CHUNK_NS, MAGIC, McapStream, octets_of
-from pipelines.recording.recover import Recovery
-from pipelines.recording.scan import FoundMessage, Scan
+from pipelines.recording.scan import FoundMessage, Recovery, Scan
 
 
 @given(steps, st.floats(0.1, 1))

@@ -18,7 +18,7 @@ def test_any_reader_finds_what_was_told(tmp_path, parts):
     found = {topic: [] for topic in recording.told}
     for number, path in enumerate(recording.paths, start=1):
         inventory = take_inventory(memoryview(path.read_bytes()))
-        assert inventory.figures.sound
+        assert inventory.scan.figures.sound
         assert inventory.facts.part == number
         with path.open("rb") as file:
             for _, channel, message in make_reader(file).iter_messages():

@@ -178,7 +178,7 @@ def test_a_gauge_that_a_new_life_does_not_know_yet_keeps_its_value():
     collector.process("camera_head").handle_end()
     tell(collector, "camera_head", START_NS, figures=[CaptureFigures(source_fault="a gap")])
     figures = collector.process("camera_head")
-    assert (figures.captured_ns, figures.source_fault) == (START_NS, "a gap")
+    assert (figures.capture.captured_ns, figures.capture.source_fault) == (START_NS, "a gap")
 
 
 CAP_BPS = 90_000

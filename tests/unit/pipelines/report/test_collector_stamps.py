@@ -8,8 +8,8 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.media.figures import CaptureFigures, SelectorFigures
+from pipelines.report.collector import ProcessFigures
 from pipelines.report.journeys import HapticFigures, Pauses, StreamFigures
-from pipelines.report.process_figures import ProcessFigures
 from pipelines.session.rows import OutRow, RxRow, ShownRow, TxRow
 
 START_NS = 1_000 * NS_PER_S
@@ -129,7 +129,7 @@ def test_a_negative_stage_is_counted_by_its_name():
         "sent_to_received": 1,
     }
     assert stream.last_latency_ns == -NS_PER_MS
-    assert stream.last_shown_ns == START_NS + 39 * NS_PER_MS
+    assert stream.pauses.last_ns == START_NS + 39 * NS_PER_MS
     assert [latency_ns // NS_PER_MS for _, latency_ns in stream.fresh] == [30, 30, -1]
 
 
@@ -140,16 +140,16 @@ def test_each_picture_is_joined_once():
         journey(stream, 1, **instants)
     # The same timestamp again is another picture's, after 13 hours.
     assert stream.stages["capture_to_encoded"].count == 2
-    stream.handle_rx(rows(RxRow(1, START_NS)), START_NS)
+    stream.handle_rows(RxRow, rows(RxRow(1, START_NS)), START_NS)
     assert stream.stages["capture_to_encoded"].count == 2
 
 
 @pytest.mark.parametrize(("between", "joined"), [(1999, 1), (2000, 0)])
 def test_no_more_pictures_wait_than_allowed(between, joined):
     stream = StreamFigures()
-    stream.handle_tx(rows(TxRow(5, START_NS, START_NS, START_NS)), START_NS)
-    stream.handle_rx(rows(*[RxRow(100 + n, START_NS) for n in range(between)]), START_NS)
-    stream.handle_rx(rows(RxRow(5, START_NS)), START_NS)
+    stream.handle_rows(TxRow, rows(TxRow(5, START_NS, START_NS, START_NS)), START_NS)
+    stream.handle_rows(RxRow, rows(*[RxRow(100 + n, START_NS) for n in range(between)]), START_NS)
+    stream.handle_rows(RxRow, rows(RxRow(5, START_NS)), START_NS)
     stream.handle_shown(rows(ShownRow(5, START_NS, START_NS)), START_NS)
     assert stream.stages["capture_to_encoded"].count == joined
 
@@ -158,8 +158,8 @@ def test_no_more_pictures_wait_than_allowed(between, joined):
 def test_a_picture_waits_ten_seconds_for_its_other_end(wait_s, joined):
     stream = StreamFigures()
     later_ns = START_NS + round(wait_s * NS_PER_S)
-    stream.handle_tx(rows(TxRow(5, START_NS, START_NS, START_NS)), START_NS)
-    stream.handle_rx(rows(RxRow(6, later_ns), RxRow(5, later_ns)), later_ns)
+    stream.handle_rows(TxRow, rows(TxRow(5, START_NS, START_NS, START_NS)), START_NS)
+    stream.handle_rows(RxRow, rows(RxRow(6, later_ns), RxRow(5, later_ns)), later_ns)
     stream.handle_shown(rows(ShownRow(5, START_NS, later_ns)), later_ns)
     assert stream.stages["capture_to_encoded"].count == joined
 
@@ -174,7 +174,7 @@ def test_the_time_of_a_process_is_that_of_its_messages():
     assert process.silent_ns() == NS_PER_S
     captured_ns, now_ns = at(900, 1500)
     process.handle_message(message(CaptureFigures(captured_ns=captured_ns)), now_ns)
-    assert (process.captured_ns, process.gives_since_ns) == (captured_ns, captured_ns)
+    assert (process.capture.captured_ns, process.gives_since_ns) == (captured_ns, captured_ns)
     assert process.silent_ns() == 600 * NS_PER_MS
     assert process.silent_ns(captured_ns - 1) == 0
 

@@ -20,7 +20,7 @@ def test_the_most_urgent_goes_first():
     queue = ClientQueue([0])
     queue.put_preview(0, b"preview")
     queue.put_figures("figures")
-    queue.lane(0).put_replay([b"unit"])
+    queue.lanes[0].put_replay([b"unit"])
     queue.put_haptics(0, b"haptics")
     queue.put_sound(1, b"sound")
     queue.put_state("old")
@@ -36,20 +36,20 @@ def test_the_most_urgent_goes_first():
 
 def test_live_units_follow_the_replay():
     queue = ClientQueue([0])
-    queue.lane(0).put_unit(b"early", key=True)
-    queue.lane(0).put_replay([b"0", b"1"])
-    queue.lane(0).put_unit(b"2", key=False)
+    queue.lanes[0].put_unit(b"early", key=True)
+    queue.lanes[0].put_replay([b"0", b"1"])
+    queue.lanes[0].put_unit(b"2", key=False)
     assert drained(queue) == [b"0", b"1", b"2"]
     assert queue.units_left_out == 0
 
 
 def test_units_that_do_not_fit_all_go_until_a_replay():
     queue = ClientQueue([0])
-    lane = queue.lane(0)
+    lane = queue.lanes[0]
     lane.put_replay([b"0"])
     for number in range(MOST_UNITS + 1):
         lane.put_unit(b"%d" % number, key=False)
-    assert (drained(queue), list(queue.closed_lanes())) == ([], [0])
+    assert (drained(queue), [at for at, lane in queue.lanes.items() if not lane.open]) == ([], [0])
     assert queue.units_left_out == 1 + MOST_UNITS + 1
     lane.put_unit(b"more", key=False)
     assert drained(queue) == []
@@ -59,7 +59,7 @@ def test_units_that_do_not_fit_all_go_until_a_replay():
 
 
 def test_a_key_unit_opens_the_gate():
-    lane = ClientQueue([0]).lane(0)
+    lane = ClientQueue([0]).lanes[0]
     lane.put_replay([])
     for _ in range(MOST_UNITS + 1):
         lane.put_unit(b"unit", key=False)
@@ -69,7 +69,7 @@ def test_a_key_unit_opens_the_gate():
 
 
 def test_a_unit_of_any_size_fits_alone():
-    lane = ClientQueue([0]).lane(0)
+    lane = ClientQueue([0]).lanes[0]
     lane.put_replay([])
     lane.put_unit(bytes(MOST_UNIT_OCTETS + 1), key=True)
     assert lane.open and len(lane) == 1
@@ -101,7 +101,7 @@ INPUTS = st.sampled_from(
 def test_bounded_whatever_comes_and_complete_whatever_goes(steps):
     """Units come numbered: what goes to the page has no gap but before a key or a replay."""
     queue, number, gone = ClientQueue([0]), 0, []
-    lane = queue.lane(0)
+    lane = queue.lanes[0]
     lane.put_replay([])
     put = {
         "answer": lambda octets: queue.put_answer("x" * octets),

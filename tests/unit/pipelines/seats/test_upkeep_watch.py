@@ -5,9 +5,15 @@ import os
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.files.desk import FileDesk
 from pipelines.seats.upkeep_watch import Transfers, software_in
-from pipelines.session.file_requests import STATUS, FileAnswer, FileRequest
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminal_lines import MAX_LINE_OCTETS, pack_line, parse_line
+from pipelines.session.terminal_lines import (
+    MAX_LINE_OCTETS,
+    STATUS,
+    FileAnswer,
+    FileRequest,
+    pack_line,
+    parse_line,
+)
 from telepresence.files.entity import FileEntity, Transfer
 from telepresence.upkeep.inbox import TOLD, UpdateInbox
 

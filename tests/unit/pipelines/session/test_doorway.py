@@ -1,6 +1,6 @@
 """How many connections a server keeps: a stranger keeps nobody out who has a token."""
 
-from pipelines.session.doorway import (
+from pipelines.session.access import (
     MOST_CONNECTIONS,
     MOST_OF_ADDRESS,
     MOST_STRANGERS,

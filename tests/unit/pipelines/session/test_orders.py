@@ -4,7 +4,7 @@ import pytest
 
 from kontur_av.topics import session_files
 from kontur_av.topics.session_files import make_session_root, session_root
-from pipelines.session.orders import KeptOrders
+from pipelines.session.kept_files import KeptOrders
 
 
 @pytest.fixture

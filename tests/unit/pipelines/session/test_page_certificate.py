@@ -11,8 +11,8 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from kontur_av.errors import ConfigError
-from pipelines.session import page_certificate
-from pipelines.session.page_certificate import check_certificate, fingerprint, make_certificate
+from pipelines.session import page_sockets
+from pipelines.session.page_sockets import check_certificate, fingerprint, make_certificate
 
 
 @pytest.fixture
@@ -88,8 +88,8 @@ def test_what_is_no_certificate_with_its_key_is_refused(made, tmp_path, text, sa
     ("by", "says"), [({"days": 400}, "expired on"), ({"days": -9}, "only from")]
 )
 def test_a_certificate_out_of_its_time_is_refused(made, monkeypatch, by, says):
-    monkeypatch.setattr(page_certificate, "datetime", in_the_future(**by))
+    monkeypatch.setattr(page_sockets, "datetime", in_the_future(**by))
     with pytest.raises(ConfigError, match=says):
         check_certificate(made)
-    monkeypatch.setattr(page_certificate, "datetime", in_the_future(days=300))
+    monkeypatch.setattr(page_sockets, "datetime", in_the_future(days=300))
     check_certificate(made)

@@ -63,7 +63,7 @@ def test_a_topic_has_the_readers_that_read_it(session):
         assert topic.name in session.process(topic.writer).writes
         readers = [row.name for row in session.processes if topic.name in session.reads(row.name)]
         assert list(topic.readers) == readers
-        assert topic.sample
+        assert topic.name.sample
     for row in session.processes:
         assert all(session.topic(name).name == name for name in session.reads(row.name))
 

@@ -4,7 +4,7 @@ import pytest
 
 from kontur_av.topics import session_files
 from pipelines.session.figures import Event
-from pipelines.session.upkeep_files import (
+from pipelines.session.kept_files import (
     Note,
     NotesReader,
     SessionNow,

@@ -2,7 +2,7 @@
 
 import json
 
-from pipelines.session.upkeep_files import Note
+from pipelines.session.kept_files import Note
 from pipelines.upkeep.sequence import MaintenanceSequence, StepOutcome
 from pipelines.upkeep.sequence_runner import MaintenanceLog, SequenceRunner
 

@@ -1,0 +1,149 @@
+"""What processes of a session, and `kontur-av maintain`, leave each other in its directory.
+
+| file | written by | what |
+|---|---|---|
+| `stop` | whoever orders it | an emergency stop holds: who ordered it; removed to release it |
+| `orders-robot`, `orders-joystick` | those processes | their newest orders, as JSON |
+| `now.json` | the session, once a second | `SessionNow` |
+| `notes` | `maintain` | a `Note` a line |
+
+A process that starts goes on with its orders. If the directory is gone, or a file has other
+content, it does not know what was ordered; then it starts halted and off.
+"""
+
+import os
+from pathlib import Path
+from typing import Final, Literal, TypeVar
+
+import msgspec
+
+from kontur_av.topics.session_files import session_root
+from pipelines.session.figures import Event
+from pipelines.session.reception import replace_file
+from telepresence.malformed import MALFORMED
+
+T = TypeVar("T", bound=msgspec.Struct)
+#: Of the words that say who stopped it.
+_MOST_CHARACTERS = 120
+
+
+class KeptOrders:
+    """The orders of one session, for one process."""
+
+    def __init__(self, session: str) -> None:
+        self._root = session_root(session)
+        self._stop = self._root / "stop"
+        # As text, because loops look a hundred times a second, and a `Path` takes twice as long.
+        # The second is there only if the first can be looked for.
+        self._paths = os.fspath(self._stop), f"{self._root}/."
+
+    @property
+    def stopped(self) -> bool:
+        """Whether an emergency stop holds; also if nothing is known of the session."""
+        stop, root = self._paths
+        # Unlike lstat(2), this raises nothing for the usual case, which takes half as long.
+        return os.access(stop, os.F_OK) or not os.access(root, os.F_OK)
+
+    @property
+    def stopped_by(self) -> str:
+        """Who ordered it, in words; "" if nobody did, or that is not known."""
+        try:
+            return self._stop.read_text("utf-8", errors="replace")[:_MOST_CHARACTERS]
+        except OSError:
+            return ""
+
+    def stop(self, by: str) -> None:
+        """Order an emergency stop. The first of several is kept."""
+        if not self.stopped:
+            replace_file(self._stop, by[:_MOST_CHARACTERS].encode())
+
+    def release(self) -> None:
+        self._stop.unlink(missing_ok=True)
+
+    def recall(self, name: str, first: T, unknown: T) -> T:
+        """Return the orders of process `name`.
+
+        first: if there were none yet. unknown: if that cannot be told.
+        """
+        try:
+            return msgspec.json.decode(self._path(name).read_bytes(), type=type(first))
+        except FileNotFoundError:
+            return first if self._root.is_dir() else unknown
+        except (OSError, *MALFORMED):
+            return unknown
+
+    def keep(self, name: str, orders: msgspec.Struct) -> None:
+        replace_file(self._path(name), msgspec.json.encode(orders))
+
+    def _path(self, name: str) -> Path:
+        return self._root / f"orders-{name}"
+
+
+_NOW: Final = "now.json"
+_NOTES: Final = "notes"
+_NOTE_CHARACTERS: Final = 200
+#: Octets of the notes to read at a time.
+_READ_OCTETS: Final = 16 << 10
+
+
+class SessionNow(msgspec.Struct, frozen=True, kw_only=True):
+    """experiment: what runs, in words; "" if nothing does. events: the newest announcements."""
+
+    experiment: str
+    events: list[Event]
+
+
+class Note(msgspec.Struct, frozen=True):
+    """A milestone, or what maintenance did."""
+
+    what: Literal["milestone", "upkeep"]
+    text: str
+
+
+def write_now(session: str, now: SessionNow) -> None:
+    replace_file(session_root(session) / _NOW, msgspec.json.encode(now))
+
+
+def read_now(session: str) -> SessionNow | None:
+    """Return the newest state that a session has told; None before the first."""
+    try:
+        return msgspec.json.decode((session_root(session) / _NOW).read_bytes(), type=SessionNow)
+    except (OSError, *MALFORMED):
+        return None
+
+
+def add_note(session: str, note: Note) -> None:
+    """Add a note to the events of a session. OSError if it has ended."""
+    text = msgspec.structs.replace(note, text=note.text[:_NOTE_CHARACTERS])
+    path = session_root(session) / _NOTES
+    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        os.write(descriptor, msgspec.json.encode(text) + b"\n")
+    finally:
+        os.close(descriptor)
+
+
+class NotesReader:
+    """Reads each note of a session once."""
+
+    def __init__(self, session: str) -> None:
+        self._path = session_root(session) / _NOTES
+        self._at = 0
+
+    def read(self) -> list[Note]:
+        """Return the notes since the last call; malformed lines are left out."""
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._at)
+                octets = file.read(_READ_OCTETS)
+        except OSError:
+            return []
+        whole = octets[: octets.rfind(b"\n") + 1]
+        self._at += len(whole)
+        found = []
+        for line in whole.splitlines():
+            try:
+                found.append(msgspec.json.decode(line, type=Note))
+            except MALFORMED:
+                continue
+        return found
