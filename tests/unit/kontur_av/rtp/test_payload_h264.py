@@ -88,6 +88,7 @@ def test_sets_of_the_sdp_go_before_the_first_picture_and_every_later_idr():
         [SPS, PPS, IDR],
     ]
     assert [unit.keyframe for unit in units] == [False, False, True, False, True]
+    assert not any(unit.damaged or unit.lost_before for unit in units)
     # The stream has brought its own, and the SDP may be older.
     (unit,) = through(depacketizer, [received(IDR, 9, ssrc=8)])
     assert split_annex_b(unit.data) == [IDR]
@@ -369,18 +370,22 @@ def test_losses_before_packets_without_content_count_for_the_next_unit():
     assert [unit.lost_before for unit in units] == [0, 3, 0]
 
 
-def test_garbage_within_a_picture_damages_it():
+@pytest.mark.parametrize("garbage", [b"\x7f", b"\x7c\x01\x88"])
+def test_garbage_within_a_picture_damages_it(garbage):
     depacketizer = NalDepacketizer(H264)
     packets = [
         received(SLICE, 0, marker=False),
-        received(b"\x7f", 1, marker=False),
+        # No payload, or a later part of nothing.
+        received(garbage, 1, marker=False),
         received(LATER_SLICE, 2),
         received(SLICE, 3, timestamp=3000),
     ]
     units = through(depacketizer, packets)
     assert [unit.damaged for unit in units] == [True, False]
-    assert depacketizer.garbage == 1
-    # What is dropped as too large is a loss before the next.
+    assert depacketizer.garbage == (garbage == b"\x7f")
+
+
+def test_a_unit_that_is_dropped_is_a_loss_before_the_next():
     small = NalDepacketizer(H264, max_unit_octets=10)
     units = through(small, pictures(SLICE, SLICE + bytes(9) + b"\1", SLICE, SLICE))
     assert [(unit.timestamp, unit.lost_before) for unit in units] == [(0, 0), (6000, 1), (9000, 0)]

@@ -79,7 +79,7 @@ def test_an_sdp_that_is_absent_or_whose_port_is_taken_is_refused(tmp_path):
 
 def test_a_slow_reader_gets_the_newest_picture_and_the_end(tmp_path):
     port, sdp = free_port(), tmp_path / "s.sdp"
-    with av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, sdp=sdp) as end:
+    with av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, fps=120, sdp=sdp) as end:
         end.send(GREY)
         with av.StreamReceiver(sdp) as pictures:
             for level in range(60):
@@ -122,7 +122,8 @@ def test_an_async_reader_is_ended_from_outside(tmp_path):
         return [one async for one in pictures]
 
     async def run():
-        async with av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, sdp=sdp) as end:
+        sending = av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, fps=120, sdp=sdp)
+        async with sending as end:
             await end.asend(GREY)
             async with av.StreamReceiver(sdp) as pictures:
                 reading = asyncio.create_task(read(pictures))
