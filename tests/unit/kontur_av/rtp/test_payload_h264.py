@@ -229,6 +229,7 @@ def test_a_unit_whose_last_part_is_not_marked_is_whole(end):
         # FU-A that starts and ends, and one with its reserved bit.
         ("7c c1 88", ["6188"]),
         ("7c e1 88", ["6188"]),
+        ("7c d7 88", ["7788"]),
     ],
 )
 def test_payloads_of_other_senders_are_read(payload, units):

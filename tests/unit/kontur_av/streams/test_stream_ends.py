@@ -10,12 +10,15 @@ import pytest
 from janus_room import free_port
 
 import kontur_av as av
+from kontur_av.media import Quality
 from kontur_av.streams import ends
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
 
 
-@pytest.mark.parametrize("to", ["127.0.0.1", "127.0.0.1:x", ":5004", "127.0.0.1:65535"])
+@pytest.mark.parametrize(
+    "to", ["127.0.0.1", "127.0.0.1:x", ":5004", "127.0.0.1:65535", "127.0.0.1:0"]
+)
 def test_a_wrong_address_is_refused(to):
     with pytest.raises(av.ConfigError, match="HOST:PORT"):
         av.PictureSender(to, cap_bps=85_000)
@@ -41,12 +44,20 @@ def test_what_is_no_picture_or_no_block_is_refused():
 
 
 def test_what_cannot_work_is_refused_in_one_line(tmp_path):
-    with pytest.raises(av.ConfigError, match="fps 0"):
-        av.PictureSender("127.0.0.1:9", cap_bps=85_000, fps=0)
+    for fps in (0, 121):
+        with pytest.raises(av.ConfigError, match=f"fps {fps}"):
+            av.PictureSender("127.0.0.1:9", cap_bps=85_000, fps=fps)
     with pytest.raises(av.ConfigError, match="codec 'hevc'"):
         av.PictureSender("127.0.0.1:9", cap_bps=85_000, codec="hevc")
     with pytest.raises(av.ConfigError, match="cannot be written"):
         av.SoundSender("127.0.0.1:9", cap_bps=24_000, sdp=tmp_path / "none" / "s.sdp")
+
+
+def test_an_end_that_has_sent_nothing_says_so_and_takes_any_port():
+    for to in ("127.0.0.1:1", "[::1]:65534"):
+        with av.PictureSender(to, cap_bps=85_000) as end:
+            assert (end.counts.frames_captured, end.largest_bps) == (0, 0)
+        end.close()
 
 
 def test_a_cap_that_cannot_be_kept_is_refused():
@@ -112,7 +123,8 @@ def test_what_no_report_dates_comes_without_an_age(tmp_path, kind):
             for _ in range(30):
                 end.send(item)
             first = next(received)
-    assert first.age_ms is None and first.data.size
+    assert first.age_ms is None and first.quality is Quality.FRESH
+    assert first.data.shape == item.shape and first.data.dtype == item.dtype
 
 
 def test_an_async_reader_is_ended_from_outside(tmp_path):
@@ -131,6 +143,7 @@ def test_an_async_reader_is_ended_from_outside(tmp_path):
                     await end.asend(GREY)
                 await asyncio.to_thread(pictures.close)
                 seen = await reading
-        assert seen and pictures.ended == "closed"
+        assert 0 < end.counts.frames_sent <= 61 and 0 < end.largest_bps <= 300_000
+        assert len(seen) + pictures.skipped <= 61 and pictures.ended == "closed"
 
     asyncio.run(run())
