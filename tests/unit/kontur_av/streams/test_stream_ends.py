@@ -96,7 +96,8 @@ def test_a_slow_reader_gets_the_newest_picture_and_the_end(tmp_path):
             for level in range(60):
                 end.send(np.full_like(GREY, level))
             end.close()
-            time.sleep(0.5)
+            while not pictures.ended:
+                time.sleep(0.05)
             seen = list(pictures)
     assert len(seen) == 1 and pictures.skipped > 0
     assert abs(int(seen[0].data.mean()) - 59) <= 8
