@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -88,19 +89,27 @@ def test_an_sdp_that_is_absent_or_whose_port_is_taken_is_refused(tmp_path):
             av.StreamReceiver(sdp)
 
 
+#: So many pictures at most: under load a receiver may begin late, and need a key picture first.
+MOST = 1500
+
+
 def test_a_slow_reader_gets_the_newest_picture_and_the_end(tmp_path):
     port, sdp = free_port(), tmp_path / "s.sdp"
     with av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, fps=120, sdp=sdp) as end:
         end.send(GREY)
         with av.StreamReceiver(sdp) as pictures:
-            for level in range(60):
+            for _ in range(MOST):
+                if pictures.skipped:
+                    break
+                end.send(GREY)
+            for level in range(30):
                 end.send(np.full_like(GREY, level))
             end.close()
             while not pictures.ended:
                 time.sleep(0.05)
             seen = list(pictures)
     assert len(seen) == 1 and pictures.skipped > 0
-    assert abs(int(seen[0].data.mean()) - 59) <= 8
+    assert abs(int(seen[0].data.mean()) - 29) <= 8
     assert seen[0].age_ms > 400
     assert "goodbye" in pictures.ended
 
@@ -120,31 +129,40 @@ def test_what_no_report_dates_comes_without_an_age(tmp_path, kind):
         # Its reports go where nobody hears them, and its packets' own dates are not told.
         stream = av.parse_sdp(sdp.read_text())
         sdp.write_text(av.write_sdp(replace(stream, rtcp_port=elsewhere, capture_time_id=None)))
-        with av.StreamReceiver(sdp) as received:
-            for _ in range(30):
+        with av.StreamReceiver(sdp) as received, ThreadPoolExecutor() as pool:
+            first = pool.submit(next, received)
+            for _ in range(MOST):
+                if first.done():
+                    break
                 end.send(item)
-            first = next(received)
+            first = first.result()
     assert first.age_ms is None and first.quality is Quality.FRESH
     assert first.data.shape == item.shape and first.data.dtype == item.dtype
 
 
 def test_an_async_reader_is_ended_from_outside(tmp_path):
     port, sdp = free_port(), tmp_path / "s.sdp"
+    seen = sent = 0
 
     async def read(pictures):
-        return [one async for one in pictures]
+        nonlocal seen
+        async for _ in pictures:
+            seen += 1
 
     async def run():
+        nonlocal sent
         sending = av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, fps=120, sdp=sdp)
         async with sending as end:
             await end.asend(GREY)
             async with av.StreamReceiver(sdp) as pictures:
                 reading = asyncio.create_task(read(pictures))
-                for _ in range(60):
+                while seen <= 5 and sent < MOST:
                     await end.asend(GREY)
+                    sent += 1
                 await asyncio.to_thread(pictures.close)
-                seen = await reading
-        assert 0 < end.counts.frames_sent <= 61 and 0 < end.largest_bps <= 300_000
-        assert len(seen) + pictures.skipped <= 61 and pictures.ended == "closed"
+                await reading
+        assert seen > 5 and pictures.ended == "closed"
+        assert 5 < end.counts.frames_sent <= sent + 1 and 0 < end.largest_bps <= 300_000
+        assert seen + pictures.skipped <= end.counts.frames_sent
 
     asyncio.run(run())
