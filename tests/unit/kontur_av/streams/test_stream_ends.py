@@ -102,7 +102,8 @@ def test_a_slow_reader_gets_the_newest_picture_and_the_end(tmp_path):
                 if pictures.skipped:
                     break
                 end.send(GREY)
-            for level in range(30):
+            # Within a second a packet tells its capture.
+            for level in (*[90] * 130, *range(30)):
                 end.send(np.full_like(GREY, level))
             end.close()
             while not pictures.ended:
