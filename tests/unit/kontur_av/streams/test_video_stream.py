@@ -288,8 +288,8 @@ def test_a_new_viewer_gets_a_key_picture():
     assert [n for n, coding in enumerate(stream.codings) if coding.keyframe] == [4, 9]
 
 
-@pytest.mark.parametrize(("codec", "asks"), [("h264", 1), ("h265", 1)])
-def test_what_cannot_be_decoded_asks_for_a_key_picture(codec, asks):
+@pytest.mark.parametrize("codec", ["h264", "h265"])
+def test_what_cannot_be_decoded_asks_for_a_key_picture(codec):
     receiver = make_receiver(codec=codec, report_interval_ns=None, reduced_size=True)
     sender = make_sender()
     nal = {"h264": (KEY[4:], SLICE[4:]), "h265": (b"\x26\x01\x88", b"\x02\x01\x88")}[codec]
@@ -305,7 +305,7 @@ def test_what_cannot_be_decoded_asks_for_a_key_picture(codec, asks):
                 receiver.handle_undecoded()
     feedback = receiver.poll_feedback(NS_PER_S)
     assert feedback is not None and len(feedback) == 12
-    assert receiver.counts.pictures_asked_for == asks
+    assert receiver.counts.pictures_asked_for == 1
     # It is repeated until the picture is whole.
     assert receiver.poll_timeout() == NS_PER_S + 250 * NS_PER_MS
     assert (sender.counts.frames_captured, sender.counts.frames_encoded) == (4, 4)
@@ -346,18 +346,3 @@ def test_a_picture_without_a_marker_is_shown_after_500_ms():
     assert receiver.poll_timeout() is not None
     receiver.handle_timeout(NS_PER_S)
     assert receiver.next_event() is not None
-
-
-def test_a_pause_of_more_than_250_ms_awaits_a_whole_picture_for_200_ms():
-    for pause_ms, withheld in ((250, 0), (251, 1)):
-        receiver = make_receiver(report_interval_ns=None)
-        for at_ms, sequence in ((0, 0), (0, 1), (pause_ms, 3), (pause_ms + 200, 4)):
-            data = SLICE[4:] + bytes([sequence])
-            packet = pack_rtp(
-                data, payload_type=96, marker=True, sequence=sequence, timestamp=at_ms * 90, ssrc=5
-            )
-            receiver.handle_packet(packet, at_ms * NS_PER_MS)
-            receiver.handle_timeout(at_ms * NS_PER_MS + 45 * NS_PER_MS)
-            while (unit := receiver.next_event()) is not None:
-                receiver.handle_picture(unit.timestamp, 64, 48, 0)
-        assert receiver.counts.frames_withheld <= withheld

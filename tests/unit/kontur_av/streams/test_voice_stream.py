@@ -190,7 +190,7 @@ def test_padding_is_no_sound_and_arrivals_that_nobody_takes_are_256():
     assert receiver.poll_feedback(10**12) is None
 
 
-def test_only_the_latest_blocks_that_waited_are_told():
+def test_a_block_leaves_at_once_and_is_counted():
     sender = make_sender()
     assert sender.poll_timeout() is None
     sender.handle_packet(PACKET, CaptureStamp(0, 0, "mic"), 5)
