@@ -32,7 +32,7 @@ PRIORITIES = "tests/unit/telepresence/link/test_link_priorities.py"
 NEAR: dict[str, tuple[str, ...]] = {
     "kontur_av/rtp/receiver.py": (
         f"{UNIT}/kontur_av/rtp/test_rtp_stream.py",
-        "tests/vectors/test_rtp_vectors.py",
+        f"{UNIT}/kontur_av/rtp/test_rtp_vectors.py",
         "tests/fuzz/test_rtp_fuzz.py",
     ),
     "kontur_av/rtp/playout.py": (
@@ -43,12 +43,12 @@ NEAR: dict[str, tuple[str, ...]] = {
     "kontur_av/rtp/nal_payload.py": (
         f"{UNIT}/kontur_av/rtp/test_payload_h264.py",
         f"{UNIT}/kontur_av/rtp/test_rtp_stream.py",
-        "tests/vectors/test_rtp_vectors.py",
+        f"{UNIT}/kontur_av/rtp/test_rtp_vectors.py",
         "tests/fuzz/test_rtp_fuzz.py",
     ),
     "kontur_av/rtp/sdp.py": (
         f"{UNIT}/kontur_av/rtp/test_sdp.py",
-        "tests/vectors/test_rtp_vectors.py",
+        f"{UNIT}/kontur_av/rtp/test_rtp_vectors.py",
         "tests/fuzz/test_rtp_fuzz.py",
     ),
     "kontur_av/streams/budget.py": (

@@ -1,72 +1,17 @@
 """space_packet_parser of LASP reads our telemetry by our XTCE, and knows nothing else of us."""
 
-from math import tau
 from pathlib import Path
 
 import pytest
 from battery import Mission
-from pus_ends import MS, Ends, oven
 from tmtc_session import Session
 from xtce_decoder import decoded
 
 from pipelines.mission.tmtc_messages import Reported
 from pipelines.session.setup.segments import Segment
-from telepresence.haptics.mediated.wall import Wall, WallMessage, pack_wall
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
-from telepresence.tmtc.pus.xtce import dictionary_xtce
 
 pytestmark = pytest.mark.interop
-
-validation = pytest.importorskip("space_packet_parser.xtce.validation")
-
-
-def recorded() -> bytes:
-    """Ten seconds of telemetry of the oven: housekeeping, events, verification of telecommands."""
-    ends = Ends()
-    ends.oven.handle_values({"temperature": 21.5, "door": "closed", "lit": True}, 0)
-    ends.user.set_parameters("oven", {"target": 99.5}, now_ns=0)
-    ends.run(2500 * MS)
-    for _ in range(2):
-        ends.oven.handle_values({"temperature": 230.0}, ends.now_ns)
-    ends.refusal = "no heat today"
-    ends.user.call("oven", "heat", [20.0], now_ns=ends.now_ns)
-    ends.user.request_housekeeping("oven", "light", now_ns=ends.now_ns)
-    ends.user.request_parameters("oven", ["target"], now_ns=ends.now_ns)
-    ends.user.ping("oven", now_ns=ends.now_ns)
-    ends.run(4500 * MS)
-    return b"".join(ends.telemetry)
-
-
-def test_it_reads_every_kind_of_report(tmp_path: Path) -> None:
-    packets = decoded(oven(), recorded(), tmp_path)
-    states = [
-        packet for packet in packets if "oven_temperature" in packet and "STRUCTURE" in packet
-    ]
-    assert [(p["TIME"], p["oven_temperature"], p["oven_door"]) for p in states] == [
-        # As soon as the values are known, then at the interval.
-        (0, 21.5, "closed"),
-        (1, 21.5, "closed"),
-        (2, 21.5, "closed"),
-        (3, 230.0, "closed"),
-        (4, 230.0, "closed"),
-    ]
-    (event,) = [packet for packet in packets if "EVENT" in packet]
-    assert (event["SUBTYPE"], event["EVENT"], event["oven_temperature"]) == (4, 1, 230.0)
-    (failure,) = [packet for packet in packets if "REASON" in packet]
-    assert (failure["REASON"], failure["FAILURE"]) == ("no heat today", 4)
-    (light,) = [packet for packet in packets if "oven_lit" in packet]
-    assert light["oven_lit"]
-    subtypes = [packet["SUBTYPE"] for packet in packets if packet["SERVICE"] == 1]
-    assert sorted(subtypes) == [1, 1, 1, 1, 1, 3, 3, 3, 3, 3, 7, 7, 7, 7, 8]
-    assert {(p["SERVICE"], p["SUBTYPE"]) for p in packets} >= {(17, 2), (20, 2)}
-
-
-def test_the_xtce_of_the_built_in_dictionary_is_valid(tmp_path: Path) -> None:
-    """By the schema of the OMG, which comes with space_packet_parser."""
-    document = tmp_path / "kontur.xml"
-    document.write_text(dictionary_xtce(built_in_dictionary()), encoding="utf-8")
-    result = validation.validate_xtce(document, level="all")
-    assert result.valid, str(result)
 
 
 def test_it_reads_the_telemetry_of_a_session(tmp_path: Path) -> None:
@@ -123,17 +68,6 @@ def test_it_knows_every_packet_of_a_session_with_two_switches_of_the_camera(tmp_
         one["camera_camera"] for one in packets if one["PKT_APID"] == 0x133 and one["SERVICE"] == 3
     ]
     assert states[-1] == "stereo"
-
-
-def test_it_knows_the_packets_with_walls(tmp_path: Path) -> None:
-    message = WallMessage(3035, Wall(tau / 8, 0.06, 1500.0))
-    (wall,) = decoded(built_in_dictionary(), pack_wall(message, 7), tmp_path)
-    assert [wall[f"WALL_{name}"] for name in ("ANGLE", "STAMP_MS", "DISTANCE", "STIFFNESS")] == [
-        8192,
-        3035,
-        3000,
-        1500,
-    ]
 
 
 def test_it_reads_the_reports_and_calls_of_a_users_component(tmp_path: Path) -> None:

@@ -6,9 +6,12 @@ from hypothesis import strategies as st
 
 from kontur_av.errors import ProtocolError
 from kontur_av.rtp.header_extensions import (
+    capture_time_element,
     elements_of,
     extended,
+    header_octets,
     playout_delay_element,
+    read_capture_time,
     send_time_element,
 )
 from kontur_av.rtp.wire import pack_rtp, parse_rtp
@@ -75,3 +78,38 @@ def test_padding_is_no_payload_and_a_packet_may_be_a_header_alone():
     assert parse_rtp(padded + b"\0\0\3").payload == b"media"
     assert parse_rtp(padded + b"\xff").payload == b"media\xff"
     assert parse_rtp(PLAIN[:12]).payload == b""
+
+
+def test_contributing_sources_go_before_the_elements():
+    sources = bytes(range(8))
+    extension = bytes.fromhex("bede0002 00 00 1030 2131 32 00")
+    packet = bytes([0x92]) + PLAIN[1:12] + sources + extension + b"media"
+    assert elements_of(packet) == {1: b"0", 2: b"12"}
+    assert header_octets(packet) == 12 + 8 + 12
+    assert parse_rtp(packet).payload == b"media"
+    assert (header_octets(PLAIN), elements_of(PLAIN), elements_of(packet[:11])) == (12, {}, {})
+    # Other profiles are skipped whole.
+    other = packet.replace(b"\xbe\xde", b"\x10\x00")
+    assert (elements_of(other), parse_rtp(other).payload) == ({}, b"media")
+    for octets in (12, 20, 22, 23, 24, 31):
+        with pytest.raises(ProtocolError, match="cut off"):
+            elements_of(packet[:octets])
+    # An element that is longer than the extension.
+    with pytest.raises(ProtocolError, match="an element"):
+        elements_of(bytes([0x90]) + PLAIN[1:12] + bytes.fromhex("bede0001 13 303030"))
+    last = bytes([0x90]) + PLAIN[1:12] + bytes.fromhex("bede0001 e2 303030")
+    assert elements_of(last) == {14: b"000"}
+
+
+def test_a_capture_time_is_an_ntp_timestamp_with_or_without_an_offset():
+    # 1.5 s after 1970.
+    value = capture_time_element(1_500_000_000)
+    assert value == bytes.fromhex("83aa7e81 80000000")
+    ntp = 0x83AA7E81_80000000
+    assert [read_capture_time(value + bytes(more)) for more in (0, 8, 1, 7)] == [
+        *(ntp, ntp, None, None)
+    ]
+    assert extended(PLAIN, ()) == PLAIN
+    for number, octets in ((0, b"0"), (1, b""), (1, bytes(17))):
+        with pytest.raises(ValueError, match="an element of id"):
+            extended(PLAIN, [(number, octets)])

@@ -3,9 +3,12 @@
 import pytest
 from rtp_packets import received
 
+from kontur_av.errors import ProtocolError
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.nal_formats import parameter_sets_of
 from kontur_av.rtp.nal_payload import NalDepacketizer
 from kontur_av.rtp.payload_h264 import H264, packetize, parse_payload
+from kontur_av.rtp.payload_h265 import H265
 
 SPS, PPS = b"\x67\x42\xc0\x1e", b"\x68\xce\x3c\x80"
 #: Slices whose first_mb_in_slice is 0, and one that continues a picture.
@@ -85,6 +88,7 @@ def test_sets_of_the_sdp_go_before_the_first_picture_and_every_later_idr():
         [SPS, PPS, IDR],
     ]
     assert [unit.keyframe for unit in units] == [False, False, True, False, True]
+    assert not any(unit.damaged or unit.lost_before for unit in units)
     # The stream has brought its own, and the SDP may be older.
     (unit,) = through(depacketizer, [received(IDR, 9, ssrc=8)])
     assert split_annex_b(unit.data) == [IDR]
@@ -202,3 +206,216 @@ def test_a_unit_whose_last_part_is_not_marked_is_whole(end):
     first = through(NalDepacketizer(H264, marked=end == "marker"), packets)[0]
     assert split_annex_b(first.data) == units
     assert not first.damaged
+
+
+@pytest.mark.parametrize(
+    ("payload", "units"),
+    [
+        ("41 88", ["4188"]),
+        # Zeros behind a NAL unit, and start codes before or within a payload, as FFmpeg takes them.
+        ("41 88 00 00", ["4188"]),
+        ("00", []),
+        ("00 0000", []),
+        ("000001 41 88", ["4188"]),
+        ("00000001 41 88", ["4188"]),
+        ("06 05 000001 41 88", ["0605", "4188"]),
+        ("57 88", ["5788"]),  # type 23, the last that goes alone
+        # STAP-A: octets at the end, a unit of none, and start codes are no NAL units.
+        ("78 0002 4188", ["4188"]),
+        ("78 0002 4188 00", ["4188"]),
+        ("78 0002 4188 0002", ["4188"]),
+        ("78 0000 0002 4188", ["4188"]),
+        ("78 0005 000001 4188", ["4188"]),
+        # FU-A that starts and ends, and one with its reserved bit.
+        ("7c c1 88", ["6188"]),
+        ("7c e1 88", ["6188"]),
+        ("7c d7 88", ["7788"]),
+    ],
+)
+def test_payloads_of_other_senders_are_read(payload, units):
+    found = parse_payload(bytes.fromhex(payload))
+    assert found.nal_units == tuple(bytes.fromhex(one) for one in units)
+    assert (found.is_part, found.starts, found.ends) == (False, True, True)
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        ("", "an empty payload"),
+        ("0001", "without a NAL unit"),
+        ("79 00 0002 4188", "of type 25"),
+        ("7d 81 88", "of type 29"),
+        ("78", "without content"),
+        ("78 0000", "without content"),
+        ("78 0003 4188", "cut or nested"),
+        ("78 0002 7888", "cut or nested"),
+        ("7c", "without its header"),
+        ("7c 98", "with the header 0x98"),
+    ],
+)
+def test_payloads_that_are_none_are_refused(payload, reason):
+    with pytest.raises(ProtocolError, match=reason):
+        parse_payload(bytes.fromhex(payload))
+
+
+@pytest.mark.parametrize(
+    ("octets", "start", "end"), [("7c 81 88", 1, 0), ("7c 01 88", 0, 0), ("7c 41 88", 0, 1)]
+)
+def test_a_part_says_whether_it_is_the_first_or_the_last(octets, start, end):
+    found = parse_payload(bytes.fromhex(octets))
+    assert (found.is_part, found.starts, found.ends) == (True, bool(start), bool(end))
+    assert found.nal_units == (b"\x61\x88" if start else b"\x88",)
+
+
+def test_parameter_sets_are_those_of_a_unit_with_an_sps():
+    assert split_annex_b(H264.parameter_sets(join_annex_b([SPS, PPS, IDR]))) == [SPS, PPS]
+    assert H264.parameter_sets(join_annex_b([PPS, IDR])) == b""
+    assert parameter_sets_of(join_annex_b([PPS, SPS]), "h264") == join_annex_b([PPS, SPS])
+    vps, sps = bytes.fromhex("40010c"), bytes.fromhex("420101")
+    unit = join_annex_b([vps, sps, bytes.fromhex("260188")])
+    assert parameter_sets_of(unit, "h265") == join_annex_b([vps, sps])
+    assert parameter_sets_of(unit, "h264") == b""
+
+
+def test_octets_before_a_start_code_and_zeros_are_no_nal_units():
+    assert split_annex_b(b"") == split_annex_b(b"\x41\x88") == []
+    code = b"\0\0\1"
+    assert split_annex_b(b"\x09" + code + SPS + code + code + b"\0" + PPS) == [SPS, b"\0" + PPS]
+    assert split_annex_b(code) == split_annex_b(code + bytes(3)) == []
+
+
+def test_a_picture_ends_where_the_next_one_begins():
+    """ITU-T H.264 clause 7.4.1.2.3: with a first slice, or what goes ahead of one."""
+    for ahead in ([], [b"\x09\xf0"], [b"\x06\x05"], [SPS, PPS], [b"\x06\x05", SPS]):
+        sent = [[SLICE, LATER_SLICE], [*ahead, SLICE], [*ahead, IDR, LATER_SLICE]]
+        payloads = [unit for units in sent for unit in units]
+        packets = [received(unit, number, marker=False) for number, unit in enumerate(payloads)]
+        units = through(NalDepacketizer(H264), packets)
+        assert [split_annex_b(unit.data) for unit in units] == sent
+        assert not any(unit.damaged for unit in units)
+        assert [unit.keyframe for unit in units] == [False, False, True]
+
+
+def test_a_sender_that_dates_each_slice_is_understood():
+    packets = [
+        received(unit, number, timestamp=3000 * (number // 2) + number % 2, marker=bool(number % 2))
+        for number, unit in enumerate([SLICE, LATER_SLICE] * 3)
+    ]
+    units = through(NalDepacketizer(H264), packets)
+    assert [unit.timestamp for unit in units] == [0, 3000, 6000]
+    assert {unit.data for unit in units} == {join_annex_b([SLICE, LATER_SLICE])}
+
+
+def test_a_sender_that_marks_each_slice_costs_no_picture():
+    def sent(number):
+        return [
+            received(unit, 2 * number + at, timestamp=3000 * number, received_ns=number)
+            for at, unit in enumerate((SLICE, LATER_SLICE))
+        ]
+
+    depacketizer = NalDepacketizer(H264)
+    units = through(depacketizer, [packet for number in range(4) for packet in sent(number)])
+    assert [split_annex_b(unit.data) for unit in units] == [[SLICE, LATER_SLICE]] * 4
+    assert not any(unit.damaged for unit in units)
+    # Even if markers were believed at first: then the first two slices are two units.
+    units = through(NalDepacketizer(H264, marked=True), sent(0) + sent(1) + sent(2))
+    assert [split_annex_b(unit.data) for unit in units[-2:]] == [[SLICE, LATER_SLICE]] * 2
+    assert not units[-1].damaged
+
+
+@pytest.mark.parametrize(
+    ("marker", "wait_ms", "markers_end"), [(True, 40, True), (False, 500, False)]
+)
+def test_the_first_picture_waits_40_ms_with_a_marker_and_500_without(marker, wait_ms, markers_end):
+    depacketizer = NalDepacketizer(H264)
+    depacketizer.handle_packet(received(SLICE, 0, received_ns=7, marker=marker))
+    due_ns = 7 + wait_ms * 1_000_000
+    assert depacketizer.poll_timeout() == due_ns
+    depacketizer.handle_timeout(due_ns - 1)
+    assert depacketizer.next_event() is None
+    depacketizer.handle_timeout(due_ns)
+    unit = depacketizer.next_event()
+    assert unit is not None and not unit.damaged and depacketizer.poll_timeout() is None
+    # From then on the marker ends pictures, if it had one.
+    depacketizer.handle_packet(received(SLICE, 1, timestamp=3000))
+    assert (depacketizer.next_event() is not None) is markers_end
+
+
+def test_a_loss_within_a_picture_damages_it_and_one_at_its_end_does_too():
+    packets = [
+        received(SLICE, 0, marker=False),
+        received(LATER_SLICE, 2, lost_before=1),
+        received(SLICE, 3, timestamp=3000, marker=False),
+        # The end of the second and the beginning of the third are lost.
+        received(LATER_SLICE, 6, timestamp=6000, lost_before=2),
+        received(SLICE, 7, timestamp=9000),
+    ]
+    units = through(NalDepacketizer(H264), packets)
+    assert [(unit.timestamp, unit.damaged, unit.lost_before) for unit in units] == [
+        (0, True, 0),
+        (3000, True, 0),
+        (6000, True, 2),
+        (9000, False, 0),
+    ]
+
+
+def test_losses_before_packets_without_content_count_for_the_next_unit():
+    packets = [
+        received(SLICE, 0),
+        received(b"", 2, timestamp=3000, lost_before=1),
+        received(b"\0", 4, timestamp=3000, lost_before=1),
+        received(SLICE, 6, timestamp=3000, lost_before=1),
+        received(SLICE, 7, timestamp=6000),
+    ]
+    units = through(NalDepacketizer(H264), packets)
+    assert [unit.lost_before for unit in units] == [0, 3, 0]
+
+
+@pytest.mark.parametrize("garbage", [b"\x7f", b"\x7c\x01\x88"])
+def test_garbage_within_a_picture_damages_it(garbage):
+    depacketizer = NalDepacketizer(H264)
+    packets = [
+        received(SLICE, 0, marker=False),
+        # No payload, or a later part of nothing.
+        received(garbage, 1, marker=False),
+        received(LATER_SLICE, 2),
+        received(SLICE, 3, timestamp=3000),
+    ]
+    units = through(depacketizer, packets)
+    assert [unit.damaged for unit in units] == [True, False]
+    assert depacketizer.garbage == (garbage == b"\x7f")
+
+
+def test_a_unit_that_is_dropped_is_a_loss_before_the_next():
+    small = NalDepacketizer(H264, max_unit_octets=10)
+    units = through(small, pictures(SLICE, SLICE + bytes(9) + b"\1", SLICE, SLICE))
+    assert [(unit.timestamp, unit.lost_before) for unit in units] == [(0, 0), (6000, 1), (9000, 0)]
+    assert (small.garbage, small.units) == (1, 3)
+
+
+@pytest.mark.parametrize("marked", [True, False])
+def test_leading_and_key_pictures_of_hevc_are_told(marked):
+    kinds = (21, 8, 9, 1, 19, 20, 16, 23)  # ITU-T H.265 table 7-1: CRA, RASL, TRAIL, IDR, BLA, IRAP
+    payloads = [bytes((kind << 1, 1, 0x88)) for kind in kinds]
+    units = through(NalDepacketizer(H265, marked=marked), pictures(*payloads))
+    assert [unit.keyframe for unit in units] == [
+        *(True, False, False, False, True, True, True, True)
+    ]
+    assert [unit.leading for unit in units] == [False, True, True, *[False] * 5]
+    assert {unit.codec for unit in units} == {"h265"}
+    # The first bit behind two octets of header tells a picture's first slice.
+    packets = [
+        received(bytes((2, 1, one)), number, marker=False)
+        for number, one in enumerate((0x80, 0x7F, 0xFF, 0x01))
+    ]
+    units = through(NalDepacketizer(H265), packets)
+    assert [len(split_annex_b(one.data)) for one in units] == [2, 2]
+
+
+@pytest.mark.parametrize("kind", [32, 33, 34, 35, 39, 41, 44])
+def test_what_goes_ahead_of_a_picture_of_hevc_begins_it(kind):
+    """ITU-T H.265 clause 7.4.2.4.4."""
+    first, ahead = bytes.fromhex("020188"), bytes((kind << 1, 1, 9))
+    packets = [received(unit, n, marker=False) for n, unit in enumerate((first, ahead, first))]
+    units = through(NalDepacketizer(H265), packets)
+    assert [split_annex_b(unit.data) for unit in units] == [[first], [ahead, first]]

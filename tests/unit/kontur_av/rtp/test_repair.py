@@ -84,3 +84,76 @@ def test_any_numbers_are_taken(packets):
         asked = asker.poll_transmit(now_ns)
         if asked is not None:
             assert RtcpPacket.parse(asked)
+
+
+def test_the_numbers_of_a_new_source_begin_anew():
+    asker = LossAsker(ssrc=1)
+    assert asker.poll_transmit(0) is None
+    for sequence in (5, 8):
+        asker.handle_packet(9, sequence, 0)
+    asker.handle_packet(10, 5000, 0)
+    assert asked(asker, 0) == []
+    asker.handle_packet(10, 5002, 0)
+    datagram = asker.poll_transmit(0)
+    # Generic NACK (RFC 4585 section 6.2.1) of 5001, by the receiver 1 for the source 10.
+    assert datagram == bytes.fromhex("81cd0003 00000001 0000000a 13890000")
+    assert (asker.sent, asker.mended, asker.given_up) == (1, 0, 0)
+
+
+def test_late_and_repeated_packets_are_no_gap():
+    asker = LossAsker(ssrc=1)
+    for sequence in (100, 101, 100, 101, 65_535, 102):
+        asker.handle_packet(9, sequence, 0)
+    assert asker.poll_timeout() is None
+    asker.handle_packet(9, 104, 0)
+    for sequence in (103, 103):
+        asker.handle_packet(9, sequence, 0)
+    assert (asker.mended, asked(asker, 0)) == (1, [])
+
+
+def test_128_packets_at_most_are_asked_for_and_for_250_ms():
+    asker = LossAsker(ssrc=1)
+    asker.handle_packet(9, 0, 0)
+    asker.handle_packet(9, MOST_MISSING, 0)
+    assert asker.poll_timeout() == 0
+    asker.handle_packet(9, MOST_MISSING + 3, 7 * MS)
+    # The oldest goes.
+    assert asker.given_up == 1
+    datagram = asker.poll_transmit(7 * MS)
+    lost = [one for packet in parse_rtcp(datagram) for one in packet.lost]
+    assert lost == [*range(2, 128), 129, 130]
+    assert asker.poll_timeout() == 67 * MS
+    # Those of the first gap are too old; the others are asked for once more.
+    assert asked(asker, 250 * MS) == lost
+    assert asked(asker, 250 * MS + 60 * MS) == []
+    assert asker.given_up == 129
+    asker = LossAsker(ssrc=1)
+    for sequence in (0, 2, MOST_MISSING + 4):
+        asker.handle_packet(9, sequence, 0)
+    assert asked(asker, 0) == []
+
+
+def test_a_packet_is_sent_again_after_20_ms_up_to_250_ms():
+    history = PacketHistory()
+    history.handle_sent(5, b"five", 0)
+    waits = [len(history.handle_lost([5], at_ns)) for at_ns in (0, 20 * MS - 1, 20 * MS)]
+    assert waits == [1, 0, 1]
+    assert history.handle_lost([5], 250 * MS) == [b"five"]
+    assert history.handle_lost([5], 250 * MS + 1) == []
+    # A number that comes round is another packet.
+    history.handle_sent(5, b"new", 251 * MS)
+    assert history.handle_lost([5], 251 * MS) == [b"new"]
+
+
+def test_a_quarter_of_a_second_is_repeated_and_16000_octets_always():
+    history = PacketHistory()
+    for sequence in range(20):
+        history.handle_sent(sequence, bytes(1000), 0)
+    assert len(history.handle_lost(list(range(20)), MS)) == 16
+    # The next second has a quarter of its own, and half of that of the one before.
+    history = PacketHistory()
+    for sequence in range(400):
+        history.handle_sent(sequence, bytes(1000), 900 * MS)
+    assert len(history.handle_lost(list(range(128)), 950 * MS)) == 100
+    assert len(history.handle_lost(list(range(128, 256)), 999 * MS)) == 0
+    assert len(history.handle_lost(list(range(128, 256)), 1000 * MS)) == 50

@@ -66,3 +66,16 @@ def test_the_first_report_is_due_at_once_and_silence_makes_none():
 def test_reports_are_frequent_only_where_the_profile_has_feedback():
     assert report_interval_ns(frequent=True) == AVPF_LEAST_NS == NS_PER_S
     assert report_interval_ns(frequent=False) == AVP_LEAST_NS == 5 * NS_PER_S
+
+
+def test_the_size_of_reports_counts_by_a_sixteenth_beside_that_of_probable_ones():
+    """RFC 3550 sections 6.3.2 and 6.3.3: the mean begins with 72 octets, and 28 of IP and UDP."""
+    waits_s = []
+    for seed in range(400):
+        timer = ReportTimer(least_ns=1, bandwidth_bps=8000, seed=seed)
+        timer.begin(0)
+        timer.handle_sent(872, 0)
+        waits_s.append(timer.poll_timeout() / NS_PER_S)
+    # Two members of 150 octets, of 50 a second; e - 1.5 makes up for reconsideration.
+    assert sum(waits_s) / len(waits_s) == pytest.approx(6 / 1.21828, rel=0.03)
+    assert 3 / 1.21828 <= min(waits_s) < 3.1 / 1.21828 and max(waits_s) > 8.9 / 1.21828

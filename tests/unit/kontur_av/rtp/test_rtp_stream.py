@@ -1,5 +1,7 @@
 """Sequence numbers, timestamps, markers, loss, order and restarts of an RTP stream."""
 
+from dataclasses import replace
+
 import pytest
 from rtp_packets import FRAME_NS, drain, make_receiver, make_sender, picture, reported, singles
 
@@ -505,3 +507,155 @@ def test_an_identity_has_as_many_random_bits_as_its_fields():
     assert RtpIdentity.draw(lambda bits: (1 << bits) - 1) == RtpIdentity(
         ssrc=0xFFFF_FFFF, first_sequence=0xFFFF, timestamp_offset=0xFFFF_FFFF
     )
+
+
+HERE, ELSEWHERE = ("192.0.2.1", 5004), ("192.0.2.2", 5004)
+
+
+def test_a_sender_at_the_same_address_may_begin_anew_at_once_but_not_go_back():
+    receiver = make_receiver()
+    for packet in singles(3):
+        receiver.handle_packet(packet, 0, HERE)
+    for source, ssrc in ((ELSEWHERE, 1), (None, 1), (HERE, 2)):
+        for packet in singles(2, ssrc=2):
+            receiver.handle_packet(packet, 1, source)
+        assert receiver.ssrc == ssrc
+    # The former source does not come back so.
+    for packet in singles(5)[3:]:
+        receiver.handle_packet(packet, 2, HERE)
+    assert receiver.ssrc == 2
+
+
+def test_a_stranger_does_not_keep_a_sender_that_begins_anew_from_being_accepted():
+    receiver = make_receiver()
+    for packet in singles(3):
+        receiver.handle_packet(packet, 0, HERE)
+    own, strange = singles(2, ssrc=2), singles(2, ssrc=3)
+    for packet, source in zip((own[0], strange[0], own[1]), (HERE, ELSEWHERE, HERE), strict=True):
+        receiver.handle_packet(packet, 1, source)
+    assert (receiver.ssrc, receiver.counts.garbage) == (2, 1)
+    assert [event.ssrc for event in drain(receiver)] == [1, 1, 1, 2, 2]
+
+
+def test_the_first_packets_of_a_source_come_out_in_their_order():
+    receiver = make_receiver()
+    packets = singles(6)
+    for index in (3, 5, 0, 1):
+        receiver.handle_packet(packets[index], index)
+    receiver.handle_timeout(NS_PER_S)
+    events = drain(receiver)
+    assert [event.payload[2] for event in events] == [1, 2, 4, 6]
+    assert [event.lost_before for event in events] == [0, 0, 1, 1]
+    assert [event.restart for event in events] == [True, False, False, False]
+    assert receiver.counts.garbage == 0
+
+
+@pytest.mark.parametrize(
+    ("step", "wait_ms", "held"),
+    [(2, 200, True), (100, 200, True), (101, 200, False), (2, 201, False)],
+)
+def test_a_candidate_is_forgotten_after_200_ms_or_100_numbers(step, wait_ms, held):
+    receiver = make_receiver()
+    packets = singles(110)
+    receiver.handle_packet(packets[0], 0)
+    receiver.handle_packet(packets[step], wait_ms * NS_PER_MS)
+    assert (receiver.counts.garbage, receiver.counts.sources) == (0 if held else 1, 0)
+    # The next number follows, however late.
+    receiver.handle_packet(packets[step + 1], 5 * NS_PER_S)
+    assert receiver.counts.sources == 1
+
+
+def test_no_more_than_64_packets_wait_for_their_source():
+    receiver = make_receiver()
+    (packet,) = singles(1)
+    for count in range(66):
+        receiver.handle_packet(packet, count)
+        assert receiver.counts.garbage == max(0, count - 63)
+    assert receiver.counts.sources == 0
+
+
+@pytest.mark.parametrize(
+    ("behind_ns", "anew"),
+    [
+        (9 * NS_PER_S, False),
+        (11 * NS_PER_S, True),
+        (-NS_PER_S // 10, False),
+        (-NS_PER_S // 4, True),
+    ],
+)
+def test_an_old_number_with_another_time_is_a_new_beginning(behind_ns, anew):
+    receiver = make_receiver()
+    for packet in singles(20, first_sequence=0, timestamp_offset=2_000_000):
+        receiver.handle_packet(packet, 0)
+    newest = 2_000_000 + 19 * 3000
+    offset = newest - behind_ns * 90 // NS_PER_MS
+    for packet in singles(3, first_sequence=5, timestamp_offset=offset):
+        receiver.handle_packet(packet, 1)
+    assert receiver.counts.sources == 1 + anew
+    assert receiver.counts.rtp_duplicates == (0 if anew else 3)
+
+
+def test_another_payload_type_is_told():
+    receiver = make_receiver()
+    assert receiver.other_payload_type is None
+    receiver.handle_packet(make_sender(payload_type=97).video_packets(picture(0)).packets[0], 0)
+    assert (receiver.other_payload_type, receiver.counts.garbage) == (97, 1)
+
+
+def test_the_wait_for_late_packets_follows_them():
+    receiver = make_receiver(most_reorder_ns=200 * NS_PER_MS)
+    packets = singles(200)
+    for index in (0, 1, 3):
+        receiver.handle_packet(packets[index], index * FRAME_NS)
+    # Of a path of which nothing is known a packet is awaited for the longest time.
+    assert receiver.poll_timeout() == 3 * FRAME_NS + 200 * NS_PER_MS
+    late_ns = 3 * FRAME_NS + 40 * NS_PER_MS
+    receiver.handle_packet(packets[2], late_ns)
+    for index in range(4, 40):
+        receiver.handle_packet(packets[index], index * FRAME_NS)
+    receiver.handle_packet(packets[41], 2 * NS_PER_S)
+    assert receiver.poll_timeout() == 2 * NS_PER_S + 65 * NS_PER_MS
+    # One that was given up tells how late it was, too.
+    receiver.handle_timeout(2 * NS_PER_S + 65 * NS_PER_MS)
+    receiver.handle_packet(packets[40], 2 * NS_PER_S + 90 * NS_PER_MS)
+    receiver.handle_packet(packets[43], 3 * NS_PER_S)
+    assert receiver.poll_timeout() == 3 * NS_PER_S + 140 * NS_PER_MS
+    assert receiver.counts.rtp_late == 1
+
+
+def test_a_slower_clock_is_multiplied_from_the_next_packet_on():
+    receiver = make_receiver()
+    packets = singles(4, timestamp_offset=100)
+    for packet in packets[:2]:
+        receiver.handle_packet(packet, 0)
+    receiver.scale_timestamps(3)
+    for packet in packets[2:]:
+        receiver.handle_packet(packet, 0)
+    assert [event.timestamp for event in drain(receiver)] == [100, 3100, 3 * 6100, 3 * 9100]
+    for packet in singles(2, ssrc=2, timestamp_offset=100):
+        receiver.handle_packet(packet, NS_PER_S)
+    assert [event.timestamp for event in drain(receiver)] == [100, 3100]
+
+
+def test_no_goodbye_is_said_before_a_packet_and_a_name_has_255_octets():
+    rtp = make_sender(cname="x" * 300)
+    assert rtp.goodbye(0) is None
+    rtp.video_packets(picture(0))
+    report, description, goodbye = parse_rtcp(rtp.goodbye(NS_PER_S))
+    assert report.sender_info.rtp_timestamp == (2**32 - 5000 + 90_000) % 2**32
+    assert description.chunks[0].items == [(1, b"x" * 255)]
+    assert goodbye.sources == [1]
+    with pytest.raises(ValueError, match="without a NAL unit"):
+        rtp.video_packets(replace(picture(0), data=b""))
+
+
+@pytest.mark.parametrize("late_ms", [14, 15, 34, 35, -60])
+def test_a_block_is_missing_from_three_quarters_of_its_time_on(late_ms):
+    rtp = make_sender(clock_rate_hz=48_000, timestamp_offset=0)
+    rtp.audio_packets(b"\x08", CaptureStamp(NS_PER_S, 0, "mic"))
+    capture_ns = NS_PER_S + (20 + late_ms) * NS_PER_MS
+    made = rtp.audio_packets(b"\x08", CaptureStamp(capture_ns, 1, "mic"))
+    missing = max(0, (late_ms + 5) // 20)
+    assert made.timestamp == 960 * (1 + missing)
+    assert parse_rtp(made.packets[0]).marker == (missing > 0)
+    assert made.payload_octets == [1]

@@ -9,6 +9,7 @@ from rtp_packets import FRAME_NS, drain, make_receiver, make_sender, picture, re
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.rtp.nal_payload import NalDepacketizer
 from kontur_av.rtp.payload_h264 import H264
+from kontur_av.rtp.wire import pack_rtp
 
 
 def test_a_capture_that_the_packets_tell_is_dated_without_a_report():
@@ -149,3 +150,94 @@ def test_only_a_sender_report_of_the_source_dates_its_pictures():
         assert not receiver.handle_report(datagram, 0)
         assert receiver.counts.garbage == count
     assert (receiver.counts.rtcp_reports, receiver.ended) == (1, False)
+
+
+@pytest.mark.parametrize(
+    ("passed_ms", "step_ms", "dated"),
+    [
+        (33, 33, True),
+        (33, 9_900, True),
+        (33, 10_100, False),
+        (33, -900, True),
+        (33, -1_100, False),
+        (5_000, 5_000, True),
+        (60_000, 60_000, True),
+        (20_000, 33, False),
+    ],
+)
+def test_timestamps_that_begin_anew_are_dated_by_the_next_report(passed_ms, step_ms, dated):
+    receiver = make_receiver()
+    for number in range(2):
+        receiver.handle_packet(packet_at(number, number), number * NS_PER_MS)
+    receiver.handle_report(report_at(100 * NS_PER_S, 90), NS_PER_MS)
+    assert receiver.capture_ns(90) == 100 * NS_PER_S
+    step, now_ns = 90 * step_ms, (1 + passed_ms) * NS_PER_MS
+    receiver.handle_packet(packet_at(2, 1 + step_ms), now_ns)
+    found = receiver.capture_ns(90 + step)
+    assert found == (100 * NS_PER_S + step_ms * NS_PER_MS if dated else None)
+    receiver.handle_report(report_at(200 * NS_PER_S, (90 + step) % 2**32), now_ns)
+    assert receiver.capture_ns(90 + step) == 200 * NS_PER_S
+
+
+def packet_at(sequence, at_ms):
+    """A packet of the source 1 whose timestamp is this many ms after 0."""
+    return pack_rtp(
+        b"\x41\x88",
+        payload_type=96,
+        marker=True,
+        sequence=sequence,
+        timestamp=90 * at_ms % 2**32,
+        ssrc=1,
+    )
+
+
+@pytest.mark.parametrize(
+    ("away_ms", "dated"), [(9_999, True), (10_001, False), (-9_999, True), (-10_001, False)]
+)
+def test_a_report_of_another_time_line_dates_nothing(away_ms, dated):
+    receiver = make_receiver()
+    for number in range(2):
+        receiver.handle_packet(packet_at(number, 20_000), 0)
+    receiver.handle_report(report_at(NS_PER_S, 90 * (20_000 + away_ms)), 0)
+    assert (receiver.capture_ns(0) is not None) is dated
+    # 0 means no clock (RFC 3550 section 6.4.1).
+    receiver.handle_report(struct.pack("!BBHIQIII", 0x80, 200, 6, 1, 0, 90 * 20_000, 1, 1), 0)
+    assert receiver.capture_ns(0) is None
+
+
+def test_reports_of_a_slower_clock_are_multiplied_too():
+    receiver = make_receiver()
+    receiver.handle_packet(packet_at(0, 10), 0)
+    receiver.handle_packet(packet_at(1, 20), 0)
+    receiver.scale_timestamps(3)
+    receiver.handle_packet(packet_at(2, 30), 0)
+    receiver.handle_report(report_at(NS_PER_S, 90 * 30), 0)
+    assert receiver.capture_ns(90 * 90) == NS_PER_S
+    assert receiver.capture_ns(90 * 91) == NS_PER_S + NS_PER_MS
+
+
+def test_a_smaller_error_of_a_report_comes_in_by_a_quarter_of_the_streams_time():
+    receiver = make_receiver()
+    for number in range(2):
+        receiver.handle_packet(packet_at(number, 0), 0)
+    for later_ms, left_ms in ((500, (500, 375, 0)), (-500, (-500, -375, 0)), (501, (0, 0, 0))):
+        receiver.handle_report(report_at(100 * NS_PER_S, 0), 0)
+        receiver.handle_report(report_at(100 * NS_PER_S, 0), 0)
+        receiver.handle_report(report_at(100 * NS_PER_S - later_ms * NS_PER_MS, 0), 0)
+        told = [
+            round((receiver.capture_ns(90 * at) - 100 * NS_PER_S) / NS_PER_MS) - at + later_ms
+            for at in (0, 500, 2000)
+        ]
+        assert told == list(left_ms)
+    # Timestamps before the report are as late as that of the report.
+    assert receiver.capture_ns(-90 % 2**32) is not None
+
+
+def test_extensions_that_are_none_date_nothing():
+    rtp, receiver = make_sender(capture_time_id=3), make_receiver(capture_time_id=3)
+    packet = rtp.video_packets(picture(0)).packets[0]
+    # An element that is longer than the extension, and one of another length.
+    for head in (b"\x3f", b"\x36"):
+        receiver.handle_packet(packet[:16] + head + packet[17:], 0)
+    receiver.handle_packet(rtp.video_packets(picture(1)).packets[0], 0)
+    assert receiver.capture_ns(0) is None

@@ -1,5 +1,7 @@
 """No sliding window exceeds the cap, whatever is put in and whenever it is polled."""
 
+from random import Random
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -59,9 +61,9 @@ def test_no_window_exceeds_the_cap(script, cap_bps, channel_bps):
         assert largest(releases, 100 * MS) * 80 <= cap_bps * 1.5
 
 
-@given(steps, st.lists(st.integers(0, 10 * MS - 1), min_size=400, max_size=400))
-def test_the_cap_holds_for_an_observer_whose_clock_jitters(script, jitter):
-    pacer = Pacer(cap_bps=85_000)
+@given(steps, st.integers(0, 2**32))
+def test_the_cap_holds_for_an_observer_whose_clock_jitters(script, seed):
+    pacer, random = Pacer(cap_bps=85_000), Random(seed)
     now, seen = 0, []
     for step, sizes, _ in script:
         now += step
@@ -69,7 +71,7 @@ def test_the_cap_holds_for_an_observer_whose_clock_jitters(script, jitter):
     while (due := pacer.poll_timeout()) is not None:
         now = max(now, due)
         packet = pacer.poll_transmit(now)
-        seen.append((now + jitter[len(seen) % 400], len(packet)))
+        seen.append((now + random.randrange(10 * MS), len(packet)))
     if seen:
         assert largest(seen, NS_PER_S) * 8 <= 85_000
 

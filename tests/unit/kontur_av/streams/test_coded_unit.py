@@ -22,3 +22,21 @@ def test_octets_of_another_length_are_refused():
     for octets in (b"", packed[:11], packed[:-1], packed + b"\0"):
         with pytest.raises(ProtocolError, match="a coded unit of"):
             CodedUnit.unpack(octets)
+
+
+def test_each_flag_and_codec_comes_back_alone():
+    for name in ("damaged", "refused", "dated"):
+        for codec in ("h264", "h265"):
+            flags = dict.fromkeys(("damaged", "refused", "dated"), False) | {name: True}
+            unit = CodedUnit(data=b"x", key=False, codec=codec, **flags)
+            assert CodedUnit.unpack(unit.pack()) == unit
+    assert CodedUnit(data=b"", key=False) == CodedUnit(
+        data=b"", key=False, dated=True, damaged=False, refused=False, width=0, height=0
+    )
+
+
+def test_a_unit_of_more_than_a_mebibyte_is_refused():
+    largest = CodedUnit(data=bytes(1 << 20), key=True, parameter_sets=b"sets")
+    assert CodedUnit.unpack(largest.pack()) == largest
+    with pytest.raises(ProtocolError, match="a coded unit of 1048577"):
+        CodedUnit.unpack(CodedUnit(data=bytes((1 << 20) + 1), key=True).pack())

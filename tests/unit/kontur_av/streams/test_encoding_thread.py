@@ -1,6 +1,7 @@
 """The encoding thread: the loop continues meanwhile, and an error in the thread ends it."""
 
 import select
+import sys
 import threading
 
 import pytest
@@ -10,7 +11,7 @@ from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.region import Region
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
-from kontur_av.streams.encoding_thread import EncodingThread
+from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 
 WIDTH, HEIGHT = 64, 48
 LIKE_BEFORE = Coding()
@@ -81,3 +82,13 @@ def test_an_error_in_the_thread_ends_the_loop():
         assert readable(encoding)
         with pytest.raises(ValueError, match="picture of 32x32"):
             encoding.poll()
+
+
+def test_a_process_that_encodes_switches_its_threads_often():
+    before_s = sys.getswitchinterval()
+    try:
+        switch_threads_often()
+        # In the time that a packet takes on a channel.
+        assert sys.getswitchinterval() == pytest.approx(0.0005)
+    finally:
+        sys.setswitchinterval(before_s)

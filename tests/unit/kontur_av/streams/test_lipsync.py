@@ -51,3 +51,20 @@ def test_the_share_counts_time_not_pictures():
     # A picture that is never replaced counts for half a second.
     share.add(100 * NS_PER_S, 0)
     assert share.counted_ns == 1800 * MS
+
+
+def test_sound_is_45_ms_before_pictures_and_a_margin_of_3_ms():
+    assert EARLIEST_NS == 45 * MS  # ITU-R BT.1359-1
+    lip_sync = watching([120] * 60)
+    last_ns = 33 * 59 * MS
+    # The last picture counts for 2 s.
+    for at_ns, least_ns in ((last_ns, 78 * MS), (last_ns + 2 * NS_PER_S - 1, 78 * MS)):
+        assert lip_sync.least_latency_ns(at_ns) == least_ns
+    assert lip_sync.least_latency_ns(last_ns + 2 * NS_PER_S) is None
+    assert watching([299] * 60).least_latency_ns(0) == 153 * MS
+    assert watching([300] * 60).least_latency_ns(0) is None
+    # 95 % of the pictures are in time.
+    assert watching([60] * 38 + [100] * 3).least_latency_ns(0) == 58 * MS
+    assert watching([60] * 38 + [100] * 2).least_latency_ns(0) == 18 * MS
+    # Half of them is not most.
+    assert watching([60, 500] * 20).least_latency_ns(0) is None

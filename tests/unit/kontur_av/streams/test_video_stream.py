@@ -8,6 +8,7 @@ from kontur_av.codecs.h265 import recovery_point
 from kontur_av.media import AccessUnit, CaptureStamp, Quality
 from kontur_av.rtp.annex_b import join_annex_b
 from kontur_av.rtp.sender import RtpIdentity
+from kontur_av.rtp.wire import pack_rtp
 from kontur_av.streams.paced_sender import EVENTS_KEPT, UnitSent
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import PictureCoded, VideoSender
@@ -274,3 +275,74 @@ def test_garbage_is_counted_and_changes_nothing():
     assert stream.sender.feedback.feedback_garbage == 1
     assert stream.receiver.counts.rtp.garbage == 2
     assert len(stream.stamps) == 2
+
+
+def test_a_new_viewer_gets_a_key_picture():
+    stream = Stream()
+    for number in range(12):
+        if number == 4:
+            stream.sender.handle_new_viewer()
+        if number == 8:
+            stream.receiver.handle_new_viewer()
+        stream.step(number)
+    assert [n for n, coding in enumerate(stream.codings) if coding.keyframe] == [4, 9]
+
+
+@pytest.mark.parametrize("codec", ["h264", "h265"])
+def test_what_cannot_be_decoded_asks_for_a_key_picture(codec):
+    receiver = make_receiver(codec=codec, report_interval_ns=None, reduced_size=True)
+    sender = make_sender()
+    nal = {"h264": (KEY[4:], SLICE[4:]), "h265": (b"\x26\x01\x88", b"\x02\x01\x88")}[codec]
+    for number in range(4):
+        data = join_annex_b([nal[number > 0] + bytes([7]) * 300])
+        stamp = CaptureStamp(number * PERIOD_NS, number, "camera")
+        sender.handle_coded(AccessUnit(data, stamp, number == 0, codec), number * PERIOD_NS)
+        while (packet := sender.poll_transmit(number * PERIOD_NS)) is not None:
+            receiver.handle_packet(packet, number * PERIOD_NS)
+        receiver.handle_timeout(number * PERIOD_NS + 50 * NS_PER_MS)
+        while receiver.next_event() is not None:
+            if number == 2:
+                receiver.handle_undecoded()
+    feedback = receiver.poll_feedback(NS_PER_S)
+    assert feedback is not None and len(feedback) == 12
+    assert receiver.counts.pictures_asked_for == 1
+    # It is repeated until the picture is whole.
+    assert receiver.poll_timeout() == NS_PER_S + 250 * NS_PER_MS
+    assert (sender.counts.frames_captured, sender.counts.frames_encoded) == (4, 4)
+    event = next(one for one in iter(sender.next_event, None) if isinstance(one, PictureCoded))
+    assert (event.came_ns, event.begun_ns, event.encoded_ns) == (0, 0, 0)
+    assert sender.timestamp(NS_PER_S) == (2**32 - 9 + 90_000) % 2**32
+
+
+def test_another_sender_may_be_another_camera():
+    receiver = make_receiver(report_interval_ns=None)
+    for life in range(2):
+        sender = VideoSender(cap_bps=1_000_000, fps=30, cname="x", identity=RtpIdentity(life, 0, 0))
+        for number in range(3):
+            now_ns = (life * 30 + number) * PERIOD_NS
+            data = (KEY if life == number == 0 else SLICE) + bytes([7]) * 300
+            stamp = CaptureStamp(now_ns, number, "camera")
+            sender.handle_coded(AccessUnit(data, stamp, False), now_ns)
+            packet = sender.poll_transmit(now_ns)
+            receiver.handle_packet(packet, now_ns)
+            receiver.handle_timeout(now_ns + 50 * NS_PER_MS)
+            while (unit := receiver.next_event()) is not None:
+                receiver.handle_picture(unit.timestamp, 64, 48, now_ns)
+        assert (receiver.poll_feedback(now_ns) is not None) is (life == 1)
+    receiver.handle_report(sender.goodbye(now_ns), now_ns)
+    assert receiver.ended
+    receiver.handle_packet(packet[:1] + b"\x61" + packet[2:], now_ns)
+    assert receiver.other_payload_type == 0x61
+
+
+def test_a_picture_without_a_marker_is_shown_after_500_ms():
+    receiver = make_receiver(report_interval_ns=None)
+    for number in range(2):
+        packet = pack_rtp(
+            SLICE[4:], payload_type=96, marker=False, sequence=number, timestamp=0, ssrc=5
+        )
+        receiver.handle_packet(packet, number)
+    assert receiver.next_event() is not None
+    assert receiver.poll_timeout() is not None
+    receiver.handle_timeout(NS_PER_S)
+    assert receiver.next_event() is not None

@@ -115,3 +115,42 @@ def test_packets_without_a_copy_are_recognized(payload):
 def test_the_look_ahead_counts_for_the_latency():
     assert OpusEncoder(bitrate_bps=8_000).lookahead_samples == LOOKAHEAD_SAMPLES
     assert heard_stamp(CaptureStamp(10**9, 3, "mic")) == CaptureStamp(10**9 - 6_500_000, 3, "mic")
+
+
+def catmull_rom(line, at):
+    """The spline of E. Catmull and R. Rom through every sample, by its weights."""
+    index, t = int(at), at - int(at)
+    weights = (
+        (-(t**3) + 2 * t**2 - t) / 2,
+        (3 * t**3 - 5 * t**2 + 2) / 2,
+        (-3 * t**3 + 4 * t**2 + t) / 2,
+        (t**3 - t**2) / 2,
+    )
+    return sum(w * line[index + k] for w, k in zip(weights, (-1, 0, 1, 2), strict=True))
+
+
+@pytest.mark.parametrize("played", [480, 700, 935, 936, 960, 984, 985, 1440])
+def test_a_block_of_another_length_is_resampled_or_its_ends_overlap(played):
+    sent = packets(61_200, read_speech("ground").samples[20_000:30_000])
+    player, decoder = VoicePlayer(), OpusDecoder()
+    for packet in sent[:5]:
+        player.play(block(packet))
+        tail = decoder.decode(packet)[-3:]
+    sound, real = player.play(block(sent[5], played=played))
+    line = np.concatenate([tail, decoder.decode(sent[5])]).astype(np.float64)
+    assert real and len(sound) == played
+    if abs(played - BLOCK) <= BLOCK // 40:
+        expected = [catmull_rom(line, 1 + n * BLOCK / played) for n in range(played)]
+    else:
+        # The beginning, as long as it may be, fades into the end.
+        whole = line[1 : 1 + BLOCK]
+        fade = min(played, 2 * BLOCK - played)
+        begin = played - BLOCK if played > BLOCK else 0
+        share = (np.arange(fade) + 0.5) / fade
+        end = whole[BLOCK - played + begin :][:fade] if played < BLOCK else whole[:fade]
+        blend = whole[begin : begin + fade] * (1 - share) + end * share
+        expected = np.concatenate([whole[:begin], blend, whole[fade:] if begin else whole[:0]])
+    assert np.abs(sound - np.array(expected)).max() <= 0.51
+    # The next one goes on behind it.
+    following = player.play(block(sent[6]))[0]
+    assert list(following[:2]) == list(line[-2:])

@@ -6,14 +6,19 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from telepresence.tmtc.k2aci import (
+    Acknowledgement,
     Arrived,
     Chat,
     ChatRole,
     Delivered,
     K2aciEndpoint,
+    Numbered,
     StartTask,
     TaskFinished,
     TaskResult,
+    fitted_line,
+    pack_body,
+    parse_body,
 )
 
 MS = 1_000_000
@@ -154,3 +159,85 @@ def test_unfit_arguments_are_refused() -> None:
     endpoint.handle_message(b"\x80", 0)
     assert endpoint.garbage == 1
     endpoint.send(TaskFinished(task="a", run=0, result=TaskResult.FINISHED), 0)
+
+
+def numbered(number: int, oldest: int = 0, life: int = 1) -> bytes:
+    return pack_body(Numbered(life, number, oldest, chat(str(number))))
+
+
+def numbers(endpoint: K2aciEndpoint) -> list[int]:
+    return [event.number for event in events(endpoint)]
+
+
+def test_what_comes_too_early_waits_for_what_the_sender_still_repeats() -> None:
+    ground = K2aciEndpoint(life=1)
+    for number in (1, 2, 2, 0):
+        ground.handle_message(numbered(number), 0)
+    assert (numbers(ground), ground.arrived, ground.duplicates) == ([0, 1, 2], 3, 1)
+    # The sender repeats nothing below 5 any more: 3 will not come, and 4 is not handed out.
+    ground.handle_message(numbered(4), 0)
+    ground.handle_message(numbered(6, oldest=5), 0)
+    ground.handle_message(numbered(5, oldest=5), 0)
+    assert numbers(ground) == [5, 6]
+    # An older word of the oldest turns nothing back.
+    ground.handle_message(numbered(7, oldest=2), 0)
+    assert numbers(ground) == [7]
+    assert ground.duplicates == 1
+    ground.handle_message(numbered(3), 0)
+    assert ground.duplicates == 2
+
+
+def test_a_number_64_or_more_ahead_is_out_of_reach() -> None:
+    ground = K2aciEndpoint(life=1)
+    ground.handle_message(numbered(0), 0)
+    ground.handle_message(numbered(65), 0)
+    assert ground.unexpected == 1
+    ground.handle_message(numbered(64), 0)
+    assert (ground.unexpected, numbers(ground)) == (1, [0])
+
+
+def test_each_message_handed_out_is_acknowledged_with_its_life() -> None:
+    ground = K2aciEndpoint(life=1)
+    ground.handle_message(numbered(3, oldest=3, life=8), 0)
+    ground.handle_message(numbered(3, oldest=3, life=8), 0)
+    # A new life of the sender begins with its own oldest, and what it held before is gone.
+    ground.handle_message(numbered(5, oldest=4, life=8), 0)
+    ground.handle_message(numbered(4, oldest=4, life=9), 0)
+    ground.handle_message(numbered(7, oldest=4, life=8), 0)
+    answers = [parse_body(octets) for octets in iter(lambda: ground.poll_transmit(0), None)]
+    assert answers == [Acknowledgement(8, 3), Acknowledgement(8, 3), Acknowledgement(9, 4)]
+    assert [(e.life, e.number) for e in events(ground) if isinstance(e, Arrived)] == [
+        (8, 3),
+        (9, 4),
+    ]
+    assert ground.unexpected == 1
+
+
+def test_an_acknowledgement_of_another_life_or_number_is_unexpected() -> None:
+    space = K2aciEndpoint(life=2)
+    space.send(START, 0)
+    space.handle_message(pack_body(Acknowledgement(2, 0)), 0)  # it was not sent yet
+    assert space.poll_transmit(0) is not None
+    for life, number in ((1, 0), (2, 1)):
+        space.handle_message(pack_body(Acknowledgement(life, number)), 0)
+    assert (space.unexpected, space.waiting) == (3, (0,))
+    space.handle_message(pack_body(Acknowledgement(2, 0)), 9)
+    assert events(space) == [Delivered(0, START, 9)]
+
+
+def test_a_message_names_its_life_its_number_and_the_oldest() -> None:
+    space = K2aciEndpoint(life=2)
+    for _ in range(3):
+        space.send(START, 0)
+    bodies = [parse_body(octets) for octets in iter(lambda: space.poll_transmit(0), None)]
+    assert bodies == [Numbered(2, number, 0, START) for number in range(3)]
+    space.handle_message(pack_body(Acknowledgement(2, 0)), 0)
+    again = space.poll_transmit(500 * MS)
+    assert again is not None and parse_body(again) == Numbered(2, 1, 1, START)
+    assert (space.sent, space.repeated) == (4, 1)
+
+
+def test_a_line_is_cut_to_whole_characters() -> None:
+    assert fitted_line("a\nb") == "a b"
+    assert fitted_line("x" + "ü" * 64) == "x" + "ü" * 63
+    assert fitted_line("ü" * 64) == "ü" * 64

@@ -1,9 +1,16 @@
-"""The telecommands of a dictionary in XTCE. Telemetry is read by others: `tests/interop`."""
+"""A dictionary as XTCE: octets of telecommands, and space_packet_parser of LASP reads telemetry."""
 
+import re
+from math import tau
+from pathlib import Path
 from xml.etree import ElementTree
 
-from pus_ends import oven
+import pytest
+from pus_ends import MS, Ends, oven, oven_table
+from xtce_decoder import decoded
 
+from telepresence.haptics.mediated.wall import Wall, WallMessage, pack_wall
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary, dictionary_from_table
 from telepresence.tmtc.pus.packets import Telecommand, pack_packet
 from telepresence.tmtc.pus.values import pack_values
 from telepresence.tmtc.pus.xtce import NAMESPACE, dictionary_xtce
@@ -11,6 +18,23 @@ from telepresence.tmtc.pus.xtce import NAMESPACE, dictionary_xtce
 ROOT = ElementTree.fromstring(dictionary_xtce(oven()).encode())
 METAS = {one.get("name"): one for one in ROOT.iterfind(".//{*}MetaCommand")}
 INITIAL = {"ACKNOWLEDGE": 15, "SOURCE": 3}
+#: Name, service, subtype, data, and the arguments as raw numbers.
+COMMANDS = (
+    ("oven_heat", 8, 1, b"\1", {"target": 80}),
+    ("oven_off", 8, 1, b"\2", {}),
+    ("oven_report", 3, 27, b"\1\2", {"which": 2}),
+    # A function is called "off", too, and goes before the switch.
+    ("oven_on", 3, 5, b"\1\1", {"which": 1}),
+    ("oven_events_on", 5, 5, b"\1\2", {"which": 2}),
+    ("oven_events_off", 5, 6, b"\1\1", {"which": 1}),
+    ("oven_limits_on", 12, 1, b"\1\1", {"which": 1}),
+    ("oven_limits_off", 12, 2, b"\1\1", {"which": 1}),
+    ("oven_actions_on", 19, 4, b"\1\1", {"which": 1}),
+    ("oven_actions_off", 19, 5, b"\1\1", {"which": 1}),
+    ("oven_get", 20, 1, b"\1\5", {"which": 5}),
+    ("oven_ping", 17, 1, b"", {}),
+    ("oven_set_target", 20, 3, b"\1\3\0\x50", {"target": 80}),
+)
 
 
 def type_of(argument):
@@ -45,21 +69,131 @@ def encoded(name, arguments):
 
 def test_telecommands_have_the_octets_that_the_application_reads():
     table = oven().application("oven")
-    for name, service, subtype, data, arguments in (
-        ("oven_off", 8, 1, b"\2", {}),
-        ("oven_heat", 8, 1, b"\1" + pack_values(table.named(["target"]), [40]), {"target": 80}),
-        ("oven_ping", 17, 1, b"", {}),
-        ("oven_report", 3, 27, b"\1\2", {"which": 2}),
-        ("oven_limits_off", 12, 2, b"\1\1", {"which": 1}),
-        ("oven_get", 20, 1, b"\1\5", {"which": 5}),
-        ("oven_set_target", 20, 3, b"\1\3\0\x50", {"target": 80}),
-    ):
+    assert [name for name in METAS if name.startswith("oven_")] == [name for name, *_ in COMMANDS]
+    for name, service, subtype, data, arguments in COMMANDS:
+        if name == "oven_heat":
+            data += pack_values(table.named(["target"]), [40])
         octets = pack_packet(
             Telecommand(apid=0x200, count=0, service=service, subtype=subtype, data=data, source=3)
         )
         # Without sequence count, length and check, which the ground system fills in.
         found = encoded(name, arguments)
         assert found[:4] + found[6:] == octets[:4] + octets[6:-2], name
+        assert len(found) == len(octets) - 2
+
+
+def test_the_octets_of_every_telecommand_of_the_built_in_dictionary_are_as_many_as_ours():
+    dictionary = built_in_dictionary()
+    root = ElementTree.fromstring(dictionary_xtce(dictionary, "space").encode())
+    types = {one.get("name"): one for one in root.find(".//{*}ArgumentTypeSet")}
+    metas = {one.get("name"): one for one in root.iterfind(".//{*}MetaCommand")}
+    for application in dictionary.applications:
+        for function in application.functions:
+            meta = metas[f"{application.name}_{function.name}"]
+            listed = meta.findall(".//{*}Argument")
+            assert [one.get("name") for one in listed] == list(function.arguments)
+            for one, parameter in zip(listed, application.named(function.arguments), strict=True):
+                kind = types[one.get("argumentTypeRef")]
+                size = kind.find(".//{*}FixedValue")
+                bits = kind.find("*[@sizeInBits]").get("sizeInBits") if size is None else size.text
+                assert int(bits) == 8 * parameter.octets
+                assert one.get("shortDescription", "") == parameter.text
+    # SOURCE tells the ground system at the other end from that at this one.
+    (source,) = (one for one in root.iterfind(".//{*}Argument") if one.get("name") == "SOURCE")
+    assert source.get("initialValue") == "4"
+
+
+@pytest.mark.parametrize(
+    ("tag", "name", "good", "bad", "window"),
+    [
+        ("AcceptedVerifier", "Accepted", {1}, {2, 10}, "PT35S"),
+        ("ExecutionVerifier", "Started", {3}, {4}, "PT35S"),
+        ("CompleteVerifier", "Completed", {7}, {2, 4, 8, 10}, "PT45S"),
+    ],
+)
+def test_a_stage_is_verified_by_its_reports_about_this_telecommand(tag, name, good, bad, window):
+    """ECSS-E-ST-70-41C clause 8.1.2. Repetitions go on for 30 s."""
+    (verifier,) = METAS["PusTelecommand"].iterfind(f".//{{*}}{tag}")
+    assert verifier.get("name") == name
+    script = verifier.find(".//{*}AlgorithmText").text
+    success, _, failure = script.partition("return true")
+    assert {int(one) for one in re.findall(r"subtype.value == (\d+)", success)} == good
+    assert {int(one) for one in re.findall(r"subtype.value == (\d+)", failure)} == bad
+    assert "(+destination.value & 255) == +sentSource.value" in success
+    inputs = {
+        one.get("inputName"): one.get("parameterRef")
+        for one in verifier.iterfind(".//{*}InputParameterInstanceRef")
+    }
+    assert inputs == {
+        "sentApid": "/yamcs/cmd/arg/APID",
+        "sentCount": "/yamcs/cmdHist/ccsds-seqcount",
+        "sentSource": "/yamcs/cmd/arg/SOURCE",
+        "apid": "REQUEST_APID",
+        "count": "REQUEST_COUNT",
+        "destination": "DESTINATION",
+        "subtype": "SUBTYPE",
+        "reason": "REASON",
+    }
+    needed = {one.text: one.get("name") for one in verifier.iterfind(".//{*}AncillaryData")}
+    # Only failures have a reason.
+    assert needed == dict.fromkeys(inputs.keys() - {"reason"}, "Yamcs:AlgorithmMandatoryInput")
+    assert verifier.find(".//{*}CheckWindow").attrib == {
+        "timeToStopChecking": window,
+        "timeWindowIsRelativeTo": "commandRelease",
+    }
+
+
+def test_a_function_that_is_called_like_another_telecommand_goes_before_it():
+    table = oven_table()
+    names = ("report", "ping", "set_target")
+    for number, name in enumerate(names, 10):
+        table["oven"]["function"][name] = {"number": number}
+    root = ElementTree.fromstring(dictionary_xtce(dictionary_from_table(table)).encode())
+    metas = [one.get("name") for one in root.iterfind(".//{*}MetaCommand")]
+    assert len(set(metas)) == len(metas)
+    for number, name in enumerate(names, 10):
+        (meta,) = root.iterfind(f".//{{*}}MetaCommand[@name='oven_{name}']")
+        entries = meta.findall(".//{*}FixedValueEntry")
+        assert [one.get("binaryValue") for one in entries] == [f"{number:02X}"]
+
+
+def test_types_have_what_others_show_and_check():
+    table = oven_table()
+    table["oven"]["parameter"]["note"] = {"number": 6, "type": "text", "size": 9, "unit": "x"}
+    table["oven"]["parameter"]["depth"] |= {"low": -3, "high": 4, "unit": "mm", "writable": True}
+    table["oven"]["parameter"]["target"]["text"] = "what it heats to"
+    root = ElementTree.fromstring(dictionary_xtce(dictionary_from_table(table)).encode())
+
+    def kind(name):
+        (found,) = root.iterfind(f".//*[@name='{name}_TYPE']")
+        return found
+
+    depth, asked = kind("oven_depth"), kind("oven_set_depth_depth")
+    assert depth.find("./{*}UnitSet/{*}Unit").text == "mm"
+    assert (depth.get("signed"), kind("COUNTER").get("signed")) == ("true", "false")
+    assert depth.find(".//{*}WarningRange").attrib == {
+        "minInclusive": "-3.0",
+        "maxInclusive": "4.0",
+    }
+    assert asked.find(".//{*}ValidRange").attrib == {"minInclusive": "-3", "maxInclusive": "4"}
+    encoding = depth.find("./{*}IntegerDataEncoding")
+    assert encoding.attrib == {"sizeInBits": "32", "encoding": "twosComplement"}
+    target = kind("oven_target")
+    assert target.get("signed") is None and target.tag.endswith("FloatParameterType")
+    # Of telemetry: from the integer on the wire to the value.
+    terms = [(one.get("coefficient"), one.get("exponent")) for one in target.iterfind(".//{*}Term")]
+    assert terms == [("0", "0"), ("0.5", "1")]
+    assert target.find(".//{*}WarningRange").attrib == {"maxInclusive": "250.0"}
+    note = kind("oven_note")
+    assert note.find(".//{*}FixedValue").text == "80"
+    assert kind("oven_lit").attrib.items() >= {("oneStringValue", "true")}
+    assert kind("oven_temperature").get("sizeInBits") == "32"
+    labels = [
+        (one.get("value"), one.get("label")) for one in kind("oven_door").iter() if one.get("label")
+    ]
+    assert labels == [("0", "open"), ("1", "closed")]
+    (meta,) = root.iterfind(".//{*}MetaCommand[@name='oven_set_target']")
+    assert meta.get("shortDescription") == "what it heats to"
 
 
 def test_arguments_have_ranges_units_and_names():
@@ -84,3 +218,64 @@ def test_every_field_of_telemetry_is_defined_with_its_type():
     fields = {one.get("parameterRef") for one in ROOT.iterfind(".//{*}ParameterRefEntry")}
     assert fields == set(parameters)
     assert parameters["TIME"].get("shortDescription") == "when it was reported"
+
+
+def recorded() -> bytes:
+    """Ten seconds of telemetry of the oven: housekeeping, events, verification of telecommands."""
+    ends = Ends()
+    ends.oven.handle_values({"temperature": 21.5, "door": "closed", "lit": True}, 0)
+    ends.user.set_parameters("oven", {"target": 99.5}, now_ns=0)
+    ends.run(2500 * MS)
+    for _ in range(2):
+        ends.oven.handle_values({"temperature": 230.0}, ends.now_ns)
+    ends.refusal = "no heat today"
+    ends.user.call("oven", "heat", [20.0], now_ns=ends.now_ns)
+    ends.user.request_housekeeping("oven", "light", now_ns=ends.now_ns)
+    ends.user.request_parameters("oven", ["target"], now_ns=ends.now_ns)
+    ends.user.ping("oven", now_ns=ends.now_ns)
+    ends.run(4500 * MS)
+    return b"".join(ends.telemetry)
+
+
+def test_it_reads_every_kind_of_report(tmp_path: Path) -> None:
+    packets = decoded(oven(), recorded(), tmp_path)
+    states = [
+        packet for packet in packets if "oven_temperature" in packet and "STRUCTURE" in packet
+    ]
+    assert [(p["TIME"], p["oven_temperature"], p["oven_door"]) for p in states] == [
+        # As soon as the values are known, then at the interval.
+        (0, 21.5, "closed"),
+        (1, 21.5, "closed"),
+        (2, 21.5, "closed"),
+        (3, 230.0, "closed"),
+        (4, 230.0, "closed"),
+    ]
+    (event,) = [packet for packet in packets if "EVENT" in packet]
+    assert (event["SUBTYPE"], event["EVENT"], event["oven_temperature"]) == (4, 1, 230.0)
+    (failure,) = [packet for packet in packets if "REASON" in packet]
+    assert (failure["REASON"], failure["FAILURE"]) == ("no heat today", 4)
+    (light,) = [packet for packet in packets if "oven_lit" in packet]
+    assert light["oven_lit"]
+    subtypes = [packet["SUBTYPE"] for packet in packets if packet["SERVICE"] == 1]
+    assert sorted(subtypes) == [1, 1, 1, 1, 1, 3, 3, 3, 3, 3, 7, 7, 7, 7, 8]
+    assert {(p["SERVICE"], p["SUBTYPE"]) for p in packets} >= {(17, 2), (20, 2)}
+
+
+def test_the_xtce_of_the_built_in_dictionary_is_valid(tmp_path: Path) -> None:
+    """By the schema of the OMG, which comes with space_packet_parser."""
+    validation = pytest.importorskip("space_packet_parser.xtce.validation")
+    document = tmp_path / "kontur.xml"
+    document.write_text(dictionary_xtce(built_in_dictionary()), encoding="utf-8")
+    result = validation.validate_xtce(document, level="all")
+    assert result.valid, str(result)
+
+
+def test_it_knows_the_packets_with_walls(tmp_path: Path) -> None:
+    message = WallMessage(3035, Wall(tau / 8, 0.06, 1500.0))
+    (wall,) = decoded(built_in_dictionary(), pack_wall(message, 7), tmp_path)
+    assert [wall[f"WALL_{name}"] for name in ("ANGLE", "STAMP_MS", "DISTANCE", "STIFFNESS")] == [
+        8192,
+        3035,
+        3000,
+        1500,
+    ]

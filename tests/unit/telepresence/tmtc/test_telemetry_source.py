@@ -99,3 +99,91 @@ def test_a_dictionary_has_each_name_once():
     two = [Component("a", table), Component("b", replace(table, apid=0x141))]
     with pytest.raises(ConfigError, match="another application has this name"):
         with_components(Dictionary(applications=()), two)
+
+
+def test_a_component_has_numbers_limits_and_defaults():
+    table = application_of(Battery(), 0x140)
+    assert (table.apid, table.end, table.fresh_s) == (0x140, "ground", 5.0)
+    for items in (table.parameters, table.events, table.functions, table.structures):
+        assert [one.number for one in items] == list(range(1, len(items) + 1))
+    assert table.structures[0].name == "report_1"
+    (voltage,) = table.monitors
+    # After an event a value must come back by a twentieth of its range.
+    assert (voltage.name, voltage.number, voltage.parameter) == ("voltage", 1, "voltage")
+    assert (voltage.low, voltage.high, voltage.repeat) == (11.1, 14.4, 2)
+    assert (voltage.low_clear, voltage.high_clear) == pytest.approx((11.265, 14.235))
+    assert (voltage.below, voltage.above, voltage.back) == ("low", "high", "")
+
+
+@pytest.mark.parametrize(
+    ("changes", "low", "low_clear", "high", "high_clear"),
+    [
+        ({"low": None, "below": ""}, None, None, 14.4, 14.4 - 0.05 * 14.4),
+        ({"high": None, "above": "", "low": -8.0}, -8.0, -8.0 + 0.05 * 8.0, None, None),
+        # A limit without an event is none of the monitor, but of the range.
+        ({"above": ""}, 11.1, 11.1 + 0.05 * 3.3, None, None),
+    ],
+)
+def test_a_value_with_one_limit_comes_back_by_a_twentieth_of_it(
+    changes, low, low_clear, high, high_clear
+):
+    (one,) = application_of(
+        made(parameters=(replace(VOLTAGE, **changes),), functions=()), 1
+    ).monitors
+    assert (one.low, one.high) == (low, high)
+    assert (one.low_clear, one.high_clear) == pytest.approx((low_clear, high_clear))
+
+
+def test_periods_have_reports_of_their_own_and_none_is_reported():
+    parameters = tuple(
+        TelemetryParameter(name=f"p{at}", period_s=period_s)
+        for at, period_s in enumerate((10.0, None, 2.0, 10.0))
+    )
+    table = application_of(made(parameters=parameters, events=(), functions=()), 1)
+    assert [(one.number, one.interval_s, one.parameters) for one in table.structures] == [
+        (1, 10.0, ("p0", "p3")),
+        (2, 2.0, ("p2",)),
+    ]
+    assert TelemetryParameter(name="x").period_s == 10.0
+    # A report has its number and 234 octets of values.
+    full = tuple(TelemetryParameter(name=f"p{at}", type="u16") for at in range(117))
+    (report,) = application_of(made(parameters=full, events=(), functions=()), 1).structures
+    assert len(report.parameters) == 117
+
+
+def test_names_have_at_most_32_characters_and_apids_follow_each_other(monkeypatch):
+    for name in ("a" * 32, "b" * 33):
+        if len(name) <= 32:
+            application_of(made(name=name), 1)
+            continue
+        with pytest.raises(ConfigError, match="at most 32"):
+            application_of(made(name=name), 1)
+    sources = iter([made(name=f"c{at}", parameters=(), events=(), functions=()) for at in range(8)])
+    monkeypatch.setattr(
+        "telepresence.tmtc.telemetry_source.load_telemetry", lambda _: next(sources)
+    )
+    found = load_components(["some:Other"] * 8, built_in_dictionary())
+    assert [one.application.apid for one in found] == list(range(0x140, 0x148))
+
+
+def test_reports_of_all_components_take_1000_bits_a_second(monkeypatch):
+    # Each report has 22 octets beside its values.
+    for octets, fits in ((103, True), (104, False)):
+        one = TelemetryParameter(name="p", type="u8", period_s=1.0)
+        parameters = tuple(replace(one, name=f"p{at}") for at in range(octets))
+        source = made(parameters=parameters, events=(), functions=())
+        monkeypatch.setattr(
+            "telepresence.tmtc.telemetry_source.load_telemetry", lambda _, made=source: made
+        )
+        if fits:
+            load_components(["some:Other"], built_in_dictionary())
+            continue
+        with pytest.raises(ConfigError, match="take 1008 bit/s of 1000"):
+            load_components(["some:Other"], built_in_dictionary())
+
+
+def test_a_component_that_does_nothing_says_so():
+    idle = TelemetrySource()
+    assert idle.read() == ({}, ())
+    assert idle.call("recharge", {}) == "it does nothing"
+    assert list(idle.handle_event(None)) == []

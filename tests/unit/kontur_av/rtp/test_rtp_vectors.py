@@ -10,7 +10,7 @@ from kontur_av.rtp.payload_h264 import packetize, parse_payload
 from kontur_av.rtp.payload_h265 import H265
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
-from kontur_av.rtp.wire import parse_rtp
+from kontur_av.rtp.wire import TimestampUnwrapper, parse_rtcp, parse_rtp
 
 SPS = bytes.fromhex("6742c01e")
 PPS = bytes.fromhex("68ce3c80")
@@ -201,3 +201,30 @@ def test_the_sdp_of_hevc():
     assert parse_sdp(text) == stream
     with pytest.raises(ConfigError, match="decoding order"):
         parse_sdp(text.replace("sprop-vps", "sprop-max-don-diff=2;sprop-vps"))
+
+
+def test_a_compound_packet_is_read_as_far_as_it_is_well_formed():
+    report, goodbye = bytes.fromhex("80c90001 00000001"), bytes.fromhex("81cb0001 00000002")
+    kinds = [type(one).__name__ for one in parse_rtcp(report + goodbye)]
+    assert kinds == ["RtcpRrPacket", "RtcpByePacket"]
+    # A length beyond the end means the rest, and what follows a good packet may be malformed.
+    for behind in (b"\x81\xcb\0\x09\0\0\0\2", goodbye + b"\x81", goodbye + bytes(8)):
+        assert [type(one).__name__ for one in parse_rtcp(report + behind)] == kinds
+    for octets in (b"", b"\x80", bytes(12)):
+        with pytest.raises(ProtocolError):
+            parse_rtcp(octets)
+
+
+def test_packets_that_are_no_rtp_are_refused():
+    packet = bytes.fromhex("80e00001 00000002 00000003 41")
+    assert parse_rtp(packet).marker == 1
+    for octets in (packet[:11], b"\x40" + packet[1:], b"\xc0" + packet[1:], b"\x81" + packet[1:]):
+        with pytest.raises(ProtocolError, match="not an RTP packet"):
+            parse_rtp(octets)
+
+
+def test_timestamps_are_counted_on_across_their_end():
+    unwrapper = TimestampUnwrapper()
+    first = 2**32 - 10
+    ticks = [0, 5, 3, 2**31, 2**31 + 100, 2**32 + 5, 2**32]
+    assert [unwrapper.unwrap((first + one) % 2**32) for one in ticks] == ticks

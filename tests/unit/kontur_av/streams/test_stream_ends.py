@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +11,15 @@ import pytest
 from janus_room import free_port
 
 import kontur_av as av
+from kontur_av.media import Quality
 from kontur_av.streams import ends
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
 
 
-@pytest.mark.parametrize("to", ["127.0.0.1", "127.0.0.1:x", ":5004", "127.0.0.1:65535"])
+@pytest.mark.parametrize(
+    "to", ["127.0.0.1", "127.0.0.1:x", ":5004", "127.0.0.1:65535", "127.0.0.1:0"]
+)
 def test_a_wrong_address_is_refused(to):
     with pytest.raises(av.ConfigError, match="HOST:PORT"):
         av.PictureSender(to, cap_bps=85_000)
@@ -41,12 +45,20 @@ def test_what_is_no_picture_or_no_block_is_refused():
 
 
 def test_what_cannot_work_is_refused_in_one_line(tmp_path):
-    with pytest.raises(av.ConfigError, match="fps 0"):
-        av.PictureSender("127.0.0.1:9", cap_bps=85_000, fps=0)
+    for fps in (0, 121):
+        with pytest.raises(av.ConfigError, match=f"fps {fps}"):
+            av.PictureSender("127.0.0.1:9", cap_bps=85_000, fps=fps)
     with pytest.raises(av.ConfigError, match="codec 'hevc'"):
         av.PictureSender("127.0.0.1:9", cap_bps=85_000, codec="hevc")
     with pytest.raises(av.ConfigError, match="cannot be written"):
         av.SoundSender("127.0.0.1:9", cap_bps=24_000, sdp=tmp_path / "none" / "s.sdp")
+
+
+def test_an_end_that_has_sent_nothing_says_so_and_takes_any_port():
+    for to in ("127.0.0.1:1", "[::1]:65534"):
+        with av.PictureSender(to, cap_bps=85_000) as end:
+            assert (end.counts.frames_captured, end.largest_bps) == (0, 0)
+        end.close()
 
 
 def test_a_cap_that_cannot_be_kept_is_refused():
@@ -77,18 +89,28 @@ def test_an_sdp_that_is_absent_or_whose_port_is_taken_is_refused(tmp_path):
             av.StreamReceiver(sdp)
 
 
+#: So many pictures at most: under load a receiver may begin late, and need a key picture first.
+MOST = 1500
+
+
 def test_a_slow_reader_gets_the_newest_picture_and_the_end(tmp_path):
     port, sdp = free_port(), tmp_path / "s.sdp"
-    with av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, sdp=sdp) as end:
+    with av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, fps=120, sdp=sdp) as end:
         end.send(GREY)
         with av.StreamReceiver(sdp) as pictures:
-            for level in range(60):
+            for _ in range(MOST):
+                if pictures.skipped:
+                    break
+                end.send(GREY)
+            # Within a second a packet tells its capture.
+            for level in (*[90] * 130, *range(30)):
                 end.send(np.full_like(GREY, level))
             end.close()
-            time.sleep(0.5)
+            while not pictures.ended:
+                time.sleep(0.05)
             seen = list(pictures)
     assert len(seen) == 1 and pictures.skipped > 0
-    assert abs(int(seen[0].data.mean()) - 59) <= 8
+    assert abs(int(seen[0].data.mean()) - 29) <= 8
     assert seen[0].age_ms > 400
     assert "goodbye" in pictures.ended
 
@@ -108,28 +130,40 @@ def test_what_no_report_dates_comes_without_an_age(tmp_path, kind):
         # Its reports go where nobody hears them, and its packets' own dates are not told.
         stream = av.parse_sdp(sdp.read_text())
         sdp.write_text(av.write_sdp(replace(stream, rtcp_port=elsewhere, capture_time_id=None)))
-        with av.StreamReceiver(sdp) as received:
-            for _ in range(30):
+        with av.StreamReceiver(sdp) as received, ThreadPoolExecutor() as pool:
+            first = pool.submit(next, received)
+            for _ in range(MOST):
+                if first.done():
+                    break
                 end.send(item)
-            first = next(received)
-    assert first.age_ms is None and first.data.size
+            first = first.result()
+    assert first.age_ms is None and first.quality is Quality.FRESH
+    assert first.data.shape == item.shape and first.data.dtype == item.dtype
 
 
 def test_an_async_reader_is_ended_from_outside(tmp_path):
     port, sdp = free_port(), tmp_path / "s.sdp"
+    seen = sent = 0
 
     async def read(pictures):
-        return [one async for one in pictures]
+        nonlocal seen
+        async for _ in pictures:
+            seen += 1
 
     async def run():
-        async with av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, sdp=sdp) as end:
+        nonlocal sent
+        sending = av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, fps=120, sdp=sdp)
+        async with sending as end:
             await end.asend(GREY)
             async with av.StreamReceiver(sdp) as pictures:
                 reading = asyncio.create_task(read(pictures))
-                for _ in range(60):
+                while seen <= 5 and sent < MOST:
                     await end.asend(GREY)
+                    sent += 1
                 await asyncio.to_thread(pictures.close)
-                seen = await reading
-        assert seen and pictures.ended == "closed"
+                await reading
+        assert seen > 5 and pictures.ended == "closed"
+        assert 5 < end.counts.frames_sent <= sent + 1 and 0 < end.largest_bps <= 300_000
+        assert seen + pictures.skipped <= end.counts.frames_sent
 
     asyncio.run(run())

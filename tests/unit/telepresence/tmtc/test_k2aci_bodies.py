@@ -72,8 +72,9 @@ def test_the_longest_message_fits() -> None:
     most = (1 << 32) - 1
     chat = Chat(sender=ChatRole.EXPERIMENTER, text="x" * 200)
     task = TaskSelected(task="t" * 32, run=most, start_um=(-1_000_000, 1_000_000), text="x" * 128)
-    for message in (chat, task):
-        assert len(pack_body(Numbered(most, most, most, message))) <= MAX_BODY_OCTETS
+    octets = [pack_body(Numbered(most, most, most, message)) for message in (chat, task)]
+    assert max(map(len, octets)) == MAX_BODY_OCTETS
+    assert [parse_body(one).message for one in octets] == [chat, task]
 
 
 @pytest.mark.parametrize(
@@ -108,12 +109,46 @@ def test_other_octets_are_refused(octets: str) -> None:
         parse_body(bytes.fromhex(octets))
 
 
-def test_unfit_messages_are_refused_when_they_are_made() -> None:
-    with pytest.raises(ConfigError, match="text has 201 octets: give 1 to 200"):
-        Chat(sender=ChatRole.COSMONAUT, text="x" * 201)
-    with pytest.raises(ConfigError, match="one line of printable text"):
-        StartTask(task="a\nb", run=1)
-    with pytest.raises(ConfigError, match="run is -1"):
-        StartTask(task="a", run=-1)
-    with pytest.raises(ConfigError, match="choose one of finished, aborted"):
-        TaskFinished(task="a", run=1, result="done")  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("make", "line"),
+    [
+        (lambda: Chat(sender=ChatRole.COSMONAUT, text="x" * 201), "text has 201 octets: give 1 to"),
+        (lambda: StartTask(task="t" * 33, run=1), "task has 33 octets: give 1 to 32"),
+        (lambda: StartTask(task="a\nb", run=1), "one line of printable text"),
+        (lambda: StartTask(task=5, run=1), "one line of printable text"),
+        (lambda: StartTask(task="a", run=-1), "run is -1"),
+        (lambda: StartTask(task="a", run=1 << 32), "run is 4294967296"),
+        (lambda: StartTask(task="a", run=True), "run is True"),
+        (lambda: TaskFinished(task="a", run=1, result="done"), "choose one of finished, aborted"),
+        (lambda: TaskSelected(task="a", run=1, start_um=(1, 2, 3)), "give two integers"),
+        (lambda: TaskSelected(task="a", run=1, start_um=[1, 2]), "give two integers"),
+        (lambda: TaskSelected(task="a", run=1, start_um=(1_000_001, 0)), "up to ±1000000"),
+        (lambda: TaskSelected(task="a", run=1, start_um=(0, -1_000_001)), "up to ±1000000"),
+        (lambda: TaskSelected(task="a", run=1, start_um=(0, 0.5)), "up to ±1000000"),
+        (lambda: TaskProgress(run=1, goal=TaskGoal.CIRCLE), "a spot needs the time of a turn"),
+        (lambda: Numbered(0, 1, 2, StartTask(task="a", run=1)), "oldest 2 is above the number 1"),
+    ],
+)
+def test_unfit_messages_are_refused_when_they_are_made(make, line) -> None:
+    with pytest.raises(ConfigError, match=line):
+        make()
+
+
+def test_octets_that_no_packet_holds_are_refused() -> None:
+    with pytest.raises(ProtocolError, match="233 octets, not 1 to 232"):
+        parse_body(bytes(233))
+
+
+def test_what_a_message_does_not_say_is_nothing() -> None:
+    """[1, 0, 0, 0, "a", 1, [0, 0], ""], and the same of a goal."""
+    selected = pack_body(Numbered(0, 0, 0, TaskSelected(task="a", run=1)))
+    assert selected == bytes.fromhex("88 01 00 00 00 6161 01 820000 60")
+    finished = pack_body(
+        Numbered(0, 0, 0, TaskFinished(task="a", run=1, result=TaskResult.ABORTED))
+    )
+    assert finished == bytes.fromhex("89 03 00 00 00 6161 01 67 61626f72746564 00 60")
+    goal = pack_body(Numbered(0, 0, 0, TaskProgress(run=1, goal=TaskGoal.FREE)))
+    assert goal == bytes.fromhex("8f 06 00 00 00 01 64 66726565 01 01 820000" + "00" * 6)
+    # At the limits a place is one.
+    TaskSelected(task="a", run=(1 << 32) - 1, start_um=(1_000_000, -1_000_000))
+    TaskProgress(run=1, goal=TaskGoal.EIGHT, turn_ms=1)
