@@ -6,10 +6,7 @@ import sys
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import (
-    acting_on,
-    check_options,
-)
+from pipelines.commands.common import acting_on, check_options
 from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_recordable
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.options import add_options
