@@ -80,10 +80,7 @@ class HeldJoystick(Joystick):
 
 
 class _Side:
-    """The common part of both sides: the link, the timing of a cycle, and the report.
-
-    force_x_n, force_y_n: the force that the controller exerts now (N).
-    """
+    """The common part of both sides: the link, the timing of a cycle, and the report."""
 
     link: HapticLink[Any, Any]
     controller: JoystickController | RobotController

@@ -124,29 +124,6 @@ class SafetyEnvelope:
     a merged picture; the commands say the rest.
     """
 
-    __slots__ = (
-        "_approaching",
-        "_asserted",
-        "_blind_ns",
-        "_cause",
-        "_heard_ns",
-        "_off",
-        "_picture_hold_ns",
-        "_released",
-        "_resume_ns",
-        "_silent",
-        "blind",
-        "hold",
-        "limits",
-        "offset_m",
-        "presses",
-        "resumed",
-        "since_ns",
-        "speed_m_s",
-        "stopped",
-        "stops",
-    )
-
     def __init__(
         self, limits: SafetyLimits | None = None, *, stopped: bool = False, now_ns: int = 0
     ) -> None:

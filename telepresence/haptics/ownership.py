@@ -69,8 +69,6 @@ class HapticOwnership:
     it had.
     """
 
-    __slots__ = ("_events", "_refused", "_rest_ns", "_turns", "garbage", "owner", "wanted")
-
     def __init__(self, owner: Owner | None = Owner.ISS, *, wanted: Owner = Owner.ISS) -> None:
         self.owner = owner
         self.wanted = wanted

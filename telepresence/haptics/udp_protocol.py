@@ -156,22 +156,11 @@ def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpFacts] | Non
     if body[:NONCE_OCTETS] != nonce:
         return None
     limits = _FACTS.unpack_from(body, 2 * NONCE_OCTETS)
-    force_n, speed_m_s, mass_kg, coulomb_n, viscous_n_s_m, buttons, leds, *half_m = limits
+    half_m = limits[7:]
     # Compared this way round, so that NaN is refused, too.
-    if not (all(0.0 <= one < _MOST for one in limits) and all(half_m) and max(buttons, leds) <= 16):
+    if not (all(0.0 <= one < _MOST for one in limits) and all(half_m) and max(limits[5:7]) <= 16):
         raise ProtocolError("facts that no device has")
-    facts = UdpFacts(
-        _text(text),
-        bool(takes_places),
-        force_n,
-        speed_m_s,
-        mass_kg,
-        coulomb_n,
-        viscous_n_s_m,
-        buttons,
-        leds,
-        tuple(half_m),
-    )
+    facts = UdpFacts(_text(text), bool(takes_places), *limits[:7], half_m)
     return body[NONCE_OCTETS : 2 * NONCE_OCTETS], facts
 
 

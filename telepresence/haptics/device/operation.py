@@ -317,15 +317,7 @@ class JoystickOperation:
             dead_man_released=self.released,
             calibration_mm=None
             if calibration is None
-            else [
-                round(value * 1e3, 2)
-                for value in (
-                    calibration.x_m,
-                    calibration.y_m,
-                    calibration.half_width_m,
-                    calibration.half_height_m,
-                )
-            ],
+            else [round(value * 1e3, 2) for value in calibration[:4]],
         )
 
     def _update_force_limit(self, reading: JoystickReading, now_ns: int) -> None:

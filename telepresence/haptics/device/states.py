@@ -31,19 +31,8 @@ class JoystickState(IntEnum):
     @property
     def words(self) -> str:
         """The state in words, such as "calibration error"."""
-        return _WORDS[self]
-
-
-_WORDS = {
-    JoystickState.INIT: "init",
-    JoystickState.STANDBY: "standby",
-    JoystickState.CALIBRATED: "calibrated",
-    JoystickState.APPLICATION: "application",
-    JoystickState.HALTED: "halted",
-    JoystickState.CALIBRATION_ERROR: "calibration error",
-    JoystickState.RECOVERABLE: "recoverable error",
-    JoystickState.FATAL: "fatal error",
-}
+        error = " error" if self in (JoystickState.RECOVERABLE, JoystickState.FATAL) else ""
+        return self.name.replace("_", " ").lower() + error
 
 
 class ExperimentName(StrEnum):
