@@ -1,6 +1,7 @@
 """Blocks of sound to Opus packets of one constant size, and back (RFC 6716, RFC 7587)."""
 
 import weakref
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -65,13 +66,7 @@ def heard_stamp(stamp: CaptureStamp) -> CaptureStamp:
     include the look-ahead.
     """
     lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
-    return CaptureStamp(
-        stamp.capture_ns - lookahead_ns,
-        stamp.sequence,
-        stamp.source,
-        stamp.quality,
-        stamp.rtp_timestamp,
-    )
+    return replace(stamp, capture_ns=stamp.capture_ns - lookahead_ns)
 
 
 class OpusEncoder:
@@ -120,9 +115,9 @@ class OpusEncoder:
 class OpusDecoder:
     """Opus packets to mono sound at 48 kHz, with concealment of missing packets."""
 
-    def __init__(self, *, frame_samples: int = BLOCK_SAMPLES) -> None:
+    def __init__(self) -> None:
         opuslib = libopus.opuslib()
-        self.frame_samples = frame_samples
+        self.frame_samples = BLOCK_SAMPLES
         self._error: type[Exception] = opuslib.OpusError
         self._decoder = opuslib.Decoder(AUDIO_CLOCK_HZ, 1)
         self._decode = opuslib.api.decoder.libopus_decode
@@ -158,8 +153,7 @@ class OpusDecoder:
         samples: a multiple of 120 (2.5 ms), at most 5760. None: as many as the packet before had.
         """
         # libopus takes an empty packet for a lost one (opus_decode).
-        wanted = self.frame_samples if samples is None else samples
-        return self._decoded(b"", wanted)
+        return self._decoded(b"", samples or self.frame_samples)
 
     def _received(self, packet: bytes, most_samples: int, *, decode_fec: bool = False) -> Pcm:
         try:

@@ -134,7 +134,7 @@ class ProtectedPath:
         """What this end knows of the path until `now_ns`."""
         self._take_events(now_ns)
         figures = self._channel.figures
-        dropped = {reason: count for reason, count in figures.dropped.items() if count}
+        dropped = dict(figures.dropped)
         if self._overflows:
             dropped["throttled"] = dropped.get("throttled", 0) + self._overflows
         where = self._channel.peer_address

@@ -13,7 +13,7 @@ ones are opened for `OVERLAP_NS` more: no frame is lost by it. Keys are never st
 recorded of an earlier session opens nowhere.
 """
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from kontur_av.clock import NS_PER_S
@@ -57,20 +57,7 @@ class ProtectionFigures:
     failed_attempts: int = 0
     #: By reason: "malformed", "unauthenticated", "replayed", "late", "unknown_key" (of an earlier
     #: session, or of none), "stale" (an old datagram of a handshake), "throttled".
-    dropped: dict[str, int] = field(
-        default_factory=lambda: dict.fromkeys(
-            (
-                "malformed",
-                "unauthenticated",
-                "replayed",
-                "late",
-                "unknown_key",
-                "stale",
-                "throttled",
-            ),
-            0,
-        )
-    )
+    dropped: Counter[str] = field(default_factory=Counter)
 
 
 @dataclass(frozen=True, slots=True)

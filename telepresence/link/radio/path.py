@@ -7,16 +7,7 @@ from random import Random
 from telepresence.link.figures import PathFigures
 from telepresence.link.radio.channel import FOREVER_NS, Condition, RadioChannel
 
-#: A path without a channel.
-_STEADY = Condition(
-    until_ns=FOREVER_NS,
-    delay_ns=0.0,
-    slope=0.0,
-    frame_loss=0.0,
-    bit_error_rate=0.0,
-    blackout=False,
-    no_signal=False,
-)
+_STEADY = Condition()
 
 
 def hazard(probability: float) -> float:
