@@ -48,7 +48,6 @@ def scaling_loss(picture: I420, small: I420) -> float:
 def _lanczos(
     scaler: VideoReformatter, plane: NDArray[np.uint8], shape: tuple[int, ...]
 ) -> NDArray[np.uint8]:
-    """Return `plane` scaled to `shape` by swscale's Lanczos filter."""
     height, width = shape
     source = av.VideoFrame.from_numpy_buffer(plane, "gray")
     scaled: Any = scaler.reformat(source, width, height, interpolation="LANCZOS", threads=1)

@@ -157,7 +157,6 @@ class SizeChoice:
                 self._grown, self._patience_s = None, _PATIENCE_S
 
     def _better(self) -> int:
-        """Return the index of the size that would be better now."""
         settled = self._pictures > _SETTLING_S * self._rate_hz
         if self._motion > _MOVING:
             coarse = settled and self._quantiser > _COARSE_IN_MOTION

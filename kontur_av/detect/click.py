@@ -125,7 +125,6 @@ class ClickDetector:
         return np.asarray(np.abs(parts.view(np.complex64)[:, 0]), np.float32)
 
     def _look(self) -> None:
-        """Judge every frame for which enough later frames are known."""
         before, gap = _BEFORE
         low, high = self._next_frame - self._begin, len(self._frames) - _OVER[1]
         if high <= low:

@@ -28,10 +28,6 @@ class Pace:
         self._index = self._last_before(now_ns) + 1
         self.skipped = 0
 
-    @property
-    def period_ns(self) -> int:
-        return self._period_ns // self._parts
-
     def due_ns(self, now_ns: int) -> int:
         """Return the next instant, or the latest past one if the reader is too late."""
         due_ns = self._instant(self._index)

@@ -15,9 +15,8 @@ epoll reports each write as an edge, even if the pipe holds octets already. Linu
 since 5.14 ("pipe: make pipe writes always wake up readers"). Versions 5.5 to 5.13 lack it, except
 the later releases of 5.10 and 5.13. `kontur-av doctor` tests it.
 
-Alternatives: a futex needs one system call too, but a wait for it cannot include sockets, and
-Python has no atomic operation to count the waiters. Letting the first waiter wake the others would
-cost the writer less. But all others would sleep on if that one is killed, stopped or busy.
+A futex needs one system call too, but a wait for it cannot include sockets, and Python has no
+atomic operation to count the waiters.
 """
 
 import mmap

@@ -226,7 +226,6 @@ class Robot:
             self._step_more(dt_ns)
 
     def _step_more(self, dt_ns: int) -> None:
-        """Advance the axes behind x and y."""
         brake = 0.0 if self.coupled else self.model.brake_n_s_m
         for axis in self.more:
             assert isinstance(axis, SimulatedAxis)

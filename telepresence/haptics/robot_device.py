@@ -191,7 +191,6 @@ class DrivenRobot(Robot):
             (self.device.activate if active else self.device.deactivate)()
 
     def _take(self, reading: RobotReading) -> None:
-        """Stand where the robot stands."""
         if self._feel(reading):
             self.x_m, self.y_m, self.vx_m_s, self.vy_m_s = reading[:4]
 

@@ -41,7 +41,3 @@ class PeriodicSchedule:
         self.next_deadline_ns += advance_ns
         self.cycles += 1
         return lateness_ns
-
-    def poll_timeout(self) -> int:
-        """Same as `next_deadline_ns`, under the name that all cores share."""
-        return self.next_deadline_ns

@@ -256,7 +256,6 @@ class Gateway:
         return self.receiver.follow_stranger(new_life=found is Encounter.RESTART)
 
     def _follow_supervision(self) -> None:
-        """Apply the events of supervision to sender and receiver."""
         sender, receiver, supervisor = self.sender, self.receiver, self.supervisor
         while (event := supervisor.next_event()) is not None:
             if isinstance(event, ContextsHeld):

@@ -143,7 +143,6 @@ class PacketReassembly:
             self.drop("oversize")
 
     def _finish(self, level: int | None, now_ns: int) -> None:
-        """The packet of `level` is complete."""
         self._on_air = None
         if level is None:
             return

@@ -282,7 +282,6 @@ class LinkReceiver:
         return other
 
     def _message(self, frame: bytes) -> bytes | None:
-        """Return the supervision message of a good frame, or None."""
         parsed = self._parse(frame)
         if isinstance(parsed, str) or parsed[2] != self._pointers.supervision:
             return None

@@ -314,7 +314,6 @@ class LinkSender:
         return None
 
     def _begin(self, level: int, now_ns: int) -> _InFlight:
-        """Take the next packet of `level`, and compress its header."""
         number, data = self._queues[level].take(now_ns)
         compressor = self._compressors[number]
         if compressor is None:

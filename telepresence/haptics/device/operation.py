@@ -152,11 +152,6 @@ class JoystickOperation:
         reason = self.machine.reason or self.supervisor.reason
         return f"{self.state.words}: {reason}" if reason else ""
 
-    @property
-    def halted(self) -> bool:
-        """Whether the application must wait until something has changed."""
-        return self.machine.state >= JoystickState.HALTED
-
     def handle_heard(self, now_ns: int) -> None:
         """A fresh sample of the peer has arrived."""
         self.supervisor.handle_heard(now_ns)

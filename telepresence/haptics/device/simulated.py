@@ -202,7 +202,6 @@ class Mechanics:
             axis.force_n = 0.0
 
     def _step(self, dt_ns: int) -> None:
-        """Simulate `dt_ns`, at most 1 ms."""
         raise NotImplementedError
 
     def _step_axes(self, wanted: Sequence[float] | None, dt_ns: int) -> None:

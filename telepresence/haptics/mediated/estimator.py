@@ -134,7 +134,6 @@ class WallEstimator:
         self._begin()
 
     def _begin(self) -> None:
-        """Forget the samples of a contact."""
         self._samples.clear()
         self._used = 0
         self._step_m = self.model.step_m
@@ -312,7 +311,6 @@ class WallEstimator:
 
 
 def _unit(angle_rad: float) -> complex:
-    """Return the unit vector in a direction, as a complex number."""
     return complex(cos(angle_rad), sin(angle_rad))
 
 

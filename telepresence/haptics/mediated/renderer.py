@@ -212,7 +212,6 @@ class WallRenderer:
         self._spring_n_m = min(max(self._stiffness, need_n_m), steepest)
 
     def _bounded(self, force: float, in_m_s: float) -> float:
-        """Return the force within the bounds of the tank and the motors."""
         tank_j = max(0.0, self.tank_j)
         force = min(force, self.limit_n, sqrt(2.0 * self._spring_n_m * tank_j))
         # The next cycle is held, and the handle may accelerate.

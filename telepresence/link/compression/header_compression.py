@@ -207,7 +207,6 @@ class RtpCompressor:
         return KIND_RAW, data, header_octets
 
     def _drop_expired(self, count: int) -> None:
-        """Drop the contexts that have expired at the receiver too."""
         oldest, oldest_fleeting = count - self._life, count - self._fleeting_life
         alive = [
             context
@@ -246,7 +245,6 @@ class RtpCompressor:
     def _context_due(
         self, header: tuple[int, bytes] | None, payload_type: int, fields: Fields, count: int
     ) -> bool:
-        """Whether to send this packet as a new context."""
         possible = self._possible
         if not self._trusted and self._rehearsed < _REHEARSALS:
             return False
@@ -297,7 +295,6 @@ class RtpCompressor:
     def _serves(
         self, context: HeaderContext, payload_type: int, fields: Fields, count: int
     ) -> bool:
-        """Whether `context` alone would compress this packet."""
         if context.ssrc != self._ssrc or context.payload_type != payload_type:
             return False
         return self._forms.shortest(context, count, fields)[0] < len(self._forms.packers)

@@ -235,7 +235,6 @@ class OpenPath:
         )
 
     def _follow(self, datagram: bytes, source: Address, now_ns: int) -> bool:
-        """Follow another source if it may be the peer; whether it is followed."""
         found = self._address is not None
         if self._fixed or (found and now_ns - self._heard_ns < SILENCE_NS):
             return False

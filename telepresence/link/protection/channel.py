@@ -242,7 +242,6 @@ class ProtectedChannel:
         return next((at for at, opener in enumerate(self._openers) if opener.used), last)
 
     def _drain(self, now_ns: int) -> None:
-        """Take events and datagrams from the handshake."""
         while (event := self._handshake.next_event()) is not None:
             if isinstance(event, KeysAgreed):
                 self._take_keys(event, now_ns)

@@ -148,7 +148,6 @@ class RadioPath:
         return min(now_ns, self._until_ns) - self._since_ns if self._no_signal else 0
 
     def _change(self, now_ns: int) -> None:
-        """Apply the condition of the channel from now on."""
         if self.frames_sent:
             self._note_delay()
             self._no_signal_ns += self._silent_ns(now_ns)

@@ -288,7 +288,6 @@ class Negotiation:
             self.refusal, self._refused = mismatch.why, mismatch.signature
 
     def _accept(self, message: SupervisionMessage, now_ns: int) -> MessageVerdict:
-        """Handle a message of a matching peer."""
         verdict = MessageVerdict.FITS
         if self.meet(message.life):
             verdict = MessageVerdict.MET

@@ -105,7 +105,7 @@ class Supervisor:
     peer_hears: the peer is heard and says that it hears this end.
     delivering: received data may be delivered to the applications, because this life of the peer
     was checked. It stays true during a loss of signal.
-    next_ns: the same as `poll_timeout()`.
+    next_ns: when `poll_transmit` has something to do.
     """
 
     def __init__(
@@ -286,10 +286,6 @@ class Supervisor:
             return None
         return self._run_slot(now_ns)
 
-    def poll_timeout(self) -> int:
-        """When `poll_transmit` has something to do."""
-        return self.next_ns
-
     def next_event(self) -> SupervisionEvent | None:
         """The oldest event that was not fetched yet, or None."""
         return self._events.popleft() if self._events else None
@@ -320,7 +316,6 @@ class Supervisor:
         )
 
     def _hear_stranger(self, data: bytes, now_ns: int) -> SupervisionMessage | None:
-        """Return what a stranger says, if it matches."""
         counts = self._counts
         told = self._negotiation.handle_stranger(data, alone=not self.signal)
         if isinstance(told, SupervisionMessage):
@@ -344,7 +339,6 @@ class Supervisor:
         return lasts_ns >= _DEAF_LATER_NS and now_ns - self._frame_ns >= _PEER_SILENCE_NS
 
     def _meet(self, told: SupervisionMessage, now_ns: int, *, proven: bool) -> Encounter:
-        """The stranger is the peer."""
         before_life = self.peer_life
         self._proof.proven = proven
         self._stranger = None
@@ -396,7 +390,6 @@ class Supervisor:
             self._events.append(PeerHears(now_ns) if hears else PeerDeaf(now_ns))
 
     def _run_slot(self, now_ns: int) -> bytes | None:
-        """Check the timeouts, then return the message if it is due."""
         cause = None
         if self.signal and now_ns >= self._frame_ns + self._silence_ns:
             self._lose(now_ns)
