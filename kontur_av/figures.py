@@ -58,7 +58,8 @@ def over(told: T, earlier: T) -> T:
 
 def figures_of(kind: type[T], owner: object) -> T:
     """Return the record of this kind whose figures `owner` has as attributes of their names."""
-    return kind(**{name: getattr(owner, name) for name in marks_of(kind)})
+    record: Any = kind
+    return kind(**{name: getattr(owner, name) for name in marks_of(record)})
 
 
 def counts(record: object) -> dict[str, int]:

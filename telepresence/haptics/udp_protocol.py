@@ -160,7 +160,7 @@ def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpFacts] | Non
     # Compared this way round, so that NaN is refused, too.
     if not (all(0.0 <= one < _MOST for one in limits) and all(half_m) and max(limits[5:7]) <= 16):
         raise ProtocolError("facts that no device has")
-    facts = UdpFacts(_text(text), bool(takes_places), *limits[:7], half_m)
+    facts = UdpFacts._make((_text(text), bool(takes_places), *limits[:7], half_m))
     return body[NONCE_OCTETS : 2 * NONCE_OCTETS], facts
 
 

@@ -1,17 +1,8 @@
 """The supervision message CLOCK: when it left, and when the peer's newest one came.
 
-Twelve octets, big-endian, in the place of another supervision message:
-
-octet 0        version and kind, as in every supervision message
-octet 1        bit 4: master; bits 7..6: number of a part; bits 5 and 3..0: this part of the seconds
-octets 2..3    life of the sender
-octets 4..7    the instant at which this message leaves, in µs of the sender's clock modulo 2**32
-octet 8        which message of the peer came last: bits 16 to 23 of its instant
-octets 9..11   how long before this one leaves that one came, in µs; all ones: none came, or too
-               long ago
-
-The stamp repeats after 71.6 min. So each message also has one of four parts of 5 bits of what is
-above it, the lowest first: 52 bits in all, of which no clock of this century has more.
+Twelve octets, big-endian, in the place of another supervision message (docs/link-format.md). The
+stamp repeats after 71.6 min. So each message also has one of four parts of 5 bits of what is above
+it, the lowest first: 52 bits in all, of which no clock of this century has more.
 """
 
 import struct

@@ -6,18 +6,8 @@ if *each* of them restores exactly this header, by the receiver's own arithmetic
 Otherwise the packet carries its whole header, raw or as a new context. No packet depends on the one
 before, so a gap needs no recovery. No loss of packets or acknowledgements can corrupt a header.
 
-**Two-way.** While no context is acknowledged, the receiver may hold none, so headers are sent
-whole. Afterwards every packet received can be decompressed, including the first one after a gap.
-
-**One-way.** An end that does not hear the peer receives no acknowledgements. It sends fleeting
-contexts, one a second, with the number 0. Both ends discard them `FLEETING_LIFE_NS` after their
-packet was sent, so the possible ones are those that have not expired. After a few whole headers the
-sender assumes that one was received; a receiver without a context drops packets until the next one.
-Contexts from a two-way time stay possible until they expire as well (`LIFE_NS`).
-
-**Sources that do not gain.** A context costs more than the raw header in its place. If the latest
-contexts have cost more than they saved, no further one is sent until the sender, which can restore
-headers too, has seen that one would have served for several packets in a row.
+docs/link-format.md says when contexts are sent, two-way and one-way, and for sources that do not
+gain by them.
 """
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
