@@ -18,16 +18,11 @@ MAX_PACKET_SAMPLES = MAX_OPUS_SAMPLES
 FRAME_SAMPLES = (480, 960, 1920, 2880)
 _LOWEST_BPS, _HIGHEST_BPS = 6_000, 510_000  # RFC 6716 section 2.1.1
 
-#: How hard libopus searches: beyond 8 it finds nothing better. Measured on the speech in
-#: `samples/`, 20 ms a packet, as complexity: PESQ wideband, time a packet.
-#: 8 kbit/s: 2: 1.61, 0.24 ms; 5: 1.72, 0.32 ms; 8 and 10: 1.82, 0.63 ms.
-#: 61 kbit/s: 3: 3.79, 0.19 ms; 5: 4.31, 0.21 ms; 8 and 10: 4.42, 0.44 ms.
+#: How hard libopus searches: beyond 8 it finds nothing better (docs/experiments/voice.md).
 _COMPLEXITY = 8
 _SIGNAL_VOICE = 3001  # OPUS_SIGNAL_VOICE in opus_defines.h
 
-# There are no in-band copies of the packet before (RFC 6716 section 2.1.7). libopus makes none
-# below 12 kbit/s. At 61 kbit/s they lower PESQ from 4.31 to 3.87 without loss. They would help
-# from 1 % of loss on (3.30 against 1.83 at 5 %), for 20 ms more delay.
+# There are no in-band copies of the packet before (RFC 6716 section 2.1.7), for the reasons there.
 
 
 def bitrate_under_cap(cap_bps: int, frame_samples: int = BLOCK_SAMPLES) -> int:

@@ -178,19 +178,13 @@ class SizeChoice:
         )
 
     def _grown_index(self, times: float) -> int:
-        """Return the index of the size that a picture that stands should have.
-
-        times: how much more scaling must lose than coding.
-        """
+        """Return the size for a picture that stands, if scaling loses `times` more than coding."""
         if self._scaling_loss <= times * self._coding_loss:
             return self.index
         return self._largest(self._quantiser_now - _FALLS, self._last_index)
 
     def _largest(self, quantiser: float, last: int) -> int:
-        """Return the largest size, up to the index `last`, for which `quantiser` is small enough.
-
-        quantiser: in the present size.
-        """
+        """Return the largest size up to `last` for which `quantiser`, in the present, suffices."""
         area = self._areas[self.index]
         for index in range(last, self.index, -1):
             octaves = math.log2(self._areas[index] / area)

@@ -199,10 +199,9 @@ def _running_max(values: NDArray[np.float32], width: int) -> NDArray[np.float32]
 
 
 def _band_pass() -> NDArray[np.float32]:
-    """Return the complex band-pass as (taps, 2) float32: real and imaginary parts.
+    """Return the complex band-pass, (taps, 2) float32: a Hamming-windowed sinc.
 
-    A Hamming-windowed sinc with 40 dB attenuation from 1 kHz down. The magnitude of its output is
-    the envelope, scaled so that a tone gives its mean amplitude.
+    The magnitude of its output is the envelope; a tone gives its mean amplitude.
     """
     k = np.arange(_TAPS) - (_TAPS - 1) / 2
     low, high = (hertz / AUDIO_CLOCK_HZ for hertz in _BAND_HZ)

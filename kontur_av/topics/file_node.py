@@ -143,10 +143,7 @@ class FilePublisher(_TopicFile):
         self._put(_NEWEST_AT, number)
 
     def _grow(self, octets: int) -> None:
-        """Make a ring for records of this size, if there is a smaller one; OSError if it is full.
-
-        All records so far are given up.
-        """
+        """Give up all records for a ring of this size, if there is a smaller one; OSError: full."""
         ring, _, newest, end, _ = self._state()
         wanted = octets * min(max(_FEW, _SMALL_OCTETS // octets), _MANY)
         if ring >= wanted:

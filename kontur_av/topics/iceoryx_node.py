@@ -120,10 +120,7 @@ class IceoryxNode:
         return opened
 
     def _reserve(self, segment: Path, max_octets: int) -> None:
-        """Take the pages of the first samples of a segment; OSError if there are too few.
-
-        iceoryx2 uses the lowest sample that is free.
-        """
+        """Take the pages of the first samples, the lowest of which is used; OSError: too few."""
         samples = min(max(_RESERVED_OCTETS // max_octets, _RESERVED_SAMPLES), self._most_depth)
         descriptor = os.open(segment, os.O_RDWR | os.O_CLOEXEC)
         try:

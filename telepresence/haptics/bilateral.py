@@ -124,7 +124,7 @@ class JoystickSide(_Side):
     mediated: the force is that of the newest wall of `handle_wall`, not the robot's delayed one.
     residual: with `mediated`, also what that wall does not explain of the robot's.
 
-    force_x_n, force_y_n: the force displayed now (N). For `handle`, see `Handle` and `Joystick`.
+    force_x_n, force_y_n: the force displayed now (N).
     """
 
     def __init__(

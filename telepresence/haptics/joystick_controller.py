@@ -222,11 +222,9 @@ class JoystickController(PortController):
         self.port.handle_flow(energy_j)
 
     def _payable_n(self, credit_j: float, outward_m_s: float) -> float:
-        """Return the largest force that can fade on this credit.
+        """Return the largest force (N) that can fade on this credit at this outward speed.
 
-        outward_m_s: speed of the handle along the force. The fade is a spring's, softened so that
-        at this speed the force falls by `rate_n_s` at most. The next cycle comes first: its force
-        is held, and the handle may accelerate.
+        The next cycle comes first: its force is held, and the handle may accelerate.
         """
         if credit_j <= 0.0:
             return 0.0

@@ -201,10 +201,8 @@ class PacketQueue:
         return packet
 
     def _in_time(self, packet: _Waiting, now_ns: int) -> bool:
-        """Whether the packet's last octet can be sent before its age limit, at the latest pace.
-
-        A packet in the first half of its time is always begun, so that the pace is measured again.
-        """
+        """Whether the packet's last octet can be sent before its age limit, at the latest pace."""
+        # In the first half of its time it is always begun, so that the pace is measured again.
         age_ns = self._age_ns
         needed_ns = min(len(packet.data) * self._pace_ns, age_ns // 2)
         return packet.queued_ns + age_ns >= now_ns + needed_ns

@@ -227,10 +227,7 @@ class LinkReceiver:
         self._next24 = -1
 
     def _find_skipped(self, count24: int, now_ns: int) -> int | None:
-        """Return how many frames of the stream are missing before this one.
-
-        None if it does not belong to the stream, which cannot have sent so many by now.
-        """
+        """Return how many frames are missing before this one; None: it is not of the stream."""
         if self._next24 < 0:
             if self.cautious:
                 return None

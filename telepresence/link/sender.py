@@ -363,11 +363,7 @@ class LinkSender:
 
 
 def _plausible(kind: FlowKind, data: bytes) -> bool:
-    """Whether `data` can be a packet of `kind`.
-
-    RTP: version 2 and a whole header. RTCP: also a packet type of RFC 3550 or later. TM/TC: a
-    packet of PUS, or a wall.
-    """
+    """Whether `data` can be a packet of `kind`, by RFC 3550, or of PUS, or a wall."""
     if kind is FlowKind.TMTC:
         return is_wall(data) or is_packet(data)
     if kind is FlowKind.RTP:

@@ -290,11 +290,7 @@ class RtpCompressor:
         return self._forms.shortest(context, count, fields)[0] < len(self._forms.packers)
 
     def _renewal_pays(self, octets: int, payload_type: int, fields: Fields, count: int) -> bool:
-        """Whether a newer context would have paid for itself by now.
-
-        A context is sent once its absence has cost as many octets as it costs. Without knowledge
-        of the source's future, this costs at most twice the optimum (ski rental).
-        """
+        """Whether the lack of a newer context has cost as many octets as one costs (ski rental)."""
         candidate = self._candidate
         gain = 0
         if candidate is not None and octets:

@@ -141,10 +141,7 @@ class RtpSource:
         self._grid_index = self.index
 
     def _usual_wait(self) -> float:
-        """Return the middle of the latest waits without the outermost ones.
-
-        The first picture after a start and the packets after a stall wait unusually long.
-        """
+        """Return the middle of the latest waits without the outermost: starts and stalls."""
         ordered = sorted(self._waits)
         if len(ordered) > 1:
             outermost = -(-len(ordered) // _OUTERMOST)

@@ -46,11 +46,8 @@ KEEP_ALIVE_NS = 500 * NS_PER_MS
 
 
 class ProtectedPath:
-    """See the module for what to call when.
+    """See the module for what to call when, and `ProtectedChannel` for the arguments.
 
-    key, peer: the own key pair, and the one identity that is believed.
-    secret: 32 octets that nobody else knows, drawn anew at each start.
-    address: where the peer is; None for an end that waits to be called.
     rekey_ns: new keys after this time.
     """
 

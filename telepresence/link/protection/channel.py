@@ -7,10 +7,8 @@ A shell that owns the socket needs this for each wake-up:
 3. At `poll_timeout()`: `handle_timeout(now_ns)`.
 4. Until None: send `poll_transmit()`. Until None: look at `next_event()`.
 
-A session's keys serve until a new handshake is complete, in any state of the path. Then frames are
-sealed with the new keys as soon as the peer has them, and those that the peer sealed with the old
-ones are opened for `OVERLAP_NS` more: no frame is lost by it. Keys are never stored, so what was
-recorded of an earlier session opens nowhere.
+A session's keys serve until a new handshake is complete, in any state of the path. Keys are never
+stored, so what was recorded of an earlier session opens nowhere.
 """
 
 from collections import Counter, deque

@@ -9,17 +9,7 @@ Strategy: each end repeatedly sends what it *is*, never what the other should ha
 state is a function of what this end knows. A lost message thus only costs time, and no sequence of
 losses and restarts can leave both ends waiting for each other.
 
-A gateway needs seven lines:
-
-1. `handle_local_check(None, now_ns)` once it is ready, and with a fault whenever it is not.
-2. `handle_stranger(...)` for each good frame of a stream that is not followed; it says whether to
-   follow that stream from this frame on.
-3. `handle_frame(now_ns)` for each frame of the stream, before the frame is processed further.
-4. `handle_message(message, now_ns)` for each supervision message that the receiver found in it.
-5. `handle_application(now_ns)` for each sample and packet received, and
-   `handle_application_sent(now_ns)` for each one sent.
-6. `poll_transmit(now_ns)` in each slot; if it returns 12 octets, this is a supervision slot.
-7. After each of these: `next_event()` until None. The receiver delivers while `delivering`.
+After each call: `next_event()` until None. The receiver delivers while `delivering`.
 """
 
 from collections import deque
@@ -93,7 +83,7 @@ class Encounter(Enum):
 
 
 class Supervisor:
-    """One end's supervision; see the module for the run loop.
+    """One end's supervision; `Gateway` has its run loop.
 
     master: whether this end configures the other; exactly one does.
     life: 1 to 65535, a new one at each start of this end; the shell draws it at random.
@@ -200,7 +190,7 @@ class Supervisor:
         return Encounter.IGNORE
 
     def handle_frame(self, now_ns: int) -> None:
-        """A frame of the peer's stream arrived, whatever it carries."""
+        """A frame of the peer's stream arrived; call it before the frame is processed further."""
         self._frame_ns = now_ns
         if not self.signal:
             self.signal = True
@@ -281,7 +271,7 @@ class Supervisor:
         self._update(now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """Return the message for this slot, or None. Call once each slot."""
+        """Return the twelve octets for this slot, or None. Call once each slot."""
         if now_ns < self.next_ns:
             return None
         return self._run_slot(now_ns)
@@ -452,10 +442,7 @@ class Supervisor:
         return LinkState.APPROVE, f"agreed; no application data {where} yet"
 
     def _update(self, now_ns: int, cause: str | None = None) -> None:
-        """Derive the state, the delivery and the next message from what is known.
-
-        cause: what happened, if that says more than the state's own reason.
-        """
+        """Derive state, delivery and next message; cause: says more than the state's reason."""
         state, why = self._find_state()
         before = self.state
         refined = state is LinkState.REFUSED and why != self.why
