@@ -1,7 +1,7 @@
 """The supervision message, twelve octets between the ends of the link, and when to send it.
 
 docs/link-format.md has the octets, and says which first header pointer marks it. All numbers are
-big-endian; the layout is this project's own. A message CLOCK (`telepresence.link.clock.message`)
+big-endian; the layout is this project's own. A message CLOCK (`telepresence.link.clock.exchange`)
 has another layout. Only a master sends CONFIGURE, only a slave CONFIRM.
 """
 
