@@ -103,8 +103,7 @@ class VideoDecoder:
     The first picture is a whole one: an IDR picture, or the end of the first whole refresh wave.
     From then on every picture is returned, because an operator needs motion more than a clean
     still. After a loss, missing parts come from the picture before, until the next wave repairs
-    them. This is FFmpeg's behaviour without `output_corrupt`. With that flag, a decoder that joins
-    late would show grey for up to a wave.
+    them.
 
     codec: "h264" or "h265". HEVC has no concealment in FFmpeg: after a loss, pictures come again
         from the next key picture or the end of the next wave.

@@ -28,13 +28,11 @@ _SIGNAL_VOICE = 3001  # OPUS_SIGNAL_VOICE in opus_defines.h
 def bitrate_under_cap(cap_bps: int, frame_samples: int = BLOCK_SAMPLES) -> int:
     """Return the largest constant bit rate in bit/s that keeps a hard cap even when sends jitter.
 
-    At exactly `cap_bps`, one packet that leaves a millisecond early would exceed the cap: a window
-    of 1 s then holds 51 of 50 packets. Here 52 packets of 20 ms fit, so a packet may be 20 ms
-    early or late. A cap of 8 kbit/s gives 19 octets a packet, 7600 bit/s; 64 kbit/s gives 153
-    octets, 61 200 bit/s.
+    Two packets more than a second has fit into it, so one may be 20 ms early or late. A cap of
+    8 kbit/s gives 19 octets a packet, 7600 bit/s; 64 kbit/s gives 153 octets, 61 200 bit/s.
 
-    Raises ConfigError, which names the cap, where Opus has no such rate. With packets of 20 ms
-    these are caps below 6.24 and above 530.4 kbit/s.
+    Raises ConfigError, which names the cap, where Opus has no such rate: below 6.24 and above
+    530.4 kbit/s with packets of 20 ms.
     """
     packets = -(-AUDIO_CLOCK_HZ // frame_samples) + 2
     octets = cap_bps // 8 // packets

@@ -8,9 +8,8 @@ from kontur_av.clock import NS_PER_S
 class Pace:
     """The instants k / rate (+ phase) of a clock, in order.
 
-    The instants derive from the clock's zero, not from the moment when the source was opened. Two
-    cameras with the same rate and phase thus capture at the same instants, as if genlocked,
-    although separate processes run them.
+    They derive from the clock's zero, so two cameras with the same rate and phase capture at the
+    same instants, as if genlocked, although separate processes run them.
 
     rate_hz: instants a second.
     phase: offset as a share of the period, 0 <= phase < 1.

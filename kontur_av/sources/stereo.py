@@ -1,9 +1,8 @@
 """One picture from two cameras: the left part of the left one, the right part of the right one.
 
-A tool in front of the cameras hides a different part of the work from each. The right camera sees
-what the left one misses. A picture of the two outer halves thus shows both sides of the tool at
-the bit rate of one camera (Kontur-2). Two cameras that see one plane at the same pixels join on it
-without a step. What stands above it is elsewhere in each: `seam.SeamFinder` cuts beside that.
+A tool in front of the cameras hides a different part of the work from each. A picture of the two
+outer halves shows both sides of the tool at the bit rate of one camera (Kontur-2). What stands
+above the plane that both see is elsewhere in each: `seam.SeamFinder` cuts beside that.
 """
 
 import struct

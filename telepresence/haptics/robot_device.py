@@ -1,8 +1,7 @@
 """A user's robot: the interface of its driver, and how a session drives it.
 
-A driver is a class of its own (`telepresence.haptics.robot_spec`). It says where the tip is and
-what pushes it, and takes a force or a place. Modes, passivity, limits and the
-safety envelope stay on this side.
+A driver says where the tip is and what pushes it, and takes a force or a place. Modes, passivity,
+limits and the safety envelope stay on this side.
 """
 
 from itertools import chain

@@ -1,15 +1,7 @@
 """The datagrams between a session and a robot's or a joystick's controller that is reached by UDP.
 
-Big-endian; numbers with a fraction are IEEE 754 binary32; SI units. Each datagram begins with
-version, kind, number of axes and a detail, and ends with a code: HMAC-SHA-256 (RFC 2104), cut to
-128 bits. `docs/robots.md` has all of it in one table.
-
-| kind | from | code's key | octets |
-|---|---|---|--:|
-| `HELLO` | session | the shared key | 36 |
-| `WELCOME` | controller | the shared key | 82 and the name |
-| `COMMAND` | session | `session_keys`, first | 56 |
-| `READING` | controller | `session_keys`, second | 68 and the text of an error |
+docs/robots.md has their octets: big-endian, SI units. Each ends with a code, HMAC-SHA-256 cut to
+128 bits (RFC 2104). Its key is the shared one for `HELLO` and `WELCOME`, else of `session_keys`.
 """
 
 import hmac

@@ -111,9 +111,8 @@ class PacketQueue:
     its way is not begun: `_pace_ns` is the time that an octet of this level took lately, since
     higher levels interrupt.
 
-    Call `handle_packet` and `report` at any time. In a slot call `waiting`; if it is True, `take`
-    may follow. Call `continues` before each further part of that packet is sent, and `finish` with
-    its last one.
+    In a slot call `waiting`; if it is True, `take` may follow. Call `continues` before each further
+    part of that packet is sent, and `finish` with its last one.
 
     octets: the sum of what the waiting packets count for; 0 if none waits.
     """

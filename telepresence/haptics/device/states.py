@@ -2,7 +2,7 @@
 
 The states and errors are those of the Kontur-2 joystick (C. Riecke et al., "Kontur-2 mission: the
 DLR force feedback joystick for space telemanipulation from the ISS", i-SAIRAS 2016). The table of
-transitions is this project's own. A state's number travels in octet 3 of each command sample.
+transitions is this project's own.
 
 There is force only in `APPLICATION`, during the calibration in `STANDBY`, and during the functional
 test in `CALIBRATED`. `FATAL` is final: only a restart of the process leaves it, and that begins

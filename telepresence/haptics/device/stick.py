@@ -3,9 +3,8 @@
 Codes and meanings follow the kernel's `linux/input-event-codes.h` and the "Linux Gamepad
 Specification" (Documentation/input/gamepad.rst).
 
-A stick reports 8 to 16 bits at 125 to 1000 Hz, and springs back within a few milliseconds when
-released. Such a jump would hit the robot hard and break the bilateral controller's bound for the
-next cycle. A filter with a hand's speed and acceleration therefore follows the stick.
+A stick springs back within a few milliseconds when released. Such a jump would break the bilateral
+controller's bound for the next cycle. A filter with a hand's speed and acceleration follows it.
 """
 
 from collections.abc import Collection, Mapping, Sequence

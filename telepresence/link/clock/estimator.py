@@ -125,11 +125,7 @@ class ClockEstimator:
         self._drift = 0.0
 
     def estimate(self, now_ns: int) -> ClockEstimate | None:
-        """Return the offset at `now_ns`, an instant not before any bound's.
-
-        None: nothing is known, because too few messages came, too long ago, or because a clock has
-        just been stepped.
-        """
+        """Return the offset at `now_ns`, not before any bound's; None: nothing is known."""
         if not (self._least.known(now_ns) and self._largest.known(now_ns)):
             return None
         base_ns = self._least.newest_ns

@@ -3,10 +3,8 @@
 Each message has the instant at which it leaves, and says when the peer's newest one came. So both
 ends learn a bound from each way (`estimator`). A lost message costs only itself.
 
-A sender report of RTCP (RFC 3550, section 6.4.1) dates a stream in its sender's wall time.
-Receivers take the wall time of their own machine off. So the gateway, which knows the difference of
-both clocks, corrects each report on its way out. Then ages and stamps are right, whatever wall time
-the other machine has.
+A sender report of RTCP (RFC 3550, section 6.4.1) dates a stream in its sender's wall time. The
+gateway, which knows the difference of both clocks, corrects each report on its way out.
 """
 
 import struct

@@ -29,8 +29,7 @@ class BurstClock:
 
     bursts: the bad state; the caller knows the good one.
 
-    Each stay is drawn as a whole, from the geometric distribution that single steps would give. The
-    states thus depend only on time and seed, not on the number of requests.
+    Each stay is drawn as a whole, so the states depend on time and seed, not on the requests.
     """
 
     def __init__(self, bursts: "Bursts", random: Random) -> None:

@@ -27,9 +27,8 @@ class RadioPath:
     Instants must not go back. Equal seeds and calls give equal frames. A frame that arrives has its
     full length and its order; some of its bits may be flipped.
 
-    Frames without errors cost little. Each frame subtracts its hazard, -ln(1 - p) for the frame and
-    for each bit, from an exponentially distributed store. An error occurs only where the store is
-    used up. The distribution has no memory, so the probabilities may change at any frame.
+    Each frame subtracts its hazard, -ln(1 - p) for the frame and for each bit, from a store that is
+    exponentially distributed. An error occurs only where the store is used up.
     """
 
     def __init__(
