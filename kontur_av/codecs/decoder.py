@@ -6,11 +6,10 @@ from fractions import Fraction
 from typing import Any
 
 import av
-import numpy as np
 from av.codec.context import Flags
 from av.video.codeccontext import VideoCodecContext
 
-from kontur_av.codecs.colours import Scaler, as_i420, like_i420
+from kontur_av.codecs.colours import Scaler, as_i420, like_i420, plane_pixels
 from kontur_av.codecs.decoder_guard import MOST_PICTURE_OCTETS, DecoderGuard
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, VideoCodec, check_size, empty_picture, planes
@@ -70,9 +69,7 @@ class DecodedPicture:
 
     def _planes(self, frame: Any) -> Iterator[I420]:
         for plane, share in zip(frame.planes, (1, 2, 2), strict=True):
-            rows = np.frombuffer(plane, np.uint8)[: plane.line_size * plane.height]
-            rows = rows.reshape(plane.height, plane.line_size)
-            yield rows[: self.height // share, : self.width // share]
+            yield plane_pixels(plane)[: self.height // share, : self.width // share]
 
     def to_i420(self) -> I420:
         """Return a copy, of shape (height * 3 // 2, width)."""

@@ -55,8 +55,7 @@ LOOKAHEAD_SAMPLES = 312
 def heard_stamp(stamp: CaptureStamp) -> CaptureStamp:
     """Return the stamp of the sound that a listener hears from the packet of this block.
 
-    It is earlier by the codec's look-ahead. Sender reports use it, so that latencies and lip-sync
-    include the look-ahead.
+    It is earlier by the codec's look-ahead, which latencies and lip-sync then include.
     """
     lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
     return replace(stamp, capture_ns=stamp.capture_ns - lookahead_ns)
@@ -108,9 +107,9 @@ class OpusEncoder:
 class OpusDecoder:
     """Opus packets to mono sound at 48 kHz, with concealment of missing packets."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, frame_samples: int = BLOCK_SAMPLES) -> None:
         opuslib = libopus.opuslib()
-        self.frame_samples = BLOCK_SAMPLES
+        self.frame_samples = frame_samples
         self._error: type[Exception] = opuslib.OpusError
         self._decoder = opuslib.Decoder(AUDIO_CLOCK_HZ, 1)
         self._decode = opuslib.api.decoder.libopus_decode
@@ -132,17 +131,16 @@ class OpusDecoder:
     def recover(self, following: bytes, samples: int) -> Pcm:
         """Return a lost packet's sound from the coarse copy in the packet after it.
 
-        This is Opus' in-band error correction (RFC 6716 section 2.1.7). Without a copy in
-        `following`, the result is that of `conceal`. Decode `following` afterwards as usual.
+        It is in-band error correction (RFC 6716 section 2.1.7); without a copy, as `conceal`.
+        Decode `following` afterwards as usual.
 
         Returns int16, shape (samples,). Raises ProtocolError if `following` is no Opus packet.
         """
         return self._received(following, samples, decode_fec=True)
 
     def conceal(self, samples: int | None = None) -> Pcm:
-        """Return libopus' estimate of a missing packet, int16, shape (samples,).
+        """Return libopus' estimate of a missing packet, int16, shape (samples,); it fades out.
 
-        It fades out from packet to packet.
         samples: a multiple of 120 (2.5 ms), at most 5760. None: as many as the packet before had.
         """
         # libopus takes an empty packet for a lost one (opus_decode).

@@ -8,7 +8,7 @@ import numpy as np
 from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
-from kontur_av.codecs.colours import Scaler
+from kontur_av.codecs.colours import Scaler, plane_pixels
 from kontur_av.media import I420, planes
 
 #: One for each direction: FFmpeg builds its filters anew, in 1 ms, where the sizes change.
@@ -50,9 +50,7 @@ def _lanczos(
     height, width = shape
     source = av.VideoFrame.from_numpy_buffer(plane, "gray")
     scaled: Any = scaler.reformat(source, width, height, interpolation="LANCZOS", threads=1)
-    (target,) = scaled.planes
-    rows = np.frombuffer(target, np.uint8)[: target.line_size * height]
-    return rows.reshape(height, target.line_size)[:, :width]
+    return plane_pixels(scaled.planes[0])
 
 
 def reduce(picture: I420, into: I420) -> None:

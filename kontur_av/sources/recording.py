@@ -252,10 +252,7 @@ def _read_faults() -> Iterator[None]:
 
 
 def read_units(path: str, channel: str, instants: RisingInstants) -> Iterator[_Unit]:
-    """Yield the units of a channel once, at rising instants.
-
-    Raises ValueError where the file cannot be read (on).
-    """
+    """Yield the units of a channel once, at rising instants; ValueError where that ends."""
     with Path(path).open("rb") as file, _read_faults():
         for unit, log_ns in instants.redate(_units(file, channel), lambda one: one.log_ns):
             yield unit._replace(log_ns=log_ns)

@@ -290,10 +290,7 @@ class HapticLink(Generic[Out, In]):
         return taken
 
     def take_received_stamps(self) -> list[tuple[int, int]]:
-        """Take (sequence, instant in ns) of the samples received since the last call.
-
-        Only samples that were the newest on arrival have a stamp.
-        """
+        """Take the same of the samples received that were the newest on arrival."""
         flat = iter(self._received_stamps)
         taken = list(zip(flat, flat, strict=True))
         self._received_stamps.clear()

@@ -70,10 +70,7 @@ class PartnerBoard:
         return "driven" if self.ownership.owner is Owner.PARTNER else "ready"
 
     def poll_partner(self, *, stopped: bool) -> bytes | None:
-        """Return the newest datagram for the partner's robot, or None.
-
-        stopped: an emergency stop holds here. Then the partner's robot gets no commands, and holds.
-        """
+        """Return the newest datagram for the partner's robot, or None; None while stopped here."""
         data, self._to_partner = self._to_partner, None
         return None if stopped else data
 

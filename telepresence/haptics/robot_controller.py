@@ -112,10 +112,7 @@ class RobotController(PortController):
         )
 
     def release(self, x_m: float, y_m: float) -> None:
-        """Another mode drives the robot: move the reference to the tip at (x_m, y_m).
-
-        The spring's energy is lost; no port gives it out.
-        """
+        """Another mode drives the robot: move the reference to the tip, and lose the energy."""
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
         self.holding = True

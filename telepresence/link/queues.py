@@ -236,10 +236,7 @@ class PacketQueue:
         return False
 
     def held(self, now_ns: int) -> bool:
-        """Whether the bucket alone holds a packet back. Then `take` returns it for unused octets.
-
-        What is taken in this way is not charged.
-        """
+        """Whether the bucket alone holds a packet back; `take` returns it, without a charge."""
         return self._bucket is not None and self._find(now_ns) is not None
 
     def _find(self, now_ns: int) -> _Waiting | None:

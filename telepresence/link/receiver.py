@@ -163,11 +163,7 @@ class LinkReceiver:
         return self.packets.context_ids
 
     def forget_contexts(self) -> None:
-        """Forget all contexts: the peer began a new life.
-
-        The frame count does not always show that. The new contexts reuse the numbers of the old
-        ones, so no old one may be reported as held.
-        """
+        """Forget all contexts: the peer began a new life, which reuses their numbers."""
         self.packets.forget_contexts()
 
     def next_event(self) -> LinkEvent | None:

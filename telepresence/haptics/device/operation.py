@@ -230,11 +230,7 @@ class JoystickOperation:
 
     @property
     def given_up(self) -> bool:
-        """Whether the automatic retries have ended, so that a person must act.
-
-        With motors the number of retries is limited. A calibration without motors pushes nobody, so
-        it is repeated until the stick is released.
-        """
+        """Whether the automatic retries have ended, so that a person must act."""
         if self.state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE):
             return not self._automatic or self.paused or self._retries >= _RETRIES
         return self.state is JoystickState.FATAL

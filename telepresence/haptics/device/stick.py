@@ -53,10 +53,7 @@ class Axis(NamedTuple):
 
 
 def dead_man_of(keys: frozenset[int]) -> int | None:
-    """Return the code of the dead-man button of a controller with these keys.
-
-    The left shoulder or the trigger, else its first button; None without buttons.
-    """
+    """Return the dead-man button: left shoulder or trigger, else the first of `keys`, if any."""
     usual = _PAD_DEAD_MAN if _PAD_BUTTONS[0] in keys else _STICK_DEAD_MAN
     return usual if usual in keys else min(keys, default=None)
 

@@ -46,10 +46,7 @@ PARTS, PART_BITS = 4, 5
 
 
 def message_mark(stamp_us: int) -> int:
-    """Return the 8 bits by which a message is known; they repeat after 16.8 s.
-
-    So two messages that are at least 66 ms apart differ.
-    """
+    """Return the 8 bits by which a message is known; they repeat after 16.8 s."""
     return stamp_us >> 16 & 0xFF
 
 
