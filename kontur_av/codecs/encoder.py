@@ -1,9 +1,8 @@
 """Pictures to access units of nearly constant size: what encoders of all codecs share (by PyAV).
 
-An encoder has zero latency: one access unit out for each picture in. It uses periodic intra
-refresh: a column of intra-coded blocks moves through the picture, in place of large key pictures.
-So each access unit takes about the same time on the channel. Every wave begins with parameter sets
-and a recovery point SEI, at which a late decoder can start.
+One access unit comes out for each picture in. A column of intra-coded blocks moves through the
+picture, in place of large key pictures: so each access unit takes about the same time on the
+channel. Every wave begins with parameter sets and a recovery point SEI for late decoders.
 """
 
 from dataclasses import replace

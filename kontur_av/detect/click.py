@@ -2,8 +2,7 @@
 
 A click rises within a millisecond above the background and ends soon. Voice between 1.7 and 3.9 kHz
 rises more slowly (vowels) or does not end (fricatives). A plosive may still pass for a click, so
-each click has a strength. The band is what voice coding at 8 kbit/s leaves of a click; the codec's
-band ends at 4 kHz there.
+each click has a strength. The band is what voice coding at 8 kbit/s leaves of a click.
 
 The onset is the point with the largest contrast between the 2 ms after it and the 10 ms before. A
 codec spreads a weak click's noise up to 6 ms before its onset (pre-echo), but at a lower level.

@@ -26,11 +26,9 @@ _STEP = 2
 class SeamFinder:
     """Finds where the parts of a merged picture meet: where nothing above the plane is cut. A core.
 
-    Of what stands above the plane, the merged picture then has all from one camera and nothing
-    from the other. The seam goes to the nearest such place to the middle, in steps, so it crosses
-    what moves across it within some pictures; 0.0 and 1.0 cut nothing. It is in the middle while a
-    camera has no picture, and where most of the two pictures differs: such cameras do not see one
-    plane at the same pixels.
+    The seam goes to the nearest such place to the middle, in steps; 0.0 and 1.0 cut nothing. It is
+    in the middle while a camera has no picture, and where most of the two pictures differs: such
+    cameras do not see one plane at the same pixels.
     """
 
     def __init__(self) -> None:

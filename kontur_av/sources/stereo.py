@@ -68,9 +68,8 @@ class StereoPairer:
     """Joins the pictures of two cameras by capture time. A core.
 
     Two pictures belong together if their capture times differ by at most half a period. A picture
-    waits that long for its partner. Then it is paired with the other camera's last picture. It does
-    not wait for a stale camera. Each side keeps only its newest picture. After each `handle_*`
-    call, call `next_event` until it returns None.
+    waits that long for its partner, but not for a stale camera. Then it is paired with the other
+    camera's last picture. After each `handle_*` call, call `next_event` until it returns None.
 
     period_ns: of the cameras.
     stale_after_ns: age from which a picture counts as stale.

@@ -60,7 +60,7 @@ def _add(counts: dict[str, int], reason: str, number: int) -> None:
 class LinkReceiver:
     """Takes frames by `handle_frame`; returns samples, packets and messages by `next_event`.
 
-    It never raises because of data from the peer; invalid data is counted by reason and dropped.
+    Invalid data is counted by reason and dropped.
 
     It follows one stream of frames. A frame belongs to it if its count is ahead of the last one and
     fits the time that has passed. All other frames are dropped; `stranger` shows the latest, and

@@ -44,9 +44,8 @@ class _InFlight:
 class LinkSender:
     """Takes packets and haptic samples; returns exactly one transfer frame for each slot.
 
-    Call `handle_packet` and `handle_haptic` at any time. Call `poll_transmit` once a slot and send
-    what it returns. Priority is strict: a packet of a higher level goes into the next frame and may
-    interrupt a packet of a lower level, which continues afterwards.
+    Call `poll_transmit` once a slot and send what it returns. Priority is strict: a packet of a
+    higher level goes into the next frame and may interrupt one of a lower level.
 
     profile, flows: the direction and its flow table, as at the other end.
     limits: queue limits by level, where they differ from the defaults.

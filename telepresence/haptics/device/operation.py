@@ -157,8 +157,7 @@ class JoystickOperation:
 
     automatic: make the requests that lead into the application, and back into it, by itself.
     paused: a person halted or stopped it, in an earlier life too, so it waits for a person.
-    hands_off: the application is a functional check. Its script moves the handle, the force does
-    not depend on the dead-man button, and no peer is expected.
+    hands_off: the application is a functional check, without dead-man button and peer.
 
     reading: the newest reading; its position is calibrated once `calibration` is set.
     force_limit_n: the force (N) that the controller may use until the next reading, per axis; 0
