@@ -56,6 +56,12 @@ def over(told: T, earlier: T) -> T:
     return replace(told, **found) if found else told  # type: ignore[type-var]
 
 
+def figures_of(kind: type[T], owner: object) -> T:
+    """Return the record of this kind whose figures `owner` has as attributes of their names."""
+    record: Any = kind
+    return kind(**{name: getattr(owner, name) for name in marks_of(record)})
+
+
 def counts(record: object) -> dict[str, int]:
     """Return what adds up, by name; of a mapping its values that are not 0."""
     found: dict[str, int] = {}

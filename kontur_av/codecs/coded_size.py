@@ -22,7 +22,6 @@ _PICTURE_BITS = {"latency": 2000, "quality": 2800}
 _ALWAYS_HZ = 30
 
 #: With fewer bits for each macroblock, x264 leaves most blocks unchanged.
-#: Measured at 85 kbit/s and 30 Hz: 640x480 (2.4 bits) is 4 to 8 dB worse than 384x288 (6.6 bits).
 BITS_PER_MACROBLOCK = 6.5
 _BITS: Mapping[VideoCodec, float] = {"h264": BITS_PER_MACROBLOCK, "h265": 5.1}
 #: Coded sizes, as shares of the displayed size. At 85 kbit/s and 30 Hz HEVC gains 0.5 dB from

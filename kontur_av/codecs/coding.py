@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 #: The time from one refresh wave to the next. A loss is healed at the end of the next wave: after
-#: three seconds at most. Measured at 85 kbit/s: 1 s costs 2.4 dB, 2 s 1.5 dB, 4 s 0.8 dB.
+#: three seconds at most. docs/experiments/video.md has what other times cost.
 REFRESH_S = 2.0
 #: The same time while the receiver can ask for a key picture (RFC 4585). Each wave costs a picture
 #: that stands up to 10 dB for two seconds. It heals damage that no decoder finds.

@@ -2,10 +2,13 @@
 
 from fractions import Fraction
 from threading import local
+from typing import Any
 
 import av
+import numpy as np
 from av.video.codeccontext import VideoCodecContext
 from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc, VideoReformatter
+from numpy.typing import NDArray
 
 #: Matrix coefficients of ITU-T H.264 table E-5: those of an `I420`.
 BT601 = 6
@@ -36,11 +39,19 @@ def i420_encoder(
 def tell_bt601(codec: VideoCodecContext) -> None:
     """Let an encoder of `I420` say its colours in the SPS (ITU-T H.264 clause E.2.1).
 
-    Players take large pictures without it for BT.709. All encoders of a stream must say the same,
-    because a decoder begins anew where they change.
+    Players take large pictures without it for BT.709. A decoder begins anew where they change.
     """
     codec.color_primaries, codec.color_trc = ColorPrimaries.SMPTE170M, ColorTrc.SMPTE170M
     codec.colorspace, codec.color_range = BT601, ColorRange.MPEG
+
+
+def plane_pixels(plane: Any) -> NDArray[np.uint8]:
+    """Return a plane's octets, uint8, as a view of shape (height, width)."""
+    pixels = np.frombuffer(plane, np.uint8)
+    # Some decoders return a last row that is shorter than the line size.
+    return np.lib.stride_tricks.as_strided(
+        pixels, (plane.height, plane.width), (plane.line_size, 1), writeable=False
+    )
 
 
 def is_full_range(frame: av.VideoFrame) -> bool:

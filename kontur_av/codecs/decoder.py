@@ -6,11 +6,10 @@ from fractions import Fraction
 from typing import Any
 
 import av
-import numpy as np
 from av.codec.context import Flags
 from av.video.codeccontext import VideoCodecContext
 
-from kontur_av.codecs.colours import Scaler, as_i420, like_i420
+from kontur_av.codecs.colours import Scaler, as_i420, like_i420, plane_pixels
 from kontur_av.codecs.decoder_guard import MOST_PICTURE_OCTETS, DecoderGuard
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, VideoCodec, check_size, empty_picture, planes
@@ -35,6 +34,7 @@ class DecodedPicture:
     corrupt: the decoder found damage in it.
     width, height: size in pixels, cut down to a size that an `I420` can hold.
     aspect: width of one pixel over its height.
+    frame: the picture in FFmpeg's own form, which other code of FFmpeg can take.
     """
 
     timestamp: int
@@ -42,13 +42,7 @@ class DecodedPicture:
     width: int
     height: int
     aspect: Fraction
-    _frame: Any
-
-    @property
-    def frame(self) -> av.VideoFrame:
-        """The picture in FFmpeg's own form, which other code of FFmpeg can take."""
-        frame: av.VideoFrame = self._frame
-        return frame
+    frame: av.VideoFrame
 
     def copy_to(self, into: I420) -> None:
         """Copy the picture once, into `into` of shape (height * 3 // 2, width).
@@ -57,7 +51,7 @@ class DecodedPicture:
         """
         if into.shape != (self.height * 3 // 2, self.width):
             raise ValueError(f"room for {into.shape}, picture of {self.width}x{self.height}")
-        frame = self._frame
+        frame = self.frame
         if not like_i420(frame):
             frame = as_i420(_SCALER.own, frame, frame.width, frame.height, "BILINEAR")
         for view, plane in zip(planes(into), self._planes(frame), strict=True):
@@ -70,14 +64,12 @@ class DecodedPicture:
             return
         # Measured at 320x240 and 85 kbit/s: 0.2 dB above OpenCV's bicubic, in the same time.
         height, width = into.shape[0] * 2 // 3, into.shape[1]
-        large = as_i420(_SCALER.own, self._frame, width, height, "LANCZOS")
-        replace(self, width=large.width, height=large.height, _frame=large).copy_to(into)
+        large = as_i420(_SCALER.own, self.frame, width, height, "LANCZOS")
+        replace(self, width=large.width, height=large.height, frame=large).copy_to(into)
 
     def _planes(self, frame: Any) -> Iterator[I420]:
         for plane, share in zip(frame.planes, (1, 2, 2), strict=True):
-            rows = np.frombuffer(plane, np.uint8)[: plane.line_size * plane.height]
-            rows = rows.reshape(plane.height, plane.line_size)
-            yield rows[: self.height // share, : self.width // share]
+            yield plane_pixels(plane)[: self.height // share, : self.width // share]
 
     def to_i420(self) -> I420:
         """Return a copy, of shape (height * 3 // 2, width)."""
@@ -108,8 +100,7 @@ class VideoDecoder:
     The first picture is a whole one: an IDR picture, or the end of the first whole refresh wave.
     From then on every picture is returned, because an operator needs motion more than a clean
     still. After a loss, missing parts come from the picture before, until the next wave repairs
-    them. This is FFmpeg's behaviour without `output_corrupt`. With that flag, a decoder that joins
-    late would show grey for up to a wave.
+    them.
 
     codec: "h264" or "h265". HEVC has no concealment in FFmpeg: after a loss, pictures come again
         from the next key picture or the end of the next wave.

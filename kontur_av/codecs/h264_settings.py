@@ -25,16 +25,11 @@ class _Effort:
     """x264's quality target and its buffer model (VBV).
 
     crf: the constant quality where bits suffice; None: a constant bit rate.
-    rate_over_cap: the fill rate of the model over the cap. From 0.97 to 1.02, pictures gain 0.3 dB
-        and are 1.7 ms later at the median. The model must gain at least 1/1.1 of its size each
-        picture. With less, below 0.97 at 85 kbit/s, x264 plans over several pictures: 2 dB worse.
-    buffer_over_share: the size of the model over one picture's share, so that no picture is much
-        larger than its share.
+    rate_over_cap: the fill rate of the model over the cap, which the pacer keeps. The model must
+        gain at least 1/1.1 of its size each picture. With less, x264 plans over several pictures.
+    buffer_over_share: the size of the model over one picture's share.
     coarsest: the largest quantiser. With it, a picture that needs more bits is late once, and the
         following ones are good. Without it they stay coarse.
-    parameters: the other options.
-
-    The pacer keeps the cap.
     """
 
     crf: int | None
@@ -44,9 +39,7 @@ class _Effort:
     parameters: str
 
 
-#: For few macroblocks: 430 of them take 3 ms of a core. `subme=7:trellis=2:me=hex` gains nothing
-#: here. The limit of the quantiser gains 1 dB on the worst twentieth of the pictures. x264 rounds
-#: the buffer to whole kbit: 3 at 85 kbit/s.
+#: For few macroblocks: 430 of them take 3 ms of a core. x264 rounds the buffer to whole kbit.
 _THIN = _Effort(
     crf=None,
     rate_over_cap=Fraction(135, 100),
@@ -67,7 +60,7 @@ _WIDE_THOROUGH = replace(_WIDE, parameters=f"{_ALWAYS}:{_BLOCKS}:me=hex:subme=6:
 #: The fill rate of the model over the cap is at most this.
 _MOST_OVER_CAP = Fraction(102, 100)
 #: The largest quantiser where no picture may be late, and the fill rate over the cap: larger sizes
-#: take longer to code. 1.04 in place of 1.08 costs 0.2 dB, and is 1 ms sooner.
+#: take longer to code.
 _PUNCTUAL = 51
 _PUNCTUAL_RATE = Fraction(104, 100)
 #: Up to this many macroblocks a second, there is time for the thin channel's search.
@@ -107,15 +100,9 @@ class H264Settings(EncoderSettings):
         }
 
     def _most_fill_bps(self, buffer: int) -> int:
-        """Return the fill rate up to which x264 keeps to a buffer of these bits.
-
-        It makes the buffer as large as a picture's share of the rate, in whole kbit.
-        """
+        # x264 makes the buffer as large as a picture's share of the rate, in whole kbit.
         return (ceil((buffer // 1000 + 1) * self.rate) - 1) * 1000
 
     def _least_fill_bps(self, buffer: int) -> int:
-        """Return the fill rate from which on x264 holds each picture to a buffer of these bits.
-
-        1.1 times the share of a picture must be more than the buffer.
-        """
+        # For x264 to hold each picture to the buffer, 1.1 times its share must be more than that.
         return int(buffer // 1000 * self.rate * 10 / 11 + 1) * 1000

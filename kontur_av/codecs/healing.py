@@ -63,8 +63,7 @@ class Healing:
     def lacks_references(self, unit: ReceivedUnit) -> bool:
         """Return whether `unit`, the last one handled, refers to pictures that are not right.
 
-        Such leading pictures of HEVC are not decoded (ITU-T H.265 clause 8.1.3), and no other
-        picture needs them.
+        No other picture needs such leading pictures of HEVC (ITU-T H.265 clause 8.1.3).
         """
         return unit.leading and self._past_lost
 

@@ -11,6 +11,7 @@ import importlib.util
 import sys
 import warnings
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
@@ -31,20 +32,6 @@ class LibOpus:
     version: str
 
 
-_loaded: LibOpus | None = None
-
-
-def load() -> LibOpus:
-    """Import opuslib with the libopus of this machine. Later calls return the first result.
-
-    Raises ConfigError, which names the mend, without a system libopus and PyAV's.
-    """
-    global _loaded
-    if _loaded is None:
-        _loaded = _load()
-    return _loaded
-
-
 def opuslib() -> ModuleType:
     """Return the imported opuslib, with its libopus loaded."""
     load()
@@ -61,7 +48,12 @@ def set_state(encoder: Any, state: bytes) -> None:
     ctypes.memmove(encoder, state, len(state))
 
 
-def _load() -> LibOpus:
+@cache
+def load() -> LibOpus:
+    """Import opuslib with the libopus of this machine. Later calls return the first result.
+
+    Raises ConfigError, which names the mend, without a system libopus and PyAV's.
+    """
     system = ctypes.util.find_library("opus")
     carried = None if system else carried_by_pyav()
     path = system or (str(carried) if carried else None)

@@ -1,6 +1,7 @@
 """Blocks of sound to Opus packets of one constant size, and back (RFC 6716, RFC 7587)."""
 
 import weakref
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,28 +18,21 @@ MAX_PACKET_SAMPLES = MAX_OPUS_SAMPLES
 FRAME_SAMPLES = (480, 960, 1920, 2880)
 _LOWEST_BPS, _HIGHEST_BPS = 6_000, 510_000  # RFC 6716 section 2.1.1
 
-#: How hard libopus searches: beyond 8 it finds nothing better. Measured on the speech in
-#: `samples/`, 20 ms a packet, as complexity: PESQ wideband, time a packet.
-#: 8 kbit/s: 2: 1.61, 0.24 ms; 5: 1.72, 0.32 ms; 8 and 10: 1.82, 0.63 ms.
-#: 61 kbit/s: 3: 3.79, 0.19 ms; 5: 4.31, 0.21 ms; 8 and 10: 4.42, 0.44 ms.
+#: How hard libopus searches: beyond 8 it finds nothing better (docs/experiments/voice.md).
 _COMPLEXITY = 8
 _SIGNAL_VOICE = 3001  # OPUS_SIGNAL_VOICE in opus_defines.h
 
-# There are no in-band copies of the packet before (RFC 6716 section 2.1.7). libopus makes none
-# below 12 kbit/s. At 61 kbit/s they lower PESQ from 4.31 to 3.87 without loss. They would help
-# from 1 % of loss on (3.30 against 1.83 at 5 %), for 20 ms more delay.
+# There are no in-band copies of the packet before (RFC 6716 section 2.1.7), for the reasons there.
 
 
 def bitrate_under_cap(cap_bps: int, frame_samples: int = BLOCK_SAMPLES) -> int:
     """Return the largest constant bit rate in bit/s that keeps a hard cap even when sends jitter.
 
-    At exactly `cap_bps`, one packet that leaves a millisecond early would exceed the cap: a window
-    of 1 s then holds 51 of 50 packets. Here 52 packets of 20 ms fit, so a packet may be 20 ms
-    early or late. A cap of 8 kbit/s gives 19 octets a packet, 7600 bit/s; 64 kbit/s gives 153
-    octets, 61 200 bit/s.
+    Two packets more than a second has fit into it, so one may be 20 ms early or late. A cap of
+    8 kbit/s gives 19 octets a packet, 7600 bit/s; 64 kbit/s gives 153 octets, 61 200 bit/s.
 
-    Raises ConfigError, which names the cap, where Opus has no such rate. With packets of 20 ms
-    these are caps below 6.24 and above 530.4 kbit/s.
+    Raises ConfigError, which names the cap, where Opus has no such rate: below 6.24 and above
+    530.4 kbit/s with packets of 20 ms.
     """
     packets = -(-AUDIO_CLOCK_HZ // frame_samples) + 2
     octets = cap_bps // 8 // packets
@@ -61,17 +55,10 @@ LOOKAHEAD_SAMPLES = 312
 def heard_stamp(stamp: CaptureStamp) -> CaptureStamp:
     """Return the stamp of the sound that a listener hears from the packet of this block.
 
-    It is earlier by the codec's look-ahead. Sender reports use it, so that latencies and lip-sync
-    include the look-ahead.
+    It is earlier by the codec's look-ahead, which latencies and lip-sync then include.
     """
     lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
-    return CaptureStamp(
-        stamp.capture_ns - lookahead_ns,
-        stamp.sequence,
-        stamp.source,
-        stamp.quality,
-        stamp.rtp_timestamp,
-    )
+    return replace(stamp, capture_ns=stamp.capture_ns - lookahead_ns)
 
 
 class OpusEncoder:
@@ -152,22 +139,20 @@ class OpusDecoder:
     def recover(self, following: bytes, samples: int) -> Pcm:
         """Return a lost packet's sound from the coarse copy in the packet after it.
 
-        This is Opus' in-band error correction (RFC 6716 section 2.1.7). Without a copy in
-        `following`, the result is that of `conceal`. Decode `following` afterwards as usual.
+        It is in-band error correction (RFC 6716 section 2.1.7); without a copy, as `conceal`.
+        Decode `following` afterwards as usual.
 
         Returns int16, shape (samples,). Raises ProtocolError if `following` is no Opus packet.
         """
         return self._received(following, samples, decode_fec=True)
 
     def conceal(self, samples: int | None = None) -> Pcm:
-        """Return libopus' estimate of a missing packet, int16, shape (samples,).
+        """Return libopus' estimate of a missing packet, int16, shape (samples,); it fades out.
 
-        It fades out from packet to packet.
         samples: a multiple of 120 (2.5 ms), at most 5760. None: as many as the packet before had.
         """
         # libopus takes an empty packet for a lost one (opus_decode).
-        wanted = self.frame_samples if samples is None else samples
-        return self._decoded(b"", wanted)
+        return self._decoded(b"", samples or self.frame_samples)
 
     def _received(self, packet: bytes, most_samples: int, *, decode_fec: bool = False) -> Pcm:
         try:

@@ -1,11 +1,9 @@
 """The coded size that the content needs: large while the picture stands, small while it moves.
 
 A small size loses detail by scaling, a large one by coding. While the picture stands, the loss by
-coding falls. Once it is below the loss by scaling, a larger size is better. Where much moves, a
-smaller quantiser is worth more than a larger size. docs/experiments/video.md has the figures.
-
-A change of size costs a key picture, which is coarse for about half a second. So the size grows
-only after the picture stood for some time. After each growth that was in vain, this time doubles.
+coding falls. Once it is below the loss by scaling, a larger size is better. A change costs a key
+picture, which is coarse for about half a second, so the size grows only after the picture stood for
+some time. docs/experiments/video.md has the figures.
 """
 
 import math
@@ -35,8 +33,8 @@ _ALL_MOVES = 0.15
 _FEW = 5
 #: After a key picture the quantiser says little for this time.
 _SETTLING_S = 3.0
-#: How long another size would have to be better before it is taken. A change costs about 150 dB,
-#: summed over the pictures that follow; the better size brings 1 to 4 dB a picture.
+#: How long another size would have to be better before it is taken; doubled after each growth in
+#: vain. A change costs about 150 dB, summed over pictures; a better size brings 1 to 4 dB each.
 _PATIENCE_S = 4.5
 _LONGEST_S = 60.0
 #: The size grows above the usual one if scaling loses this many times as much as coding.
@@ -157,7 +155,6 @@ class SizeChoice:
                 self._grown, self._patience_s = None, _PATIENCE_S
 
     def _better(self) -> int:
-        """Return the index of the size that would be better now."""
         settled = self._pictures > _SETTLING_S * self._rate_hz
         if self._motion > _MOVING:
             coarse = settled and self._quantiser > _COARSE_IN_MOTION
@@ -179,19 +176,13 @@ class SizeChoice:
         )
 
     def _grown_index(self, times: float) -> int:
-        """Return the index of the size that a picture that stands should have.
-
-        times: how much more scaling must lose than coding.
-        """
+        """Return the size for a picture that stands, if scaling loses `times` more than coding."""
         if self._scaling_loss <= times * self._coding_loss:
             return self.index
         return self._largest(self._quantiser_now - _FALLS, self._last_index)
 
     def _largest(self, quantiser: float, last: int) -> int:
-        """Return the largest size, up to the index `last`, for which `quantiser` is small enough.
-
-        quantiser: in the present size.
-        """
+        """Return the largest size up to `last` for which `quantiser`, in the present, suffices."""
         area = self._areas[self.index]
         for index in range(last, self.index, -1):
             octaves = math.log2(self._areas[index] / area)

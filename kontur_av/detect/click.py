@@ -2,8 +2,7 @@
 
 A click rises within a millisecond above the background and ends soon. Voice between 1.7 and 3.9 kHz
 rises more slowly (vowels) or does not end (fricatives). A plosive may still pass for a click, so
-each click has a strength. The band is what voice coding at 8 kbit/s leaves of a click; the codec's
-band ends at 4 kHz there.
+each click has a strength. The band is what voice coding at 8 kbit/s leaves of a click.
 
 The onset is the point with the largest contrast between the 2 ms after it and the 10 ms before. A
 codec spreads a weak click's noise up to 6 ms before its onset (pre-echo), but at a lower level.
@@ -125,7 +124,6 @@ class ClickDetector:
         return np.asarray(np.abs(parts.view(np.complex64)[:, 0]), np.float32)
 
     def _look(self) -> None:
-        """Judge every frame for which enough later frames are known."""
         before, gap = _BEFORE
         low, high = self._next_frame - self._begin, len(self._frames) - _OVER[1]
         if high <= low:
@@ -200,10 +198,9 @@ def _running_max(values: NDArray[np.float32], width: int) -> NDArray[np.float32]
 
 
 def _band_pass() -> NDArray[np.float32]:
-    """Return the complex band-pass as (taps, 2) float32: real and imaginary parts.
+    """Return the complex band-pass, (taps, 2) float32: a Hamming-windowed sinc.
 
-    A Hamming-windowed sinc with 40 dB attenuation from 1 kHz down. The magnitude of its output is
-    the envelope, scaled so that a tone gives its mean amplitude.
+    The magnitude of its output is the envelope; a tone gives its mean amplitude.
     """
     k = np.arange(_TAPS) - (_TAPS - 1) / 2
     low, high = (hertz / AUDIO_CLOCK_HZ for hertz in _BAND_HZ)

@@ -3,9 +3,8 @@
 Each picture is reduced to the means of some thousand cells: luma plus the colour's distance from
 grey. A light raises both, in a compact patch, from one picture to the next, and stays on.
 
-Moving objects change as much. But they leave one place when they enter another, and their edges
-brighten on one side and darken on the other. So the darkening close by is subtracted. A cut to
-another camera changes everything, which no light does.
+Moving objects brighten one place and darken another close by, so the darkening is subtracted. A
+cut to another camera changes everything, which no light does.
 """
 
 from collections import deque

@@ -68,9 +68,8 @@ def _check_node(device: str) -> None:
 class CameraVideo(StampingSource):
     """Pictures of a camera (a `VideoSource`): the newest one, stamped by the driver.
 
-    The driver is asked for the wanted size and rate; other sizes are scaled. A driver can hang in a
-    read for ever, so a thread reads and `read` waits for it. A camera that disappears is opened
-    again, twice a second.
+    A driver can hang in a read for ever, so a thread reads and `read` waits for it. A camera that
+    disappears is opened again, twice a second.
 
     demuxer: FFmpeg's name of the device library; tests use another one.
 

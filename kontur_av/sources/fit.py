@@ -9,7 +9,7 @@ import numpy as np
 from av.sidedata.sidedata import Type as SideDataType
 from numpy.typing import NDArray
 
-from kontur_av.codecs.colours import as_i420
+from kontur_av.codecs.colours import as_i420, plane_pixels
 from kontur_av.media import BLACK_LUMA, I420, NEUTRAL_CHROMA, planes
 
 
@@ -121,15 +121,6 @@ class Fitter:
             letterbox(
                 target, source, left >> half, top >> half, NEUTRAL_CHROMA if index else BLACK_LUMA
             )
-
-
-def plane_pixels(plane: Any) -> NDArray[np.uint8]:
-    """Return a plane's octets, uint8, as a view of shape (height, width)."""
-    pixels = np.frombuffer(plane, np.uint8)
-    # Some decoders return a last row that is shorter than the line size.
-    return np.lib.stride_tricks.as_strided(
-        pixels, (plane.height, plane.width), (plane.line_size, 1), writeable=False
-    )
 
 
 def letterbox(

@@ -23,10 +23,9 @@ _MOST_CLOCKS = 8
 class RisingInstants:
     """Dates the units of a stream anew where their instants do not rise.
 
-    Units of one instant, or of a falling one, are spread by the usual step. While the right time
-    has not come, units follow each other by 1 ms. Where the clock of the file steps back by
-    `most_back_ns`, the stream goes on at its pace, and so it does when the clock returns. A step
-    ahead is such a step if the clock returns soon, or if no pause is that long.
+    Units of one instant, or of a falling one, are spread by the usual step. Where the clock of the
+    file steps back by `most_back_ns`, the stream goes on at its pace, also when the clock returns.
+    A step ahead is such a step if the clock returns soon, or if no pause is that long.
 
     usual_ns: the step until the file has shown one.
     moved: units whose instant was not after the one before.

@@ -84,7 +84,6 @@ class LoopedVideo(StampingSource, ABC):
         self._pictures.close()
 
     def _prepare(self) -> tuple[Fitted, int] | None:
-        """Return the next picture, scaled, and the instant at which it is due."""
         while (now_ns := self._clock.now_ns()) >= self._retry_ns:
             item = next(self._pictures, None)
             if item is None:

@@ -1,8 +1,7 @@
 """A microphone of this machine: ALSA, through the `arecord` of alsa-utils.
 
-FFmpeg's ALSA reader in PyAV's wheels uses a libasound with the paths of its build machine. It finds
-neither the system's configuration nor the plug-ins (dmix, PipeWire, rate conversion). `arecord` is
-linked to the system's own library and finds both.
+FFmpeg's ALSA reader in PyAV's wheels finds neither the system's configuration nor the plug-ins
+(dmix, PipeWire, rate conversion). `arecord` is linked to the system's own library and finds both.
 """
 
 import contextlib

@@ -8,9 +8,8 @@ from kontur_av.clock import NS_PER_S
 class Pace:
     """The instants k / rate (+ phase) of a clock, in order.
 
-    The instants derive from the clock's zero, not from the moment when the source was opened. Two
-    cameras with the same rate and phase thus capture at the same instants, as if genlocked,
-    although separate processes run them.
+    They derive from the clock's zero, so two cameras with the same rate and phase capture at the
+    same instants, as if genlocked, although separate processes run them.
 
     rate_hz: instants a second.
     phase: offset as a share of the period, 0 <= phase < 1.
@@ -27,10 +26,6 @@ class Pace:
         self._patience_ns = self._period_ns * patience // self._parts
         self._index = self._last_before(now_ns) + 1
         self.skipped = 0
-
-    @property
-    def period_ns(self) -> int:
-        return self._period_ns // self._parts
 
     def due_ns(self, now_ns: int) -> int:
         """Return the next instant, or the latest past one if the reader is too late."""

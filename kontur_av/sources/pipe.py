@@ -79,7 +79,6 @@ class PipeVideo(StampingSource):
                 return None
 
     def _newest(self) -> Y4mPicture | None:
-        """The last complete picture that has arrived, or None."""
         newest = None
         while (event := self._reader.next_event()) is not None:
             if isinstance(event, Y4mPicture):

@@ -24,7 +24,6 @@ from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
 from mcap.records import Channel, Chunk, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.summary import Summary
 
 from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.codecs.decoder import VideoDecoder
@@ -154,7 +153,8 @@ def _channels(reader: McapReader, file: IO[bytes]) -> list[tuple[str, str, int]]
     """Topic, name of the schema and number of messages of each channel."""
     summary = reader.get_summary()
     counts: Mapping[int, int] = {}
-    if summary is not None and summary.channels and _has_schemas(summary):
+    named = summary and {one.schema_id for one in summary.channels.values()}
+    if summary is not None and named and named <= {0, *summary.schemas}:
         channels, schemas = summary.channels, summary.schemas
         if summary.statistics is not None:
             counts = summary.statistics.channel_message_counts
@@ -168,10 +168,6 @@ def _channels(reader: McapReader, file: IO[bytes]) -> list[tuple[str, str, int]]
             name += f" in {schema.encoding or 'no encoding'}{_NOT_PROTOBUF}"
         found.append((channel.topic, name, counts.get(channel.id, 0)))
     return sorted(found)
-
-
-def _has_schemas(summary: Summary) -> bool:
-    return {one.schema_id for one in summary.channels.values()} <= {0, *summary.schemas}
 
 
 def _counted(file: IO[bytes]) -> tuple[dict[int, Channel], dict[int, Schema], Counter[int]]:
@@ -256,10 +252,7 @@ def _read_faults() -> Iterator[None]:
 
 
 def read_units(path: str, channel: str, instants: RisingInstants) -> Iterator[_Unit]:
-    """Yield the units of a channel once, at rising instants.
-
-    Raises ValueError where the file cannot be read (on).
-    """
+    """Yield the units of a channel once, at rising instants; ValueError where that ends."""
     with Path(path).open("rb") as file, _read_faults():
         for unit, log_ns in instants.redate(_units(file, channel), lambda one: one.log_ns):
             yield unit._replace(log_ns=log_ns)

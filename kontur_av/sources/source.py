@@ -72,7 +72,6 @@ class StampingSource:
         """Do nothing: a source that opens something overrides this."""
 
     def _stamp(self, capture_ns: int) -> CaptureStamp:
-        """Return the stamp of the next picture or block."""
         stamp = CaptureStamp(capture_ns, self._sequence, self._name)
         self._sequence += 1
         return stamp

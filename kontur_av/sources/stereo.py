@@ -1,9 +1,8 @@
 """One picture from two cameras: the left part of the left one, the right part of the right one.
 
-A tool in front of the cameras hides a different part of the work from each. The right camera sees
-what the left one misses. A picture of the two outer halves thus shows both sides of the tool at
-the bit rate of one camera (Kontur-2). Two cameras that see one plane at the same pixels join on it
-without a step. What stands above it is elsewhere in each: `SeamFinder` cuts beside that.
+A tool in front of the cameras hides a different part of the work from each. A picture of the two
+outer halves shows both sides of the tool at the bit rate of one camera (Kontur-2). What stands
+above the plane that both see is elsewhere in each: `SeamFinder` cuts beside that.
 """
 
 import struct
@@ -37,11 +36,9 @@ _STEP = 2
 class SeamFinder:
     """Finds where the parts of a merged picture meet: where nothing above the plane is cut. A core.
 
-    Of what stands above the plane, the merged picture then has all from one camera and nothing
-    from the other. The seam goes to the nearest such place to the middle, in steps, so it crosses
-    what moves across it within some pictures; 0.0 and 1.0 cut nothing. It is in the middle while a
-    camera has no picture, and where most of the two pictures differs: such cameras do not see one
-    plane at the same pixels.
+    The seam goes to the nearest such place to the middle, in steps; 0.0 and 1.0 cut nothing. It is
+    in the middle while a camera has no picture, and where most of the two pictures differs: such
+    cameras do not see one plane at the same pixels.
     """
 
     def __init__(self) -> None:
@@ -171,9 +168,8 @@ class StereoPairer:
     """Joins the pictures of two cameras by capture time. A core.
 
     Two pictures belong together if their capture times differ by at most half a period. A picture
-    waits that long for its partner. Then it is paired with the other camera's last picture. It does
-    not wait for a stale camera. Each side keeps only its newest picture. After each `handle_*`
-    call, call `next_event` until it returns None.
+    waits that long for its partner, but not for a stale camera. Then it is paired with the other
+    camera's last picture. After each `handle_*` call, call `next_event` until it returns None.
 
     period_ns: of the cameras.
     stale_after_ns: age from which a picture counts as stale.

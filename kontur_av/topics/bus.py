@@ -1,10 +1,9 @@
 """Topics in shared memory: publish once, any number of readers, nobody waits for anybody.
 
-This is a thin layer over iceoryx2 (https://iceoryx.io). The writer fills a buffer in shared memory;
-a reader sees the same octets without a copy. A slow reader loses the oldest samples and never
-blocks the writer. A killed process affects no other; its resources are freed when the next process
-joins. The topic's notifier wakes all sleeping readers with one system call of the writer;
-iceoryx2's own events need one for each reader.
+This is a thin layer over iceoryx2 (https://iceoryx.io). A reader sees the writer's octets without a
+copy. A slow reader loses the oldest samples. A killed process affects no other; its resources are
+freed when the next process joins. The topic's notifier wakes all sleeping readers with one system
+call of the writer; iceoryx2's own events need one for each reader.
 
 Where iceoryx2 is not installed, topics are files (`kontur_av.topics.file_node`), at two copies a
 sample. `KONTUR_AV_TOPICS=files` chooses them elsewhere.

@@ -5,7 +5,7 @@ how far it will write, writes the record and its entry, then makes it the newest
 record, then looks whether a writer has begun to overwrite it meanwhile.
 
 The kernel orders these calls between processes, on every kind of processor. A full memory is an
-error when a writer starts, never SIGBUS. A sample is copied twice.
+error when a writer starts, never SIGBUS.
 
 Locks belong to open file descriptions (fcntl(2)), so that a killed process leaves none: octet 0 is
 locked while a record is written, octet 1 by every reader. A writer that is stopped within a record
@@ -137,10 +137,7 @@ class FilePublisher(_TopicFile):
         self._put(_NEWEST_AT, number)
 
     def _grow(self, octets: int) -> None:
-        """Make a ring for records of this size, if there is a smaller one; OSError if it is full.
-
-        All records so far are given up.
-        """
+        """Give up all records for a ring of this size, if there is a smaller one; OSError: full."""
         ring, _, newest, end, _ = self._state()
         wanted = octets * min(max(_FEW, _SMALL_OCTETS // octets), _MANY)
         if ring >= wanted:

@@ -98,12 +98,8 @@ class IceoryxNode:
         self._node = None
 
     def _service(self, topic: str, *, present: bool) -> Any:
-        service = self._services.get(topic)
-        if service is None:
-            service = self._services[topic] = self._open(topic, present=present)
-        return service
-
-    def _open(self, topic: str, *, present: bool) -> Any:
+        if (known := self._services.get(topic)) is not None:
+            return known
         service = (
             self._node.service_builder(iox2.ServiceName.new(topic))
             .publish_subscribe(iox2.Slice[ctypes.c_uint8])
@@ -116,18 +112,15 @@ class IceoryxNode:
             .history_size(1)
             .enable_safe_overflow(True)
         )
-        if not present:
-            return service.open_or_create()
         try:
-            return service.open()
+            opened = service.open() if present else service.open_or_create()
         except iox2.PublishSubscribeOpenError:
             raise KeyError(topic) from None
+        self._services[topic] = opened
+        return opened
 
     def _reserve(self, segment: Path, max_octets: int) -> None:
-        """Take the pages of the first samples of a segment; OSError if there are too few.
-
-        iceoryx2 uses the lowest sample that is free.
-        """
+        """Take the pages of the first samples, the lowest of which is used; OSError: too few."""
         samples = min(max(_RESERVED_OCTETS // max_octets, _RESERVED_SAMPLES), self._most_depth)
         descriptor = os.open(segment, os.O_RDWR | os.O_CLOEXEC)
         try:

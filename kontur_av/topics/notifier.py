@@ -4,20 +4,17 @@ A notifier is a FIFO (fifo(7)) in shared memory. To notify means to write one oc
 needs to read. All listeners watch the FIFO edge-triggered through epoll(7). Each write wakes each
 of them once, and the kernel remembers it for a listener that is not waiting at the moment.
 
-No state is shared between the processes: no counter, no lock, no order of memory accesses. So a
-killed process cannot leave anything inconsistent. A listener sees everything that was written
-before the notification, because both sides took the kernel's lock of the wait queue.
-
-If the last notifier is killed before it can notify, the kernel closes its end. That wakes the
-listeners as well.
+No state is shared between the processes, so a killed one cannot leave anything inconsistent. A
+listener sees everything that was written before the notification, because both sides took the
+kernel's lock of the wait queue. If the last notifier is killed, the kernel closes its end, which
+wakes the listeners as well.
 
 epoll reports each write as an edge, even if the pipe holds octets already. Linux guarantees this
 since 5.14 ("pipe: make pipe writes always wake up readers"). Versions 5.5 to 5.13 lack it, except
 the later releases of 5.10 and 5.13. `kontur-av doctor` tests it.
 
-Alternatives: a futex needs one system call too, but a wait for it cannot include sockets, and
-Python has no atomic operation to count the waiters. Letting the first waiter wake the others would
-cost the writer less. But all others would sleep on if that one is killed, stopped or busy.
+A futex needs one system call too, but a wait for it cannot include sockets, and Python has no
+atomic operation to count the waiters.
 """
 
 import mmap

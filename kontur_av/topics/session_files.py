@@ -89,10 +89,7 @@ def choose_session(name: str | None, running: Sequence[str], how: str = "") -> s
 
 
 def topic_path(session: str, topic: str, suffix: str) -> Path:
-    """Return a file of a topic in shared memory; `remove_session` removes it.
-
-    There no file system journals what is written.
-    """
+    """Return a file of a topic in shared memory; `remove_session` removes it."""
     digest = hashlib.sha256(topic.encode()).hexdigest()[:16]
     return SHARED_MEMORY / f"{shared_memory_prefix(session)}{digest}{suffix}"
 

@@ -13,11 +13,11 @@ import av
 import numpy as np
 from av.video.reformatter import VideoReformatter
 
-from kontur_av.codecs.colours import is_full_range
+from kontur_av.codecs.colours import is_full_range, plane_pixels
 from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.errors import refused
 from kontur_av.media import BLACK_LUMA, NEUTRAL_CHROMA
-from kontur_av.sources.fit import fitted_size, letterbox, plane_pixels, same_shape
+from kontur_av.sources.fit import fitted_size, letterbox, same_shape
 from kontur_av.sources.pipe import PIPE_OCTETS
 from kontur_av.sources.y4m import FRAME, MAGIC
 from pipelines.media.rtp_reports import RawReport

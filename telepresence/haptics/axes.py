@@ -1,19 +1,7 @@
 """More axes than x and y: the third direction, three rotations, a gripper.
 
-| `axes` | `gripper` | axes of the session |
-|---|---|---|
-| 2 | no | x, y |
-| 3 | no, yes | x, y, z |
-| 6 | no, yes | x, y, z, roll, pitch, yaw; then the gripper, if there is one |
-
 Each of them is a port of its own: it has its own controllers, its own energies, and its own record
-behind the 12 octets of a sample:
-
-| octets | what | unit of one count | range |
-|---|---|---|---|
-| 0..1 | command: position, feedback: force; signed | 20 µm; 2 mN | as in `sample` |
-| 2..4 | high bit: its passivity controller acted; the others: energy granted by its port in this \
-session | 1 µJ | 0..8.388607 J |
+behind the 12 octets of a sample (docs/haptics-sample.md).
 
 A rotation counts as the path at a lever of 0.1 m: 200 µrad and 0.2 mN m a count. So energies are
 the same, and one controller serves all. Users see rad and N m (`AxisFacts`).

@@ -31,13 +31,16 @@ def port_figures(controller: PortController) -> PortFigures:
 
 
 class _Axes:
-    """What both sides have in common.
-
-    axes: the axes behind x and y. controllers: one for each.
-    """
+    """What both sides have in common: the axes behind x and y, and a controller for each."""
 
     axes: Sequence[MoreAxis]
     controllers: Sequence[PortController]
+    #: The attributes of an axis that a sample tells, and that a row has as its force: of the
+    #: surroundings on a robot, of the motor on a handle.
+    _told: str
+    _force: str
+    #: By controller: what `acted` was at the last sample.
+    _acted: list[int]
 
     @property
     def names(self) -> list[AxisName]:
@@ -48,14 +51,18 @@ class _Axes:
         values: list[float] = []
         for axis, controller in zip(self.axes, self.controllers, strict=True):
             lever_m = axis.lever_m
-            force_n = self._force_n(axis)
-            values += axis.place_m / lever_m, force_n * lever_m, controller.credit_uj
+            force = getattr(axis, self._force) * lever_m
+            values += axis.place_m / lever_m, force, controller.credit_uj
         return values
 
-    @staticmethod
-    def _force_n(axis: MoreAxis) -> float:
-        """The force of a row: the surroundings' on a robot, the motor's on a handle."""
-        raise NotImplementedError
+    def values(self) -> tuple[AxisValue, ...]:
+        """Return what the next sample says of each axis."""
+        told, acted = self._told, self._acted
+        self._acted = [controller.acted for controller in self.controllers]
+        return tuple(
+            (getattr(axis, told), controller.port.granted_uj, controller.acted != before)
+            for axis, controller, before in zip(self.axes, self.controllers, acted, strict=True)
+        )
 
     def report(self) -> dict[str, PortFigures]:
         """Return the energies of each axis' port, by its name."""
@@ -65,20 +72,10 @@ class _Axes:
         }
 
 
-class _Acted:
-    """Whether a controller acted since the last sample."""
-
-    def __init__(self, controller: PortController) -> None:
-        self._controller = controller
-        self._seen = 0
-
-    def take(self) -> bool:
-        seen, self._seen = self._seen, self._controller.acted
-        return seen != self._seen
-
-
 class RobotAxes(_Axes):
     """At the robot: each axis follows the hand's by a spring and a damper."""
+
+    _told = _force = "push_n"
 
     def __init__(self, axes: Sequence[MoreAxis], model: RobotControllerModel) -> None:
         self.axes = axes
@@ -94,7 +91,7 @@ class RobotAxes(_Axes):
             )
             for axis in axes
         ]
-        self._acted = [_Acted(controller) for controller in self.controllers]
+        self._acted = [0] * len(axes)
         self._offsets = [0.0] * len(axes)
         self._presses = 0
 
@@ -119,37 +116,22 @@ class RobotAxes(_Axes):
                 own, axis.place_m, 0.0, axis.speed_m_s, 0.0, dt_ns, touching=axis.contact
             )
 
-    @staticmethod
-    def _force_n(axis: MoreAxis) -> float:
-        return axis.push_n
-
     def release(self) -> None:
         """The robot follows no hand in this cycle."""
         for axis, controller in zip(self.axes, self.controllers, strict=True):
             controller.release(axis.place_m, 0.0)
             axis.force_n = 0.0
 
-    def values(self) -> tuple[AxisValue, ...]:
-        """Return what the next sample says of each axis."""
-        return tuple(
-            (axis.push_n, controller.port.granted_uj, acted.take())
-            for axis, controller, acted in zip(
-                self.axes, self.controllers, self._acted, strict=True
-            )
-        )
-
 
 class JoystickAxes(_Axes):
     """At the joystick: each axis of the handle feels the robot's force."""
 
+    _told, _force = "place_m", "force_n"
+
     def __init__(self, axes: Sequence[MoreAxis], model: JoystickControllerModel | None) -> None:
         self.axes = axes
         self.controllers: Sequence[JoystickController] = [JoystickController(model) for _ in axes]
-        self._acted = [_Acted(controller) for controller in self.controllers]
-
-    @staticmethod
-    def _force_n(axis: MoreAxis) -> float:
-        return axis.force_n
+        self._acted = [0] * len(axes)
 
     def step(self, feedback: Feedback | None, limit_n: float, last_ns: int) -> None:
         """Set the force of each axis, `last_ns` after the previous step.
@@ -164,12 +146,3 @@ class JoystickAxes(_Axes):
                 own = _tuple(Feedback, values)
             controller.limit_n = min(limit_n, axis.force_limit_n)
             axis.force_n, _ = controller.step(own, axis.place_m, 0.0, last_ns)
-
-    def values(self) -> tuple[AxisValue, ...]:
-        """Return what the next sample says of each axis."""
-        return tuple(
-            (axis.place_m, controller.port.granted_uj, acted.take())
-            for axis, controller, acted in zip(
-                self.axes, self.controllers, self._acted, strict=True
-            )
-        )

@@ -80,10 +80,7 @@ class HeldJoystick(Joystick):
 
 
 class _Side:
-    """The common part of both sides: the link, the timing of a cycle, and the report.
-
-    force_x_n, force_y_n: the force that the controller exerts now (N).
-    """
+    """The common part of both sides: the link, the timing of a cycle, and the report."""
 
     link: HapticLink[Any, Any]
     controller: JoystickController | RobotController
@@ -127,7 +124,7 @@ class JoystickSide(_Side):
     mediated: the force is that of the newest wall of `handle_wall`, not the robot's delayed one.
     residual: with `mediated`, also what that wall does not explain of the robot's.
 
-    force_x_n, force_y_n: the force displayed now (N). For `handle`, see `Handle` and `Joystick`.
+    force_x_n, force_y_n: the force displayed now (N).
     """
 
     def __init__(

@@ -1,18 +1,12 @@
 """Perceptual deadband: do not send samples whose difference the operator cannot feel.
 
 A sample is left out while its value lies within a deadband around the value sent last. The
-receiver holds that value.
+receiver holds that value. docs/haptics-sample.md has the rules, and why it stays passive.
 
-The band grows with the value, by Weber's law: a change of 10 % of a force is not noticed
-(P. Hinterseer, S. Hirche, S. Chaudhuri, E. Steinbach, M. Buss, "Perception-based data reduction and
-transmission of haptic data in telepresence and teleaction systems", IEEE Trans. Signal Processing
-56, 2008). In two dimensions the band is a disc, so the direction may change by as much as the size.
-The band of a position grows with its velocity, because fast movements are less precise (J. Kammerl
-et al., "Perception-based data reduction for haptic force-feedback signals using velocity-adaptive
-deadbands", Presence 19, 2010, for forces).
-
-The deadband cannot make the exchange active. A sample left out affects the receiver exactly like a
-lost one. Each observer measures the energy at its own port, and credit comes from running totals.
+Sources: P. Hinterseer, S. Hirche, S. Chaudhuri, E. Steinbach, M. Buss, "Perception-based data
+reduction and transmission of haptic data in telepresence and teleaction systems", IEEE Trans.
+Signal Processing 56, 2008; J. Kammerl et al., "Perception-based data reduction for haptic
+force-feedback signals using velocity-adaptive deadbands", Presence 19, 2010.
 """
 
 from math import sqrt

@@ -1,20 +1,6 @@
 """The safety envelope at the robot: whether it may follow the operator's hand now, and how fast.
 
-| rule | the robot holds still |
-|---|---|
-| S1 | while no command is fresh (`command_max_age_s`) |
-| S2 | until a new press, after commands were missing for longer than `resume_within_s` |
-| S3 | until a new press, after a start of the robot or the joystick, a change of owner, camera or \
-application, a halt, or a power off |
-| S4 | while the dead-man button is released |
-| S5 | until a new press, after the operator's picture was too old for `picture_hold_s` |
-| S6 | from an emergency stop until it is released on purpose, and then until a new press |
-
-A new press is a command with the button released, then one with it pressed, both from a joystick
-in the application. Motion begins where the robot is: the offset between hand and robot is taken at
-the press (indexing), so nothing jumps. A shorter drop-out resumes by itself, at `approach_m_s`
-until the robot has caught up (S7). While the picture is old it moves at `slow_m_s` (S8). Speed,
-force and workspace have limits always (S9), which `RobotController` keeps.
+docs/safety.md has the rules S1 to S9, and what a new press is.
 
 In each cycle: call `admit`, give the controller what it returns, and `speed_m_s` as its limit.
 """
@@ -123,29 +109,6 @@ class SafetyEnvelope:
     blind: the caller sets it while it knows that what the operator sees is too old, such as half of
     a merged picture; the commands say the rest.
     """
-
-    __slots__ = (
-        "_approaching",
-        "_asserted",
-        "_blind_ns",
-        "_cause",
-        "_heard_ns",
-        "_off",
-        "_picture_hold_ns",
-        "_released",
-        "_resume_ns",
-        "_silent",
-        "blind",
-        "hold",
-        "limits",
-        "offset_m",
-        "presses",
-        "resumed",
-        "since_ns",
-        "speed_m_s",
-        "stopped",
-        "stops",
-    )
 
     def __init__(
         self, limits: SafetyLimits | None = None, *, stopped: bool = False, now_ns: int = 0

@@ -21,9 +21,9 @@ class SamplesReceived:
 
     #: Samples that were the newest.
     received: int = 0
-    #: Gaps in the sequence numbers.
+    #: Gaps in the sequence numbers; a late arrival fills one.
     lost: int = 0
-    #: Samples that came after a newer one.
+    #: Samples that came after a newer one, or too far ahead of it.
     late: int = 0
     #: Samples that came twice.
     repeated: int = 0

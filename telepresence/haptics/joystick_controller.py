@@ -2,24 +2,17 @@
 
 The port is the handle. Its energy in one cycle is the force that the motors hold, times the
 distance that the handle moves. Both are known exactly one cycle later, so the observer is exact in
-sampled time.
+sampled time. docs/haptics-controllers.md has the equations.
 
-The credit bounds the force as the energy of a spring bounds its force: |g| <= sqrt(2 k credit). A
-hand that is pushed back uses up the credit, and the force fades like that of a spring of stiffness
-k. A hand that pushes back in fills it again, and the force returns the same way. So nothing is
-switched, and nothing can chatter. The force falls by at most `rate_n_s`, because a spring that is
-soft enough for the present speed pays for its fall in advance. (A bound from energy: J.-P. Kim and
-J. Ryu, "Robustly stable haptic interaction control using an energy-bounding algorithm", Int. J.
-Robotics Research 29, 2010; a margin of the credit for the whole fade is this project's own.)
+The credit bounds the force as the energy of a spring bounds its force, so nothing is switched, and
+nothing can chatter (J.-P. Kim and J. Ryu, "Robustly stable haptic interaction control using an
+energy-bounding algorithm", Int. J. Robotics Research 29, 2010; a margin of the credit for the whole
+fade is this project's own).
 
-The hand can move otherwise than its speed says. So the force of the next cycle is also bounded by
-what the greatest acceleration could make it cost. This bound cuts at once: passivity goes first.
-
-The damping is the energy's source. It grows when the credit lacks, or when the robot says that its
-own does (M. Franken et al., "Bilateral telemanipulation with time delays: a two-layer approach
-combining passivity and transparency", IEEE Trans. Robotics 27, 2011: a modulated damper fills the
-tank). The robot's force and the damping are bounded one after the other. If only their sum were
-bounded, a hand that leaves a wall would lose its damping to pay for the force that still pushes it.
+The damping is the energy's source (M. Franken et al., "Bilateral telemanipulation with time delays:
+a two-layer approach combining passivity and transparency", IEEE Trans. Robotics 27, 2011). The
+robot's force and the damping are bounded one after the other: else a hand that leaves a wall would
+lose its damping to pay for the force that still pushes it.
 """
 
 from dataclasses import dataclass
@@ -229,11 +222,9 @@ class JoystickController(PortController):
         self.port.handle_flow(energy_j)
 
     def _payable_n(self, credit_j: float, outward_m_s: float) -> float:
-        """Return the largest force that can fade on this credit.
+        """Return the largest force (N) that can fade on this credit at this outward speed.
 
-        outward_m_s: speed of the handle along the force. The fade is a spring's, softened so that
-        at this speed the force falls by `rate_n_s` at most. The next cycle comes first: its force
-        is held, and the handle may accelerate.
+        The next cycle comes first: its force is held, and the handle may accelerate.
         """
         if credit_j <= 0.0:
             return 0.0

@@ -21,12 +21,10 @@ class LatencyMatcher:
     All instants are on one clock. A stamp is a sequence number and an instant in ns.
 
     pending: received stamps that wait for the sender's batch, for at most 5 s. Beyond
-    65536 the oldest is dropped.
-    unmatched: stamps that waited in vain.
+    65536 the oldest is dropped. unmatched: stamps that waited in vain.
 
-    Samples are received in the order in which they were sent. A sender's stamp that is not newer
-    than the last match therefore belongs to no later sample, even if the numbers are equal. This
-    matters after a restart of the sender, which begins at 0 again.
+    A sender's stamp that is not newer than the last match belongs to no later sample, even if the
+    numbers are equal, as after a restart of the sender.
     """
 
     def __init__(self) -> None:

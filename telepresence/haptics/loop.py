@@ -7,6 +7,7 @@ from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
+from kontur_av.figures import figures_of
 from telepresence.haptics.axes import AxisTotals
 from telepresence.haptics.deadband import Deadband, command_deadband, feedback_deadband
 from telepresence.haptics.figures import SamplesReceived, SamplesSent
@@ -24,18 +25,7 @@ from telepresence.haptics.sample import (
     read_feedback,
     read_greeting,
 )
-from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.haptics.session import JoystickSession, RobotSession
-
-__all__ = [
-    "HapticLink",
-    "PeerFound",
-    "PeerLost",
-    "PeerRestarted",
-    "PeriodicSchedule",
-    "joystick_link",
-    "robot_link",
-]
 
 Out = TypeVar("Out", bound=Command | Feedback)
 In = TypeVar("In", bound=Command | Feedback)
@@ -104,16 +94,7 @@ class HapticLink(Generic[Out, In]):
     sequence number, so it does not count as lost. Neither has a greeting.
     more: the number of axes behind x and y.
 
-    Counters:
-    sent: samples sent, without greetings.
-    received: samples that were the newest when they arrived.
-    late: samples older than the newest, or too far ahead of it; not used.
-    repeated: samples seen before, or older than the first.
-    strays: samples of another session; not used.
-    greetings: greetings received.
-    garbage: datagrams that are neither sample nor greeting.
-    sessions: sessions begun. restarts: restarts of the peer.
-    lost: sequence numbers not received so far; a late arrival reduces it.
+    The counters are those of `SamplesSent` and `SamplesReceived`.
 
     newest_sequence: number of the newest sample received. hearing: samples of the peer arrive.
     peer_holds: the newest sample says that the peer receives nothing from this end.
@@ -309,10 +290,7 @@ class HapticLink(Generic[Out, In]):
         return taken
 
     def take_received_stamps(self) -> list[tuple[int, int]]:
-        """Take (sequence, instant in ns) of the samples received since the last call.
-
-        Only samples that were the newest on arrival have a stamp.
-        """
+        """Take the same of the samples received that were the newest on arrival."""
         flat = iter(self._received_stamps)
         taken = list(zip(flat, flat, strict=True))
         self._received_stamps.clear()
@@ -325,17 +303,7 @@ class HapticLink(Generic[Out, In]):
 
     def received_figures(self) -> SamplesReceived:
         """Return the counters of what comes to this end."""
-        return SamplesReceived(
-            received=self.received,
-            lost=self.lost,
-            late=self.late,
-            repeated=self.repeated,
-            strays=self.strays,
-            greetings=self.greetings,
-            garbage=self.garbage,
-            sessions=self.sessions,
-            restarts=self.restarts,
-        )
+        return figures_of(SamplesReceived, self)
 
     @property
     def restarts(self) -> int:

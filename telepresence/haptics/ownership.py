@@ -1,12 +1,7 @@
 """Who drives the robot's haptic port: the joystick in space, or a partner's; never both.
 
 Stelzer et al. 2017, section 7: a gateway application lets the partner institute steer the robot in
-the place of the ISS. Here that is one explicit state at the robot, next to the controller.
-
-An operator on the ground hands the port over. Then nobody drives: the datagrams of both are
-dropped, so the controller has no command and holds. Once the tip has rested for `REST_NS`, the new
-owner's datagrams are taken, and a haptic session with it begins (`session.py`). Its commands move
-nothing before a new press of the dead-man button (`envelope.py`).
+the place of the ISS. Here that is one explicit state at the robot; docs/rtc.md has its rules.
 
 In each cycle: ask `takes` for each datagram, then call `handle_robot`.
 """
@@ -68,8 +63,6 @@ class HapticOwnership:
     owner, wanted: at the start. A robot that was started again begins with None and the owner that
     it had.
     """
-
-    __slots__ = ("_events", "_refused", "_rest_ns", "_turns", "garbage", "owner", "wanted")
 
     def __init__(self, owner: Owner | None = Owner.ISS, *, wanted: Owner = Owner.ISS) -> None:
         self.owner = owner

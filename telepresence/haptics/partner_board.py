@@ -1,9 +1,8 @@
 """The joystick's port between our robot and a partner's: one of them at a time. A core.
 
 Stelzer et al. 2017, section 7: in the partner institute's experiments the data goes directly
-between space and its own task board. The joystick says in its greetings which robot it asks for
-(`sample.py`). The first greeting for the other robot ends the present ownership (`ownership.py`):
-our robot is left out, and comes to rest, before the partner's is reached, and the other way round.
+between space and its own task board. The first greeting for the other robot ends the present
+ownership (`ownership.py`): our robot comes to rest before the partner's is reached, or vice versa.
 
 A partner is a stranger. Only datagrams of a feedback's size and direction are passed on, at most
 one a cycle; the joystick's link and its controller judge the rest.
@@ -71,10 +70,7 @@ class PartnerBoard:
         return "driven" if self.ownership.owner is Owner.PARTNER else "ready"
 
     def poll_partner(self, *, stopped: bool) -> bytes | None:
-        """Return the newest datagram for the partner's robot, or None.
-
-        stopped: an emergency stop holds here. Then the partner's robot gets no commands, and holds.
-        """
+        """Return the newest datagram for the partner's robot, or None; None while stopped here."""
         data, self._to_partner = self._to_partner, None
         return None if stopped else data
 

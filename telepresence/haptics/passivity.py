@@ -1,21 +1,14 @@
 """Time-domain passivity: the energy that flowed through a port, and the energy it may give out.
 
-The network between hand and robot has two ports. At each port, energy is split by the sign of the
-power into energy that enters the network and energy that leaves it. Each end sends a running total
-of the energy it has granted to the other. A port may give out only what the other end has granted.
-All energy that leaves the network has then entered it before, whatever the delay. Each end can
-ensure its half of that alone.
+At each port, energy is split by the sign of the power into energy that enters the network and
+energy that leaves it. Each end sends a running total of the energy it has granted to the other. A
+port may give out only what the other end has granted. docs/haptics.md says why that suffices.
 
 Sources: J. Artigas, C. Preusche, G. Hirzinger, "Time domain passivity for delayed haptic
 telepresence with energy reference", IROS 2007; J.-H. Ryu, J. Artigas, C. Preusche, "A passive
 bilateral control scheme for a teleoperator with time-varying communication delay", Mechatronics 20,
-2010. Kontur-2's own controller differs: four channels with time delay power networks (J. Artigas et
-al., "KONTUR-2: Force-feedback teleoperation from the International Space Station", ICRA 2016).
-
-Two things here are additions to the papers. A port keeps the first energy that enters until it has
-a small reserve, and grants only the rest. A hand that rests against a wall thus keeps its force,
-and no joule is spent twice. Credit is also limited, and the excess counts as dissipated. Without
-the limit, an hour of free motion would pay for a minute of instability.
+2010. The reserve and the limit of the credit are additions to the papers: without the limit, an
+hour of free motion would pay for a minute of instability.
 """
 
 from math import inf

@@ -124,31 +124,34 @@ class Robot:
 
     def couple(self) -> None:
         """From now on the caller computes the force of impedance mode."""
-        self.mode, self.coupled = MODE_IMPEDANCE, True
+        self._switch(MODE_IMPEDANCE, coupled=True)
 
     def set_off(self) -> None:
         """Switch to off: no torque; the brakes hold."""
-        self.mode, self.coupled = MODE_OFF, False
+        self._switch(MODE_OFF)
 
     def set_torque(self, first_n_m: float, second_n_m: float) -> None:
         """Apply torques to the joints (N m); the first joint moves the tip along x."""
-        self.mode, self.coupled = MODE_TORQUE, False
+        self._switch(MODE_TORQUE)
         self._torque_x, self._torque_y = first_n_m, second_n_m
 
     def set_position(self, x_m: float, y_m: float) -> None:
         """Move to (x_m, y_m) at `position_m_s`, and stay there."""
         if self.mode != MODE_POSITION:
             self._setpoint_x, self._setpoint_y = self.x_m, self.y_m
-        self.mode, self.coupled = MODE_POSITION, False
+        self._switch(MODE_POSITION)
         self._target_x, self._target_y = x_m, y_m
 
     def set_impedance(
         self, x_m: float, y_m: float, stiffness_n_m: float, damping_n_s_m: float
     ) -> None:
         """Pull the tip to the resting point (x_m, y_m) with a spring and a damper."""
-        self.mode, self.coupled = MODE_IMPEDANCE, False
+        self._switch(MODE_IMPEDANCE)
         self._target_x, self._target_y = x_m, y_m
         self._stiffness, self._damping = stiffness_n_m, damping_n_s_m
+
+    def _switch(self, mode: int, *, coupled: bool = False) -> None:
+        self.mode, self.coupled = mode, coupled
 
     @property
     def joints(self) -> tuple[JointReading, ...]:
@@ -223,7 +226,6 @@ class Robot:
             self._step_more(dt_ns)
 
     def _step_more(self, dt_ns: int) -> None:
-        """Advance the axes behind x and y."""
         brake = 0.0 if self.coupled else self.model.brake_n_s_m
         for axis in self.more:
             assert isinstance(axis, SimulatedAxis)

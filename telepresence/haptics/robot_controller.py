@@ -1,16 +1,9 @@
 """The controller at the robot: it pulls the tip to the hand's position and keeps that passive.
 
-A reference follows the received positions. A spring and a damper between reference and tip give
-the force on the tip (impedance control: N. Hogan, "Impedance Control", J. Dyn. Sys. Meas. Control
-107, 1985). The port is the reference: its energy is the coordinating force times the distance that
-the reference moves.
-
-A step that would cost more than the credit is scaled down to what the credit pays. Only its part
-along the force is scaled. This is a passivity controller of the admittance type. The reference
-catches up when there is credit again, because samples carry positions, not velocities.
-
-In contact, credit that is left over is discarded. Otherwise what the approach has paid in would
-keep a delayed loop swinging for as long as it lasts.
+A spring and a damper between a reference and the tip give the force on the tip (impedance control:
+N. Hogan, "Impedance Control", J. Dyn. Sys. Meas. Control 107, 1985). The port is the reference: its
+energy is the coordinating force times the distance that the reference moves. It is a passivity
+controller of the admittance type; docs/haptics-controllers.md has the equations.
 """
 
 from dataclasses import dataclass
@@ -119,10 +112,7 @@ class RobotController(PortController):
         )
 
     def release(self, x_m: float, y_m: float) -> None:
-        """Another mode drives the robot: move the reference to the tip at (x_m, y_m).
-
-        The spring's energy is lost; no port gives it out.
-        """
+        """Another mode drives the robot: move the reference to the tip, and lose the energy."""
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
         self.holding = True

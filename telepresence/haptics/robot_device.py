@@ -1,8 +1,7 @@
 """A user's robot: the interface of its driver, and how a session drives it.
 
-A driver is a class of its own (`telepresence.haptics.robot_spec`). It says where the tip is and
-what pushes it, and takes a force or a place. Modes, passivity, limits and the
-safety envelope stay on this side.
+A driver says where the tip is and what pushes it, and takes a force or a place. Modes, passivity,
+limits and the safety envelope stay on this side.
 """
 
 from itertools import chain
@@ -126,27 +125,9 @@ class DrivenRobot(Robot):
         self._limit = min(facts.force_limit_n, self.model.force_limit_n)
         self._take(first)
 
-    def couple(self) -> None:
-        super().couple()
-        self._follow(active=True)
-
-    def set_off(self) -> None:
-        super().set_off()
-        self._follow(active=False)
-
-    def set_torque(self, first_n_m: float, second_n_m: float) -> None:
-        super().set_torque(first_n_m, second_n_m)
-        self._follow(active=True)
-
-    def set_position(self, x_m: float, y_m: float) -> None:
-        super().set_position(x_m, y_m)
-        self._follow(active=True)
-
-    def set_impedance(
-        self, x_m: float, y_m: float, stiffness_n_m: float, damping_n_s_m: float
-    ) -> None:
-        super().set_impedance(x_m, y_m, stiffness_n_m, damping_n_s_m)
-        self._follow(active=True)
+    def _switch(self, mode: int, *, coupled: bool = False) -> None:
+        super()._switch(mode, coupled=coupled)
+        self._follow(active=mode != MODE_OFF)
 
     def drive(self, dt_ns: int) -> None:
         if self.mode != MODE_OFF:
@@ -170,7 +151,8 @@ class DrivenRobot(Robot):
                 )
             device.advance(dt_ns)
             reading = device.read()
-            if self._feel(reading) and not self._is_near(reading):
+            off_m = hypot(reading.x_m - self.x_m, reading.y_m - self.y_m)
+            if self._feel(reading) and not off_m < _LAG_M:
                 self.error = "it does not follow the places that it is given"
             if self._axes is not None:
                 self._take_more(self._axes, stand=False)
@@ -208,7 +190,6 @@ class DrivenRobot(Robot):
             (self.device.activate if active else self.device.deactivate)()
 
     def _take(self, reading: RobotReading) -> None:
-        """Stand where the robot stands."""
         if self._feel(reading):
             self.x_m, self.y_m, self.vx_m_s, self.vy_m_s = reading[:4]
 
@@ -223,9 +204,6 @@ class DrivenRobot(Robot):
                 if not trouble and off_m > _LAG_M:
                     trouble = f"{axis.facts.name} does not follow the places that it is given"
             self.error = self.error or trouble
-
-    def _is_near(self, reading: RobotReading) -> bool:
-        return hypot(reading.x_m - self.x_m, reading.y_m - self.y_m) < _LAG_M
 
     def _feel(self, reading: RobotReading) -> bool:
         """Take the force of the surroundings; return whether all of the reading are numbers."""

@@ -28,21 +28,16 @@ DOOR = PartDoor(
 
 
 def load_robot(spec: str, axes: Sequence[AxisName] = ()) -> RobotDevice | Robot:
-    """Return the driver that `spec` names, or a robot without one. Nothing is switched on.
+    """Return the driver that `spec` names, or a robot without one, still off; ConfigError.
 
     axes: those behind x and y, for one that has what it is asked for.
-
-    Raises ConfigError if there is none.
     """
     made: RobotDevice | Robot = make_part(spec, DOOR, axes=axes)
     return made
 
 
 def facts_of(spec: str) -> RobotFacts | None:
-    """What the robot that `spec` names is; None for `sim`, and where only `configure` finds it out.
-
-    Raises ConfigError if there is none. Nothing is switched on.
-    """
+    """As `load_robot`: its facts; None for `sim`, and where only `configure` finds them out."""
     return getattr(load_robot(spec), "facts", None)
 
 

@@ -1,50 +1,12 @@
 """The haptic sample: 12 octets, one every millisecond each way; more with more axes (`axes`).
 
-All numbers are big-endian (network order), signed ones in two's complement.
+docs/haptics-sample.md has the octets of samples and greetings, their flags, units and ranges. The
+layout is this project's own: the Kontur-2 papers give the size of a sample, not its fields.
 
-| octets | what | unit of one count | range |
-|---|---|---|---|
-| 0..1 | sequence number, unsigned, wraps after 65536 samples | 1 | 0..65535 |
-| 2 | flags, see below | | |
-| 3, low 3 bits | command: state of the joystick; feedback: mode of the robot | | 0..7; 0..3 |
-| 3, bit 3 | command: the operator's picture is too old; feedback: emergency stop | | 0, 1 |
-| 3, high 4 bits | command: buttons, a bit each; feedback: lit LED + 1, 0 for none | | 0..15 |
-| 4..5 | command: position x, signed; feedback: force x | 20 µm; 2 mN | ±0.65534 m; ±65.534 N |
-| 6..7 | command: position y; feedback: force y, signed | 20 µm; 2 mN | as above |
-| 8 | session number | 1 | 1..255 |
-| 9..11 | energy granted by the sender's port in this session, unsigned | 1 µJ | 0..16.777215 J |
-
-Flags, from the most significant bit:
-
-- 0x80: the sample is a feedback, else a command.
-- 0x40: no sample but a greeting, see below.
-- 0x20: the sender is halted or has a fault.
-- 0x10: the dead-man button is pressed (command); the robot waits for a new press (feedback).
-- 0x08: the sender's passivity controller acted since its last sample.
-- 0x04: the sender receives nothing from its peer and holds.
-- 0x02: a value was out of range and was cut to its limit.
-- 0x01: emergency stop (command); the robot touches something (feedback).
-
-A mode above 3 and a session number of 0 are never sent. They are refused, as is the count -32768.
-
-A position or a force is rounded to the nearest count and saturates at ±32767 counts. The energy is
-rounded down, so that no energy is promised that does not exist. It saturates and never wraps.
 Positions and energies are running totals, so any sample makes up for the loss of those before it.
+The energy is rounded down, so that no energy is promised that does not exist.
 
-A greeting has 12 octets, too, and goes in the place of a sample. `session.py` says what it is for.
-
-| octets | joystick's greeting: a request | robot's greeting |
-|---|---|---|
-| 0 | 0 | 0 |
-| 1 | the session number that it sends with, 0 for none | the number that it offers, 0 for none |
-| 2 | flags: 0x40, 0x20, 0x04 | flags: 0x80, 0x40, 0x20, 0x04 |
-| 3 | 0 | 0 |
-| 4..7 | number of this request, unsigned, not 0 | number of the robot's life, unsigned, not 0 |
-| 8..11 | the robot's number as heard last, 0 for none | the request's number, 0 for none |
-
-Flag 0x20 of a request: it is for a partner's robot; of the robot's: a partner's robot is there.
-
-The layout is this project's own: the Kontur-2 papers give the size of a sample, not its fields.
+A greeting goes in the place of a sample. `session.py` says what it is for.
 """
 
 import struct

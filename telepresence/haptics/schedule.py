@@ -6,9 +6,6 @@ from kontur_av.clock import NS_PER_MS
 class PeriodicSchedule:
     """Deadlines at `start_ns + k * period_ns`; a missed cycle is skipped and counted.
 
-    The caller sleeps until `next_deadline_ns`, calls `handle_wakeup` with the present instant, and
-    then does one cycle's work.
-
     next_deadline_ns: when to wake next.
     cycles: cycles done. slips: cycles skipped.
     advance_ns: time covered by the last wake-up: one period, or more after slips.
@@ -41,7 +38,3 @@ class PeriodicSchedule:
         self.next_deadline_ns += advance_ns
         self.cycles += 1
         return lateness_ns
-
-    def poll_timeout(self) -> int:
-        """Same as `next_deadline_ns`, under the name that all cores share."""
-        return self.next_deadline_ns

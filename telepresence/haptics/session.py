@@ -3,22 +3,10 @@
 Samples of an earlier life, or replayed ones, must move nothing and grant no energy. So each sample
 bears a session number, and an end uses only samples of its present session. A session begins with
 an exchange in which each end sees a fresh number of its own come back, like the three-way handshake
-of TCP (RFC 9293 section 3.5):
+of TCP (RFC 9293 section 3.5). docs/haptics-sample.md has its steps.
 
-1. A robot without a session says so with greetings, which tell the number of its life.
-2. The joystick asks with requests, each negotiation with a new number. They name the robot's life
-   and the session number that the joystick knows. To any other life the robot only tells its own.
-3. The robot answers with an offer: the request's number, and the successor of the last session
-   number that one of them knows.
-4. The joystick sends its samples with that session number. With the first of them that arrives, the
-   robot changes over, and so do its samples. With the first of those, the joystick changes over.
-
-Until then both ends go on with the session before, so a renewed session costs no gap.
-
-So the restart of one end reuses no session number before 255 others. If both ends restart at once,
-the first number follows from those of their lives. In 1 of 255 cases a sample under way bears it.
-
-The joystick renews a session before its sequence numbers or energies run out.
+Until then both ends go on with the session before, so a renewed session costs no gap. The joystick
+renews a session before its sequence numbers or energies run out.
 """
 
 from collections import deque

@@ -1,9 +1,8 @@
 """Detects steps of the received force: the stylus meets something.
 
-The force is compared with a slowly following baseline, so constant pressure hides no step. A step
-counts once the force has grown by the threshold. Its instant is that of the first sample of the
-rise. If samples carry the contact flag, only a change during contact counts, and the step is not
-dated before the contact.
+The force is compared with a slowly following baseline, so constant pressure hides no step. Its
+instant is that of the first sample of the rise. If samples carry the contact flag, only a change
+during contact counts.
 """
 
 from collections import deque

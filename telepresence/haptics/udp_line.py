@@ -34,9 +34,12 @@ class UdpLine:
     def __init__(self, spec: str, role: UdpRole) -> None:
         self._name = f"{UDP}:{spec}"
         host, port, file = _parts(spec)
-        self._address = (_resolved(host, self._name), port)
-        local = ipaddress.ip_address(self._address[0]).is_loopback
-        if not file and not local:
+        try:
+            found = socket.getaddrinfo(host, port, family=socket.AF_INET, type=socket.SOCK_DGRAM)
+        except (OSError, UnicodeError):
+            raise ConfigError(f"{self._name}: no IPv4 host is known by the name {host!r}") from None
+        self._address = found[0][4]
+        if not file and not ipaddress.ip_address(self._address[0]).is_loopback:
             raise ConfigError(
                 f"{self._name} is another machine: give both ends a key, {self._name}:KEYFILE"
             )
@@ -110,14 +113,6 @@ def _parts(spec: str) -> tuple[str, int, str]:
     if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
         raise ConfigError(f"{UDP}:{spec}: write {UDP}:HOST:PORT or {UDP}:HOST:PORT:KEYFILE")
     return host, int(port), file
-
-
-def _resolved(host: str, name: str) -> str:
-    try:
-        found = socket.getaddrinfo(host, None, family=socket.AF_INET, type=socket.SOCK_DGRAM)
-    except (OSError, UnicodeError):
-        raise ConfigError(f"{name}: no IPv4 host is known by the name {host!r}") from None
-    return str(found[0][4][0])
 
 
 def _read_key(path: Path) -> bytes:

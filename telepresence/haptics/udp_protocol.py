@@ -1,15 +1,7 @@
 """The datagrams between a session and a robot's or a joystick's controller that is reached by UDP.
 
-Big-endian; numbers with a fraction are IEEE 754 binary32; SI units. Each datagram begins with
-version, kind, number of axes and a detail, and ends with a code: HMAC-SHA-256 (RFC 2104), cut to
-128 bits. `docs/robots.md` has all of it in one table.
-
-| kind | from | code's key | octets |
-|---|---|---|--:|
-| `HELLO` | session | the shared key | 36 |
-| `WELCOME` | controller | the shared key | 82 and the name |
-| `COMMAND` | session | `session_keys`, first | 56 |
-| `READING` | controller | `session_keys`, second | 68 and the text of an error |
+docs/robots.md has their octets: big-endian, SI units. Each ends with a code, HMAC-SHA-256 cut to
+128 bits (RFC 2104). Its key is the shared one for `HELLO` and `WELCOME`, else of `session_keys`.
 """
 
 import hmac
@@ -156,22 +148,11 @@ def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpFacts] | Non
     if body[:NONCE_OCTETS] != nonce:
         return None
     limits = _FACTS.unpack_from(body, 2 * NONCE_OCTETS)
-    force_n, speed_m_s, mass_kg, coulomb_n, viscous_n_s_m, buttons, leds, *half_m = limits
+    half_m = limits[7:]
     # Compared this way round, so that NaN is refused, too.
-    if not (all(0.0 <= one < _MOST for one in limits) and all(half_m) and max(buttons, leds) <= 16):
+    if not (all(0.0 <= one < _MOST for one in limits) and all(half_m) and max(limits[5:7]) <= 16):
         raise ProtocolError("facts that no device has")
-    facts = UdpFacts(
-        _text(text),
-        bool(takes_places),
-        force_n,
-        speed_m_s,
-        mass_kg,
-        coulomb_n,
-        viscous_n_s_m,
-        buttons,
-        leds,
-        tuple(half_m),
-    )
+    facts = UdpFacts._make((_text(text), bool(takes_places), *limits[:7], half_m))
     return body[NONCE_OCTETS : 2 * NONCE_OCTETS], facts
 
 

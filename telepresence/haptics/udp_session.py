@@ -4,6 +4,7 @@ from hashlib import sha256
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
+from kontur_av.figures import figures_of
 from telepresence.haptics.figures import UdpFigures
 from telepresence.haptics.udp_protocol import (
     AXES,
@@ -55,8 +56,10 @@ class UdpSession:
         self._due_ns = self._hello_ns = 0
         #: Of this session: the newest command and reading, and the newest command answered.
         self._sent = self._newest = self._answered = 0
-        self._sessions = self._hellos = self._losses = self._most_unanswered = 0
-        self._commands = self._readings = self._late = self._foreign = self._malformed = 0
+        self.udp_sessions = self._hellos = self.udp_losses = self.udp_unanswered = 0
+        self.udp_commands = self.udp_readings = self.udp_late = self.udp_foreign = (
+            self.udp_malformed
+        ) = 0
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """Return the datagram of this cycle: a command, or a hello every 100 ms; or None."""
@@ -64,16 +67,16 @@ class UdpSession:
             return None
         self._due_ns = now_ns + _LEAST_NS
         unanswered = self._sent - self._answered
-        if unanswered > self._most_unanswered:
-            self._most_unanswered = unanswered
+        if unanswered > self.udp_unanswered:
+            self.udp_unanswered = unanswered
         if self._keys is not None and unanswered >= MOST_UNANSWERED:
             self._keys = None
-            self._losses += not self.silent
+            self.udp_losses += not self.silent
             self.silent = True
             self._hello_ns = now_ns
         if self._keys is not None:
             self._sent += 1
-            self._commands += 1
+            self.udp_commands += 1
             return pack_command(self._sent, self.detail, self.leds, self.axes, self._keys[0])
         if now_ns < self._hello_ns:
             return None
@@ -93,11 +96,11 @@ class UdpSession:
             key = self._key
         else:
             # Also what comes late from a session that has ended.
-            self._foreign += kind == UdpKind.READING
-            self._malformed += kind != UdpKind.READING
+            self.udp_foreign += kind == UdpKind.READING
+            self.udp_malformed += kind != UdpKind.READING
             return
         if not is_authentic(datagram, key):
-            self._foreign += 1
+            self.udp_foreign += 1
             if keys is None:
                 self.problem = "it has another key"
             return
@@ -107,23 +110,14 @@ class UdpSession:
             elif keys is None and (welcome := parse_welcome(datagram, self._nonce)) is not None:
                 self._begin(*welcome)
             else:
-                self._late += 1
+                self.udp_late += 1
         except ProtocolError as error:
-            self._malformed += 1
+            self.udp_malformed += 1
             self.problem = str(error)
 
     def report(self) -> UdpFigures:
         """Return what was counted."""
-        return UdpFigures(
-            udp_sessions=self._sessions,
-            udp_losses=self._losses,
-            udp_commands=self._commands,
-            udp_readings=self._readings,
-            udp_unanswered=self._most_unanswered,
-            udp_late=self._late,
-            udp_foreign=self._foreign,
-            udp_malformed=self._malformed,
-        )
+        return figures_of(UdpFigures, self)
 
     def _begin(self, nonce: bytes, facts: UdpFacts) -> None:
         if self._role is UdpRole.ROBOT and not (facts.force_limit_n and facts.speed_m_s):
@@ -133,17 +127,17 @@ class UdpSession:
         self.facts = facts
         self._keys = session_keys(self._key, self._nonce, nonce)
         self._sent = self._newest = self._answered = 0
-        self._sessions += 1
+        self.udp_sessions += 1
 
     def _take(self, reading: UdpReading) -> None:
         number, answers = reading[0], reading[1]
         if number <= self._newest:
-            self._late += 1
+            self.udp_late += 1
             return
         if not self._answered <= answers <= self._sent:
             raise ProtocolError("an answer to a command that was not sent")
         self._newest, self._answered = number, answers
-        self._readings += 1
+        self.udp_readings += 1
         self.reading = reading
         self.silent = False
         self.problem = ""

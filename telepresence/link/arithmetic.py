@@ -1,10 +1,9 @@
 """Capacity arithmetic: what streams need of a direction, with headers and framing.
 
-All numbers hold for a stream that continuously fills its cap with packets of equal size. An
-interrupted packet costs a resume tag, which is charged to the level that interrupts. The
-arithmetic assumes that voice interrupts video once a packet. It does so less often. The difference
-covers the length of a piece that ends in a zone shorter than its packet. Rare traffic (TM/TC,
-RTCP, supervision) has a reserve.
+All numbers hold for a stream that continuously fills its cap with packets of equal size. The
+resume tag of an interrupted packet is charged to the level that interrupts. Voice interrupts video
+less than once a packet, as is assumed; the difference covers lengths of pieces. Rare traffic
+(TM/TC, RTCP, supervision) has a reserve.
 """
 
 from collections.abc import Sequence
@@ -187,8 +186,7 @@ def check_fit(
 def freed_need_bps(profile: LinkProfile, streams: Sequence[StreamNeed]) -> int:
     """Return what slots without a sample must free so that `streams` fit `profile`.
 
-    Longer zones also cost more: a supervision message takes a whole one, and more packets end in
-    the zone in which they began. The result assumes that all zones are long.
+    Longer zones also cost more. The result assumes that all zones are long.
     """
     needed_bps = channel_need(replace(profile, insert_octets=0), streams).needed_bps
     return max(0, needed_bps - profile.media_bps)

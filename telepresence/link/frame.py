@@ -158,8 +158,7 @@ class FrameCodec:
 class _KnownTail:
     """The octets of a frame from `start` to its FECF, if they are known in advance.
 
-    Their effect on a CRC register is linear in the register, except for a constant. So it is looked
-    up in a table for each half of the register.
+    Their effect on a CRC register is linear but for a constant, so each half has a table.
     """
 
     def __init__(self, start: int, tail: bytes) -> None:

@@ -19,8 +19,7 @@ other holds.
 from collections.abc import Mapping, Sequence
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.link.clock.exchange import ClockExchange, ReportClock
-from telepresence.link.clock.message import is_clock
+from telepresence.link.clock.exchange import ClockExchange, ReportClock, is_clock
 from telepresence.link.figures import GatewayFigures
 from telepresence.link.flows import Flow, FlowKind, HapticReceived, Level, LinkEvent, PacketReceived
 from telepresence.link.profile import LinkProfile
@@ -256,7 +255,6 @@ class Gateway:
         return self.receiver.follow_stranger(new_life=found is Encounter.RESTART)
 
     def _follow_supervision(self) -> None:
-        """Apply the events of supervision to sender and receiver."""
         sender, receiver, supervisor = self.sender, self.receiver, self.supervisor
         while (event := supervisor.next_event()) is not None:
             if isinstance(event, ContextsHeld):

@@ -108,10 +108,7 @@ class LinkProfile:
 
     @property
     def media_bps(self) -> int:
-        """The rate in bit/s of all levels below haptics, with a sample in every slot.
-
-        It includes the headers of their packets.
-        """
+        """The rate in bit/s of all levels below haptics, headers included, with all samples."""
         return self._bps(self.packet_zone_octets)
 
 

@@ -111,9 +111,8 @@ class PacketQueue:
     its way is not begun: `_pace_ns` is the time that an octet of this level took lately, since
     higher levels interrupt.
 
-    Call `handle_packet` and `report` at any time. In a slot call `waiting`; if it is True, `take`
-    may follow. Call `continues` before each further part of that packet is sent, and `finish` with
-    its last one.
+    In a slot call `waiting`; if it is True, `take` may follow. Call `continues` before each further
+    part of that packet is sent, and `finish` with its last one.
 
     octets: the sum of what the waiting packets count for; 0 if none waits.
     """
@@ -201,10 +200,8 @@ class PacketQueue:
         return packet
 
     def _in_time(self, packet: _Waiting, now_ns: int) -> bool:
-        """Whether the packet's last octet can be sent before its age limit, at the latest pace.
-
-        A packet in the first half of its time is always begun, so that the pace is measured again.
-        """
+        """Whether the packet's last octet can be sent before its age limit, at the latest pace."""
+        # In the first half of its time it is always begun, so that the pace is measured again.
         age_ns = self._age_ns
         needed_ns = min(len(packet.data) * self._pace_ns, age_ns // 2)
         return packet.queued_ns + age_ns >= now_ns + needed_ns
@@ -239,10 +236,7 @@ class PacketQueue:
         return False
 
     def held(self, now_ns: int) -> bool:
-        """Whether the bucket alone holds a packet back. Then `take` returns it for unused octets.
-
-        What is taken in this way is not charged.
-        """
+        """Whether the bucket alone holds a packet back; `take` returns it, without a charge."""
         return self._bucket is not None and self._find(now_ns) is not None
 
     def _find(self, now_ns: int) -> _Waiting | None:

@@ -115,10 +115,7 @@ class PacketReassembly:
         self._note_contexts()
 
     def go_on_from(self, other: "PacketReassembly", *, contexts: bool) -> None:
-        """Go on with the incomplete packets of another one, and with `contexts` with its contexts.
-
-        The other one is of no use afterwards.
-        """
+        """Take over the incomplete packets of another one, and with `contexts` its contexts."""
         self._partials, self._on_air = other._partials, other._on_air
         if contexts:
             self._decompressors = other._decompressors
@@ -143,7 +140,6 @@ class PacketReassembly:
             self.drop("oversize")
 
     def _finish(self, level: int | None, now_ns: int) -> None:
-        """The packet of `level` is complete."""
         self._on_air = None
         if level is None:
             return

@@ -60,7 +60,7 @@ def _add(counts: dict[str, int], reason: str, number: int) -> None:
 class LinkReceiver:
     """Takes frames by `handle_frame`; returns samples, packets and messages by `next_event`.
 
-    It never raises because of data from the peer; invalid data is counted by reason and dropped.
+    Invalid data is counted by reason and dropped.
 
     It follows one stream of frames. A frame belongs to it if its count is ahead of the last one and
     fits the time that has passed. All other frames are dropped; `stranger` shows the latest, and
@@ -163,11 +163,7 @@ class LinkReceiver:
         return self.packets.context_ids
 
     def forget_contexts(self) -> None:
-        """Forget all contexts: the peer began a new life.
-
-        The frame count does not always show that. The new contexts reuse the numbers of the old
-        ones, so no old one may be reported as held.
-        """
+        """Forget all contexts: the peer began a new life, which reuses their numbers."""
         self.packets.forget_contexts()
 
     def next_event(self) -> LinkEvent | None:
@@ -227,10 +223,7 @@ class LinkReceiver:
         self._next24 = -1
 
     def _find_skipped(self, count24: int, now_ns: int) -> int | None:
-        """Return how many frames of the stream are missing before this one.
-
-        None if it does not belong to the stream, which cannot have sent so many by now.
-        """
+        """Return how many frames are missing before this one; None: it is not of the stream."""
         if self._next24 < 0:
             if self.cautious:
                 return None
@@ -282,7 +275,6 @@ class LinkReceiver:
         return other
 
     def _message(self, frame: bytes) -> bytes | None:
-        """Return the supervision message of a good frame, or None."""
         parsed = self._parse(frame)
         if isinstance(parsed, str) or parsed[2] != self._pointers.supervision:
             return None

@@ -44,9 +44,8 @@ class _InFlight:
 class LinkSender:
     """Takes packets and haptic samples; returns exactly one transfer frame for each slot.
 
-    Call `handle_packet` and `handle_haptic` at any time. Call `poll_transmit` once a slot and send
-    what it returns. Priority is strict: a packet of a higher level goes into the next frame and may
-    interrupt a packet of a lower level, which continues afterwards.
+    Call `poll_transmit` once a slot and send what it returns. Priority is strict: a packet of a
+    higher level goes into the next frame and may interrupt one of a lower level.
 
     profile, flows: the direction and its flow table, as at the other end.
     limits: queue limits by level, where they differ from the defaults.
@@ -314,7 +313,6 @@ class LinkSender:
         return None
 
     def _begin(self, level: int, now_ns: int) -> _InFlight:
-        """Take the next packet of `level`, and compress its header."""
         number, data = self._queues[level].take(now_ns)
         compressor = self._compressors[number]
         if compressor is None:
@@ -364,11 +362,7 @@ class LinkSender:
 
 
 def _plausible(kind: FlowKind, data: bytes) -> bool:
-    """Whether `data` can be a packet of `kind`.
-
-    RTP: version 2 and a whole header. RTCP: also a packet type of RFC 3550 or later. TM/TC: a
-    packet of PUS, or a wall.
-    """
+    """Whether `data` can be a packet of `kind`, by RFC 3550, or of PUS, or a wall."""
     if kind is FlowKind.TMTC:
         return is_wall(data) or is_packet(data)
     if kind is FlowKind.RTP:

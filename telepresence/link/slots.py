@@ -1,7 +1,6 @@
 """The slots of one end of the link: when to wake up, and the order of work in a slot.
 
-A shell that binds sockets repeats the following steps. `pipelines/link/process_gateway.py` does,
-and the simulation does the same on virtual time:
+A shell that binds sockets, or the simulation, repeats these steps:
 
 1. Sleep until `poll_timeout()`, or until a frame arrives by radio. Pass a frame to
    `Gateway.handle_radio` at once, at any time.
@@ -37,9 +36,8 @@ _MOST_NS = 60 * NS_PER_US
 class WakeMargin:
     """How long before a deadline to wake up, so that it is usually not missed.
 
-    The margin follows the 75 % quantile of the wake-up latency, by the stochastic approximation of
-    Robbins and Monro (1951): one comparison for each wake-up. A higher quantile would cost more
-    waiting than it gains.
+    It follows the 75 % quantile of the wake-up latency, by the stochastic approximation of Robbins
+    and Monro (1951). A higher quantile would cost more waiting than it gains.
 
     ns: the margin, at most 60 µs. A longer delay means that the process was held up.
     """

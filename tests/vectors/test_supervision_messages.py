@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telepresence.link.clock.message import (
+from telepresence.link.clock.exchange import (
     NO_AGE_US,
     ClockMessage,
     message_mark,

@@ -85,7 +85,6 @@ class CheckBench:
         self._device.advance(dt_ns)
 
     def _handle_not_ready(self, now_ns: int) -> None:
-        """The device is not in the application; a check that runs ends here."""
         operation = self.operation
         reason = operation.trouble or f"the device stays in the state {operation.state.words}"
         if self._run is not None:

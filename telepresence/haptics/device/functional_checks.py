@@ -2,20 +2,16 @@
 
 Workspace: how far the handle moves to each side, pushed by motors or moved by a person.
 
-Friction: the force that keeps the handle moving, at two speeds, in both directions and axes. The
-motors hold a speed; the force that this takes in steady motion is friction alone. Two speeds
-separate Coulomb friction, the same at any speed, from viscous friction.
+Friction: the motors hold a speed; the force that this takes in steady motion is friction alone. Two
+speeds separate Coulomb friction, the same at any speed, from viscous friction.
 
-Virtual spring: is the displayed stiffness the commanded one? The motors display a spring, on which
-the handle's mass oscillates. Its turning points are half a period apart, π/ω. Coulomb friction
-reduces the amplitude but not the period, because the handle oscillates about the ends of a dead
-band. The effect of viscous friction is known. The displayed stiffness, m (ω² + (b/2m)²), thus
-follows from times alone. A check that compares commanded forces would miss motors that exert less
-force than commanded.
+Virtual spring: the handle's mass oscillates on a spring that the motors display. Its turning points
+are half a period apart, π/ω. Coulomb friction changes the amplitude only. The displayed stiffness,
+m (ω² + (b/2m)²), thus follows from times alone. To compare commanded forces would miss motors that
+exert less force than commanded.
 
-Buttons and LEDs: each LED lights up to ask a person to press and release its button. Without LEDs
-the prompt asks in words. The dead-man button comes last. It must be seen released and pressed; all
-LEDs together ask for a press.
+Buttons and LEDs: each LED asks for its button, all together for the dead-man button; without LEDs
+the prompt asks in words.
 """
 
 from math import pi

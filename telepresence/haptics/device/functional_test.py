@@ -1,10 +1,9 @@
 """FunctionalTest: the joystick tests itself within a session, while it leads no robot.
 
-A person lets the dead-man button go, then holds it; all LEDs and a prompt ask for that. While it is
-held, the motors move each axis aside and back, display a spring, push to the ends of the workspace
-and move at two speeds, as the checks of those names do. Then each LED asks for its button. The
-places test the encoders, the stiffness tests the motors. A person moves a device without motors.
-The motors never push without the dead-man button, and never with more than `FORCE_N`.
+A person lets the dead-man button go, then holds it. While it is held, the motors move each axis
+aside and back, display a spring, push to the ends of the workspace and move at two speeds. Then
+each LED asks for its button. A person moves a device without motors. The motors never push without
+the dead-man button, and never with more than `FORCE_N`.
 """
 
 from enum import StrEnum

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from telepresence.haptics.axes import AxisName, AxisReading
-from telepresence.haptics.device.device import JoystickFacts, JoystickReading
+from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import (
     ABS_X,
@@ -125,20 +125,19 @@ class GamepadDevice:
         self._device = device
         self._stick = Stick(
             device.name,
-            {code: _axis(info) for code, info in capabilities[EV_ABS]},
+            {
+                code: Axis(info.value, info.min, info.max, info.flat)
+                for code, info in capabilities[EV_ABS]
+            },
             frozenset(capabilities.get(EV_KEY, ())),
             rumble=FF_RUMBLE in capabilities.get(EV_FF, ()),
             more=axes,
         )
+        self.facts = self._stick.facts
         self._meter = RumbleMeter(_FULL_RUMBLE_N)
         self._effect = -1
         self._force_n = self._more_n = 0.0
         self._ask_state()
-
-    @property
-    def facts(self) -> JoystickFacts:
-        """Workspace and buttons; no motors."""
-        return self._stick.facts
 
     def read(self) -> JoystickReading:
         """Process all pending events, then return the reading."""
@@ -173,7 +172,7 @@ class GamepadDevice:
     def advance(self, dt_ns: int) -> None:
         """`dt_ns` pass; update the filter and the rumble."""
         self._stick.advance(dt_ns)
-        if self._stick.facts.rumble:
+        if self.facts.rumble:
             magnitude = self._meter.handle_force(hypot(self._force_n, self._more_n), dt_ns)
             if magnitude is not None:
                 self._rumble(magnitude)
@@ -230,10 +229,6 @@ def _is_stick(device: Any) -> bool:
         and ABS_Y in axes
         and any(_FIRST_BUTTON <= code <= _LAST_BUTTON for code in keys)
     )
-
-
-def _axis(info: Any) -> Axis:
-    return Axis(info.value, info.min, info.max, info.flat)
 
 
 def _library() -> ModuleType:

@@ -26,9 +26,7 @@ class OperatedHandle:
 
     x_m, y_m: calibrated position; it rests while there is no calibration.
     force_limit_n: 0 outside the application and while the dead-man button is released.
-    dead_man, buttons, state: the values that the command samples carry.
-    stop: emergency stop. blind: the operator's picture is too old. The caller sets both.
-    pressed: how often a button went down.
+    stop, blind: the caller sets both. pressed: how often a button went down.
     robot_waits, robot_stopped: what the robot's newest sample says.
     more: the axes behind x and y; their middle is where the device reads 0.
 

@@ -6,12 +6,20 @@ by itself. It returns there after a halt once the cause is gone.
 """
 
 from math import isfinite
+from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.calibration import Calibration, calibrate
-from telepresence.haptics.device.device import JoystickDevice, JoystickReading
+from telepresence.haptics.device.device import JoystickDevice, JoystickFacts, JoystickReading
 from telepresence.haptics.device.functional_test import Outcome, TestReport, functional_test
-from telepresence.haptics.device.script import IDLE, ScriptRun
+from telepresence.haptics.device.script import (
+    IDLE,
+    Cycle,
+    Output,
+    Script,
+    ScriptRun,
+    push_to_stop,
+    travel,
+)
 from telepresence.haptics.device.states import (
     REQUESTS,
     TRANSITIONS,
@@ -23,6 +31,91 @@ from telepresence.haptics.device.states import (
 )
 from telepresence.haptics.device.supervision import Health, JoystickSupervisor, Limits
 from telepresence.haptics.figures import OperationFigures
+
+#: Force of the push (N): more than the handle's friction, and harmless for fingers. Chosen.
+PUSH_N = 5.0
+_SPEED_M_S = 0.6
+#: Tolerated difference between the measured half width and the nominal one, as a share. A larger
+#: one means a faulty encoder or a blocked axis. Chosen.
+TOLERANCE = 0.08
+_REST_NS = 300 * NS_PER_MS
+#: A stick that rests farther from its electrical middle is being held.
+_REST_SHARE = 0.15
+
+
+class Calibration(NamedTuple):
+    """The result: subtract (x_m, y_m) from the encoders' positions.
+
+    half_width_m, half_height_m: measured, or nominal if nothing can be measured.
+    problem: one line that says why the calibration failed; "" if it passed.
+    """
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    half_width_m: float = 0.0
+    half_height_m: float = 0.0
+    problem: str = ""
+
+
+def calibrate(facts: JoystickFacts) -> Script[Calibration]:
+    """Return the script that finds the middle of the workspace of a device with these facts.
+
+    Motors push the handle to its stops. A stick springs back to its middle, and is left alone.
+    """
+    return _with_motors(facts) if facts.has_force else _without_motors(facts)
+
+
+def _with_motors(facts: JoystickFacts) -> Script[Calibration]:
+    cycle: Cycle = yield IDLE
+    middles: list[float] = []
+    halves: list[float] = []
+    push_n = min(PUSH_N, facts.force_limit_n)
+    for axis, nominal_m in ((0, facts.half_width_m), (1, facts.half_height_m)):
+        name = "xy"[axis]
+        ends = []
+        for sign in (-1, 1):
+            direction = (sign, 0) if axis == 0 else (0, sign)
+            cycle, end = yield from push_to_stop(
+                cycle, direction, force_n=push_n, speed_m_s=_SPEED_M_S
+            )
+            ends.append(end.place(axis))
+        half_m = (ends[1] - ends[0]) / 2
+        if abs(half_m - nominal_m) > TOLERANCE * nominal_m:
+            return Calibration(
+                problem=f"axis {name} moves by ±{half_m * 1e3:.0f} mm where "
+                f"±{nominal_m * 1e3:.0f} mm are due: free the handle and calibrate again"
+            )
+        middles.append((ends[0] + ends[1]) / 2)
+        halves.append(half_m)
+        to_x = middles[0] if axis == 0 else cycle.reading.x_m
+        to_y = middles[1] if axis == 1 else cycle.reading.y_m
+        cycle, there = yield from travel(cycle, to_x, to_y, speed_m_s=_SPEED_M_S, force_n=push_n)
+        if not there:
+            return Calibration(
+                problem=f"axis {name} does not return to its middle: free the handle, let go of "
+                "it, and calibrate again"
+            )
+    return Calibration(middles[0], middles[1], halves[0], halves[1])
+
+
+def _without_motors(facts: JoystickFacts) -> Script[Calibration]:
+    cycle: Cycle = yield IDLE
+    until_ns = cycle.now_ns + _REST_NS
+    xs, ys = [cycle.reading.x_m], [cycle.reading.y_m]
+    while cycle.now_ns < until_ns:
+        cycle = yield Output(prompt="leave the stick alone")
+        xs.append(cycle.reading.x_m)
+        ys.append(cycle.reading.y_m)
+    x_m, y_m = sum(xs) / len(xs), sum(ys) / len(ys)
+    for values, middle, half_m in ((xs, x_m, facts.half_width_m), (ys, y_m, facts.half_height_m)):
+        moved = max(abs(value) for value in values)
+        if moved > _REST_SHARE * half_m or max(values) - min(values) > _REST_SHARE / 3 * half_m:
+            return Calibration(
+                problem=f"the stick does not rest at its middle ({middle / half_m:+.0%} of its "
+                "travel): let go of it, and calibrate again"
+            )
+    return Calibration(x_m, y_m, facts.half_width_m, facts.half_height_m)
+
 
 #: The self-test passes after this many readings without a fault.
 _SELF_TEST_CYCLES = 20
@@ -64,8 +157,7 @@ class JoystickOperation:
 
     automatic: make the requests that lead into the application, and back into it, by itself.
     paused: a person halted or stopped it, in an earlier life too, so it waits for a person.
-    hands_off: the application is a functional check. Its script moves the handle, the force does
-    not depend on the dead-man button, and no peer is expected.
+    hands_off: the application is a functional check, without dead-man button and peer.
 
     reading: the newest reading; its position is calibrated once `calibration` is set.
     force_limit_n: the force (N) that the controller may use until the next reading, per axis; 0
@@ -137,11 +229,7 @@ class JoystickOperation:
 
     @property
     def given_up(self) -> bool:
-        """Whether the automatic retries have ended, so that a person must act.
-
-        With motors the number of retries is limited. A calibration without motors pushes nobody, so
-        it is repeated until the stick is released.
-        """
+        """Whether the automatic retries have ended, so that a person must act."""
         if self.state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE):
             return not self._automatic or self.paused or self._retries >= _RETRIES
         return self.state is JoystickState.FATAL
@@ -151,11 +239,6 @@ class JoystickOperation:
         """One line that says what keeps it from the application; "" if nothing does."""
         reason = self.machine.reason or self.supervisor.reason
         return f"{self.state.words}: {reason}" if reason else ""
-
-    @property
-    def halted(self) -> bool:
-        """Whether the application must wait until something has changed."""
-        return self.machine.state >= JoystickState.HALTED
 
     def handle_heard(self, now_ns: int) -> None:
         """A fresh sample of the peer has arrived."""
@@ -317,15 +400,7 @@ class JoystickOperation:
             dead_man_released=self.released,
             calibration_mm=None
             if calibration is None
-            else [
-                round(value * 1e3, 2)
-                for value in (
-                    calibration.x_m,
-                    calibration.y_m,
-                    calibration.half_width_m,
-                    calibration.half_height_m,
-                )
-            ],
+            else [round(value * 1e3, 2) for value in calibration[:4]],
         )
 
     def _update_force_limit(self, reading: JoystickReading, now_ns: int) -> None:

@@ -1,9 +1,8 @@
 """The simulated joystick in the hand of a person at a browser page.
 
-The handle has the mechanics and the motors of the simulated joystick, so the robot's force is real
-and displaces it. The page only says where its person wants the handle to be. Muscles, a spring and
-a damper as in `telepresence.haptics.hand`, pull the handle there while the dead-man button is held
-and the inputs are fresh. Otherwise the handle is braked and stays where it is.
+The robot's force displaces the handle. The page only says where its person wants the handle to be.
+Muscles, a spring and a damper as in `telepresence.haptics.hand`, pull it there while the dead-man
+button is held and the inputs are fresh. Otherwise the handle is braked and stays where it is.
 """
 
 from collections.abc import Sequence

@@ -51,11 +51,6 @@ class ScriptRun(Generic[Result]):
         self._done = False
         self.result: Result | None = None
 
-    @property
-    def done(self) -> bool:
-        """Whether the script has ended or was aborted."""
-        return self._done
-
     def handle_reading(self, reading: JoystickReading, now_ns: int) -> Output:
         """Run one cycle; return what the device should do until the next one."""
         if self._done:
@@ -106,14 +101,6 @@ _SLOW_M_S = 0.01
 #: Growth of the additional force (N/s) that overcomes friction without a jerk.
 _CREEP_N_S = 10.0
 _NEAR_M = 0.002
-
-
-def wait(cycle: Cycle, duration_ns: int) -> Script[Cycle]:
-    """Do nothing for `duration_ns`; return the last cycle."""
-    until_ns = cycle.now_ns + duration_ns
-    while cycle.now_ns < until_ns:
-        cycle = yield IDLE
-    return cycle
 
 
 def travel(
@@ -196,7 +183,6 @@ def push_to_stop(
 
 
 def _at_most(x_n: float, y_n: float, force_n: float) -> tuple[float, float]:
-    """Return this force (N, N) with its size cut to `force_n`."""
     size = hypot(x_n, y_n)
     if size <= force_n:
         return x_n, y_n

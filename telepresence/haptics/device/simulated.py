@@ -202,7 +202,6 @@ class Mechanics:
             axis.force_n = 0.0
 
     def _step(self, dt_ns: int) -> None:
-        """Simulate `dt_ns`, at most 1 ms."""
         raise NotImplementedError
 
     def _step_axes(self, wanted: Sequence[float] | None, dt_ns: int) -> None:
@@ -253,10 +252,7 @@ class SimulatedDevice(Mechanics):
         self._told = False
 
     def handle_robot(self, heard: bool, waiting: bool) -> None:
-        """The robot is heard, or waits for a new press, as the hand on the handle learns.
-
-        A hand that is never told presses the dead-man button all the time.
-        """
+        """Tell the hand that the robot is heard, or waits; an untold one presses all the time."""
         self._told = True
         if self.hand is not None and self._held_ns >= 0:
             self.hand.handle_robot(heard, waiting, self.joystick.x_m, self.joystick.y_m)

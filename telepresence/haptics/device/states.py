@@ -2,7 +2,7 @@
 
 The states and errors are those of the Kontur-2 joystick (C. Riecke et al., "Kontur-2 mission: the
 DLR force feedback joystick for space telemanipulation from the ISS", i-SAIRAS 2016). The table of
-transitions is this project's own. A state's number travels in octet 3 of each command sample.
+transitions is this project's own.
 
 There is force only in `APPLICATION`, during the calibration in `STANDBY`, and during the functional
 test in `CALIBRATED`. `FATAL` is final: only a restart of the process leaves it, and that begins
@@ -31,19 +31,8 @@ class JoystickState(IntEnum):
     @property
     def words(self) -> str:
         """The state in words, such as "calibration error"."""
-        return _WORDS[self]
-
-
-_WORDS = {
-    JoystickState.INIT: "init",
-    JoystickState.STANDBY: "standby",
-    JoystickState.CALIBRATED: "calibrated",
-    JoystickState.APPLICATION: "application",
-    JoystickState.HALTED: "halted",
-    JoystickState.CALIBRATION_ERROR: "calibration error",
-    JoystickState.RECOVERABLE: "recoverable error",
-    JoystickState.FATAL: "fatal error",
-}
+        error = " error" if self in (JoystickState.RECOVERABLE, JoystickState.FATAL) else ""
+        return self.name.replace("_", " ").lower() + error
 
 
 class ExperimentName(StrEnum):

@@ -3,9 +3,8 @@
 Codes and meanings follow the kernel's `linux/input-event-codes.h` and the "Linux Gamepad
 Specification" (Documentation/input/gamepad.rst).
 
-A stick reports 8 to 16 bits at 125 to 1000 Hz, and springs back within a few milliseconds when
-released. Such a jump would hit the robot hard and break the bilateral controller's bound for the
-next cycle. A filter with a hand's speed and acceleration therefore follows the stick.
+A stick springs back within a few milliseconds when released. Such a jump would break the bilateral
+controller's bound for the next cycle. A filter with a hand's speed and acceleration follows it.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -54,10 +53,7 @@ class Axis(NamedTuple):
 
 
 def dead_man_of(keys: frozenset[int]) -> int | None:
-    """Return the code of the dead-man button of a controller with these keys.
-
-    The left shoulder or the trigger, else its first button; None without buttons.
-    """
+    """Return the dead-man button: left shoulder or trigger, else the first of `keys`, if any."""
     usual = _PAD_DEAD_MAN if _PAD_BUTTONS[0] in keys else _STICK_DEAD_MAN
     return usual if usual in keys else min(keys, default=None)
 

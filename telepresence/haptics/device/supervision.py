@@ -1,15 +1,4 @@
-"""What the supervision of a running joystick monitors, and how it reacts.
-
-| what | warning | less force | halted | error |
-|---|---|---|---|---|
-| motor temperature | `warn_c` | from `warn_c` on, linearly | `halt_c`, until `cool_c` | |
-| dead-man button | | none while it is released | | |
-| communication | | the controller's own decay | `silence_ns` without a sample | |
-| place | | | | `outside_m` beyond the workspace |
-| velocity | | | | faster than any hand: `speed_m_s` |
-| numbers | | | | not finite; the device is gone (fatal) |
-| a trainer's exercise | | | | for as long as it lasts |
-"""
+"""What the supervision of a running joystick monitors, and how it reacts (docs/joystick.md)."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -25,6 +14,10 @@ _CHECK_NS = 20 * NS_PER_MS
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
     """Limits of the supervision; all chosen.
+
+    warn_c, halt_c, cool_c: of the motors: less force, linearly; halted; until they are cooler.
+    silence_ns: without a sample for longer it halts. outside_m: beyond the workspace. speed_m_s:
+    faster than any hand.
 
     They lie below what a winding of class B bears (130 °C). They exceed what a hand may touch for
     ten minutes (48 °C, ISO 13732-1), because the housing stays cooler than the motors.

@@ -26,7 +26,8 @@ class UdpJoystick:
         self._session = self._line.session
         facts = self._line.connect()
         half_width_m, half_height_m = facts.half_m
-        self._facts = JoystickFacts(
+        #: What the controller said at first.
+        self.facts = JoystickFacts(
             name=facts.name,
             half_width_m=half_width_m,
             half_height_m=half_height_m,
@@ -40,11 +41,6 @@ class UdpJoystick:
         self._zero_x = self._zero_y = 0.0
         # With late readings the place jumps; a motion without jumps is followed at once.
         self._x, self._y = FollowedAxis(_CYCLE_S), FollowedAxis(_CYCLE_S)
-
-    @property
-    def facts(self) -> JoystickFacts:
-        """What the controller said at first."""
-        return self._facts
 
     def read(self) -> JoystickReading:
         """Return the newest reading."""
@@ -71,7 +67,7 @@ class UdpJoystick:
 
     def write_force(self, x_n: float, y_n: float) -> None:
         """Order this force (N, N), cut to the device's limit, with the next cycle."""
-        limit = self._facts.force_limit_n
+        limit = self.facts.force_limit_n
         x_n, y_n = max(-limit, min(limit, x_n)), max(-limit, min(limit, y_n))
         self._session.axes = (x_n, 0.0, 0.0, y_n, 0.0, 0.0)
 

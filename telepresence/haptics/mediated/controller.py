@@ -1,11 +1,10 @@
 """The joystick's controller for model-mediated haptics: damping as before, force from the model.
 
 The robot's delayed force is not displayed, or only what the model does not explain of it
-(`residual`). Two energies are bounded, each alone: the motors never
-give the hand more than they took from it (`WallRenderer`), and the robot never gets more than the
-hand put in. What the hand puts into the rendered spring is granted to the robot, too, or it could
-not press. The spring still gives it back to the hand. So the robot's own power stands for the
-energy of its contact, and the network as a whole is not passive. No delayed force is in the loop.
+(`residual`). Two energies are bounded, each alone: the motors never give the hand more than they
+took from it (`WallRenderer`), and the robot never gets more than the hand put in. What the hand
+puts into the rendered spring is granted to the robot, too, or it could not press. So the network as
+a whole is not passive (docs/haptics-controllers.md).
 """
 
 from math import hypot

@@ -12,18 +12,13 @@ force along the plane says the same tilt, and friction, which turns with the sli
 
 The six unknowns are found together by least squares over the samples of a contact in which the tip
 moved; older ones count less and less. The assumed plane is then turned by the tilt. What the
-samples do not tell comes from weak priors, and from the place where the contact began. So a tip
-that slides one way only does not have its friction taken for a slant. An estimate that is too
-uncertain is not told. The free tip contradicts a wall when it stands behind its surface.
+samples do not tell comes from weak priors, and from the place where the contact began. An estimate
+that is too uncertain is not told. The free tip contradicts a wall when it stands behind its
+surface. docs/haptics-controllers.md has the figures, and what is sent of the measured force.
 
 Model-mediated teleoperation: P. Mitra, G. Niemeyer, "Model-mediated telemanipulation", Int. J.
 Robotics Research 27, 2008; C. Passenberg, A. Peer, M. Buss, "A survey of environment-, operator-,
 and task-adapted controllers for teleoperation systems", Mechatronics 20, 2010.
-
-What a wall that was told does not explain of the measured force is the rest: friction, a groove,
-another person's hand, and all of a contact that nobody has told yet. The joystick renders the wall,
-so the feedback carries only that. So the model takes over from the delayed force by itself, and the
-other way round when the tip contradicts it.
 """
 
 from collections import deque
@@ -134,7 +129,6 @@ class WallEstimator:
         self._begin()
 
     def _begin(self) -> None:
-        """Forget the samples of a contact."""
         self._samples.clear()
         self._used = 0
         self._step_m = self.model.step_m
@@ -312,7 +306,6 @@ class WallEstimator:
 
 
 def _unit(angle_rad: float) -> complex:
-    """Return the unit vector in a direction, as a complex number."""
     return complex(cos(angle_rad), sin(angle_rad))
 
 

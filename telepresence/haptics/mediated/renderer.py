@@ -2,16 +2,11 @@
 
 The wall is a spring in series with the robot's own, so that the hand feels what the robot presses
 with. It acts across the plane only. The force of a cycle is held while the handle moves by `d`, so
-exactly `f·d` has flowed out.
+exactly `f·d` has flowed out. A force that turns does no work.
 
-Where the wall changes, the force goes straight to that of the new one, as a vector. A force that
-turns does no work: the spring turns with it and holds as much energy as before.
-
-An energy tank bounds what a change of the wall may add. It holds what the motors took from the hand
-(damping and spring) less what they gave. A part of it is the spring's own energy f^2 / 2k. That
-part moves in and out with the handle, so an unchanged spring is always paid for. Only the rest may
-pay for a wall that appears under the hand, comes nearer or becomes softer under load. A wall that
-goes away leaves its energy in the tank.
+An energy tank bounds what a change of the wall may add (docs/haptics-controllers.md). A part of it
+is the spring's own energy f^2 / 2k; only the rest may pay for a wall that appears under the hand,
+comes nearer or becomes softer under load.
 
 M. Franken et al., "Bilateral telemanipulation with time delays: a two-layer approach combining
 passivity and transparency", IEEE Trans. Robotics 27, 2011, has such tanks. P. Mitra, G. Niemeyer,
@@ -212,7 +207,6 @@ class WallRenderer:
         self._spring_n_m = min(max(self._stiffness, need_n_m), steepest)
 
     def _bounded(self, force: float, in_m_s: float) -> float:
-        """Return the force within the bounds of the tank and the motors."""
         tank_j = max(0.0, self.tank_j)
         force = min(force, self.limit_n, sqrt(2.0 * self._spring_n_m * tank_j))
         # The next cycle is held, and the handle may accelerate.

@@ -1,22 +1,10 @@
 """The message with the wall that the robot's tip has met, as a CCSDS space packet.
 
-16 octets, big-endian. The primary header (CCSDS 133.0-B-2, clause 4.1.3) has type 0 and `WALL_APID`
-and is unsegmented; its count is that of this APID.
+16 octets, big-endian (docs/haptics-controllers.md). The primary header (CCSDS 133.0-B-2, clause
+4.1.3) has type 0 and `WALL_APID` and is unsegmented; its count is that of this APID.
 
-| octets | what | a count is | range |
-|---|---|---|---|
-| 0..5 | primary header | | |
-| 6 | version | | 2 |
-| 7..8 | direction that meets the wall head-on, from +x to +y | 1/65536 turn | 0..65535 |
-| 9..11 | instant of the estimate on the robot's clock, unsigned, wraps | 1 ms | |
-| 12..13 | the surface's distance from the origin that way, signed | 20 µm | ±0.65534 m |
-| 14..15 | stiffness, unsigned; 0: no wall | 1 N/m | 10..20000 N/m |
-
-Without a wall, octets 7, 8 and 12 to 15 are 0. A surface that is not plane is told as its tangent
-plane where the tip is.
-
-The layout is this project's own. A distance out of range is cut to the range, and so is a
-stiffness.
+A surface that is not plane is told as its tangent plane where the tip is. The layout is this
+project's own. A distance or a stiffness out of range is cut to the range.
 """
 
 import struct

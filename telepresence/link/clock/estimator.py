@@ -3,21 +3,13 @@
 The offset is the peer's clock minus this end's. Two kinds of bound are known of it:
 
 - A message that the peer stamped with `p` when it left, and that came at `t`, left at `t` or
-  before. So at `t` the peer's clock had passed `p`: the offset at `t` is at least `p - t`.
+  before. So the offset at `t` is at least `p - t`.
 - A message that left at `t`, and that the peer stamped with `p` when it came, came at `t` or later.
-  So at `t` the peer's clock had not passed `p`: the offset at `t` is at most `p - t`.
+  So the offset at `t` is at most `p - t`.
 
-No delay is assumed to be known, and none to be equal to that of the other way. The offset follows a
-straight line within all bounds, as two clocks do that drift apart. All such lines together give the
-least and the largest offset; the estimate is their middle, and its error is half their distance.
-Without jitter that is half of the round trip's delay in the network.
-
-Delay above the minimum only gives loose bounds. So it is enough to keep the tightest bound of each
-window of 2 s, as in the minimum filter of Mills (RFC 5905, section 10), here for each way.
-
-Clocks drift unevenly, with temperature, or because NTP disciplines them. So a bound becomes looser
-with age, and old ones are dropped. A clock that is stepped, or suspended, contradicts the earlier
-bounds: then the estimate begins anew.
+The offset follows a straight line within all bounds; the estimate is the middle of all such lines.
+The tightest bound of each window of 2 s is kept, as in the minimum filter of Mills (RFC 5905,
+section 10), here for each way. docs/two-machines.md says what is assumed.
 """
 
 from __future__ import annotations
@@ -133,11 +125,7 @@ class ClockEstimator:
         self._drift = 0.0
 
     def estimate(self, now_ns: int) -> ClockEstimate | None:
-        """Return the offset at `now_ns`, an instant not before any bound's.
-
-        None: nothing is known, because too few messages came, too long ago, or because a clock has
-        just been stepped.
-        """
+        """Return the offset at `now_ns`, not before any bound's; None: nothing is known."""
         if not (self._least.known(now_ns) and self._largest.known(now_ns)):
             return None
         base_ns = self._least.newest_ns

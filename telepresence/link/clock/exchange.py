@@ -3,29 +3,90 @@
 Each message has the instant at which it leaves, and says when the peer's newest one came. So both
 ends learn a bound from each way (`estimator`). A lost message costs only itself.
 
-A sender report of RTCP (RFC 3550, section 6.4.1) dates a stream in its sender's wall time.
-Receivers take the wall time of their own machine off. So the gateway, which knows the difference of
-both clocks, corrects each report on its way out. Then ages and stamps are right, whatever wall time
-the other machine has.
+A sender report of RTCP (RFC 3550, section 6.4.1) dates a stream in its sender's wall time. The
+gateway, which knows the difference of both clocks, corrects each report on its way out.
 """
 
+import struct
 from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.modular import signed
 from telepresence.link.clock.estimator import ClockEstimate, ClockEstimator
-from telepresence.link.clock.message import (
-    NO_AGE_US,
-    PART_BITS,
-    PARTS,
-    ClockMessage,
-    message_mark,
-    pack_clock,
-    parse_clock,
-)
 from telepresence.link.figures import ClockFigures
 from telepresence.link.flows import PacketReceived
+from telepresence.link.supervision.message import MASTER, MESSAGE_OCTETS, MessageKind
+
+#: An age that says that no message came.
+NO_AGE_US = 0xFFFFFF
+
+_LAYOUT = struct.Struct(">BBHII")
+
+
+class ClockMessage(NamedTuple):
+    """One message (docs/link-format.md). mark: of the peer's message, `message_mark`.
+
+    part, piece: number of a part, 0 to 3, and its bits, 0 to 31.
+    """
+
+    version: int
+    master: bool
+    life: int
+    stamp_us: int
+    mark: int = 0
+    age_us: int = NO_AGE_US
+    part: int = 0
+    piece: int = 0
+
+
+#: Parts of a clock above its stamp, which repeats after 71.6 min, and the bits of each. 52 bits are
+#: enough in this century.
+PARTS, PART_BITS = 4, 5
+
+
+def message_mark(stamp_us: int) -> int:
+    """Return the 8 bits by which a message is known; they repeat after 16.8 s."""
+    return stamp_us >> 16 & 0xFF
+
+
+def pack_clock(message: ClockMessage) -> bytes:
+    """Return the twelve octets of `message`."""
+    return _LAYOUT.pack(
+        message.version << 4 | MessageKind.CLOCK,
+        (MASTER if message.master else 0)
+        | message.part << 6
+        | (message.piece & 0x10) << 1
+        | message.piece & 0x0F,
+        message.life,
+        message.stamp_us,
+        message.mark << 24 | message.age_us,
+    )
+
+
+def is_clock(data: bytes) -> bool:
+    """Whether these octets have the kind CLOCK."""
+    return len(data) == MESSAGE_OCTETS and data[0] & 0xF == MessageKind.CLOCK
+
+
+def parse_clock(data: bytes) -> ClockMessage | None:
+    """Parse `data`; None if no end that follows the layout can have sent it."""
+    if not is_clock(data):
+        return None
+    first, flags, life, stamp_us, rest = _LAYOUT.unpack(data)
+    if not first >> 4 or not life:
+        return None
+    return ClockMessage(
+        version=first >> 4,
+        master=bool(flags & MASTER),
+        life=life,
+        stamp_us=stamp_us,
+        mark=rest >> 24,
+        age_us=rest & NO_AGE_US,
+        part=flags >> 6,
+        piece=(flags & 0x20) >> 1 | flags & 0x0F,
+    )
+
 
 #: Interval of messages, and of the first ones after the peer was met. The capacity arithmetic
 #: counts them among the supervision messages.

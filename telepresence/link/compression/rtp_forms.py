@@ -1,40 +1,17 @@
 """The bit layouts of compressed RTP headers, and the arithmetic that restores them. No state.
 
-Static rules, as in SCHC (RFC 8724): the tag's kind is the number of the rule. For each field of
-RFC 3550 section 5.1, a rule has a matching operator (what the field is compared with) and a
-compression/decompression action (how it is restored). The residue is what is sent besides the tag.
-
-| field | target value | matching operator and action |
-|---|---|---|
-| version, P, X, CC | 2, 0, 0, 0 | equal, not sent |
-| SSRC, payload type | the context's | equal, not sent |
-| marker | the context's | equal, not sent (bare, near); or sent (short, long) |
-| timestamp | computed from the link's time | equal, not sent (bare); or MSB(x), LSB |
-| sequence number | computed from the timestamp | the same |
+docs/link-format.md has the layouts of all rules and of a context, and the windows around their
+predictions. Static rules, as in SCHC (RFC 8724): the tag's kind is the number of the rule. The
+residue is what is sent besides the tag.
 
 There are two differences from RFC 8724. Target values are not provisioned: SSRC and offsets are
 random numbers of each sender, so a *context* carries them, and the receiver acknowledges it. And
 they are not constant: the frame count, which both ends know, gives the source's progress since.
 
 A source is modelled as a *grid*: pictures (or blocks of sound) at equal distances, each with about
-the same number of packets. The five rules, in octets with the tag:
-
-    bare   1   kind 4         -                              exactly as predicted
-    short  2   kind 5..7      marker 1, index 2, sequence 5  kind - 5 = timestamp modulo 3
-    near   2   kind 8..11     timestamp 8                    kind - 8 = index modulo 4
-    long   3   kind 12..15    marker 1, sequence 4, timestamp 13; the kind holds two of the bits
-    wide   4   kind 3         marker 1, sequence 7, timestamp 16
-
-All residues are low bits of absolute values, so they do not depend on the receiver's context. Each
-one stands for the only value with these bits in a window around the prediction.
-
-    short  timestamp: at a grid point or a tick beside it; for sources with their own clock
-    near   timestamp: within 128 ticks of a grid point (1.4 ms at 90 kHz); for cameras
-    long   timestamp: 5120 ticks before to 3071 after the link's time; for sources without a grid
-    wide   timestamp: 49152 ticks before to 16383 after the link's time; for pictures out of order
-    index  (number of the grid point): 2 before to 1 after the one at the link's time
-    sequence: 12 before to 19 after the grid's prediction (short), 6 before to 9 after it (long),
-           64 before to 63 after the one for the link's time (wide)
+the same number of packets. All residues are low bits of absolute values, so they do not depend on
+the receiver's context. Each stands for the only value with these bits in a window around the
+prediction.
 """
 
 import struct

@@ -46,11 +46,8 @@ KEEP_ALIVE_NS = 500 * NS_PER_MS
 
 
 class ProtectedPath:
-    """See the module for what to call when.
+    """See the module for what to call when, and `ProtectedChannel` for the arguments.
 
-    key, peer: the own key pair, and the one identity that is believed.
-    secret: 32 octets that nobody else knows, drawn anew at each start.
-    address: where the peer is; None for an end that waits to be called.
     rekey_ns: new keys after this time.
     """
 
@@ -134,7 +131,7 @@ class ProtectedPath:
         """What this end knows of the path until `now_ns`."""
         self._take_events(now_ns)
         figures = self._channel.figures
-        dropped = {reason: count for reason, count in figures.dropped.items() if count}
+        dropped = dict(figures.dropped)
         if self._overflows:
             dropped["throttled"] = dropped.get("throttled", 0) + self._overflows
         where = self._channel.peer_address
@@ -235,7 +232,6 @@ class OpenPath:
         )
 
     def _follow(self, datagram: bytes, source: Address, now_ns: int) -> bool:
-        """Follow another source if it may be the peer; whether it is followed."""
         found = self._address is not None
         if self._fixed or (found and now_ns - self._heard_ns < SILENCE_NS):
             return False

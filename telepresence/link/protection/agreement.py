@@ -1,9 +1,8 @@
 """TLS 1.3 in memory: from octets of the peer to octets for the peer, and at the end to keys.
 
 OpenSSL does the handshake (RFC 8446), through pyOpenSSL. Both ends show a self-made certificate.
-Each accepts only the public key of the identity that it pinned, and looks at nothing else in it:
-neither dates nor names. The keys of the records are exported (RFC 8446 section 7.5, RFC 5705). TLS
-itself carries no data.
+Each accepts only the public key of the identity that it pinned, and looks at nothing else in it.
+The keys of the records are exported (RFC 8446 section 7.5, RFC 5705). TLS itself carries no data.
 """
 
 from typing import NamedTuple

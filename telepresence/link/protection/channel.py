@@ -7,13 +7,11 @@ A shell that owns the socket needs this for each wake-up:
 3. At `poll_timeout()`: `handle_timeout(now_ns)`.
 4. Until None: send `poll_transmit()`. Until None: look at `next_event()`.
 
-A session's keys serve until a new handshake is complete, in any state of the path. Then frames are
-sealed with the new keys as soon as the peer has them, and those that the peer sealed with the old
-ones are opened for `OVERLAP_NS` more: no frame is lost by it. Keys are never stored, so what was
-recorded of an earlier session opens nowhere.
+A session's keys serve until a new handshake is complete, in any state of the path. Keys are never
+stored, so what was recorded of an earlier session opens nowhere.
 """
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from kontur_av.clock import NS_PER_S
@@ -57,20 +55,7 @@ class ProtectionFigures:
     failed_attempts: int = 0
     #: By reason: "malformed", "unauthenticated", "replayed", "late", "unknown_key" (of an earlier
     #: session, or of none), "stale" (an old datagram of a handshake), "throttled".
-    dropped: dict[str, int] = field(
-        default_factory=lambda: dict.fromkeys(
-            (
-                "malformed",
-                "unauthenticated",
-                "replayed",
-                "late",
-                "unknown_key",
-                "stale",
-                "throttled",
-            ),
-            0,
-        )
-    )
+    dropped: Counter[str] = field(default_factory=Counter)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +240,6 @@ class ProtectedChannel:
         return next((at for at, opener in enumerate(self._openers) if opener.used), last)
 
     def _drain(self, now_ns: int) -> None:
-        """Take events and datagrams from the handshake."""
         while (event := self._handshake.next_event()) is not None:
             if isinstance(event, KeysAgreed):
                 self._take_keys(event, now_ns)

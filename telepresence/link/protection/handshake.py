@@ -1,12 +1,8 @@
 """The handshake: how two ends that pinned each other agree on new keys, over a path that may fail.
 
-An end that wants a session sends a `KNOCK` with a fresh nonce of its own. The other answers with
-its nonce. Only a datagram that names this end's present nonce begins an attempt: so a replayed
-knock, or one from a false address, costs one short answer and no memory. Then each side's TLS
-octets travel in numbered segments until they are acknowledged (segment.py, agreement.py).
-
-Sessions are not touched here. The keys of a complete attempt are handed on, and the old ones stay
-in use until then.
+docs/security.md has its steps. Each side's TLS octets travel in numbered segments until they are
+acknowledged (segment.py, agreement.py). Sessions are not touched here: the keys of a complete
+attempt are handed on.
 
 The caller's next obligation after each call: `poll_transmit` until None, and `next_event` until
 None. Then call `handle_timeout` at the instant of `poll_timeout`.

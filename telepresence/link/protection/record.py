@@ -1,15 +1,8 @@
 """The record: one transfer frame, encrypted and authenticated, in one datagram.
 
-| octets | field |
-|--:|---|
-| 1 | version (4 bits, 1) and kind (4 bits, `RECORD`) |
-| 3 | key number: which pair of keys; both ends take it from the handshake |
-| 6 | sequence number, from 0, of this direction under these keys |
-| n | the frame, encrypted |
-| 16 | tag |
-
-AES-256-GCM (NIST SP 800-38D) encrypts. The header is its additional data. Its nonce is the
-direction's initialisation vector, combined with the sequence number as in RFC 8446 section 5.3.
+docs/security.md has its fields. AES-256-GCM (NIST SP 800-38D) encrypts. The header is its
+additional data. Its nonce is the direction's initialisation vector, combined with the sequence
+number as in RFC 8446 section 5.3.
 """
 
 from dataclasses import dataclass

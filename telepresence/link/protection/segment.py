@@ -56,8 +56,7 @@ class SegmentCodec:
     """Packs the segments of one end and parses those of the other. No state."""
 
     def __init__(self, own: MachineIdentity, peer: MachineIdentity) -> None:
-        self._own_code = _Code(own, peer)
-        self._peer_code = _Code(peer, own)
+        self._own_key, self._peer_key = _code_key(own, peer), _code_key(peer, own)
 
     def pack(self, segment: HandshakeSegment) -> bytes:
         """Return the datagram of a segment."""
@@ -69,7 +68,7 @@ class SegmentCodec:
             segment.offset,
         )
         body = head + segment.data
-        return body + self._own_code.of(body)
+        return body + _code(body, self._own_key)
 
     def parse(self, datagram: bytes) -> HandshakeSegment | str:
         """Return the peer's segment, or "malformed" or "unauthenticated".
@@ -79,7 +78,7 @@ class SegmentCodec:
         if not SEGMENT_OVERHEAD_OCTETS <= len(datagram) <= SEGMENT_OCTETS:
             return "malformed"
         body = datagram[:-CODE_OCTETS]
-        if not hmac.compare_digest(self._peer_code.of(body), datagram[-CODE_OCTETS:]):
+        if not hmac.compare_digest(_code(body, self._peer_key), datagram[-CODE_OCTETS:]):
             return "unauthenticated"
         kind, sender, receiver, acknowledged, offset = _HEAD.unpack_from(body)
         data = body[_HEAD.size :]
@@ -148,11 +147,9 @@ class IncomingStream:
         return ready
 
 
-class _Code:
-    """The code of the datagrams from `sender` to `receiver`."""
+def _code_key(sender: MachineIdentity, receiver: MachineIdentity) -> bytes:
+    return sha256(b"kontur-av handshake 1" + sender.digest + receiver.digest).digest()
 
-    def __init__(self, sender: MachineIdentity, receiver: MachineIdentity) -> None:
-        self._key = sha256(b"kontur-av handshake 1" + sender.digest + receiver.digest).digest()
 
-    def of(self, body: bytes) -> bytes:
-        return hmac.digest(self._key, body, "sha256")[:CODE_OCTETS]
+def _code(body: bytes, key: bytes) -> bytes:
+    return hmac.digest(key, body, "sha256")[:CODE_OCTETS]

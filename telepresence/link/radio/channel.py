@@ -29,8 +29,7 @@ class BurstClock:
 
     bursts: the bad state; the caller knows the good one.
 
-    Each stay is drawn as a whole, from the geometric distribution that single steps would give. The
-    states thus depend only on time and seed, not on the number of requests.
+    Each stay is drawn as a whole, so the states depend on time and seed, not on the requests.
     """
 
     def __init__(self, bursts: "Bursts", random: Random) -> None:
@@ -100,18 +99,20 @@ class BlackoutClock:
 class Condition:
     """State of a channel from the requested instant up to `until_ns`, in the channel's time.
 
+    By default that of no channel.
+
     delay_ns, slope: delay at the requested instant, and its change a nanosecond.
     frame_loss, bit_error_rate: probabilities for a frame and for a bit.
     blackout, no_signal: nothing gets through, for this reason.
     """
 
-    until_ns: int
-    delay_ns: float
-    slope: float
-    frame_loss: float
-    bit_error_rate: float
-    blackout: bool
-    no_signal: bool
+    until_ns: int = FOREVER_NS
+    delay_ns: float = 0.0
+    slope: float = 0.0
+    frame_loss: float = 0.0
+    bit_error_rate: float = 0.0
+    blackout: bool = False
+    no_signal: bool = False
 
 
 def _either(one: float, other: float) -> float:

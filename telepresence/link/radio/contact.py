@@ -1,12 +1,7 @@
 """A contact: effects of a pass on the signal. Light time from range, drop-outs from elevation.
 
-The link margin in dB, above the level with a bit error rate of 1e-6, is
-
-    M = margin − 20 lg(range / 1000 km) − edge_loss · e + (fading + edge_fading · e) · F(t),
-    e = exp(−((elevation − horizon) / edge)²)
-
-with F(t) a random curve of mean 0 and variance 1. It depends only on the seed and on time, so both
-directions fade together. docs/radio.md has the reasons.
+docs/radio.md has the link margin's equation, in dB above the level with a bit error rate of 1e-6,
+and its reasons. The fading depends only on the seed and on time, so both directions fade together.
 """
 
 from dataclasses import dataclass

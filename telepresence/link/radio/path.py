@@ -7,16 +7,7 @@ from random import Random
 from telepresence.link.figures import PathFigures
 from telepresence.link.radio.channel import FOREVER_NS, Condition, RadioChannel
 
-#: A path without a channel.
-_STEADY = Condition(
-    until_ns=FOREVER_NS,
-    delay_ns=0.0,
-    slope=0.0,
-    frame_loss=0.0,
-    bit_error_rate=0.0,
-    blackout=False,
-    no_signal=False,
-)
+_STEADY = Condition()
 
 
 def hazard(probability: float) -> float:
@@ -36,9 +27,8 @@ class RadioPath:
     Instants must not go back. Equal seeds and calls give equal frames. A frame that arrives has its
     full length and its order; some of its bits may be flipped.
 
-    Frames without errors cost little. Each frame subtracts its hazard, -ln(1 - p) for the frame and
-    for each bit, from an exponentially distributed store. An error occurs only where the store is
-    used up. The distribution has no memory, so the probabilities may change at any frame.
+    Each frame subtracts its hazard, -ln(1 - p) for the frame and for each bit, from a store that is
+    exponentially distributed. An error occurs only where the store is used up.
     """
 
     def __init__(
@@ -157,7 +147,6 @@ class RadioPath:
         return min(now_ns, self._until_ns) - self._since_ns if self._no_signal else 0
 
     def _change(self, now_ns: int) -> None:
-        """Apply the condition of the channel from now on."""
         if self.frames_sent:
             self._note_delay()
             self._no_signal_ns += self._silent_ns(now_ns)

@@ -51,7 +51,6 @@ def radio_from_table(table: Mapping[str, Any], folder: Path) -> RadioProfile:
 
 
 def _read_elements(path: Path) -> str:
-    """Read an element set and check it; return its text. ConfigError."""
     with refused(f"cannot read elements {path}", OSError, UnicodeDecodeError):
         text = path.read_text(encoding="utf-8")
     with refused(f"elements {path}", ConfigError):

@@ -46,10 +46,7 @@ class Configuration:
         return "".join(lines)
 
     def digest(self, *, master: bool) -> int:
-        """Return 16 bits that are equal at both ends with equal configurations.
-
-        The CRC of the text, with the polynomial of the FECF.
-        """
+        """Return the CRC-16 of the text, as of the FECF: equal with equal configurations."""
         return crc_hqx(self.text(master=master).encode(), 0xFFFF)
 
     def rates_kbps(self) -> tuple[int, int]:

@@ -1,30 +1,8 @@
 """The supervision message, twelve octets between the ends of the link, and when to send it.
 
-It takes the first 12 octets of a packet zone; docs/link-format.md says which first header pointer
-marks it. All numbers are big-endian; the layout is this project's own.
-
-octet 0, high 4 bits   version, whose position never changes
-octet 0, low 4 bits    kind: 0 ALIVE, 1 CONFIGURE, 2 CONFIRM, 3 REJECT, 4 HELLO, 5 CLOCK
-                       (`telepresence.link.clock.message`, which has another layout)
-octet 1                state (3 bits, `LinkState`), then a bit each: master, signal, application,
-                       fresh, sending
-octets 2..3            life of the sender, 1..65535: a new one at each start
-
-Of all but HELLO:
-
-octets 4..5            life of the peer whose messages arrive in this contact, 0 without any
-octets 6..7            digest of the configuration (`configuration`)
-octets 8..11           ALIVE, CONFIRM: ids of the header contexts held, an octet a flow, 0 none
-                       CONFIGURE, REJECT: rates of the sender's way out and way in, 16 bits each,
-                       in kbit/s
-
-Of HELLO:
-
-octets 4..5            digest of the configuration
-octets 6..8            a fresh number that the peer shall echo, 0 for none
-octets 9..11           the echo: the number that came last from the peer, 0 without any
-
-Only a master sends CONFIGURE, only a slave CONFIRM.
+docs/link-format.md has the octets, and says which first header pointer marks it. All numbers are
+big-endian; the layout is this project's own. A message CLOCK (`telepresence.link.clock.exchange`)
+has another layout. Only a master sends CONFIGURE, only a slave CONFIRM.
 """
 
 import struct
@@ -80,7 +58,7 @@ class MessageKind(IntEnum):
 class SupervisionMessage(NamedTuple):
     """One message.
 
-    version: 1 to 15. life, heard: see the module. digest: 0 to 65535.
+    version: 1 to 15. life, heard: docs/link-format.md. digest: 0 to 65535.
     signal: good frames of the peer arrive.
     application: data of the peer's applications has arrived since the contact or the last reset.
     fresh: some has arrived recently. sending: some has been sent recently.

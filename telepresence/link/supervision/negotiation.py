@@ -3,9 +3,7 @@
 A stream of frames that this end does not follow may be a peer that has restarted, or a stray, an
 old recording, a guess. So this end asks by a HELLO with a number that it has never sent before.
 Only an echo of it makes the stream the peer's (`Supervisor.handle_stranger`).
-
-The numbers keep out everybody who does not read the frames of this end. They are no signature: who
-reads both ways can answer as well as the peer.
+They are no signature: who reads both ways can answer as well as the peer.
 """
 
 from enum import Enum, auto
@@ -288,7 +286,6 @@ class Negotiation:
             self.refusal, self._refused = mismatch.why, mismatch.signature
 
     def _accept(self, message: SupervisionMessage, now_ns: int) -> MessageVerdict:
-        """Handle a message of a matching peer."""
         verdict = MessageVerdict.FITS
         if self.meet(message.life):
             verdict = MessageVerdict.MET

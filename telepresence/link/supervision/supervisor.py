@@ -9,17 +9,7 @@ Strategy: each end repeatedly sends what it *is*, never what the other should ha
 state is a function of what this end knows. A lost message thus only costs time, and no sequence of
 losses and restarts can leave both ends waiting for each other.
 
-A gateway needs seven lines:
-
-1. `handle_local_check(None, now_ns)` once it is ready, and with a fault whenever it is not.
-2. `handle_stranger(...)` for each good frame of a stream that is not followed; it says whether to
-   follow that stream from this frame on.
-3. `handle_frame(now_ns)` for each frame of the stream, before the frame is processed further.
-4. `handle_message(message, now_ns)` for each supervision message that the receiver found in it.
-5. `handle_application(now_ns)` for each sample and packet received, and
-   `handle_application_sent(now_ns)` for each one sent.
-6. `poll_transmit(now_ns)` in each slot; if it returns 12 octets, this is a supervision slot.
-7. After each of these: `next_event()` until None. The receiver delivers while `delivering`.
+After each call: `next_event()` until None. The receiver delivers while `delivering`.
 """
 
 from collections import deque
@@ -28,7 +18,6 @@ from enum import Enum, auto
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.figures import OtherEndFigures, SupervisionFigures
-from telepresence.link.supervision.application import ApplicationWatch
 from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
 from telepresence.link.supervision.events import (
     ApplicationReset,
@@ -80,6 +69,80 @@ _RESETS = {
 }
 
 
+#: Each reset without success doubles the next wait, up to this factor.
+_LARGEST_PATIENCE = 32
+
+
+class ApplicationWatch:
+    """One end's view of the application link.
+
+    arrived: data has arrived in this contact, since the last reset. A direction without data is not
+    a fault: an idle link is reset once, and then waits for data indefinitely.
+    """
+
+    def __init__(self, timing: SupervisionTiming, now_ns: int) -> None:
+        self.arrived = False
+        self.arrived_ns = now_ns - timing.idle_ns
+        self.sent_ns = now_ns - timing.idle_ns
+        self._timing = timing
+        self._peer_sends_ns: int | None = None
+        self._reset_ns = now_ns
+        self._patience = 1
+
+    def handle_first(self) -> None:
+        """The first data arrived since the contact began or the link was reset."""
+        self.arrived = True
+        self._patience = 1
+
+    def handle_contact(self, now_ns: int) -> None:
+        """A new contact or a new life of the peer began, in which nothing has arrived yet."""
+        self.arrived = False
+        self._peer_sends_ns = None
+        self._reset_ns = now_ns
+
+    def handle_peer(self, *, was_reset: bool, sends: bool, now_ns: int) -> None:
+        """Take the peer's report: whether it was reset since the last one, whether it sends."""
+        if was_reset and not self.fresh(now_ns):
+            self.arrived = False
+        if not sends:
+            self._peer_sends_ns = None
+        elif self._peer_sends_ns is None:
+            self._peer_sends_ns = now_ns
+
+    def fresh(self, now_ns: int) -> bool:
+        """Whether data has arrived recently."""
+        return now_ns - self.arrived_ns < self._timing.idle_ns
+
+    def sending(self, now_ns: int) -> bool:
+        """Whether data has been sent recently."""
+        return now_ns - self.sent_ns < self._timing.idle_ns
+
+    def reset_due(self, *, peer_fresh: bool, approved: bool, now_ns: int) -> str | None:
+        """Return `idle` or `broken` if the link was reset now, else None.
+
+        peer_fresh: the peer has received data recently. approved: data had arrived both ways.
+        Idle: an approved link that carries nothing either way. Broken: the peer sends, but nothing
+        arrives here.
+        """
+        if self.fresh(now_ns):
+            return None
+        peer_sends_ns = self._peer_sends_ns
+        if peer_sends_ns is None:
+            if not approved or peer_fresh or self.sending(now_ns):
+                return None
+            return self._reset("idle", now_ns)
+        wait_ns = self._timing.idle_ns * self._patience + self._timing.round_trip_ns
+        if now_ns - max(peer_sends_ns, self._reset_ns) <= wait_ns:
+            return None
+        self._patience = min(2 * self._patience, _LARGEST_PATIENCE)
+        return self._reset("broken", now_ns)
+
+    def _reset(self, why: str, now_ns: int) -> str:
+        self.arrived = False
+        self._reset_ns = now_ns
+        return why
+
+
 class Encounter(Enum):
     """What to do with a stranger's stream, from this frame on.
 
@@ -93,7 +156,7 @@ class Encounter(Enum):
 
 
 class Supervisor:
-    """One end's supervision; see the module for the run loop.
+    """One end's supervision; `Gateway` has its run loop.
 
     master: whether this end configures the other; exactly one does.
     life: 1 to 65535, a new one at each start of this end; the shell draws it at random.
@@ -105,7 +168,7 @@ class Supervisor:
     peer_hears: the peer is heard and says that it hears this end.
     delivering: received data may be delivered to the applications, because this life of the peer
     was checked. It stays true during a loss of signal.
-    next_ns: the same as `poll_timeout()`.
+    next_ns: when `poll_transmit` has something to do.
     """
 
     def __init__(
@@ -200,7 +263,7 @@ class Supervisor:
         return Encounter.IGNORE
 
     def handle_frame(self, now_ns: int) -> None:
-        """A frame of the peer's stream arrived, whatever it carries."""
+        """A frame of the peer's stream arrived; call it before the frame is processed further."""
         self._frame_ns = now_ns
         if not self.signal:
             self.signal = True
@@ -281,14 +344,10 @@ class Supervisor:
         self._update(now_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
-        """Return the message for this slot, or None. Call once each slot."""
+        """Return the twelve octets for this slot, or None. Call once each slot."""
         if now_ns < self.next_ns:
             return None
         return self._run_slot(now_ns)
-
-    def poll_timeout(self) -> int:
-        """When `poll_transmit` has something to do."""
-        return self.next_ns
 
     def next_event(self) -> SupervisionEvent | None:
         """The oldest event that was not fetched yet, or None."""
@@ -320,7 +379,6 @@ class Supervisor:
         )
 
     def _hear_stranger(self, data: bytes, now_ns: int) -> SupervisionMessage | None:
-        """Return what a stranger says, if it matches."""
         counts = self._counts
         told = self._negotiation.handle_stranger(data, alone=not self.signal)
         if isinstance(told, SupervisionMessage):
@@ -344,7 +402,6 @@ class Supervisor:
         return lasts_ns >= _DEAF_LATER_NS and now_ns - self._frame_ns >= _PEER_SILENCE_NS
 
     def _meet(self, told: SupervisionMessage, now_ns: int, *, proven: bool) -> Encounter:
-        """The stranger is the peer."""
         before_life = self.peer_life
         self._proof.proven = proven
         self._stranger = None
@@ -396,7 +453,6 @@ class Supervisor:
             self._events.append(PeerHears(now_ns) if hears else PeerDeaf(now_ns))
 
     def _run_slot(self, now_ns: int) -> bytes | None:
-        """Check the timeouts, then return the message if it is due."""
         cause = None
         if self.signal and now_ns >= self._frame_ns + self._silence_ns:
             self._lose(now_ns)
@@ -459,10 +515,7 @@ class Supervisor:
         return LinkState.APPROVE, f"agreed; no application data {where} yet"
 
     def _update(self, now_ns: int, cause: str | None = None) -> None:
-        """Derive the state, the delivery and the next message from what is known.
-
-        cause: what happened, if that says more than the state's own reason.
-        """
+        """Derive state, delivery and next message; cause: says more than the state's reason."""
         state, why = self._find_state()
         before = self.state
         refined = state is LinkState.REFUSED and why != self.why

@@ -115,4 +115,4 @@ def test_no_libopus_at_all_names_the_mend(monkeypatch):
     monkeypatch.setattr(libopus.ctypes.util, "find_library", lambda name: None)
     monkeypatch.setattr(libopus, "carried_by_pyav", lambda: None)
     with pytest.raises(ConfigError, match="libopus0"):
-        libopus._load()
+        libopus.load.__wrapped__()
