@@ -257,9 +257,7 @@ def test_a_movement_of_the_hand_has_the_least_jerk():
 def test_the_muscles_are_a_spring_and_a_damper_with_a_greatest_push(model):
     hand = Hand(model, script=(Waypoint(0.03, 0.04, 0, 1000 * MS),))
     for share in (0.01, 1.0):
-        fx, fy = hand.force(
-            0.03 - share * 0.03, 0.04 - share * 0.04, 0.1, -0.2, MS
-        )
+        fx, fy = hand.force(0.03 - share * 0.03, 0.04 - share * 0.04, 0.1, -0.2, MS)
         pull_n = min(model.stiffness_n_m * share * 0.05, model.push_n)
         damped = -0.1 * model.damping_n_s_m, 0.2 * model.damping_n_s_m
         assert (fx, fy) == pytest.approx((0.6 * pull_n + damped[0], 0.8 * pull_n + damped[1]))

@@ -64,7 +64,13 @@ def test_zones_and_rates_of_the_two_directions():
 
 def test_a_flow_has_what_its_kind_needs():
     table = check_flows(
-        (video_flow("v"), voice_flow("a"), rtcp_flow("r"), tmtc_flow("t"), packet_flow("p", Level(3)))
+        (
+            video_flow("v"),
+            voice_flow("a"),
+            rtcp_flow("r"),
+            tmtc_flow("t"),
+            packet_flow("p", Level(3)),
+        )
     )
     # RFC 6184: 90 kHz; RFC 7587: 48 kHz, here a packet every 20 ms.
     assert [(flow.level, flow.kind.value, flow.clock_hz, flow.stride_ticks) for flow in table] == [

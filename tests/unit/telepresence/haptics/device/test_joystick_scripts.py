@@ -110,9 +110,7 @@ def test_a_push_ends_where_the_handle_stands_and_holds_the_other_axis(direction)
     # At 0.1 m/s of 0.25 m/s the damper takes 2 N; the other axis strays by 4 mm.
     moved = JoystickReading(0.004 * y, 0.004 * x, 0.1 * x, 0.1 * y)
     answers = [REST] * 2 + [moved] * 5000
-    (_, end), wanted = play(
-        begun(push_to_stop, direction, force_n=5.0), lambda ms, _: answers[ms]
-    )
+    (_, end), wanted = play(begun(push_to_stop, direction, force_n=5.0), lambda ms, _: answers[ms])
     assert len(wanted) == 2000 and end == moved
     assert wanted[2][:2] == pytest.approx((3.0 * x - 1.2 * y, 3.0 * y - 1.2 * x))
     # A hand that pushes it off aside meets no more than the whole force.
@@ -363,9 +361,7 @@ def test_a_calibration_finds_the_middle_between_the_stops_and_refuses_a_wrong_wi
         (None, None, 1.0, False),
     ],
 )
-def test_a_figure_passes_within_its_limits_and_a_check_with_all_figures(
-    value, least, most, passed
-):
+def test_a_figure_passes_within_its_limits_and_a_check_with_all_figures(value, least, most, passed):
     figure, good = Figure("one", value, "N", least, most), Figure("two", 1.0)
     assert figure.passed is passed
     result = CheckResult("check", (good, figure))

@@ -7,8 +7,14 @@ import pytest
 from kontur_av.errors import ConfigError
 from telepresence.link.radio import RadioProfile
 from telepresence.link.radio.contact import Contact
-from telepresence.link.radio.profile import Blackout, Bursts, RandomBlackouts, delayed, started
-from telepresence.link.radio.profile import BUILT_IN
+from telepresence.link.radio.profile import (
+    BUILT_IN,
+    Blackout,
+    Bursts,
+    RandomBlackouts,
+    delayed,
+    started,
+)
 
 PROFILE = RadioProfile(name="mine", delay_ms=10.0)
 BURSTS = Bursts(gap_s=1.0, mean_ms=5.0)

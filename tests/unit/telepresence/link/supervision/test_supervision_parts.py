@@ -46,7 +46,11 @@ def told(message):
     rates = message.kind in (MessageKind.CONFIGURE, MessageKind.REJECT)
     if message.kind is MessageKind.HELLO:
         return message._replace(heard=0, contexts=(0, 0, 0, 0), rates_kbps=(0, 0))
-    none = {"number": 0, "echo": 0, "contexts" if rates else "rates_kbps": (0,) * (4 - 2 * (not rates))}
+    none = {
+        "number": 0,
+        "echo": 0,
+        "contexts" if rates else "rates_kbps": (0,) * (4 - 2 * (not rates)),
+    }
     return message._replace(**none)
 
 
@@ -167,9 +171,7 @@ def test_both_ends_digest_the_same_text():
 
 def negotiation(*, master=True):
     configuration = GROUND if master else SPACE
-    return Negotiation(
-        master=master, configuration=configuration, life=9, timing=TIMING, now_ns=0
-    )
+    return Negotiation(master=master, configuration=configuration, life=9, timing=TIMING, now_ns=0)
 
 
 def from_peer(of, **changes):
