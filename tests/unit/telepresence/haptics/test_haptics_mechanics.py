@@ -1,6 +1,7 @@
 """The simulated joystick, robot, board and hand: each law of motion by itself."""
 
 from dataclasses import replace
+from itertools import pairwise
 from math import atan2, cos, hypot, pi, sin, tau
 
 import pytest
@@ -165,7 +166,7 @@ def test_seven_lights_surround_the_eighth():
     assert len(around) == 7 and middle == (-0.045, 0.0)
     angles = sorted(atan2(y, x + 0.045) % tau for x, y in around)
     assert all(hypot(x + 0.045, y) == pytest.approx(0.042) for x, y in around)
-    assert [b - a for a, b in zip(angles, angles[1:], strict=False)] == pytest.approx([tau / 7] * 6)
+    assert [b - a for a, b in pairwise(angles)] == pytest.approx([tau / 7] * 6)
     assert any(angle == pytest.approx(pi) for angle in angles)
 
 

@@ -112,10 +112,10 @@ def test_a_value_out_of_range_is_cut_and_flagged(places, counted):
 
 def test_a_bug_of_the_caller_raises():
     for bad in (Command(nan, 0.0, 0), Command(0.0, nan, 0), Command(0.0, 0.0, 0, state=8)):
-        with pytest.raises(ValueError, match="NaN|no state 8"):
+        with pytest.raises(ValueError, match=r"NaN|no state 8"):
             pack_command(0, bad)
     for worse in (Feedback(nan, 0.0, 0, True), Feedback(0.0, 0.0, 0, True, mode=4)):
-        with pytest.raises(ValueError, match="NaN|no mode 4"):
+        with pytest.raises(ValueError, match=r"NaN|no mode 4"):
             pack_feedback(0, worse)
 
 

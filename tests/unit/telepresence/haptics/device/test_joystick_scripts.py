@@ -149,7 +149,7 @@ def test_stiffness_is_that_which_swings_the_handle(axis, motors, offset_m):
         both[axis], both[2 + axis] = place, speed
         return JoystickReading(*both)
 
-    (_, figures), wanted = play(begun(stiffness_figures, facts, axis), answer)
+    (_, figures), _ = play(begun(stiffness_figures, facts, axis), answer)
     stiffness, rest = figures
     assert (stiffness.name, rest.name) == (f"stiffness {'xy'[axis]}", f"rest {'xy'[axis]}")
     assert stiffness.value == pytest.approx(200.0 * motors, rel=0.01)

@@ -147,7 +147,7 @@ def test_a_force_on_an_axis_moves_it_and_no_other():
 
 def test_what_a_specification_opens():
     assert is_simulated("sim") and is_simulated("sim:weak") and not is_simulated("evdev")
-    with pytest.raises(ConfigError, match="the faults are stuck-x, .*unplugged"):
+    with pytest.raises(ConfigError, match=r"the faults are stuck-x, .*unplugged"):
         open_device("sim:rust")
     for spec in ("page", "ros2"):
         with pytest.raises(ConfigError, match=f"--joystick {spec}"):

@@ -129,8 +129,10 @@ def is_long(source, step, beside):
 
 @pytest.mark.parametrize(
     ("late_ticks", "form"),
-    [(-5121, WIDE), (-5120, LONG), (3071, LONG), (3072, WIDE)]
-    + [(-49_153, NONE), (-49_152, WIDE), (16_383, WIDE), (16_384, NONE)],
+    [
+        *[(-5121, WIDE), (-5120, LONG), (3071, LONG), (3072, WIDE)],
+        *[(-49_153, NONE), (-49_152, WIDE), (16_383, WIDE), (16_384, NONE)],
+    ],
 )
 @pytest.mark.parametrize("marker", [0, 1])
 def test_the_long_and_the_wide_rule_have_windows_of_time(late_ticks, form, marker):

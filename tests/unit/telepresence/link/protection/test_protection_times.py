@@ -218,5 +218,5 @@ def test_an_identity_has_twenty_octets_and_a_key_is_one_of_ed25519():
             MachineIdentity(bytes(octets))
     assert MachineKey.from_pem(GROUND_KEY.to_pem()).identity == GROUND_KEY.identity
     for wrong in (b"", b"-----BEGIN PRIVATE KEY-----\nAA==\n-----END PRIVATE KEY-----\n"):
-        with pytest.raises(ValueError, match="no private key|no usable key"):
+        with pytest.raises(ValueError, match=r"no private key|no usable key"):
             MachineKey.from_pem(wrong)

@@ -103,3 +103,25 @@ def test_a_pass_can_have_another_delay_or_start():
     assert started(iss, flight.visible_s - 0.1).start_s == flight.visible_s - 0.1
     with pytest.raises(ConfigError, match="take less"):
         started(iss, flight.visible_s)
+
+
+def test_an_arrival_is_told_before_the_frame_is_sent():
+    """With a delay that swings, and through an outage: as `handle_frame` then has it."""
+    profile = replace(PROFILE, delay_ms=50.0, delay_swing_ms=20.0, delay_period_s=4.0)
+    path = profile.path("downlink", seed=1, epoch_ns=7)
+    delays = []
+    for ms in range(0, 4001, 25):
+        due_ns = path.arrival_ns(ms * 1_000_000 + 7)
+        path.handle_frame(b"frame", ms * 1_000_000 + 7)
+        assert path.poll_transmit(due_ns - 1) is None and path.poll_transmit(due_ns) == b"frame"
+        delays.append((due_ns - 7) / 1e6 - ms)
+    # A sine: its mean, its ends after a quarter and three quarters of the period.
+    assert delays[0] == pytest.approx(50.0) and delays[40] == pytest.approx(70.0, abs=0.1)
+    assert delays[80] == pytest.approx(50.0, abs=0.1)
+    assert delays[120] == pytest.approx(30.0, abs=0.1)
+    report = path.report()
+    assert report.delay_min_ns == pytest.approx(30e6, abs=1e5)
+    assert report.delay_max_ns == pytest.approx(70e6, abs=1e5)
+    # A frame never overtakes one before it.
+    steady = replace(PROFILE, delay_ms=10.0).path("uplink", seed=1, epoch_ns=0)
+    assert [steady.arrival_ns(now_ns) for now_ns in (0, 5)] == [10_000_000, 10_000_005]

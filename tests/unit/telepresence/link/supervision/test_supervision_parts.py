@@ -1,4 +1,4 @@
-"""The parts of supervision, each by itself: messages, their pacing, the application link, record."""
+"""Each part of supervision by itself: messages, pacing, negotiation, application link, record."""
 
 from dataclasses import replace
 
