@@ -5,7 +5,7 @@ from collections import deque
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from telepresence.link.flows import Level, packet_flow, rtcp_flow, tmtc_flow, video_flow
@@ -31,6 +31,7 @@ def primary(profile, count, *, sample, vcid=None):
     )
 
 
+@settings(max_examples=40)
 @given(st.integers(0, 1 << 25), st.none() | st.binary(min_size=12, max_size=12), st.data())
 def test_a_frame_is_read_as_it_was_written(count, sample, data):
     for profile, most, mpdu in ((UPLINK, 31, False), (DOWNLINK, 2047, True)):
@@ -205,6 +206,7 @@ def test_garbage_takes_no_capacity(flow, data, plausible):
 
 
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK])
+@settings(max_examples=12)
 @given(data=st.data())
 def test_every_octet_of_every_frame_is_accounted_for_and_every_packet_comes(profile, data):
     sender, receiver = LinkSender(profile, RAW, first_count=5), LinkReceiver(profile, RAW)

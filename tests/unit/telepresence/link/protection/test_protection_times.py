@@ -96,7 +96,8 @@ def test_what_is_no_datagram_of_the_peer_is_dropped_by_its_reason(datagram, reas
     assert pair.ground.channel.figures.handshake_datagrams == before
     # A record under the right keys that is not genuine is another matter.
     sealed = pair.space.channel.seal(b"0", pair.now_ns)
-    pair.ground.channel.handle_datagram(sealed[:-1] + b"\0", SPACE_ADDRESS, pair.now_ns)
+    forged = sealed[:-1] + bytes([sealed[-1] ^ 1])
+    pair.ground.channel.handle_datagram(forged, SPACE_ADDRESS, pair.now_ns)
     assert pair.ground.channel.figures.dropped["unauthenticated"] == 1 + (
         reason == "unauthenticated"
     )
