@@ -237,12 +237,10 @@ def test_every_octet_of_every_frame_is_accounted_for_and_every_packet_comes(prof
         assert sorted(got) == sorted(sent) and left == 0
         assert carried == sum(size for _, size in sizes)
     assert set(got) <= set(sent) and len(set(got)) == len(got)
-    # Within a level the order stays.
+    # Within a level the order stays; on a narrow link some grow too old.
     for level in range(4):
-        order = [packet for name, packet in sent if name == f"raw{level}"]
-        assert [packet for name, packet in got if name == f"raw{level}"] == [
-            *order[: sum(name == f"raw{level}" for name, _ in got)]
-        ]
+        order = iter([packet for name, packet in sent if name == f"raw{level}"])
+        assert all(packet in order for name, packet in got if name == f"raw{level}")
     report = receiver.report()
     assert (report.frames_received, report.frames_lost, report.restarts) == (600, 0, 0)
     assert (report.haptic_received, report.supervision_received) == (samples, messages)
