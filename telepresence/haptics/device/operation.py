@@ -231,8 +231,12 @@ class JoystickOperation:
     def given_up(self) -> bool:
         """Whether the automatic retries have ended, so that a person must act."""
         if self.state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE):
-            return not self._automatic or self.paused or self._retries >= _RETRIES
+            return not self._automatic or self.paused or not self._retries_left
         return self.state is JoystickState.FATAL
+
+    @property
+    def _retries_left(self) -> bool:
+        return self._retries < _RETRIES or not self.facts.has_force
 
     @property
     def trouble(self) -> str:
@@ -528,7 +532,7 @@ class JoystickOperation:
                 self.handle_request(JoystickEvent.RESUME, now_ns)
         elif (
             state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE)
-            and (self._retries < _RETRIES or not self.facts.has_force)
+            and self._retries_left
             and now_ns - max(self.machine.since_ns, self._tried_ns) >= _RETRY_NS
         ):
             self._tried_ns = now_ns

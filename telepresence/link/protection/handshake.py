@@ -167,6 +167,7 @@ class Handshake:
         elif attempt.wake_ns is not None and now_ns >= attempt.wake_ns:
             attempt.outgoing.repeat()
             attempt.repeat_ns = min(2 * attempt.repeat_ns, LONGEST_REPEAT_NS)
+            attempt.wake_ns = None
             self._send(attempt, now_ns, say_something=True)
 
     def poll_timeout(self) -> int | None:
@@ -219,7 +220,7 @@ class Handshake:
             news = True
             attempt.run.add(ready)
         if news:
-            attempt.repeat_ns = FIRST_REPEAT_NS
+            attempt.repeat_ns, attempt.wake_ns = FIRST_REPEAT_NS, None
         # What has come is acknowledged always, or the other would repeat it for ever.
         attempt.owes |= begins or bool(segment.data)
         self._read(attempt, now_ns)
@@ -260,8 +261,11 @@ class Handshake:
             # Who has heard no octet of the peer asks: the first answer may have been lost.
             unheard = not attempt.incoming.received
             self._queue.append((self._segment(attempt.peer, knock=unheard), attempt.source))
-        over = attempt.run.complete and not attempt.outgoing.outstanding
-        attempt.wake_ns = None if over else now_ns + attempt.repeat_ns
+        if attempt.run.complete and not attempt.outgoing.outstanding:
+            attempt.wake_ns = None
+        elif sent or attempt.wake_ns is None:
+            # Not for a datagram without news: the peer's repetitions would put off the own ones.
+            attempt.wake_ns = now_ns + attempt.repeat_ns
 
     def _segment(
         self, receiver: bytes, offset: int = 0, data: bytes = b"", *, knock: bool = False
@@ -289,6 +293,7 @@ class _Attempt:
         self.read_ns = now_ns
         #: The peer is owed an acknowledgement.
         self.owes = False
-        self.wake_ns: int | None = now_ns
+        #: When to repeat; None: once something is sent, or never.
+        self.wake_ns: int | None = None
         self.repeat_ns = FIRST_REPEAT_NS
         self.ready = False
