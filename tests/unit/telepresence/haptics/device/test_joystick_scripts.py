@@ -5,7 +5,6 @@ from math import hypot, pi, sin
 
 import pytest
 
-from telepresence.haptics.device.calibration import calibrate
 from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.device import JoystickFacts, JoystickReading
 from telepresence.haptics.device.functional_checks import (
@@ -16,6 +15,7 @@ from telepresence.haptics.device.functional_checks import (
     workspace_check,
 )
 from telepresence.haptics.device.functional_test import Outcome, TestPart, functional_test
+from telepresence.haptics.device.operation import calibrate
 from telepresence.haptics.device.script import (
     IDLE,
     CheckResult,
@@ -23,7 +23,6 @@ from telepresence.haptics.device.script import (
     ScriptRun,
     push_to_stop,
     travel,
-    wait,
 )
 from telepresence.haptics.device.simulated import FACTS, SimulatedDevice
 
@@ -40,7 +39,7 @@ def play(script, answer, most_ms=70_000):
     run, wanted, output = ScriptRun(script), [], IDLE
     for ms in range(most_ms):
         output = run.handle_reading(answer(ms, output), ms * MS)
-        if run.done:
+        if run.result is not None:
             # A script that has ended wants nothing.
             assert output == run.handle_reading(REST, ms * MS) == IDLE
             return run.result, wanted
@@ -119,14 +118,12 @@ def test_a_push_ends_where_the_handle_stands_and_holds_the_other_axis(direction)
     assert hypot(*wanted[2][:2]) == pytest.approx(5.0)
 
 
-def test_a_wait_lasts_and_an_aborted_script_has_no_result():
-    cycle, wanted = play(begun(wait, 250 * MS), stuck)
-    assert cycle.now_ns == 250 * MS and set(wanted) == {IDLE} and len(wanted) == 250
-    run = ScriptRun(begun(wait, 250 * MS))
+def test_an_aborted_script_has_no_result():
+    run = ScriptRun(begun(push_to_stop, (1.0, 0.0), force_n=5.0))
     run.handle_reading(REST, 0)
-    assert not run.done
+    assert run.handle_reading(REST, MS) != IDLE
     run.abort()
-    assert run.done and run.result is None and run.handle_reading(REST, MS) == IDLE
+    assert run.result is None and run.handle_reading(REST, 2 * MS) == IDLE
 
 
 @pytest.mark.parametrize("axis", [0, 1])

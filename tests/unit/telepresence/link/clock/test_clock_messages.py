@@ -7,9 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from telepresence.link.clock.estimator import ClockEstimator, ClockHistory
-from telepresence.link.clock.exchange import ClockExchange, ReportClock, earlier
-from telepresence.link.clock.message import (
+from telepresence.link.clock.exchange import (
+    ClockExchange,
     ClockMessage,
+    ReportClock,
+    earlier,
     is_clock,
     message_mark,
     pack_clock,

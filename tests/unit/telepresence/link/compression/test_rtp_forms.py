@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from telepresence.link.compression.header_compression import RtpSource
 from telepresence.link.compression.rtp_forms import (
     HeaderContext,
     RtpForms,
     parse_context,
     residue_octets,
 )
-from telepresence.link.compression.rtp_source import RtpSource
 from telepresence.link.flows import video_flow, voice_flow
 
 SLOT_NS = 1_000_000

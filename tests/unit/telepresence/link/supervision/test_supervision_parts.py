@@ -9,7 +9,6 @@ from link_supervision_pair import DOWN, GROUND, SPACE, UP
 
 from kontur_av.errors import ConfigError
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision.application import ApplicationWatch
 from telepresence.link.supervision.configuration import SupervisionTiming
 from telepresence.link.supervision.local_check import LocalCheck
 from telepresence.link.supervision.message import (
@@ -23,6 +22,7 @@ from telepresence.link.supervision.message import (
 )
 from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation
 from telepresence.link.supervision.record import SupervisionRecord
+from telepresence.link.supervision.supervisor import ApplicationWatch
 
 MS, S = 1_000_000, 1_000_000_000
 TIMING = SupervisionTiming()
