@@ -1,6 +1,6 @@
 """Which pictures are damaged after a loss, and when the intra refresh has healed them."""
 
-from kontur_av.media import VideoCodec
+from kontur_av.media import VIDEO_CLOCK_HZ, VideoCodec
 from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.nal_payload import ReceivedUnit
@@ -45,7 +45,8 @@ class Healing:
             self._past_lost = self._damaged or not self._begun
             self._begun = True
         if not self._damaged and self._healed_at is not None:
-            if (unit.timestamp - self._healed_at) % 2**32 >= 2**31:
+            earlier = (self._healed_at - unit.timestamp) % 2**32
+            if 0 < earlier < VIDEO_CLOCK_HZ and not unit.keyframe:
                 return True
             self._healed_at = None
         if not self._damaged or unit.damaged:

@@ -94,7 +94,7 @@ _WAITS = 64
 _OUTERMOST = 8
 #: Two waits that differ by more than this part of a second mean that the source's clock jumped.
 _JUMPS_PER_S = 2
-#: A block of sound is at most this part of a second: 120 ms (RFC 6716 section 2.1.4).
+#: A block of sound is at most 120 ms, so below this part of a second (RFC 6716 section 2.1.4).
 _STRIDES_PER_S = 8
 #: The packets a picture are counted over one to two times this number of pictures.
 _PICTURES = 128

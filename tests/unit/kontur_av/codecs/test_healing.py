@@ -112,6 +112,17 @@ def test_pictures_shown_before_a_recovery_point_but_coded_after_it_stay_damaged(
     assert len(hurt) <= 15  # one open GOP and its leading pictures
 
 
+@pytest.mark.parametrize(("back", "hurt"), [(3_000, True), (90_000, False), (2**31, False)])
+def test_after_a_recovery_point_time_may_begin_anew(back, hurt):
+    healing, wave, other = Healing(), sei(6, b"\xb0"), b"\0\0\0\1\x01"
+    assert healing.handle_unit(received(other, lost_before=1, timestamp=7))
+    assert not healing.handle_unit(received(wave, timestamp=1_000))
+    earlier = (1_000 - back) % 2**32
+    assert healing.handle_unit(received(other, timestamp=earlier)) is hurt
+    assert not healing.handle_unit(received(sei(5, b"") + b"\0\0\0\1\x65", timestamp=earlier))
+    assert not healing.handle_unit(received(other, timestamp=earlier))
+
+
 def test_without_feedback_the_worst_loss_is_healed_within_three_seconds():
     """The worst loss is that of the first picture of a wave: the next wave heals it."""
     healing = Healing()
