@@ -27,6 +27,11 @@ class Healing:
         self._past_lost = True
 
     @property
+    def damaged(self) -> bool:
+        """Whether later pictures are damaged, too, until a key picture or a wave."""
+        return self._damaged
+
+    @property
     def in_wave(self) -> bool:
         """Whether a refresh wave heals the pictures now."""
         return self._left is not None

@@ -145,7 +145,7 @@ class VideoReceiver(ReportingReceiver):
             hurt = self._healing.handle_unit(unit)
             self._begun = self._begun or (unit.keyframe and not hurt)
             self._losses.handle_picture(
-                damaged=hurt or not self._begun,
+                damaged=self._healing.damaged or not self._begun,
                 media_ssrc=self._receiver.ssrc or 0,
                 now_ns=unit.received_ns,
             )

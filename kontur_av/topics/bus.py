@@ -28,6 +28,7 @@ import shutil
 import struct
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cached_property, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -372,10 +373,13 @@ class TopicBus(Closing):
             raise self._no_topic(topic) from None
         listener = NotificationListener(notifier_path(self._session, topic))
         reader = Reader(subscriber, listener, self._readers.discard)
-        joins = open_own_file(joins_path(self._session, topic), os.O_APPEND)
-        with os.fdopen(joins, "ab") as file:
-            file.write(b"\0")
         self._readers.add(reader)
+        # Without room there is no count, and the next key picture comes by itself.
+        with (
+            suppress(OSError),
+            os.fdopen(open_own_file(joins_path(self._session, topic), os.O_APPEND), "ab") as joins,
+        ):
+            joins.write(b"\0")
         return reader
 
     def waiter(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> WaitSet:

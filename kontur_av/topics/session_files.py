@@ -1,5 +1,6 @@
 """The files and the shared memory of a session, and the checks of their ownership."""
 
+import errno
 import hashlib
 import os
 import re
@@ -102,11 +103,17 @@ def notifier_path(session: str, topic: str) -> Path:
 def open_own_file(path: Path, flags: int = 0) -> int:
     """Open a file to read and write; ConfigError if another user made it, as /dev/shm is shared."""
     always = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-    descriptor = os.open(path, flags | always, 0o600)
+    foreign = ConfigError(f"{path} is no file of yours: remove it")
+    try:
+        descriptor = os.open(path, flags | always, 0o600)
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EPERM, errno.ELOOP, errno.EISDIR):
+            raise foreign from None
+        raise
     found = os.fstat(descriptor)
     if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
         os.close(descriptor)
-        raise ConfigError(f"{path} is no file of yours: remove it")
+        raise foreign
     return descriptor
 
 
@@ -161,3 +168,10 @@ def shared_memory_prefix(session: str) -> str:
 def _digest(session: str) -> str:
     """Return a short stand-in for names that have no room for the session's own."""
     return hashlib.sha256(session.encode()).hexdigest()[:8]
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Replace a file in one step, so that a killed process leaves the old or the new content."""
+    partial = path.with_suffix(".new")
+    partial.write_bytes(content)
+    partial.replace(path)

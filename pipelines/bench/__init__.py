@@ -11,7 +11,7 @@ import argparse
 from importlib import import_module
 from types import ModuleType
 
-from pipelines.session.options import add_actions
+from pipelines.session.option_rows import add_actions
 
 #: What can be measured, and what it is about.
 BENCHES = {

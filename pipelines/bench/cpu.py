@@ -18,7 +18,8 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_report
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, titled_table
-from pipelines.session.options import add_options, add_setup_argument
+from pipelines.session.option_rows import add_options
+from pipelines.session.options import add_setup_argument
 from pipelines.session.setup.setup_file import load_setup
 
 _THIS_TREE = Path(str(pipelines.__file__)).parent.parent

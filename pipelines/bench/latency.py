@@ -28,9 +28,9 @@ from pipelines.report.report_file import check_writable, open_console, write_res
 from pipelines.report.result import Headline, titled_table
 from pipelines.report.sync_figures import LIMITS
 from pipelines.report.terms import TERMS
+from pipelines.session.option_rows import add_options
 from pipelines.session.options import (
     add_deadband_argument,
-    add_options,
     add_radio_argument,
     add_setup_argument,
     radio_change,

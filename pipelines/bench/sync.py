@@ -29,7 +29,8 @@ from pipelines.report.report_file import check_writable, open_console, write_res
 from pipelines.report.result import Headline, Json, as_json, titled_table
 from pipelines.report.sync_figures import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
 from pipelines.report.sync_matching import Matched, match_around
-from pipelines.session.options import add_options, radio_change
+from pipelines.session.option_rows import add_options
+from pipelines.session.options import radio_change
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import check_sources
 from pipelines.virtual.media import check_virtual_sources

@@ -5,7 +5,7 @@ import argparse
 from pipelines.session.addresses import parse_address
 from pipelines.session.children import stopped_by_signals
 from pipelines.session.datagrams import LOOPBACK
-from pipelines.session.options import add_actions
+from pipelines.session.option_rows import add_actions
 from pipelines.session.output import say
 from pipelines.upkeep.desk import DiskStore
 from pipelines.upkeep.ftp import check_ftp_url, serve_ftp

@@ -12,7 +12,7 @@ from pipelines.commands.report import read_report
 from pipelines.report.account import events_of
 from pipelines.report.charts import check_plot, new_figure, save
 from pipelines.report.model import to_json
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.upkeep.archive import SessionArchive
 
 

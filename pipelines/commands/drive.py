@@ -22,7 +22,7 @@ from pipelines.hand.haptic_loop import new_life
 from pipelines.hand.partner_arm import run_side, told
 from pipelines.partner.whip import Far
 from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path
-from pipelines.session.options import add_options, refuse_options
+from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide

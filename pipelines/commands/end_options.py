@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from kontur_av.errors import ConfigError
 from pipelines.link.own_ends import EndChoice, chosen_end
-from pipelines.session.options import add_options, refuse_options
+from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.table import topology_of

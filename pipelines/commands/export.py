@@ -16,7 +16,7 @@ from pipelines.recording.export.mat_file import MatExport
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.recorded_parts import read_recording
 from pipelines.recording.recording_file import Outputs
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.output import say
 
 #: The bar moves after this many messages.

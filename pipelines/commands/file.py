@@ -6,7 +6,7 @@ import time
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
-from pipelines.session.options import add_actions, add_options
+from pipelines.session.option_rows import add_actions, add_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminal_lines import (
     CANCEL,

@@ -9,7 +9,7 @@ from kontur_av.errors import ConfigError, refused
 from pipelines.files.desk import RATES_BPS
 from pipelines.files.process_files import FilesPlan
 from pipelines.files.service_sockets import ALLOW, LISTEN
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.topology import FILES, PAGES, Segment
 
 _DEFAULT = ",".join(f"{RATES_BPS[one] / 1000:g}" for one in (Segment.GROUND, Segment.SPACE))

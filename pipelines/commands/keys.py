@@ -11,7 +11,7 @@ from pipelines.link.key_files import (
     trust,
     trusted_identities,
 )
-from pipelines.session.options import add_actions, add_options
+from pipelines.session.option_rows import add_actions, add_options
 from telepresence.link.protection.identity import MachineIdentity
 
 #: By action: what it does.

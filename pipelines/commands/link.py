@@ -18,12 +18,8 @@ from pipelines.report.link_report import LinkView, build_link_report, summary_li
 from pipelines.report.live import LinkScreen
 from pipelines.report.report_file import check_writable, save_report, say_failures
 from pipelines.session.launcher import Launcher, launcher_cpu_s
-from pipelines.session.options import (
-    add_options,
-    add_radio_arguments,
-    add_setup_argument,
-    asked_setup,
-)
+from pipelines.session.option_rows import add_options
+from pipelines.session.options import add_radio_arguments, add_setup_argument, asked_setup
 from pipelines.session.topology import Segment
 from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of

@@ -18,7 +18,7 @@ from pipelines.report.seat_feed import end_trace, session_report
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.kept_files import NotesReader, SessionNow, write_now
 from pipelines.session.launcher import Launcher
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.topology import Segment
 from pipelines.upkeep.program import status_teller
 from telepresence.upkeep.version_stack import status_of

@@ -7,7 +7,7 @@ import time
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
 from pipelines.hand.arm_owner import DESK, OWNERS, OwnerAnswer, OwnerRequest
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.terminals import ask_desk, running_sessions
 
 #: How long a hand-over may take: the robot comes to rest first.

@@ -13,7 +13,7 @@ from pipelines.packets.bridge import AllowedCommands, allowed_commands
 from pipelines.packets.process_packets import PacketsPlan
 from pipelines.session.addresses import bound_socket, resolve
 from pipelines.session.datagrams import Address, is_loopback
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.output import say
 from pipelines.session.topology import Topology
 from telepresence.tmtc.pus.dictionary import Dictionary

@@ -19,7 +19,7 @@ from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
 from pipelines.recording.received_media import PictureOutput, ReceiveShell, SoundOutput
 from pipelines.report.report_file import check_writable, end_with
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 
 #: Of what was decoded; a file that holds less is a failure.
 _SAVED_AT_LEAST = 0.9

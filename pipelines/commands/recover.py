@@ -6,7 +6,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.recording.recording_file import check_new, octets_of_file, write_whole
 from pipelines.recording.scan import Recovery
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.output import say
 
 

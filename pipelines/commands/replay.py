@@ -15,12 +15,8 @@ from pipelines.report.live import LiveView
 from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
-from pipelines.session.options import (
-    add_coding_arguments,
-    add_options,
-    add_radio_arguments,
-    add_setup_argument,
-)
+from pipelines.session.option_rows import add_options
+from pipelines.session.options import add_coding_arguments, add_radio_arguments, add_setup_argument
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room
 from pipelines.session.setup.table import Setup, VideoStream

@@ -15,7 +15,7 @@ from pipelines.hand.haptics import robot_side
 from pipelines.hand.partner_arm import keep_powered, run_side, told
 from pipelines.hand.safety_ends import within
 from pipelines.report.report_file import words_console
-from pipelines.session.options import add_actions
+from pipelines.session.option_rows import add_actions
 from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import SIMULATED_ROBOT

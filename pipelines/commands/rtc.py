@@ -25,7 +25,7 @@ from pipelines.partner.connection_report import RtcCommandReport, connection_rep
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with
-from pipelines.session.options import add_actions
+from pipelines.session.option_rows import add_actions
 from pipelines.session.output import say
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.served_pages import base_url, bound_server, served

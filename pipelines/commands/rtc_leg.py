@@ -10,7 +10,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of
 from pipelines.partner.ice_servers import IceServers
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.output import say
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.served_pages import ServerWish, base_url, bound_server, served, write_private

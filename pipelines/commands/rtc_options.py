@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from kontur_av.errors import ConfigError
 from pipelines.partner.ice_servers import IceServer, IceServers, timed_credentials
-from pipelines.session.options import add_options, refuse_options
+from pipelines.session.option_rows import add_options, refuse_options
 from telepresence.private_file import read_secret
 
 #: What an HTTP header can carry (RFC 6750 section 2.1).

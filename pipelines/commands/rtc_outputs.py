@@ -15,7 +15,7 @@ from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
 from pipelines.recording.received_media import TimeLine
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,7 +11,7 @@ from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.whip import Keeper
 from pipelines.session.children import stopped_by_signals
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.output import say
 
 _LOOK_S = 0.2

@@ -19,7 +19,7 @@ from pipelines.media.sending import (
 from pipelines.partner.coded_sources import CodedSources
 from pipelines.partner.decisions import LEAST_BPS
 from pipelines.partner.description import Kind
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 
 VIDEO_KBPS, VOICE_KBPS = 1500.0, 32.0
 

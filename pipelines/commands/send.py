@@ -19,7 +19,7 @@ from pipelines.media.sending import (
 )
 from pipelines.report.report_file import check_writable, end_with, write_text
 from pipelines.session.addresses import check_reachable, parse_address
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

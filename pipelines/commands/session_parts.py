@@ -6,7 +6,8 @@ from dataclasses import replace
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import say_unprotected
-from pipelines.session.options import add_options, asked_setup
+from pipelines.session.option_rows import add_options
+from pipelines.session.options import asked_setup
 from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.table import topology_of

@@ -7,16 +7,15 @@ from pipelines.recording.replay_setup import load_replay
 from pipelines.report.model import CodingCosts, SessionReport
 from pipelines.report.report_file import check_writable, end_report
 from pipelines.session.children import stopped_by_signals
+from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.options import (
     add_coding_arguments,
     add_deadband_argument,
     add_hand_argument,
-    add_options,
     add_radio_arguments,
     add_setup_argument,
     add_source_argument,
     asked_setup,
-    refuse_options,
 )
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.options import add_virtual_arguments, costs_of, opened_devices

@@ -7,7 +7,7 @@ import pwd
 from kontur_av.topics.session_files import choose_session, sessions
 from pipelines.commands.common import acting_on
 from pipelines.session.kept_files import KeptOrders
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

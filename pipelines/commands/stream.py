@@ -28,10 +28,10 @@ from pipelines.report.live import LiveView
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
+from pipelines.session.option_rows import add_options
 from pipelines.session.options import (
     add_deadband_argument,
     add_hand_argument,
-    add_options,
     add_radio_arguments,
     add_setup_argument,
     add_source_argument,

@@ -11,7 +11,7 @@ from rich.table import Table
 from kontur_av.errors import ConfigError
 from pipelines.commands.rtc_running import driven
 from pipelines.report.report_file import words_console
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.output import output_that_may_fail, say
 from pipelines.session.served_pages import bound_server, served
 from pipelines.study.desk import StudyDesk, simulate_person

@@ -10,7 +10,7 @@ from pipelines.commands.tc import follow
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import Sending, tmtc_socket_name
 from pipelines.session.mission_messages import ExperimentShown, unpack
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import running_sessions
 from pipelines.session.topology import MISSION_GROUND_TOPIC, TASKS, TMTC_TOPICS

@@ -8,7 +8,7 @@ from kontur_av.errors import ConfigError
 from pipelines.commands.live_session import made_directory
 from pipelines.mission.mission import TaskWish
 from pipelines.session.addresses import split_address
-from pipelines.session.options import add_options, refuse_options
+from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import JOYSTICK, PAGES, TASKS
@@ -68,11 +68,12 @@ def task_wish(
         raise ConfigError('tasks are the cosmonaut\'s: take a setup with partner_arm = "none"')
     if args.runs is not None and getattr(args, "record", None) is not None:
         raise ConfigError("--runs and --record want the same recorder: give one of them")
+    leds = None if args.leds is None else split_address(args.leds, "--leds")
     runs = made_directory(args.runs, "--runs")
     return TaskWish(
         catalogue=catalogue,
         plan=plan,
-        leds=None if args.leds is None else split_address(args.leds, "--leds"),
+        leds=leds,
         runs=None if runs is None else str(runs.resolve()),
         simulated=simulated,
         two_hands=two_hands,

@@ -15,7 +15,7 @@ from pipelines.mission.tmtc_messages import (
     update_words,
 )
 from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.output import print_data
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import running_sessions

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
-from pipelines.session.options import add_actions
+from pipelines.session.option_rows import add_actions
 from pipelines.session.terminals import ask_desk, running_sessions
 from pipelines.session.training import (
     CAMERA,

@@ -18,7 +18,7 @@ from pipelines.partner.connection_report import RtcCommandReport
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcPeer
 from pipelines.report.report_file import end_with
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -33,10 +33,10 @@ from pipelines.recording.session_messages import (
     ChannelMessage,
     Figure,
     Instants,
-    SampleNumbers,
     SessionMessages,
 )
 from pipelines.session.figures import SessionEvents, gathered, nested_values
+from pipelines.session.rows import SampleNumbers
 from pipelines.session.seat_roles import VIEWER_WORDS
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Topology

@@ -3,10 +3,9 @@
 The last order is kept in a file, so that a desk or a robot that was killed goes on with it.
 """
 
-from kontur_av.topics.session_files import make_session_root, session_root
+from kontur_av.topics.session_files import make_session_root, replace_file, session_root
 from pipelines.hand.arm_owner import DESK, ORDER_OCTETS, ArmState, OwnerDesk
 from pipelines.session.process import Context
-from pipelines.session.reception import replace_file
 from pipelines.session.terminals import serve_terminals
 from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import ARM_ORDER_TOPIC, ARM_STATE_TOPIC

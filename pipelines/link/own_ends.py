@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from kontur_av.errors import ConfigError
-from pipelines.link.key_files import default_key_path, pinned_peer, read_key
 from pipelines.session.addresses import parse_address, resolve
 from pipelines.session.datagrams import (
     LOOPBACK,
@@ -21,7 +20,7 @@ from pipelines.session.datagrams import (
     reaches,
 )
 from pipelines.session.launcher import hold_port
-from pipelines.session.options import refuse_options
+from pipelines.session.option_rows import refuse_options
 from pipelines.session.topology import Segment, Topology
 from telepresence.link.peer.figures import PeerFigures
 from telepresence.link.profile import LinkProfile
@@ -225,6 +224,9 @@ def _protection(args: argparse.Namespace) -> Protection | None:
             if getattr(args, option) is not None:
                 raise ConfigError(f"--insecure uses no keys: leave --{option} out, or --insecure")
         return None
+    # Not loaded by a session of one machine.
+    from pipelines.link.key_files import default_key_path, pinned_peer, read_key
+
     path = default_key_path() if args.key is None else args.key
     key = read_key(path)
     peer = pinned_peer(path, args.identity)

@@ -21,7 +21,7 @@ from pipelines.media.rtp_reports import (
     latency_ms,
 )
 from pipelines.session.children import stopped_by_signals
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.session.output import reader_gone, say
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS

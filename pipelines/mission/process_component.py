@@ -5,12 +5,11 @@ The component's methods may block. What telecommands have set outlives the proce
 
 import msgspec
 
-from kontur_av.topics.session_files import session_root
+from kontur_av.topics.session_files import replace_file, session_root
 from pipelines.mission.component_desk import ComponentDesk
 from pipelines.mission.tmtc_messages import Values, unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.reception import replace_file
 from pipelines.session.topology import TMTC_TOPICS, Segment, component_process
 from telepresence.tmtc.telemetry_source import Component, load_telemetry
 

@@ -16,7 +16,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.topics.bus import TopicBus
-from kontur_av.topics.session_files import make_session_root, session_root
+from kontur_av.topics.session_files import make_session_root, replace_file, session_root
 from pipelines.link.figures import CONNECTED, unpack_link
 from pipelines.media.following import Choice
 from pipelines.mission.figures import TaskFigures
@@ -26,7 +26,6 @@ from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.datagrams import LOOPBACK, receive
 from pipelines.session.mission_messages import CameraWish, RobotStatus
 from pipelines.session.process import Context
-from pipelines.session.reception import replace_file
 from pipelines.session.robot_state import unpack_state
 from pipelines.session.task_journal import KEPT, LinkMeanwhile
 from pipelines.session.terminal_lines import (

@@ -14,7 +14,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.topics.bus import Reader, TopicBus
-from kontur_av.topics.session_files import make_session_root, session_root
+from kontur_av.topics.session_files import make_session_root, replace_file, session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
 from pipelines.link.figures import unpack_link
 from pipelines.media.following import CHOICE_OCTETS, unpack_confirmed
@@ -28,7 +28,6 @@ from pipelines.session.datagrams import receive
 from pipelines.session.figures import ProcessState
 from pipelines.session.mission_messages import MISSION_OCTETS, CameraWish, RobotStatus, pack, unpack
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.reception import replace_file
 from pipelines.session.robot_state import unpack_state
 from pipelines.session.topic_ends import NumberedTopic, SampleTopic
 from pipelines.session.topology import (

@@ -14,7 +14,7 @@ import msgspec
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import Reader, TopicBus
-from kontur_av.topics.session_files import session_root
+from kontur_av.topics.session_files import replace_file, session_root
 from pipelines.mission.tmtc_messages import (
     MAX_REQUEST_OCTETS,
     CommandUpdate,
@@ -34,7 +34,6 @@ from pipelines.mission.tmtc_messages import (
     plain_fields,
     unpack_news,
 )
-from pipelines.session.reception import replace_file
 from pipelines.session.topology import TMTC_TOPICS, Segment
 from telepresence.tmtc.k2aci import K2aciMessage
 from telepresence.tmtc.pus.dictionary import Dictionary

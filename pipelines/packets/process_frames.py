@@ -4,9 +4,9 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.topics.bus import Reader
 from pipelines.link.frame_batch import unpack_frames
 from pipelines.packets.figures import FrameFigures
-from pipelines.recording.session_messages import SampleNumbers
 from pipelines.session.datagrams import LOOPBACK, Address, Outlet, is_loopback, outlet
 from pipelines.session.process import Context
+from pipelines.session.rows import SampleNumbers
 from pipelines.session.setup.segments import Direction
 from pipelines.session.topology import FRAMES
 

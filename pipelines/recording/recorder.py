@@ -35,9 +35,9 @@ from pipelines.recording.session_messages import (
     ChannelMessage,
     Figure,
     Instants,
-    SampleNumbers,
     SessionMessages,
 )
+from pipelines.session.rows import SampleNumbers
 from pipelines.session.terminal_lines import PartLimits
 from pipelines.session.topology import Topology
 

@@ -83,27 +83,6 @@ class ChannelMessage(NamedTuple):
     at: Instants
 
 
-class SampleNumbers:
-    """Counts the samples of topics that were gone before they were read."""
-
-    def __init__(self) -> None:
-        #: By topic: the number of its newest sample.
-        self._newest: dict[str, int] = {}
-
-    def __contains__(self, topic: str) -> bool:
-        return topic in self._newest
-
-    def forget(self, topic: str) -> None:
-        self._newest.pop(topic, None)
-
-    def handle_sample(self, topic: str, sequence: int) -> int:
-        """Return how many samples are missing ahead of this one."""
-        before = self._newest.get(topic)
-        self._newest[topic] = sequence
-        # A smaller number is that of a writer that was started again.
-        return 0 if before is None else max(0, sequence - before - 1)
-
-
 class SessionMessages:
     """Makes the messages of one reader. wall_offset_ns: wall time less the session's clock."""
 

@@ -18,7 +18,6 @@ from pipelines.hand.hand_topics import unpack_status
 from pipelines.hand.haptic_trace import rows_of
 from pipelines.mission.tmtc_messages import K2aciArrived, unpack_news
 from pipelines.recording.own_pictures import MOST_HELD_OCTETS, KeyPictureWanted, StreamStart
-from pipelines.recording.session_messages import SampleNumbers
 from pipelines.ros2.messages import RosMessages
 from pipelines.ros2.publications import (
     CHAT_TOPIC,
@@ -31,6 +30,7 @@ from pipelines.ros2.publications import (
     RosSource,
 )
 from pipelines.session.figures import MonitoredSession, nested_values
+from pipelines.session.rows import SampleNumbers
 from telepresence.tmtc.k2aci import Chat
 
 #: Units wait no longer for a key picture; then they go out without one.

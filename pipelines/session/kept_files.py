@@ -17,9 +17,8 @@ from typing import Final, Literal, TypeVar
 
 import msgspec
 
-from kontur_av.topics.session_files import session_root
+from kontur_av.topics.session_files import replace_file, session_root
 from pipelines.session.figures import Event
-from pipelines.session.reception import replace_file
 from telepresence.malformed import MALFORMED
 
 T = TypeVar("T", bound=msgspec.Struct)

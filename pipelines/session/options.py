@@ -1,96 +1,15 @@
 """The options of a session that several commands share."""
 
 import argparse
-import re
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kontur_av.errors import ConfigError
+from pipelines.session.option_rows import add_options
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import DEADBANDS, HAND_MODES, NO_RADIO, Setup
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile_file import load_radio
-
-_TYPES: dict[str, Callable[[str], Any]] = {"int": int, "float": float, "Path": Path}
-#: Rows that several commands have, by their first names.
-_COMMON = {
-    row.split()[0].rstrip(","): row
-    for row in (
-        "--seconds S <float>  end after S seconds (default: on Ctrl-C)",
-        "--session NAME  which one, where several run; its setup's name will do",
-        "--key FILE <Path>  the private key; default: kontur-av/key.pem in the configuration "
-        "directory",
-        "--inbox FOLDER <Path>  take updates and orders that come here as files",
-        "--raw PATH  write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
-        "--report FILE <Path>  write the report as JSON",
-        "--base-port P <int>  first of the 40 UDP ports",
-        "-q, --quiet  show nothing but mistakes",
-    )
-}
-
-
-def add_options(parser: argparse._ActionsContainer, *rows: str) -> None:
-    """Add options and positional arguments to a parser, or to a group of it.
-
-    A row is `NAMES METAVAR <KIND>  HELP`; an option without METAVAR and KIND is a flag. KIND is
-    `int`, `float`, `Path`, choices as `a|b`, or nothing for text. Then come `!` if it must be
-    given, `*` if it may be repeated, `?` if its value may be left out, `...` for any number of
-    values, and `=DEFAULT`. Where `?` is of an option, DEFAULT is what it then has. The first name
-    alone stands for a common row.
-    """
-    for row in rows:
-        head, _, text = _COMMON.get(row, row).partition("  ")
-        head, bracket, kind = head.partition(" <")
-        words = head.replace(", -", " -").split(" ")
-        option = row.startswith("-")
-        names = [word for word in words if word.startswith("-")] if option else words[:1]
-        metavar = " ".join(words[len(names) :]) or None
-        if option and not bracket and metavar is None:
-            parser.add_argument(*names, action="store_true", help=text)
-            continue
-        match = re.fullmatch(r"([^!*?.=]*)([!*?]|\.{3})?(?:=(.*))?", kind.removesuffix(">"))
-        assert match is not None, row
-        what, how, default = match.groups()
-        convert = _TYPES.get(what)
-        choices = what.split("|") if what and convert is None else None
-        value = convert(default) if convert is not None and default is not None else default
-        add = partial(
-            parser.add_argument,
-            *names,
-            metavar=metavar,
-            type=convert or str,
-            choices=choices,
-            help=text or None,
-        )
-        if how == "!":
-            add(required=True)
-        elif how == "*":
-            add(action="append", default=[])
-        elif how == "?" and option:
-            add(nargs="?", const=value)
-        else:
-            add(nargs="*" if how == "..." else how, default=value)
-
-
-def add_actions(
-    parser: argparse.ArgumentParser, actions: Mapping[str, Sequence[str]], kind: str = "action"
-) -> dict[str, argparse.ArgumentParser]:
-    """Add subcommands, each with a text and rows of options; return the parser of each."""
-    found = parser.add_subparsers(dest=kind, required=True, metavar=kind.upper())
-    parsers = {}
-    for name, (text, *rows) in actions.items():
-        parsers[name] = found.add_parser(name, help=text, description=text)
-        add_options(parsers[name], *rows)
-    return parsers
-
-
-def refuse_options(args: argparse.Namespace, why: str, *options: str) -> None:
-    """Raise ConfigError for the first of these options that is given. why: follows its name."""
-    for option in options:
-        if getattr(args, option) not in (None, False, []):
-            raise ConfigError(f"--{option.replace('_', '-')}{why}")
 
 
 def add_setup_argument(

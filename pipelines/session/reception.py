@@ -1,11 +1,10 @@
 """The common part of receiving processes: sockets and the kept sender report."""
 
 import select
-from pathlib import Path
 from typing import Protocol
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.topics.session_files import session_root
+from kontur_av.topics.session_files import replace_file, session_root
 from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
@@ -53,10 +52,3 @@ class Incoming:
         if self._rtp in ready:
             while (datagram := receive(self._rtp)) is not None:
                 self._receiver.handle_packet(datagram, self._clock.now_ns())
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Replace a file in one step, so that a killed process leaves the old or the new content."""
-    partial = path.with_suffix(".new")
-    partial.write_bytes(content)
-    partial.replace(path)

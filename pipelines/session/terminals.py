@@ -19,8 +19,12 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from kontur_av.topics.session_files import choose_session, make_session_root, session_root
-from pipelines.session.reception import replace_file
+from kontur_av.topics.session_files import (
+    choose_session,
+    make_session_root,
+    replace_file,
+    session_root,
+)
 from pipelines.session.sessions import is_alive
 from pipelines.session.terminal_lines import (
     MAX_LINE_OCTETS,

@@ -7,7 +7,7 @@ from dataclasses import fields
 
 from kontur_av.errors import ConfigError
 from pipelines.report.model import CodingCosts
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.spec import GAME_CONTROLLER, PAGE, ROS2_HAND, open_device

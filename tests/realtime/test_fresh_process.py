@@ -41,6 +41,18 @@ def test_commands_at_a_running_session_load_no_codec():
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
+def test_commands_that_must_outlive_broken_software_load_little():
+    code = (
+        "import sys\n"
+        "from importlib import import_module\n"
+        "for name in 'apploader versions file keys owner stop'.split():\n"
+        "    import_module(f'pipelines.commands.{name}')\n"
+        "assert not {'aiortc', 'av', 'cv2', 'opuslib'} & sys.modules.keys()\n"
+        "assert 'pipelines.session.setup.table' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
 def test_sgp4_is_imported_for_a_pass_only():
     code = (
         "import sys\n"

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 from pipelines.virtual.campaign.figures import Crash
 
 if TYPE_CHECKING:
