@@ -193,7 +193,7 @@ class Pages(RuleBasedStateMachine):
     def bounded(self):
         for page in self.roles:
             queue = self.seat._pages[page].queue
-            replay = max((len(lane._replay) for lane in queue._lanes.values()), default=0)
+            replay = max((len(lane._replay) for lane in queue.lanes.values()), default=0)
             assert len(queue) <= MOST_WAITING + 2 * replay
 
 

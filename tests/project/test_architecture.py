@@ -172,6 +172,7 @@ USERS_OF_SHELLS = {
     "pipelines/hand/device_check.py": "paces a device",
     "pipelines/hand/driver_checks.py": "paces a joystick",
     "pipelines/session/options.py": "opens radios that an option names",
+    "pipelines/session/option_rows.py": "options of commands",
     "pipelines/session/setup/sources.py": "tries sources, and compares paths",
     "pipelines/virtual/simulate.py": "starts workers",
     "pipelines/report/charts.py": "draws charts",
