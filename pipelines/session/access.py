@@ -1,9 +1,9 @@
 """Who may open what at a seat, and how many connections are kept, and for how long. A core.
 
-The token in the address says who asks, and the host by which name the seat is reached. Whoever has
-not shown a token is a stranger. A stranger's connection is closed after `STRANGER_NS`, and the
-oldest of them makes room for a new one. So idle connections keep nobody out who has a token, and
-take few of the process's descriptors.
+A token in the address identifies the user; the host must be a name of the seat. A client without a
+token is a stranger. Its connection is closed after `STRANGER_NS`, and the oldest such connection
+makes room for a new one. So idle connections take few descriptors, and never keep out a user with
+a token.
 """
 
 import hmac

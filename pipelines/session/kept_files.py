@@ -2,7 +2,7 @@
 
 | file | written by | what |
 |---|---|---|
-| `stop` | whoever orders it | an emergency stop holds: who ordered it; removed to release it |
+| `stop` | any process that stops the robot | who ordered the stop; removing the file releases it |
 | `orders-robot`, `orders-joystick` | those processes | their newest orders, as JSON |
 | `now.json` | the session, once a second | `SessionNow` |
 | `notes` | `maintain` | a `Note` a line |

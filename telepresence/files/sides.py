@@ -51,7 +51,7 @@ _SELDOM = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TransactionPace:
-    """segment_octets: of a file in one PDU. repeat_ns: until what nobody answered is sent again.
+    """segment_octets: of a file in one PDU. repeat_ns: until an unanswered PDU is sent again.
 
     patience_ns: how long the other end may be silent before the transaction fails.
     """

@@ -160,7 +160,7 @@ class SafetyEnvelope:
         self._set_hold(Hold.STOPPED if self.stopped else Hold.OFF, now_ns)
 
     def handle_stop(self, now_ns: int) -> None:
-        """Stop, whoever orders it; it latches."""
+        """Stop the robot, and latch."""
         if not self.stopped:
             self.stopped = True
             self.stops += 1

@@ -87,5 +87,5 @@ def test_what_is_not_in_a_row_shows_no_slow_clock():
     # Nor do steps that differ.
     assert scales(SlowClock(), [0, 480, 480, 320, 320, 480, 480]) == [1] * 7
     assert scales(SlowClock(), [0, 480, 480, 960, 480, 480, 480]) == [1] * 6 + [2]
-    # A packet that is no Opus is not counted; the next one is none in a row.
+    # A malformed packet is not counted, and interrupts the row.
     assert scales(SlowClock(), [480] * 4, payload=b"") == [1] * 4

@@ -100,7 +100,7 @@ def test_the_share_of_losses_and_the_time_have_a_limit():
     log.handle_packet(3000, 0, 0)
     block = log.block(70_000_000 * MS)
     assert (block.fraction_lost, block.lsr, block.dlsr) == (255, 1, 0xFFFF_FFFF)
-    # A number from behind, even half a round, is none that is higher.
+    # A number up to half a round back is not higher.
     log.handle_packet(3000 + 0x8000, 0, 0)
     assert log.block(0).highest_sequence == 3000
     log.handle_packet(3000 + 0x7FFF, 0, 0)

@@ -1,4 +1,4 @@
-"""What the haptic room writes on the wire is read back, and what nobody sends is refused."""
+"""Haptic messages are read back as written; malformed ones are refused."""
 
 import struct
 from math import inf, nan, pi, tau
@@ -257,7 +257,7 @@ def test_a_joystick_drives_one_of_two_robots():
     board.handle_partner(theirs, now_ns)
     assert board.state(now_ns) == "driven"
     assert board.poll_joystick() == theirs and board.poll_joystick() is None
-    # A greeting that is none changes nothing; the caller's link counts it.
+    # A malformed greeting is ignored; the caller counts it.
     garbled = bytes([1]) + asks[0][1:]
     assert board.handle_joystick(garbled, now_ns) is False
     assert board.ownership.wanted is Owner.PARTNER
@@ -321,7 +321,7 @@ def test_a_joystick_asks_in_each_place_until_it_can_send_and_then_in_every_twent
     joystick.handle_greeting(Greeting(0, 7 << 8))
     requests = greeted(joystick, 3)
     assert set(requests.values()) == {Greeting(0, 5 << 8, 7 << 8)}
-    # An answer to another request is none.
+    # An answer to another request is ignored.
     joystick.handle_greeting(Greeting(9, 7 << 8, (5 << 8) + 1))
     assert joystick.sending == 0
     joystick.handle_greeting(Greeting(40, 7 << 8, 5 << 8))

@@ -136,7 +136,7 @@ def test_what_goes_from_this_end_to_this_end_takes_no_radio():
         *((17, 1), (17, 2), (1, 1), (1, 3), (1, 7))
     ]
     assert (node.sent, node.next_local()) == (0, None)
-    # Of what nobody fetches, the newest 64 stay.
+    # Of packets that wait, the newest 64 stay.
     for count in range(70):
         request = Telecommand(apid=0x200, count=count, service=17, subtype=1, source=7, flags=0)
         application.handle_telecommand(request, 0)

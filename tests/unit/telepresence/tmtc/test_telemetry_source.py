@@ -120,7 +120,7 @@ def test_a_component_has_numbers_limits_and_defaults():
     [
         ({"low": None, "below": ""}, None, None, 14.4, 14.4 - 0.05 * 14.4),
         ({"high": None, "above": "", "low": -8.0}, -8.0, -8.0 + 0.05 * 8.0, None, None),
-        # A limit without an event is none of the monitor, but of the range.
+        # A limit without an event belongs to the range, not to the monitor.
         ({"above": ""}, 11.1, 11.1 + 0.05 * 3.3, None, None),
     ],
 )
