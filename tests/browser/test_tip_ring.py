@@ -56,10 +56,15 @@ class Seat:
         return ActionChains(self.page.driver(), duration=50)
 
     def hold(self):
-        """Press in the middle, unless it is pressed: a page that was busy has let go."""
-        if not self.steers():
-            self.hand().release().click_and_hold(self.page.find(MAP)).perform()
-            self.page.wait("document.querySelector('hand-panel').dataset.steers === 'true'")
+        """Press in the middle until it is pressed: a page that was busy has let go."""
+
+        def held():
+            if not self.steers():
+                self.hand().release().click_and_hold(self.page.find(MAP)).perform()
+                self.pause(200)
+            return self.steers()
+
+        eventually(held, "a hand that steers")
 
     def lead(self, x):
         """Press in the middle and drag until the robot has moved and rests."""

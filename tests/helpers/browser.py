@@ -71,6 +71,8 @@ class Browser:
             "no-sandbox",
             # Without a graphics card its emulation would take a core.
             "disable-gpu",
+            # Its address bar has pages of its own, which draw as much as ours.
+            "disable-features=WebUIOmniboxPopup,WebUIOmniboxAimPopup",
             f"force-device-scale-factor={scale}",
             f"user-data-dir={self.directory / 'profile'}",
             f"window-size={size[0]},{size[1]}",

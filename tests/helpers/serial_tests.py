@@ -1,4 +1,7 @@
-"""A plug-in of pytest: tests that need the machine run last, one at a time, once more if they fail.
+"""A plug-in of pytest: tests that need the machine run one at a time, once more if they fail.
+
+One worker runs them, one after the other. The others run the rest beside them, at the lowest
+priority, so that it takes only what the first leaves of the machine.
 
 Such a test that fails runs again at once, with new fixtures. If it passes then, it is *unsteady*:
 the last lines name it, and the first failure's output is printed and kept in a file. A test that
@@ -7,72 +10,49 @@ does not order the tests.
 """
 
 import contextlib
+import os
 from pathlib import Path
 
 import pytest
 from _pytest.runner import runtestprotocol
 from xdist.remote import Producer
 from xdist.scheduler import LoadScopeScheduling
-from xdist.workermanage import WorkerController
 
 #: Tests in these rooms start processes that need the machine.
 SERIAL = ("tests/browser/", "tests/realtime/")
-#: Those in this one start processes, too, but mostly wait: one at a time, beside quick tests.
+#: Those in this one start processes, too, but mostly wait: one at a time, beside the serial ones.
 BESIDE = "tests/interop/"
 
 UNSTEADY = "unsteady"
 
 
-def is_serial(nodeid: str) -> bool:
-    return nodeid.startswith(SERIAL)
+def lane_of(nodeid: str) -> int:
+    """0: serial; 1: one at a time, beside those; 2: wherever and whenever."""
+    if nodeid.startswith(SERIAL):
+        return 0
+    return 1 if nodeid.startswith(BESIDE) else 2
 
 
-def runs_again(nodeid: str) -> bool:
-    return nodeid.startswith((*SERIAL, BESIDE))
-
-
-class SerialLast(LoadScopeScheduling):
-    """Any test to any worker; then the serial ones to one worker, when all others have ended.
-
-    A worker of pytest-xdist 3.8 runs a test only when it knows the next one, or that there is none.
-    """
+class Lanes(LoadScopeScheduling):
+    """The serial tests to the first worker, those beside them to the second, any test to any."""
 
     def _split_scope(self, nodeid: str) -> str:
-        if is_serial(nodeid):
-            return "serial"
-        if nodeid.startswith(BESIDE):
-            return BESIDE
+        lane = lane_of(nodeid)
+        if lane < 2:
+            return f"lane {lane}"
         # Simulations of one file share their runs.
         return nodeid.partition("::")[0] if nodeid.startswith("tests/sim/") else nodeid
 
-    def _assign_work_unit(self, node: WorkerController) -> None:
-        # What a crashed worker leaves is appended.
-        if "serial" in self.workqueue:
-            self.workqueue.move_to_end("serial")
-        if "serial" not in self.workqueue or len(self.workqueue) > 1 or self._is_last(node):
-            super()._assign_work_unit(node)
 
-    def _reschedule(self, node: WorkerController) -> None:
-        if list(self.workqueue) != ["serial"]:
-            super()._reschedule(node)
-        elif node.shutting_down:
-            return
-        elif any(not other.shutting_down for other in self.nodes if other is not node):
-            node.shutdown()
-        else:
-            self._assign_work_unit(node)
+def yield_the_machine() -> None:
+    """Take from now on only what other processes leave of the processors.
 
-    def _is_last(self, node: WorkerController) -> bool:
-        others = [self.assigned_work[other] for other in self.nodes if other is not node]
-        return not any(self._pending_of(work) for work in others)
-
-    def mark_test_complete(
-        self, node: WorkerController, item_index: int, duration: float = 0
-    ) -> None:
-        super().mark_test_complete(node, item_index, duration)
-        for other in self.nodes:
-            if other is not node and list(self.workqueue) == ["serial"]:
-                self._reschedule(other)
+    Linux weighs sessions of processes against each other first (autogroup), then the processes of
+    one session.
+    """
+    os.nice(19)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/autogroup").write_text("19")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -83,17 +63,26 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> SerialLast:
-    return SerialLast(config, log)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Lanes:
+    return Lanes(config, log)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if hasattr(config, "workerinput"):
+        # A session of its own has a priority of its own.
+        with contextlib.suppress(OSError):
+            os.setsid()
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: is_serial(item.nodeid))
+    items.sort(key=lambda item: lane_of(item.nodeid))
 
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    if not runs_again(item.nodeid):
+    if lane_of(item.nodeid) == 2:
+        if hasattr(item.config, "workerinput") and os.getpriority(os.PRIO_PROCESS, 0) < 19:
+            yield_the_machine()
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     reports = runtestprotocol(item, log=False, nextitem=nextitem)

@@ -1,8 +1,9 @@
-"""Tests that need the machine run last, one at a time, and once more if they fail.
+"""Tests that need the machine run one at a time, before the others, and once more if they fail.
 
 Checked with pytest itself, on a small suite in a temporary directory.
 """
 
+import os
 import re
 import subprocess
 import sys
@@ -20,9 +21,9 @@ import pytest
 @pytest.fixture(autouse=True)
 def watched(request):
     with open(os.environ["TRACE"], "a") as trace:
-        print("begin", request.node.nodeid, file=trace, flush=True)
+        print("begin", request.node.nodeid, os.getpid(), file=trace, flush=True)
         yield
-        print("end", request.node.nodeid, file=trace, flush=True)
+        print("end", request.node.nodeid, os.nice(0), file=trace, flush=True)
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
@@ -51,6 +52,22 @@ def test_fails_once(made):
 
 def test_slow_again():
     time.sleep(0.1)
+"""
+SLOW = """
+import time
+
+def test_slow():
+    time.sleep(1)
+
+def test_slow_again():
+    time.sleep(1)
+
+def test_slow_once_more():
+    time.sleep(1)
+"""
+BESIDE = """
+def test_waits():
+    pass
 """
 TWICE = """
 def test_fails_twice():
@@ -91,21 +108,32 @@ def run(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("workers", ["0", "2"])
-def test_serial_tests_run_last_and_alone_and_an_unsteady_one_is_named(run, tmp_path, workers):
-    rooms = {"browser": SERIAL, "quick": QUICK}
+def test_serial_tests_run_one_at_a_time_and_an_unsteady_one_is_named(run, tmp_path, workers):
+    rooms = {"browser": SERIAL, "interop": BESIDE, "quick": QUICK}
     code, output, events = run(rooms, "-n", workers, "--unsteady", str(tmp_path / "kept.txt"))
 
     assert code == 0, output
     name = "tests/browser/test_browser.py::test_fails_once"
     *_, named, closing = output.splitlines()
     assert named == f"UNSTEADY {name}"
-    assert re.fullmatch(rf"12 passed, 1 unsteady {IN_TIME}", closing)
+    assert re.fullmatch(rf"13 passed, 1 unsteady {IN_TIME}", closing)
     for text in (output, (tmp_path / "kept.txt").read_text()):
         assert "the first time" in text and "what it printed" in text
-    serial = [(what, test) for what, test in events if "browser" in test]
-    assert events[-8:] == [[what, test] for what, test in serial]
+    serial = [(what, test) for what, test, _ in events if "browser" in test]
     assert [what for what, _ in serial] == ["begin", "end"] * 4
     assert [test for _, test in serial].count(name) == 4
+
+
+def test_only_quick_tests_run_beside_the_serial_ones_and_leave_them_the_machine(run):
+    code, output, events = run({"browser": SLOW, "interop": BESIDE, "quick": QUICK}, "-n", "2")
+
+    assert code == 0, output
+    workers = {test: pid for what, test, pid in events if what == "begin"}
+    (alone,) = {workers[test] for test in workers if "browser" in test}
+    assert workers["tests/interop/test_interop.py::test_waits"] != alone
+    ended = {test: int(nice) for what, test, nice in events if what == "end"}
+    assert {nice for test, nice in ended.items() if "quick" in test} == {19}
+    assert {nice for test, nice in ended.items() if "quick" not in test} == {os.nice(0)}
 
 
 def test_a_serial_test_that_fails_twice_fails_with_the_output_of_both_runs(run):
