@@ -7,8 +7,8 @@ room is no longer there. docs/experiments/haptics.md has the measured gain.
 from fractions import Fraction
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.codecs.choice import settings_of
 from kontur_av.codecs.coding import SLOW_REFRESH_S, Coding
+from kontur_av.codecs.h26x import settings_of
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.session.setup.table import Setup, VideoStream
 from telepresence.link.backlog import Backlog

@@ -4,7 +4,7 @@ import secrets
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.codecs.choice import encoder_of
+from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity

@@ -260,14 +260,14 @@ LIBRARIES = {
     "kontur_av/codecs/": ({"av", "cv2"}, "FFmpeg's coders, and scaling of pictures"),
     "kontur_av/codecs/colours.py": ({"threading"}, "a scaler for each thread"),
     "kontur_av/codecs/libopus.py": ({"ctypes", "pathlib", "sys", "warnings"}, "finds libopus"),
-    "kontur_av/detect/light.py": ({"cv2"}, "looks at pictures"),
+    "kontur_av/detect.py": ({"cv2"}, "looks at pictures"),
     "kontur_av/sources/stereo.py": ({"cv2"}, "looks at pictures"),
     "kontur_av/lazy.py": ({"ast", "sys"}, "the table of modules, and what a package imports"),
     "kontur_av/rtp/wire.py": ({"aiortc"}, "RTP and RTCP, octets only"),
     "kontur_av/sources/file.py": ({"av", "pathlib"}, "a file"),
     "kontur_av/sources/fit.py": ({"av"}, "scales a picture"),
     "kontur_av/sources/looped.py": ({"av"}, "decoded pictures and their faults"),
-    "kontur_av/sources/chunks.py": (
+    "kontur_av/sources/recorded_format.py": (
         {"lz4", "zstandard"},
         "unpacks chunks of recordings",
     ),

@@ -10,7 +10,7 @@ from math import ceil
 from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.coded_size import (
+from kontur_av.codecs.coding import (
     PREFERENCES,
     Preference,
     coded_rate_for,

@@ -1,6 +1,6 @@
 """How long a missing packet is waited for."""
 
-from kontur_av.rtp.reordering import ReorderDepth
+from kontur_av.rtp.arrivals import ReorderDepth
 
 MS = 1_000_000
 S = 1000 * MS

@@ -8,7 +8,7 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kontur_av.sources.chunks import MOST_CHUNK_OCTETS, unpacked_chunk
+from kontur_av.sources.recorded_format import MOST_CHUNK_OCTETS, unpacked_chunk
 
 PACK = {"": bytes, "lz4": lz4.frame.compress, "zstd": zstandard.compress}
 UNSIZED = {

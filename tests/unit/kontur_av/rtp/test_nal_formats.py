@@ -5,10 +5,8 @@ from rtp_packets import received
 
 from kontur_av.errors import ProtocolError
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
-from kontur_av.rtp.nal_formats import parameter_sets_of
+from kontur_av.rtp.nal_formats import H264, H265, parameter_sets_of
 from kontur_av.rtp.nal_payload import NalDepacketizer
-from kontur_av.rtp.payload_h264 import H264, packetize, parse_payload
-from kontur_av.rtp.payload_h265 import H265
 
 SPS, PPS = b"\x67\x42\xc0\x1e", b"\x68\xce\x3c\x80"
 #: Slices whose first_mb_in_slice is 0, and one that continues a picture.
@@ -37,9 +35,9 @@ def pictures(*payloads, **changes):
 
 def test_an_aggregate_has_the_largest_nri_and_any_forbidden_bit():
     # RFC 6184 section 5.7.1: F is bit 7, NRI bits 5 and 6, the type 24.
-    (payload,) = packetize([b"\x06\x05", b"\x41\x88", b"\x21\x88"])
+    (payload,) = H264.packetize([b"\x06\x05", b"\x41\x88", b"\x21\x88"])
     assert payload[0] == 0x40 | 24
-    (payload,) = packetize([b"\x86\x05", b"\x67\x42"])
+    (payload,) = H264.packetize([b"\x86\x05", b"\x67\x42"])
     assert payload[0] == 0x80 | 0x60 | 24
 
 
@@ -48,9 +46,9 @@ def test_an_aggregate_has_the_largest_nri_and_any_forbidden_bit():
 )
 def test_a_large_unit_is_cut_into_equal_parts(octets, parts):
     unit = b"\x41" + bytes(1 + n % 255 for n in range(octets - 1))
-    payloads = packetize([unit], 1200)
+    payloads = H264.packetize([unit], 1200)
     assert sorted((len(payload) - 2 for payload in payloads), reverse=True) == parts
-    found = [parse_payload(payload) for payload in payloads]
+    found = [H264.parse_payload(payload) for payload in payloads]
     assert b"".join(part.nal_units[0] for part in found) == unit
     assert [part.starts for part in found] == [True] + [False] * (len(parts) - 1)
     assert [part.ends for part in found] == [False] * (len(parts) - 1) + [True]
@@ -59,26 +57,26 @@ def test_a_large_unit_is_cut_into_equal_parts(octets, parts):
 def test_units_share_a_payload_as_long_as_they_fit():
     units = [b"\x41" + bytes([n] * 3) for n in range(1, 4)]
     # One octet for the aggregate, two for each length.
-    assert [len(payload) for payload in packetize(units, 19)] == [19]
-    assert [len(payload) for payload in packetize(units, 18)] == [13, 4]
-    assert [len(payload) for payload in packetize([bytes([0x41] * 8)], 8)] == [8]
+    assert [len(payload) for payload in H264.packetize(units, 19)] == [19]
+    assert [len(payload) for payload in H264.packetize(units, 18)] == [13, 4]
+    assert [len(payload) for payload in H264.packetize([bytes([0x41] * 8)], 8)] == [8]
 
 
 @pytest.mark.parametrize("most", [0, 7])
 def test_payloads_too_small_for_headers_are_refused(most):
     with pytest.raises(ValueError, match="at least 8"):
-        packetize([SLICE], most)
+        H264.packetize([SLICE], most)
 
 
 @pytest.mark.parametrize("unit", [b"", b"\x60", b"\x78\x01", b"\x7c\x01"])
 def test_a_unit_that_rtp_cannot_carry_is_refused(unit):
     with pytest.raises(ValueError, match="cannot carry"):
-        packetize([unit])
+        H264.packetize([unit])
 
 
 def test_sets_of_the_sdp_go_before_the_first_picture_and_every_later_idr():
     depacketizer = NalDepacketizer(H264, [SPS, PPS])
-    own = packetize([SPS, PPS, IDR])[0]
+    own = H264.packetize([SPS, PPS, IDR])[0]
     units = through(depacketizer, pictures(SLICE, SLICE, IDR, SLICE, own))
     assert [split_annex_b(unit.data) for unit in units] == [
         [SPS, PPS, SLICE],
@@ -107,7 +105,7 @@ def test_the_first_picture_waits_only_if_the_marker_may_be_on_each_slice(marked)
 
 def test_each_picture_is_counted_once():
     depacketizer = NalDepacketizer(H264)
-    whole, cut = packetize([SLICE]), packetize([b"\x41\x88" + bytes([7]) * 30], 20)
+    whole, cut = H264.packetize([SLICE]), H264.packetize([b"\x41\x88" + bytes([7]) * 30], 20)
     packets = [
         received(whole[0], 0, timestamp=0),
         # The second part is lost, so nothing of this picture is left.
@@ -129,7 +127,7 @@ def test_each_picture_is_counted_once():
 
 
 def test_a_unit_tells_when_its_first_and_its_last_packet_came():
-    parts = packetize([b"\x41\x88" + bytes([7]) * 60], 30)
+    parts = H264.packetize([b"\x41\x88" + bytes([7]) * 60], 30)
     packets = [
         received(part, n, received_ns=100 + n, marker=n == len(parts) - 1)
         for n, part in enumerate(parts)
@@ -152,25 +150,25 @@ def test_a_picture_joined_in_its_middle_is_damaged():
 
 def test_a_picture_that_is_lost_with_its_first_packet_is_a_loss_before_the_next():
     depacketizer = NalDepacketizer(H264)
-    parts = packetize([b"\x41\x88" + bytes([7]) * 60], 30)
+    parts = H264.packetize([b"\x41\x88" + bytes([7]) * 60], 30)
     packets = [
-        received(packetize([SLICE])[0], 0, timestamp=0),
+        received(H264.packetize([SLICE])[0], 0, timestamp=0),
         # The first part is lost. The others belong to no NAL unit.
         *(
             received(part, 2 + n, timestamp=1, marker=n == len(parts) - 2, lost_before=n == 0)
             for n, part in enumerate(parts[1:])
         ),
-        received(packetize([SLICE])[0], 9, timestamp=2),
+        received(H264.packetize([SLICE])[0], 9, timestamp=2),
     ]
     units = through(depacketizer, packets)
     assert [(unit.timestamp, unit.lost_before) for unit in units] == [(0, 0), (2, 1)]
     # Its successor has no loss before it.
-    (after,) = through(depacketizer, [received(packetize([SLICE])[0], 10, timestamp=3)])
+    (after,) = through(depacketizer, [received(H264.packetize([SLICE])[0], 10, timestamp=3)])
     assert after.lost_before == 0
 
 
 def test_a_picture_of_the_old_source_is_damaged_by_a_restart():
-    parts = packetize([SLICE, b"\x41\x22" + bytes([7]) * 30], 20)
+    parts = H264.packetize([SLICE, b"\x41\x22" + bytes([7]) * 30], 20)
     packets = [received(parts[0], 0, marker=False), received(SLICE, 900, ssrc=9, restart=True)]
     units = through(NalDepacketizer(H264), packets)
     assert [(unit.data, unit.damaged) for unit in units] == [
@@ -191,7 +189,7 @@ def test_an_access_unit_larger_than_allowed_is_dropped():
 @pytest.mark.parametrize("end", ["marker", "silence", "next unit", "next picture"])
 def test_a_unit_whose_last_part_is_not_marked_is_whole(end):
     whole = b"\x41\x88" + bytes([7]) * 30
-    parts = packetize([whole], 20)
+    parts = H264.packetize([whole], 20)
     parts[-1] = parts[-1][:1] + bytes([parts[-1][1] & ~0x40]) + parts[-1][2:]
     last = len(parts) - 1
     packets = [
@@ -233,7 +231,7 @@ def test_a_unit_whose_last_part_is_not_marked_is_whole(end):
     ],
 )
 def test_payloads_of_other_senders_are_read(payload, units):
-    found = parse_payload(bytes.fromhex(payload))
+    found = H264.parse_payload(bytes.fromhex(payload))
     assert found.nal_units == tuple(bytes.fromhex(one) for one in units)
     assert (found.is_part, found.starts, found.ends) == (False, True, True)
 
@@ -255,14 +253,14 @@ def test_payloads_of_other_senders_are_read(payload, units):
 )
 def test_payloads_that_are_none_are_refused(payload, reason):
     with pytest.raises(ProtocolError, match=reason):
-        parse_payload(bytes.fromhex(payload))
+        H264.parse_payload(bytes.fromhex(payload))
 
 
 @pytest.mark.parametrize(
     ("octets", "start", "end"), [("7c 81 88", 1, 0), ("7c 01 88", 0, 0), ("7c 41 88", 0, 1)]
 )
 def test_a_part_says_whether_it_is_the_first_or_the_last(octets, start, end):
-    found = parse_payload(bytes.fromhex(octets))
+    found = H264.parse_payload(bytes.fromhex(octets))
     assert (found.is_part, found.starts, found.ends) == (True, bool(start), bool(end))
     assert found.nal_units == (b"\x61\x88" if start else b"\x88",)
 
