@@ -186,10 +186,8 @@ USERS_OF_SHELLS = {
     "pipelines/virtual/options.py": "opens devices that an option names",
     "pipelines/virtual/session.py": "starts workers",
     "pipelines/virtual/studio.py": "what a worker does",
-    "telepresence/haptics/device/spec.py": "opens devices",
-    "telepresence/haptics/device/udp_joystick.py": "a socket",
-    "telepresence/haptics/robot_spec.py": "opens robots",
-    "telepresence/haptics/udp_robot.py": "a socket",
+    "telepresence/haptics/specs.py": "opens joysticks and robots",
+    "telepresence/haptics/udp_devices.py": "a socket",
     "telepresence/world/scenes.py": "opens scenes, and reads recorded speech",
     "pipelines/media/coded_topics.py": "topics",
     "pipelines/link/process_gateway.py": "topics",
@@ -210,7 +208,7 @@ USERS_OF_SHELLS = {
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
     "kontur_av/sources/source.py": {"FILLED_BY_OTHERS", "PAGE", "TOPIC"},
-    "telepresence/haptics/device/spec.py": {"PAGE", "ROS2_HAND", "SIMULATED", "is_simulated"},
+    "telepresence/haptics/specs.py": {"PAGE", "ROS2_HAND", "SIMULATED", "is_simulated"},
     "kontur_av/clock.py": {
         "NS_PER_MS",
         "NS_PER_S",

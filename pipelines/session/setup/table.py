@@ -31,7 +31,7 @@ from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.path import RadioPath
 from telepresence.link.radio.profile import RadioProfile, built_in_radio, delayed
 from telepresence.world import DEFAULT_SCENES
-from telepresence.world.board_view import BoardView
+from telepresence.world.board import BoardView
 
 #: The camera that is merged from the inputs `left` and `right`.
 STEREO = "stereo"
