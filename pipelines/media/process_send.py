@@ -21,7 +21,7 @@ from pipelines.session.robot_state import unpack_state
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import FOLLOWED_TOPIC, ROBOT_TOPIC, SELECTED_TOPIC
-from telepresence.link.backlog import Backlog
+from telepresence.link.gateway import Backlog
 
 #: How long to sleep at least while a switch keeps the sender from encoding.
 _SWITCH_NS = NS_PER_MS

@@ -40,7 +40,7 @@ from pipelines.virtual.streams import (
 )
 from pipelines.virtual.studio import Paired, Picture, Shot, VideoDecoding, VideoStudio, VoiceStudio
 from pipelines.virtual.workers import WALL_OFFSET_NS, Coder, Job, Scene, Worker
-from telepresence.link.backlog import Backlog
+from telepresence.link.gateway import Backlog
 from telepresence.world import WorldState
 
 #: Takes a captured picture: (picture, stamp, now).

@@ -279,7 +279,7 @@ LIBRARIES = {
     "telepresence/link/protection/agreement.py": ({"OpenSSL"}, "TLS in memory: octets only"),
     "telepresence/link/protection/handshake.py": ({"hmac"}, "nonces from a secret"),
     "telepresence/link/protection/identity.py": ({"datetime"}, "dates of a certificate; no clock"),
-    "telepresence/link/protection/segment.py": ({"hmac"}, "codes, compared in constant time"),
+    "telepresence/link/protection/datagrams.py": ({"hmac"}, "codes, compared in constant time"),
     "telepresence/link/radio/orbit.py": (
         {"datetime", "sgp4"},
         "orbits and their calendar; no clock",

@@ -41,7 +41,7 @@ from pipelines.session.process import Context
 from pipelines.session.rows import ShownRow
 from pipelines.session.topology import SELECTED_TOPIC
 from pipelines.table import topology_of
-from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
+from telepresence.link.gateway import BACKLOG_OCTETS, Backlog
 
 SOUND = np.zeros(960, np.int16)
 

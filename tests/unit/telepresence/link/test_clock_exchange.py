@@ -9,8 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from telepresence.link.clock.estimator import ClockEstimate, ClockEstimator
-from telepresence.link.clock.exchange import ClockExchange
+from telepresence.link.clock_estimator import ClockEstimate, ClockEstimator
+from telepresence.link.clock_exchange import ClockExchange
 
 SLOT_NS = 10 * NS_PER_MS
 

@@ -1,7 +1,7 @@
 """One end's messages CLOCK: when to send them, and what they tell of the peer's clock. A core.
 
 Each message has the instant at which it leaves, and says when the peer's newest one came. So both
-ends learn a bound from each way (`estimator`). A lost message costs only itself.
+ends learn a bound from each way (`clock_estimator`). A lost message costs only itself.
 
 A sender report of RTCP (RFC 3550, section 6.4.1) dates a stream in its sender's wall time. The
 gateway, which knows the difference of both clocks, corrects each report on its way out.
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.modular import signed
-from telepresence.link.clock.estimator import ClockEstimate, ClockEstimator
+from telepresence.link.clock_estimator import ClockEstimate, ClockEstimator
 from telepresence.link.figures import ClockFigures
 from telepresence.link.flows import PacketReceived
 from telepresence.link.supervision.message import MASTER, MESSAGE_OCTETS, MessageKind

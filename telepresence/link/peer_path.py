@@ -19,8 +19,8 @@ stranger's.
 from collections import deque
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from telepresence.link.figures import Address, PeerFigures, PeerHistory, address_text
 from telepresence.link.frame import FrameCodec
-from telepresence.link.peer.figures import Address, PeerFigures, PeerHistory, address_text
 from telepresence.link.profile import LinkProfile
 from telepresence.link.protection.channel import (
     REKEY_NS,
@@ -29,8 +29,8 @@ from telepresence.link.protection.channel import (
     ProtectedChannel,
     SessionBegun,
 )
+from telepresence.link.protection.datagrams import RECORD
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
-from telepresence.link.protection.record import RECORD
 
 #: Datagrams of handshakes that wait for the rest of a slot; more are dropped as `throttled`.
 _MOST_WAITING = 64

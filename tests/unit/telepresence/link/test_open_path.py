@@ -4,7 +4,7 @@ import pytest
 
 from pipelines.session.setup.built_in import BUILT_IN
 from telepresence.link.frame import FrameCodec
-from telepresence.link.peer.path import SILENCE_NS, OpenPath
+from telepresence.link.peer_path import SILENCE_NS, OpenPath
 
 DOWNLINK = BUILT_IN["spacejustin"].downlink
 GOOD = FrameCodec(DOWNLINK).pack_idle(7, None)

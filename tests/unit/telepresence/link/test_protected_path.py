@@ -2,7 +2,7 @@
 
 from protected_pair import GROUND_ADDRESS, GROUND_KEY, SPACE_ADDRESS, SPACE_KEY
 
-from telepresence.link.peer.path import STEP_NS, ProtectedPath
+from telepresence.link.peer_path import STEP_NS, ProtectedPath
 
 SLOT_NS = 1_000_000
 FRAME = bytes(32)

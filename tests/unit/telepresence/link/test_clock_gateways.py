@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.link.clock.exchange import earlier
+from telepresence.link.clock_exchange import earlier
 from telepresence.link.flows import Level, LinkEvent, PacketReceived, packet_flow, rtcp_flow
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK

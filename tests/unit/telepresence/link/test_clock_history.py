@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.link.clock.estimator import ClockHistory
+from telepresence.link.clock_estimator import ClockHistory
 
 S, MS = NS_PER_S, NS_PER_MS
 #: An offset that floats of nanoseconds could not hold.

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telepresence.link.clock.estimator import ClockEstimator, ClockHistory
-from telepresence.link.clock.exchange import (
+from telepresence.link.clock_estimator import ClockEstimator, ClockHistory
+from telepresence.link.clock_exchange import (
     ClockExchange,
     ClockMessage,
     ReportClock,
