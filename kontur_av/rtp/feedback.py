@@ -16,7 +16,7 @@ from collections import OrderedDict
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.rtp.report_timer import ReportTimer
+from kontur_av.rtp.reports import ReportTimer
 from kontur_av.rtp.wire import (
     RTCP_PSFB_APP,
     RTCP_PSFB_PLI,

@@ -9,7 +9,7 @@ from kontur_av.media import CaptureStamp, Pcm
 from kontur_av.rtp.arrivals import MOST_REORDER_NS
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
-from kontur_av.rtp.report_timer import report_interval_ns
+from kontur_av.rtp.reports import report_interval_ns
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoicePlayer, VoiceReceiver

@@ -19,7 +19,7 @@ from kontur_av.rtp.feedback import ReceptionReporter
 from kontur_av.rtp.payload_opus import SlowClock
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
-from kontur_av.rtp.report_timer import AVPF_LEAST_NS
+from kontur_av.rtp.reports import AVPF_LEAST_NS
 from kontur_av.streams.lipsync import LipSync
 from kontur_av.streams.reporting_receiver import ReportingReceiver
 

@@ -20,8 +20,8 @@ from kontur_av.rtp.header_extensions import (
     playout_delay_element,
     send_time_element,
 )
-from kontur_av.rtp.reception import ReceptionReader
 from kontur_av.rtp.repair import TOO_OLD_NS, LossAsker, PacketHistory
+from kontur_av.rtp.reports import ReceptionReader
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.rtp.wire import (
     RTCP_PSFB_FIR,

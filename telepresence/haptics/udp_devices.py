@@ -10,8 +10,7 @@ from telepresence.haptics.figures import UdpFigures
 from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.robot_device import RobotReading
 from telepresence.haptics.udp_line import UdpLine
-from telepresence.haptics.udp_protocol import UdpRole, WantedState
-from telepresence.haptics.udp_session import MOST_UNANSWERED
+from telepresence.haptics.udp_protocol import MOST_UNANSWERED, UdpRole, WantedState
 
 
 class UdpRobot:

@@ -13,8 +13,7 @@ from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.robot_device import DrivenRobot
 from telepresence.haptics.specs import check_robot, open_device
 from telepresence.haptics.udp_line import UdpLine, unprotected
-from telepresence.haptics.udp_protocol import UdpRole
-from telepresence.haptics.udp_session import MOST_UNANSWERED
+from telepresence.haptics.udp_protocol import MOST_UNANSWERED, UdpRole
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
 
