@@ -42,8 +42,7 @@ from telepresence.haptics.figures import (
     WallFigures,
 )
 from telepresence.haptics.ownership import OwnershipFigures
-from telepresence.link.figures import GatewayFigures
-from telepresence.link.peer.figures import PeerFigures
+from telepresence.link.figures import GatewayFigures, PeerFigures
 from telepresence.services.streams import ServiceFigures
 
 #: All records that processes tell.

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.codecs.coded_size import coded_size_for
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.coding import coded_size_for
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from kontur_av.streams.video_sender import VideoSender

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from kontur_av.codecs.coding import Coding
     from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
     from kontur_av.codecs.encoder import VideoEncoder
-    from kontur_av.codecs.h264 import H264Decoder, H264Encoder
-    from kontur_av.codecs.h265 import H265Encoder
+    from kontur_av.codecs.h26x import H264Decoder, H264Encoder, H265Encoder
     from kontur_av.codecs.opus import OpusDecoder, OpusEncoder
     from kontur_av.codecs.region import Region
     from kontur_av.errors import ConfigError, ProtocolError
@@ -40,8 +39,7 @@ if TYPE_CHECKING:
     from kontur_av.streams.udp import UdpReceiver, UdpSender
     from kontur_av.streams.video_receiver import VideoReceiver
     from kontur_av.streams.video_sender import VideoSender
-    from kontur_av.streams.voice_player import VoicePlayer
-    from kontur_av.streams.voice_receiver import VoiceReceiver
+    from kontur_av.streams.voice_receiver import VoicePlayer, VoiceReceiver
     from kontur_av.streams.voice_sender import VoiceSender
     from kontur_av.topics.bus import TopicBus
 

@@ -17,8 +17,8 @@ from pipelines.seats.rows import process_rows as seats
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import ProcessRow, SessionOptions, Topology
-from telepresence.haptics.device.spec import SIMULATED
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
+from telepresence.haptics.specs import SIMULATED
 from telepresence.tmtc.telemetry_source import Component
 
 #: Within a stage, processes start in the order of the rooms.

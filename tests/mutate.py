@@ -41,7 +41,7 @@ NEAR: dict[str, tuple[str, ...]] = {
         "tests/fuzz/test_rtp_fuzz.py",
     ),
     "kontur_av/rtp/nal_payload.py": (
-        f"{UNIT}/kontur_av/rtp/test_payload_h264.py",
+        f"{UNIT}/kontur_av/rtp/test_nal_formats.py",
         f"{UNIT}/kontur_av/rtp/test_rtp_stream.py",
         f"{UNIT}/kontur_av/rtp/test_rtp_vectors.py",
         "tests/fuzz/test_rtp_fuzz.py",
@@ -53,11 +53,7 @@ NEAR: dict[str, tuple[str, ...]] = {
     ),
     "kontur_av/streams/budget.py": (
         f"{UNIT}/kontur_av/streams/test_budget.py",
-        f"{UNIT}/kontur_av/streams/test_encode_scheduler.py",
         "tests/sim/test_caps.py",
-    ),
-    "kontur_av/streams/encode_scheduler.py": (
-        f"{UNIT}/kontur_av/streams/test_encode_scheduler.py",
         f"{UNIT}/kontur_av/streams/test_video_stream.py",
     ),
     "telepresence/link/queues.py": (

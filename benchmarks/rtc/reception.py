@@ -20,10 +20,10 @@ from benchmarks.page.footage import FPS, HEIGHT, WIDTH
 from benchmarks.page.views import numbers
 from benchmarks.rtc.figures import OURS, ReceptionRun
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import BLOCK_NS, BLOCK_SAMPLES, AccessUnit, CaptureStamp, empty_picture
-from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.bench.course.marks import MARK_ROWS, levels, read_number
 from pipelines.partner.description import Kind
 from pipelines.partner.media import PictureCame, SoundCame

@@ -22,8 +22,8 @@ import numpy as np
 from av.video.frame import PictureType
 
 from benchmarks.video.clips import CLIPS, clips
-from kontur_av.codecs.coded_size import coded_size_for
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.coding import coded_size_for
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.codecs.scaling import shrink
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from pipelines.bench.video.figures import percentiles, psnr_db, ssim, summarise

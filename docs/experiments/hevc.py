@@ -15,8 +15,8 @@ import time
 import numpy as np
 
 from benchmarks.video.clips import CLIPS, clips
-from kontur_av.codecs.choice import encoder_of
 from kontur_av.codecs.decoder import VideoDecoder
+from kontur_av.codecs.h26x import encoder_of
 from kontur_av.media import VIDEO_CODECS, CaptureStamp, VideoCodec, VideoFrame, empty_picture
 from pipelines.bench.video.clips import Clip
 from pipelines.bench.video.figures import psnr_db

@@ -17,8 +17,8 @@ import numpy as np
 from benchmarks.video.clips import FOOTAGE, footage
 from benchmarks.video.packages import PACKAGED, fetch
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.coded_size import coded_rate_for
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.coding import coded_rate_for
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.paced_sender import UnitSent

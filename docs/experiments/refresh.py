@@ -24,7 +24,7 @@ from benchmarks.video.clips import CLIPS, clips
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.codecs.scaling import shrink
 from kontur_av.media import I420, CaptureStamp, VideoFrame, empty_picture
 from pipelines.bench.video.clips import Clip, mirrored

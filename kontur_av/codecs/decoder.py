@@ -13,7 +13,7 @@ from kontur_av.codecs.colours import Scaler, as_i420, like_i420, plane_pixels
 from kontur_av.codecs.decoder_guard import MOST_PICTURE_OCTETS, DecoderGuard
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, VideoCodec, check_size, empty_picture, planes
-from kontur_av.rtp.payload_h265 import H265
+from kontur_av.rtp.nal_formats import H265
 
 #: FFmpeg's names.
 _DECODERS: dict[VideoCodec, str] = {"h264": "h264", "h265": "hevc"}

@@ -14,13 +14,16 @@ import av.filter
 import numpy as np
 from av.video.frame import PictureType
 
-from kontur_av.codecs.coded_size import coded_size_for, restless_size_for, sizes_around
-from kontur_av.codecs.coding import REFRESH_S, Coding
-from kontur_av.codecs.cuts import Cuts
+from kontur_av.codecs.coding import (
+    REFRESH_S,
+    Coding,
+    coded_size_for,
+    restless_size_for,
+    sizes_around,
+)
 from kontur_av.codecs.encoder_settings import EncoderSettings, Search
-from kontur_av.codecs.region import Region
-from kontur_av.codecs.sharpening import STEPS, Sharpening
-from kontur_av.codecs.sizing import SizeChoice
+from kontur_av.codecs.region import COLUMN_STEPS, Region, Sharpening
+from kontur_av.codecs.sizing import Cuts, SizeChoice
 from kontur_av.errors import ConfigError
 from kontur_av.media import (
     I420,
@@ -59,11 +62,10 @@ class VideoEncoder:
     fps: pictures a second, from 1 to 120. If some are left out, each access unit keeps its size. A
         `Coding` changes the rate.
     cap_bps: bits a second of all access units together, at least 10000.
-    coded_size: (width, height) in which pictures are coded. None: `coded_size.coded_size_for`
-        chooses the usual one. Where that is smaller than the picture, the present one follows the
-        content (`sizing.SizeChoice`, `cuts.Cuts`), and is smaller while the refresh is fast. A
-        receiver gets pictures in the coded size, and scales them up with
-        `DecodedPicture.scale_into`.
+    coded_size: (width, height) in which pictures are coded. None: `coding.coded_size_for` chooses
+        the usual one. Where that is smaller than the picture, the present one follows the content
+        (`sizing`), and is smaller while the refresh is fast. A receiver gets pictures in the coded
+        size, and scales them up with `DecodedPicture.scale_into`.
     refresh_s: time from the start of one refresh wave to the next. A wave takes one picture for
         each column of macroblocks, or all of this time if that is less. A decoder that joins
         without a key picture has a whole picture at the end of the next wave.
@@ -79,7 +81,7 @@ class VideoEncoder:
     #: The codec, and the class of its settings.
     codec: ClassVar[VideoCodec]
     _settings_of: ClassVar[type[EncoderSettings]]
-    #: Whether pictures on a thin channel are sharpened column by column (`sharpening.Sharpening`).
+    #: Whether pictures on a thin channel are sharpened column by column (`region.Sharpening`).
     _sharpens: ClassVar[bool] = False
 
     def __init__(
@@ -303,7 +305,7 @@ class VideoEncoder:
         elif (columns := self._sharpening.next_columns()) is not None:
             first, count = columns
             left, right = first * _BLOCK, min((first + count) * _BLOCK, width)
-            parts.append(((left, 0, right - left, height), STEPS))
+            parts.append(((left, 0, right - left, height), COLUMN_STEPS))
         return parts
 
 

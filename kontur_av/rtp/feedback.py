@@ -1,4 +1,4 @@
-"""What a receiver tells its sender: reports, and picture loss indications (PLI).
+"""What a receiver tells its sender: reports, picture loss indications (PLI), and rates (REMB).
 
 With a PLI (RFC 4585 section 6.3.1) the receiver of a damaged picture asks for a key picture. It is
 sent alone where both ends know of reduced size (RFC 5506): 12 octets. Elsewhere a report precedes
@@ -7,14 +7,18 @@ it. While feedback arrives, the periodic intra refresh can be slow, which saves 
 Some receivers, such as ffplay, send receiver reports (RFC 3550 section 6.4.2) but no PLI. A new
 receiver in them, and packets lost since the last one, ask for a key picture, too. Reports of a
 receiver that sends PLIs, and of this software, ask for nothing.
+
+A REMB is the receiver's estimate of the largest rate (draft-alvestrand-rmcat-remb-03).
 """
 
+import struct
 from collections import OrderedDict
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.rtp.report_timer import ReportTimer
+from kontur_av.rtp.reports import ReportTimer
 from kontur_av.rtp.wire import (
+    RTCP_PSFB_APP,
     RTCP_PSFB_PLI,
     SDES_TOOL,
     TOOL,
@@ -22,8 +26,10 @@ from kontur_av.rtp.wire import (
     RtcpReceiverInfo,
     RtcpRrPacket,
     RtcpSdesPacket,
+    pack_remb_fci,
     parse_rtcp,
     receiver_report,
+    unpack_remb_fci,
 )
 
 #: The time between two indications while pictures stay damaged: longer than most round trips.
@@ -183,3 +189,20 @@ class PictureLossListener:
             return False
         self._answered_ns = now_ns
         return True
+
+
+def rate_message(rate_bps: int, *, ssrc: int, media_ssrcs: list[int]) -> bytes:
+    """Return a REMB. ssrc: the receiver's own. media_ssrcs: the streams that share the rate."""
+    fci = pack_remb_fci(rate_bps, media_ssrcs)
+    return bytes(RtcpPsfbPacket(RTCP_PSFB_APP, ssrc, 0, fci))
+
+
+def told_rate(packet: RtcpPsfbPacket) -> tuple[int, list[int]] | None:
+    """Return the rate in bit/s and the streams that share it; None if `packet` is no REMB."""
+    if packet.fmt != RTCP_PSFB_APP:
+        return None
+    try:
+        rate_bps, ssrcs = unpack_remb_fci(packet.fci)
+    except (ValueError, IndexError, struct.error):
+        return None
+    return rate_bps, ssrcs

@@ -7,9 +7,9 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES
+from kontur_av.rtp.arrivals import Transits
 from kontur_av.rtp.payload_opus import holds_copy, is_pause, opus_samples
 from kontur_av.rtp.receiver import RtpReceived
-from kontur_av.rtp.transits import Transits
 from kontur_av.rtp.wire import TimestampUnwrapper
 
 #: A larger difference of two transits in a row is a new time line, not jitter.

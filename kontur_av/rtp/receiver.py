@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.modular import signed
-from kontur_av.rtp.reception import ReceptionLog
-from kontur_av.rtp.reordering import REORDER_DEPTH_NS, ReorderDepth
+from kontur_av.rtp.arrivals import REORDER_DEPTH_NS, ReorderDepth
+from kontur_av.rtp.reports import ReceptionLog
 from kontur_av.rtp.sender_clock import SenderClock
 from kontur_av.rtp.wire import (
     RtcpByePacket,

@@ -19,8 +19,7 @@ from kontur_av.media import AUDIO_PAYLOAD_TYPE as AUDIO_PAYLOAD_TYPE
 from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
 from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.header_extensions import ABS_CAPTURE_TIME
-from kontur_av.rtp.nal_formats import NAL_FORMATS
-from kontur_av.rtp.payload_h265 import H265, NAL_PPS, NAL_SPS, NAL_VPS
+from kontur_av.rtp.nal_formats import H265, H265_PPS, H265_SPS, H265_VPS, NAL_FORMATS
 
 _UDP_OCTETS, _RTP_OCTETS = 8, 12
 #: Three octets (RFC 6184 section 8.1).
@@ -35,7 +34,7 @@ _NAL_EXT = 13  # extension of an SPS
 #: By the name in a=rtpmap, in small letters.
 _ENCODINGS: Mapping[str, VideoCodec] = {"h264": "h264", "h265": "h265", "hevc": "h265"}
 #: By the name in a=fmtp (RFC 7798 section 7.1): the type of the NAL units.
-_SPROPS = {"sprop-vps": NAL_VPS, "sprop-sps": NAL_SPS, "sprop-pps": NAL_PPS}
+_SPROPS = {"sprop-vps": H265_VPS, "sprop-sps": H265_SPS, "sprop-pps": H265_PPS}
 #: Of elements with one-octet headers (RFC 8285 section 4.2).
 _IDS = frozenset(map(str, range(1, 15)))
 

@@ -11,7 +11,7 @@ import numpy as np
 from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm
 from kontur_av.sources.fit import Fitted, Fitter
-from kontur_av.sources.pace import Pace
+from kontur_av.sources.instants import Pace
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, RETRY_NS, StampingSource
 
 #: A reader that is later than this resumes where it stopped, without decoding what it missed.

@@ -37,11 +37,10 @@ from kontur_av.media import (
     Pcm,
     VideoCodec,
 )
-from kontur_av.recorded_format import FORMAT, FORMAT_KEY
-from kontur_av.sources.chunks import unpacked_chunk
 from kontur_av.sources.fit import scaled_aspect
 from kontur_av.sources.instants import RisingInstants
 from kontur_av.sources.looped import LoopedAudio, LoopedVideo, PlayedPicture
+from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY, unpacked_chunk
 
 #: By kind: schema and format of its messages, and what it is called.
 _SCHEMAS = {

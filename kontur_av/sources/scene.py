@@ -10,7 +10,7 @@ import numpy as np
 
 from kontur_av.clock import Clock
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Pcm
-from kontur_av.sources.pace import Pace
+from kontur_av.sources.instants import Pace
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, StampingSource
 
 #: draw(into, sequence, capture_ns): draw the whole picture of that instant into `into`.

@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
 from kontur_av.media import CaptureStamp, Pcm
+from kontur_av.rtp.arrivals import MOST_REORDER_NS
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
-from kontur_av.rtp.reordering import MOST_REORDER_NS
-from kontur_av.rtp.report_timer import report_interval_ns
+from kontur_av.rtp.reports import report_interval_ns
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.streams.video_receiver import VideoReceiver
-from kontur_av.streams.voice_player import VoicePlayer
-from kontur_av.streams.voice_receiver import VoiceReceiver
+from kontur_av.streams.voice_receiver import VoicePlayer, VoiceReceiver
 
 
 class PictureDecoding:

@@ -4,11 +4,10 @@ import secrets
 from typing import Literal
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
-from kontur_av.codecs.choice import encoder_of
-from kontur_av.codecs.coded_size import coded_rate_for
-from kontur_av.codecs.coding import REFRESH_S
+from kontur_av.codecs.coding import REFRESH_S, coded_rate_for
 from kontur_av.codecs.encoder import VideoEncoder
 from kontur_av.codecs.encoder_settings import Search
+from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusEncoder
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,

@@ -7,12 +7,12 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.healing import Healing
 from kontur_av.figures import Flat, Newest
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality, VideoCodec
+from kontur_av.rtp.arrivals import REORDER_DEPTH_NS
 from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.nal_payload import NalDepacketizer, ReceivedUnit
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
-from kontur_av.rtp.reordering import REORDER_DEPTH_NS
-from kontur_av.rtp.report_timer import AVPF_LEAST_NS
+from kontur_av.rtp.reports import AVPF_LEAST_NS
 from kontur_av.streams.reporting_receiver import ReportingReceiver
 
 #: The most damaged units that are remembered while they are decoded.

@@ -10,8 +10,7 @@ from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.rtp.nal_payload import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sdp import session_bandwidth_bps
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
-from kontur_av.streams.budget import Pacer
-from kontur_av.streams.encode_scheduler import EncodeScheduler
+from kontur_av.streams.budget import EncodeScheduler, Pacer
 from kontur_av.streams.paced_sender import PacedSender, SenderCounts, UnitSent
 
 #: A receiver sends reports at most 6.2 s apart, as a rule of 5 s under RTP/AVP has it

@@ -17,7 +17,7 @@ from pipelines.session.setup.setup_file import load_setup
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.script import CheckResult
-from telepresence.haptics.device.spec import is_simulated
+from telepresence.haptics.specs import is_simulated
 
 SETUP_ROW = "--setup NAME  the setup whose axes it has"
 

@@ -27,9 +27,9 @@ from pipelines.session.setup.table import Setup
 from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.spec import SIMULATED, open_alone
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.loop import joystick_link
+from telepresence.haptics.specs import SIMULATED, open_alone
 
 #: Of a setup, by who comes.
 _ARMS = {"joystick": '"shared" or "second"', "robot": '"board"'}

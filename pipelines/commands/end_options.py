@@ -9,7 +9,7 @@ from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.table import topology_of
-from telepresence.haptics.device.spec import SIMULATED
+from telepresence.haptics.specs import SIMULATED
 
 
 def add_end_arguments(parser: argparse.ArgumentParser) -> None:

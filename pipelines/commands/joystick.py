@@ -23,7 +23,7 @@ from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench
 from telepresence.haptics.device.gamepad import find_gamepads
 from telepresence.haptics.device.simulated import FAULTS
-from telepresence.haptics.device.spec import PAGE, ROS2_HAND, is_simulated, open_alone
+from telepresence.haptics.specs import PAGE, ROS2_HAND, is_simulated, open_alone
 
 _ALL = "all"
 

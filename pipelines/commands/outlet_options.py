@@ -19,7 +19,7 @@ from pipelines.session.served_pages import (
     write_private,
 )
 from pipelines.session.topology import FOXGLOVE, METRICS, ROS2
-from telepresence.haptics.device.spec import ROS2_HAND
+from telepresence.haptics.specs import ROS2_HAND
 
 _FOXGLOVE_PORT, _METRICS_PORT, _ROS2_PORT = "8765", "9270", "7447"
 _MOST_DOMAIN = 232

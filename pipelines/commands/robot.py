@@ -19,7 +19,7 @@ from pipelines.session.option_rows import add_actions
 from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.robot_spec import check_robot, load_robot, open_robot
+from telepresence.haptics.specs import check_robot, load_robot, open_robot
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

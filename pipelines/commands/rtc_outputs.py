@@ -4,11 +4,11 @@ import argparse
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.decoder import DecodedPicture
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ
 from kontur_av.meters import Histogram
 from kontur_av.rtp.nal_payload import ReceivedUnit
-from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.media.rtp_reports import latency_ms
 from pipelines.partner.connection_report import ReceivedKind
 from pipelines.partner.media import PictureCame, SoundCame

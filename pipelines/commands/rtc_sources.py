@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.coding import SLOW_REFRESH_S
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import AccessUnit, CaptureStamp, parse_size

@@ -11,9 +11,8 @@ from pipelines.session.options import asked_setup
 from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.table import topology_of
-from telepresence.haptics.device.spec import SIMULATED, check_joystick
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.robot_spec import check_robot, facts_of
+from telepresence.haptics.specs import SIMULATED, check_joystick, check_robot, facts_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.telemetry_source import Component, load_components
 

@@ -12,8 +12,7 @@ from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import JOYSTICK, PAGES, TASKS
-from telepresence.haptics.device.spec import is_simulated
-from telepresence.haptics.robot_spec import facts_of
+from telepresence.haptics.specs import facts_of, is_simulated
 from telepresence.tasks.task_files import load_plan, load_tasks
 
 

@@ -21,8 +21,8 @@ from pipelines.session.topology import Segment, maintenance_stream
 from telepresence.files.entity import LARGEST_LISTING, PUT, STORE, DirectoryJob, FileEntity, fenced
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
 from telepresence.files.sides import MAX_FILE_OCTETS
-from telepresence.link.backlog import Backlog
 from telepresence.link.frame import MAX_PACKET_OCTETS
+from telepresence.link.gateway import Backlog
 from telepresence.services.datagrams import is_service
 from telepresence.services.streams import ServiceStreams
 

@@ -10,7 +10,7 @@ from typing import Final
 from kontur_av.clock import NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
-from kontur_av.rtp.payload_h264 import parameter_sets
+from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.foxglove import protocol
 from pipelines.foxglove.client import Client
@@ -224,7 +224,7 @@ class Bridge:
 
     def handle_camera(self, source: Source, unit: bytes, stamp: CaptureStamp, now_ns: int) -> None:
         message = self._messages.of_camera(source, unit, stamp, next(self._coded), now_ns)
-        key = bool(parameter_sets(unit))
+        key = bool(H264.parameter_sets(unit))
         for client in self._clients.values():
             if key and client.lacks(message.channel, now_ns):
                 client.begin(message.channel)

@@ -14,8 +14,7 @@ from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.figures import WallFigures
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
-from telepresence.haptics.ownership import HapticOwnership, Owner
-from telepresence.haptics.partner_board import PartnerBoard
+from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.haptics.sample import Feedback

@@ -27,12 +27,11 @@ from pipelines.session.topology import (
 )
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
-from telepresence.haptics.ownership import HapticOwnership, Owner
-from telepresence.haptics.partner_board import PartnerBoard
+from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.robot import Robot
-from telepresence.haptics.robot_spec import open_robot
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.haptics.schedule import PeriodicSchedule
+from telepresence.haptics.specs import open_robot
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
 from telepresence.world import WorldState

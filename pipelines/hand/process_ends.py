@@ -64,16 +64,13 @@ from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.simulated import SimulatedDevice
-from telepresence.haptics.device.spec import open_device
-from telepresence.haptics.device.udp_joystick import UdpJoystick
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.figures import HandInputFigures
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.ownership import HapticOwnership, Owner
-from telepresence.haptics.partner_board import PartnerBoard
+from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.robot_device import DrivenRobot, RobotDevice
-from telepresence.haptics.robot_spec import open_robot
-from telepresence.haptics.udp_robot import UdpRobot
+from telepresence.haptics.specs import open_device, open_robot
+from telepresence.haptics.udp_devices import UdpJoystick, UdpRobot
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut, Skill
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.panel import PanelView

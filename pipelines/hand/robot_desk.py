@@ -7,8 +7,7 @@ from pipelines.hand.hand_topics import RobotOrders
 from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
-from telepresence.haptics.ownership import Owner
-from telepresence.haptics.partner_board import PartnerBoard
+from telepresence.haptics.ownership import Owner, PartnerBoard
 from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.sample import STATE_HALTED
 from telepresence.tasks.definitions import ControlMode

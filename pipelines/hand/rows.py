@@ -33,7 +33,7 @@ from pipelines.session.topology import (
     given,
     partner_ports,
 )
-from telepresence.haptics.device.spec import PAGE, ROS2_HAND
+from telepresence.haptics.specs import PAGE, ROS2_HAND
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:

@@ -8,12 +8,11 @@ from pipelines.session.rows import ClockRow
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.session.training import Exercises
-from telepresence.link.figures import GatewayFigures
+from telepresence.link.figures import GatewayFigures, PeerFigures
 from telepresence.link.gateway import Gateway
-from telepresence.link.peer.figures import PeerFigures
 from telepresence.link.slots import GatewaySlots
-from telepresence.link.supervision.configuration import SupervisionTiming
 from telepresence.link.supervision.local_check import LocalCheck, self_test
+from telepresence.link.supervision.message import SupervisionTiming
 
 #: The time for an answer, without the radio's delay there and back.
 _TURNAROUND_NS = 200 * NS_PER_MS

@@ -22,11 +22,11 @@ from pipelines.session.datagrams import (
 from pipelines.session.launcher import hold_port
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.topology import Segment, Topology
-from telepresence.link.peer.figures import PeerFigures
+from telepresence.link.figures import PeerFigures
 from telepresence.link.profile import LinkProfile
 
 if TYPE_CHECKING:
-    from telepresence.link.peer.path import OpenPath, ProtectedPath
+    from telepresence.link.peer_path import OpenPath, ProtectedPath
     from telepresence.link.protection.identity import MachineIdentity, MachineKey
 
     PeerPath = OpenPath | ProtectedPath
@@ -62,10 +62,10 @@ def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> "PeerPath":
     """Return the core of the path. receive: the profile of the way in."""
     protection = plan.protection
     if protection is None:
-        from telepresence.link.peer.path import OpenPath
+        from telepresence.link.peer_path import OpenPath
 
         return OpenPath(receive, address=plan.peer, now_ns=now_ns)
-    from telepresence.link.peer.path import ProtectedPath
+    from telepresence.link.peer_path import ProtectedPath
 
     return ProtectedPath(
         protection.key,

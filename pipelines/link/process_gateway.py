@@ -47,11 +47,10 @@ from pipelines.session.topology import (
     link_state_topic,
 )
 from pipelines.session.training import Exercises
-from telepresence.link.backlog import BACKLOG_OCTETS
 from telepresence.link.figures import GatewayFigures
 from telepresence.link.flows import HapticReceived, PacketReceived
 from telepresence.link.frame import MAX_PACKET_OCTETS
-from telepresence.link.gateway import Gateway
+from telepresence.link.gateway import BACKLOG_OCTETS, Gateway
 
 #: Frames of this time are one sample.
 _BATCH_NS: Final = 20 * NS_PER_MS

@@ -7,11 +7,11 @@ room is no longer there. docs/experiments/haptics.md has the measured gain.
 from fractions import Fraction
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.codecs.choice import settings_of
 from kontur_av.codecs.coding import SLOW_REFRESH_S, Coding
+from kontur_av.codecs.h26x import settings_of
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.session.setup.table import Setup, VideoStream
-from telepresence.link.backlog import Backlog
+from telepresence.link.gateway import Backlog
 
 #: The cap rises after the room for a step was there for this time without a break.
 STEADY_NS = 2 * NS_PER_S

@@ -11,10 +11,10 @@ from av.video.frame import PictureType
 from kontur_av.codecs.black_key import black_key
 from kontur_av.codecs.colours import i420_encoder
 from kontur_av.codecs.decoder import VideoDecoder
-from kontur_av.codecs.h264 import H264Decoder, without_user_data
+from kontur_av.codecs.h26x import H264Decoder, without_user_data
 from kontur_av.codecs.scaling import shrink
 from kontur_av.media import I420, empty_picture
-from kontur_av.rtp.payload_h264 import parameter_sets
+from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import CodedUnit
 
 #: libx264's quantizer: measured 50 dB and more on the built-in scenes.
@@ -121,7 +121,7 @@ class H264Copy:
         frame.pts, frame.pict_type = self._count, PictureType.NONE
         (packet,) = self._codec.encode(frame)
         data, key = without_user_data(bytes(packet)), bool(packet.is_keyframe)
-        self._sets = parameter_sets(data) or self._sets
+        self._sets = H264.parameter_sets(data) or self._sets
         width, height = size
         return replace(
             unit,

@@ -6,7 +6,7 @@ from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AudioFrame
 from kontur_av.streams.lipsync import LAG
-from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.media.coded_topics import ReceivedTopics
 from pipelines.media.stream_figures import note_arrivals, note_unit, video_receiver, voice_receiver
 from pipelines.session.process import Context

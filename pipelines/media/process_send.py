@@ -4,7 +4,7 @@ import secrets
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.codecs.choice import encoder_of
+from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity
@@ -21,7 +21,7 @@ from pipelines.session.robot_state import unpack_state
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import FOLLOWED_TOPIC, ROBOT_TOPIC, SELECTED_TOPIC
-from telepresence.link.backlog import Backlog
+from telepresence.link.gateway import Backlog
 
 #: How long to sleep at least while a switch keeps the sender from encoding.
 _SWITCH_NS = NS_PER_MS

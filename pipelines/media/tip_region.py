@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.region import Region
 from pipelines.session.setup.table import Setup
-from telepresence.world.board_view import BoardView
+from telepresence.world.board import BoardView
 
 #: A tip that was seen longer ago may be anywhere.
 _STALE_NS = 200 * NS_PER_MS

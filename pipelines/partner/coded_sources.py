@@ -10,7 +10,7 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from kontur_av.closing import Closing
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder, heard_stamp
 from kontur_av.media import AccessUnit, CaptureStamp, VideoFrame, empty_picture
 from kontur_av.meters import RateMeter

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from kontur_av.codecs.coding import SLOW_REFRESH_S
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.codecs.opus import OpusEncoder, heard_stamp
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp, Quality

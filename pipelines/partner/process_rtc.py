@@ -9,7 +9,7 @@ from kontur_av.clock import NS_PER_US
 from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AccessUnit, AudioFrame, CaptureStamp, Quality
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
-from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.streams.voice_receiver import VoicePlayer
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.media.unit_history import KeptUnit, UnitHistory

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 from kontur_av.figures import plus
-from kontur_av.rtp.reception import ReceptionFigures
+from kontur_av.rtp.reports import ReceptionFigures
 from pipelines.partner.description import Kind
 from pipelines.partner.figures import RtcStreamFigures
 

@@ -9,6 +9,8 @@ from aiortc.rate import RemoteBitrateEstimator
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp
+from kontur_av.rtp.arrivals import REORDER_DEPTH_NS
+from kontur_av.rtp.feedback import rate_message, told_rate
 from kontur_av.rtp.header_extensions import (
     ABS_SEND_TIME,
     MID,
@@ -18,10 +20,8 @@ from kontur_av.rtp.header_extensions import (
     playout_delay_element,
     send_time_element,
 )
-from kontur_av.rtp.rate_feedback import rate_message, told_rate
-from kontur_av.rtp.reception import ReceptionReader
-from kontur_av.rtp.reordering import REORDER_DEPTH_NS
 from kontur_av.rtp.repair import TOO_OLD_NS, LossAsker, PacketHistory
+from kontur_av.rtp.reports import ReceptionReader
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.rtp.wire import (
     RTCP_PSFB_FIR,

@@ -10,7 +10,7 @@ from enum import Enum
 
 from mcap.records import Channel, Schema
 
-from kontur_av.recorded_format import FORMAT, FORMAT_KEY
+from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY
 from pipelines.recording.messages import (
     AUDIO,
     EVENT,

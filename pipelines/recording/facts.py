@@ -11,7 +11,7 @@ from typing import Self
 from kontur_av import __version__
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.recorded_format import FORMAT
+from kontur_av.sources.recorded_format import FORMAT
 
 #: Who writes a file, in its header.
 LIBRARY = f"kontur-av {__version__}"

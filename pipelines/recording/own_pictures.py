@@ -25,7 +25,7 @@ from av.video.frame import PictureType
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.black_key import black_key
 from kontur_av.codecs.colours import i420_encoder
-from kontur_av.codecs.h264 import without_user_data
+from kontur_av.codecs.h26x import without_user_data
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.rtp.nal_formats import parameter_sets_of
 from kontur_av.streams.coded_unit import CodedUnit

@@ -31,7 +31,7 @@ from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, Topology
-from telepresence.link.backlog import Backlog
+from telepresence.link.gateway import Backlog
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 #: From capture to encoder, and to sender: the medians of live sessions, as in a simulation.

@@ -20,8 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Footer, Header, Message, Metadata, Schema
 
 from kontur_av.errors import ProtocolError
-from kontur_av.recorded_format import FORMAT, FORMAT_KEY
-from kontur_av.sources.chunks import unpacked_chunk
+from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY, unpacked_chunk
 from pipelines.recording import mcap_stream
 from pipelines.recording.facts import (
     FACTS,

@@ -39,7 +39,7 @@ from pipelines.session.topology import (
     Segment,
     Topology,
 )
-from telepresence.link.clock.estimator import ClockHistory
+from telepresence.link.clock_estimator import ClockHistory
 from telepresence.link.figures import GatewayFigures
 
 #: An input reports twice a second. It has paused if its captures lie this far apart.

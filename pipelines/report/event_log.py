@@ -21,8 +21,7 @@ from pipelines.session.task_journal import KEPT, OPEN
 from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
 from telepresence.haptics.figures import JoystickFigures
 from telepresence.haptics.ownership import OwnerEvent, OwnershipFigures
-from telepresence.link.figures import SupervisionFigures
-from telepresence.link.peer.figures import PeerFigures
+from telepresence.link.figures import PeerFigures, SupervisionFigures
 from telepresence.tasks.experiment import RunStep
 
 #: How many events are kept.

@@ -2,7 +2,7 @@
 
 What one end alone counts is taken from its report. What needs both (latencies, stages, skews,
 contacts) is found anew, by the collector of a session on one machine, from the rows of both: those
-of space with their instants on the clock of the ground (`telepresence.link.clock`).
+of space with their instants on the clock of the ground (`telepresence.link.clock_estimator`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pipelines.session.probe import FLUSH_NS, Message, Series
 from pipelines.session.rows import INSTANTS, ClockRow, Row
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
-from telepresence.link.clock.estimator import ClockHistory
+from telepresence.link.clock_estimator import ClockHistory
 
 #: A session lasts no longer.
 _LONGEST_NS = 7 * 24 * 3600 * NS_PER_S

@@ -17,8 +17,12 @@ from pipelines.report.warnings import find_loop_warnings, find_path_warnings
 from pipelines.session.figures import LoopFigures
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Direction, Segment
-from telepresence.link.figures import ReceiverFigures, SenderFigures, SupervisionFigures
-from telepresence.link.peer.figures import PeerFigures
+from telepresence.link.figures import (
+    PeerFigures,
+    ReceiverFigures,
+    SenderFigures,
+    SupervisionFigures,
+)
 from telepresence.link.profile import LinkProfile
 
 #: The keys of the ledger whose rates stand in a line.

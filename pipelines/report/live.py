@@ -30,7 +30,7 @@ from pipelines.session.session_switch import Activity
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import HapticRow
 from telepresence.haptics.figures import SamplesReceived
-from telepresence.link.peer.figures import PeerFigures
+from telepresence.link.figures import PeerFigures
 
 #: The columns, with the rank by which they are left out on a narrow terminal.
 _COLUMNS = {

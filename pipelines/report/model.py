@@ -50,11 +50,11 @@ from telepresence.link.figures import (
     ClockFigures,
     ContactWindows,
     PathFigures,
+    PeerFigures,
     ReceiverFigures,
     SenderFigures,
     SupervisionFigures,
 )
-from telepresence.link.peer.figures import PeerFigures
 
 T = TypeVar("T")
 #: What the receiving end of two knows; the rest is the sender's, or found anew (`join.py`).

@@ -9,10 +9,10 @@ from pipelines.report.collector import Collector, ProcessFigures
 from pipelines.seats.figures import PageFigures
 from pipelines.session.task_journal import OPEN
 from pipelines.session.topology import JOYSTICK, PAGES, ROBOT, TASKS, Segment
-from telepresence.haptics.device.spec import PAGE, is_simulated
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.envelope import Hold, SafetyFigures
 from telepresence.haptics.figures import JoystickFigures
+from telepresence.haptics.specs import PAGE, is_simulated
 from telepresence.link.figures import ContactWindows
 from telepresence.link.radio.profile import RadioProfile
 

@@ -16,7 +16,7 @@ from pipelines.session.figures import LEFT_OUT_SHARE, LoopFigures
 from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import VideoStream
 from pipelines.session.topology import LOOP_PRIORITY, Segment
-from telepresence.link.peer.figures import PeerFigures
+from telepresence.link.figures import PeerFigures
 
 #: A loop is late if its cycles begin later than this, at the 99th percentile.
 LATE_NS = NS_PER_MS // 2

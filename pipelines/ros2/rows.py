@@ -10,7 +10,7 @@ from pipelines.session.topology import (
     Topology,
     given,
 )
-from telepresence.haptics.device.spec import ROS2_HAND
+from telepresence.haptics.specs import ROS2_HAND
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:

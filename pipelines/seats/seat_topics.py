@@ -55,7 +55,7 @@ from pipelines.session.topology import (
 )
 from pipelines.session.training import TRAINER_DESK, TrainerAnswer, TrainerRequest
 from telepresence.haptics.device.page import PageInput
-from telepresence.link.backlog import Backlog
+from telepresence.link.gateway import Backlog
 
 #: Unread samples of a topic that are kept.
 _DEPTH = 8

@@ -8,7 +8,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420, CaptureStamp, VideoFrame
 from kontur_av.sources import BLOCK_NS
-from kontur_av.sources.pace import Pace
+from kontur_av.sources.instants import Pace
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.sources.stereo import StereoPairer
 from kontur_av.streams.video_sender import VideoSender
@@ -40,7 +40,7 @@ from pipelines.virtual.streams import (
 )
 from pipelines.virtual.studio import Paired, Picture, Shot, VideoDecoding, VideoStudio, VoiceStudio
 from pipelines.virtual.workers import WALL_OFFSET_NS, Coder, Job, Scene, Worker
-from telepresence.link.backlog import Backlog
+from telepresence.link.gateway import Backlog
 from telepresence.world import WorldState
 
 #: Takes a captured picture: (picture, stamp, now).

@@ -10,10 +10,9 @@ from pipelines.report.model import CodingCosts
 from pipelines.session.option_rows import add_options
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.device import JoystickDevice
-from telepresence.haptics.device.spec import GAME_CONTROLLER, PAGE, ROS2_HAND, open_device
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.robot import Robot
-from telepresence.haptics.robot_spec import open_robot
+from telepresence.haptics.specs import GAME_CONTROLLER, PAGE, ROS2_HAND, open_device, open_robot
 from telepresence.haptics.udp_line import UDP
 
 #: Kinds of robots and joysticks whose time is not ours.

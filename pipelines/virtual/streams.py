@@ -34,8 +34,7 @@ from pipelines.media.tip_region import TipRegion
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.virtual.studio import Picture, VoiceDecoding
 from pipelines.virtual.workers import WALL_OFFSET_NS, Batch, Coder, Job, Scene, Timer, Worker
-from telepresence.link.backlog import Backlog
-from telepresence.link.gateway import Gateway
+from telepresence.link.gateway import Backlog, Gateway
 from telepresence.world import WorldState
 
 _Sender = TypeVar("_Sender", VideoSender, VoiceSender)

@@ -12,9 +12,9 @@ from typing import NamedTuple, TypeVar, cast
 import numpy as np
 
 from kontur_av.clock import NS_PER_S, ManualClock
-from kontur_av.codecs.choice import encoder_of
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.decoder import DecodedPicture, DecoderCounts, VideoDecoder
+from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.codecs.region import Region
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
@@ -29,7 +29,7 @@ from kontur_av.media import (
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.sources.stereo import StereoPair
-from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.media.marking import StereoMerger
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from telepresence.world import StateAt, WorldState, audio_scenes, render

@@ -11,8 +11,14 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError, refused
-from telepresence.haptics.udp_protocol import KEY_OCTETS, LONGEST_OCTETS, NO_KEY, UdpFacts, UdpRole
-from telepresence.haptics.udp_session import UdpSession
+from telepresence.haptics.udp_protocol import (
+    KEY_OCTETS,
+    LONGEST_OCTETS,
+    NO_KEY,
+    UdpFacts,
+    UdpRole,
+    UdpSession,
+)
 from telepresence.private_file import read_private
 
 #: The name before a SPEC.

@@ -17,8 +17,7 @@ from itertools import islice
 
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from telepresence.haptics.schedule import PeriodicSchedule
-from telepresence.link.backlog import Backlog, BacklogReporter
-from telepresence.link.gateway import Gateway
+from telepresence.link.gateway import Backlog, BacklogReporter, Gateway
 
 #: Datagrams taken from a port in one slot; the rest stays there for the next slot.
 MOST_DATAGRAMS = 64

@@ -11,12 +11,11 @@ from random import Random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telepresence.link.clock.exchange import ClockExchange
+from telepresence.link.clock_exchange import ClockExchange
 from telepresence.link.flows import tmtc_flow, video_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision.configuration import Configuration
-from telepresence.link.supervision.events import ContextsHeld, StateChanged
-from telepresence.link.supervision.message import LinkState
+from telepresence.link.supervision.message import Configuration, LinkState
+from telepresence.link.supervision.record import ContextsHeld, StateChanged
 from telepresence.link.supervision.supervisor import Encounter, Supervisor
 
 MS = 1_000_000

@@ -11,8 +11,7 @@ from random import Random
 from protected_pair import ProtectedPair, S, connected
 
 from telepresence.link.protection.channel import ProtectionFigures
-from telepresence.link.protection.record import RECORD
-from telepresence.link.protection.segment import HandshakeSegment, SegmentCodec
+from telepresence.link.protection.datagrams import RECORD, HandshakeSegment, SegmentCodec
 
 DATAGRAMS = int(os.environ.get("KONTUR_FUZZ_DATAGRAMS", "5000"))
 STRANGER = ("203.0.113.9", 4000)

@@ -14,10 +14,8 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import VIDEO_CODECS, AccessUnit, CaptureStamp
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
-from kontur_av.rtp.nal_formats import NAL_FORMATS
+from kontur_av.rtp.nal_formats import H264, H265, NAL_FORMATS
 from kontur_av.rtp.nal_payload import NalDepacketizer
-from kontur_av.rtp.payload_h264 import packetize, parse_payload
-from kontur_av.rtp.payload_h265 import H265
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.playout import PlayoutBuffer
 from kontur_av.rtp.receiver import MAX_MISORDER, RtpReceived, RtpReceiver
@@ -154,7 +152,7 @@ def test_complete_access_units_equal_those_sent(stream, data):
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=80))
 def test_every_parser_refuses_or_accepts_any_octets(octets):
-    for parse in (parse_rtp, parse_rtcp, parse_payload, H265.parse_payload, opus_samples):
+    for parse in (parse_rtp, parse_rtcp, H264.parse_payload, H265.parse_payload, opus_samples):
         with contextlib.suppress(ProtocolError):
             parse(octets)
     for unit in split_annex_b(octets):
@@ -323,5 +321,5 @@ def test_sdp_round_trip(kind, port, payload_type, rtcp_port, bandwidth_bps, code
 @given(st.lists(SLICE_265, min_size=1, max_size=6), st.integers(8, 1500))
 def test_no_payload_is_larger_than_allowed(units, most):
     # The same octets are NAL units of both codecs.
-    assert all(len(payload) <= most for payload in packetize(units, most))
+    assert all(len(payload) <= most for payload in H264.packetize(units, most))
     assert all(len(payload) <= most for payload in H265.packetize(units, most))

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.nal_formats import H264
 from kontur_av.rtp.nal_payload import NalDepacketizer
-from kontur_av.rtp.payload_h264 import H264
 from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
 

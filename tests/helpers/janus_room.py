@@ -19,7 +19,7 @@ from aiohttp import web
 from running_session import end_with_the_tests
 
 from kontur_av.clock import MonotonicClock
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h26x import H264Decoder
 from pipelines.partner.media import PictureCame
 from pipelines.partner.peer import RtcPeer
 

@@ -5,9 +5,8 @@ from random import Random
 
 from telepresence.link.flows import tmtc_flow, video_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision.configuration import Configuration
-from telepresence.link.supervision.events import PeerDoubted
-from telepresence.link.supervision.message import LinkState
+from telepresence.link.supervision.message import Configuration, LinkState
+from telepresence.link.supervision.record import PeerDoubted
 from telepresence.link.supervision.supervisor import Encounter, Supervisor
 
 MS = 1_000_000

@@ -9,7 +9,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import aiohttp
 
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h26x import H264Decoder
 
 #: Protects against a hang; no test result depends on it.
 PATIENCE_S = 40.0

@@ -8,7 +8,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from kontur_av.recorded_format import FORMAT, FORMAT_KEY
+from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.mcap_stream import McapStream
 from pipelines.recording.messages import EVENT, VIDEO

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from kontur_av.codecs.coding import Coding
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, CaptureStamp, VideoFrame
 from pipelines.bench.course import marks

@@ -3,7 +3,7 @@
 import hmac
 import struct
 
-from telepresence.haptics.udp_session import UdpSession
+from telepresence.haptics.udp_protocol import UdpSession
 
 MS = 1_000_000
 

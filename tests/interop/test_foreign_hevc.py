@@ -15,7 +15,7 @@ import pytest
 from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.media import Quality
 from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.payload_h265 import H265, RASL
+from kontur_av.rtp.nal_formats import H265, RASL
 from kontur_av.streams.video_receiver import VideoReceiver
 
 pytestmark = pytest.mark.interop

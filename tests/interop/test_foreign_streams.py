@@ -7,9 +7,9 @@ import subprocess
 
 import pytest
 
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.payload_h264 import nal_type, packetize
+from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.video_receiver import VideoReceiver
 
 pytestmark = pytest.mark.interop
@@ -57,13 +57,13 @@ def test_our_pictures_are_those_of_ffmpeg(film, marked, lasting):
             found.extend(hashlib.md5(one.to_i420().tobytes()).digest() for one in shown)
 
     for unit in units:
-        kind = nal_type(unit)
+        kind = H264.nal_type(unit)
         if kind == 9:
             picture += 1
             if picture % 10 == 1 and not lasting:
                 # A camera that begins anew with each group of pictures.
                 life, sequence = life + 1, 7000 * life
-        payloads = packetize([unit], 500)
+        payloads = H264.packetize([unit], 500)
         for payload in payloads:
             last = payload is payloads[-1]
             marker = last and (marked == "unit" or (marked == "slice" and kind in (1, 5)))

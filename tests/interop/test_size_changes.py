@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rtp_packets import PromptSender
 
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, VideoFrame
 from kontur_av.rtp.sdp import StreamDescription, write_sdp
 

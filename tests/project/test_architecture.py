@@ -186,10 +186,8 @@ USERS_OF_SHELLS = {
     "pipelines/virtual/options.py": "opens devices that an option names",
     "pipelines/virtual/session.py": "starts workers",
     "pipelines/virtual/studio.py": "what a worker does",
-    "telepresence/haptics/device/spec.py": "opens devices",
-    "telepresence/haptics/device/udp_joystick.py": "a socket",
-    "telepresence/haptics/robot_spec.py": "opens robots",
-    "telepresence/haptics/udp_robot.py": "a socket",
+    "telepresence/haptics/specs.py": "opens joysticks and robots",
+    "telepresence/haptics/udp_devices.py": "a socket",
     "telepresence/world/scenes.py": "opens scenes, and reads recorded speech",
     "pipelines/media/coded_topics.py": "topics",
     "pipelines/link/process_gateway.py": "topics",
@@ -210,7 +208,7 @@ USERS_OF_SHELLS = {
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
     "kontur_av/sources/source.py": {"FILLED_BY_OTHERS", "PAGE", "TOPIC"},
-    "telepresence/haptics/device/spec.py": {"PAGE", "ROS2_HAND", "SIMULATED", "is_simulated"},
+    "telepresence/haptics/specs.py": {"PAGE", "ROS2_HAND", "SIMULATED", "is_simulated"},
     "kontur_av/clock.py": {
         "NS_PER_MS",
         "NS_PER_S",
@@ -260,14 +258,14 @@ LIBRARIES = {
     "kontur_av/codecs/": ({"av", "cv2"}, "FFmpeg's coders, and scaling of pictures"),
     "kontur_av/codecs/colours.py": ({"threading"}, "a scaler for each thread"),
     "kontur_av/codecs/libopus.py": ({"ctypes", "pathlib", "sys", "warnings"}, "finds libopus"),
-    "kontur_av/detect/light.py": ({"cv2"}, "looks at pictures"),
+    "kontur_av/detect.py": ({"cv2"}, "looks at pictures"),
     "kontur_av/sources/stereo.py": ({"cv2"}, "looks at pictures"),
     "kontur_av/lazy.py": ({"ast", "sys"}, "the table of modules, and what a package imports"),
     "kontur_av/rtp/wire.py": ({"aiortc"}, "RTP and RTCP, octets only"),
     "kontur_av/sources/file.py": ({"av", "pathlib"}, "a file"),
     "kontur_av/sources/fit.py": ({"av"}, "scales a picture"),
     "kontur_av/sources/looped.py": ({"av"}, "decoded pictures and their faults"),
-    "kontur_av/sources/chunks.py": (
+    "kontur_av/sources/recorded_format.py": (
         {"lz4", "zstandard"},
         "unpacks chunks of recordings",
     ),
@@ -281,7 +279,7 @@ LIBRARIES = {
     "telepresence/link/protection/agreement.py": ({"OpenSSL"}, "TLS in memory: octets only"),
     "telepresence/link/protection/handshake.py": ({"hmac"}, "nonces from a secret"),
     "telepresence/link/protection/identity.py": ({"datetime"}, "dates of a certificate; no clock"),
-    "telepresence/link/protection/segment.py": ({"hmac"}, "codes, compared in constant time"),
+    "telepresence/link/protection/datagrams.py": ({"hmac"}, "codes, compared in constant time"),
     "telepresence/link/radio/orbit.py": (
         {"datetime", "sgp4"},
         "orbits and their calendar; no clock",

@@ -20,7 +20,7 @@ from janus_room import free_port
 from mcap.reader import make_reader
 from running_session import assert_sound, eventually
 
-from kontur_av.rtp.payload_h264 import parameter_sets
+from kontur_av.rtp.nal_formats import H264
 from pipelines.recording.messages import RecordedPicture, unpack
 
 pytestmark = pytest.mark.realtime
@@ -143,12 +143,12 @@ def assert_decodes(received):
             units = [
                 unpack(RecordedPicture, data).data for name, _, data in received if name == topic
             ]
-            assert parameter_sets(units[0]), topic
-            codec = parameter_sets(units[0]).split(b"\x67", 1)[1][:3].hex()
+            assert H264.parameter_sets(units[0]), topic
+            codec = H264.parameter_sets(units[0]).split(b"\x67", 1)[1][:3].hex()
             chunks = [
                 {
                     "data": base64.b64encode(unit).decode(),
-                    "key": bool(parameter_sets(unit)) and b"\x00\x00\x01\x65" in unit,
+                    "key": bool(H264.parameter_sets(unit)) and b"\x00\x00\x01\x65" in unit,
                     "codec": f"avc1.{codec}",
                 }
                 for unit in units

@@ -12,7 +12,7 @@ from running_part import CLOCK, SETUP, eventually, running, stream_gateway
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.decoder import DecoderCounts
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
@@ -41,7 +41,7 @@ from pipelines.session.process import Context
 from pipelines.session.rows import ShownRow
 from pipelines.session.topology import SELECTED_TOPIC
 from pipelines.table import topology_of
-from telepresence.link.backlog import BACKLOG_OCTETS, Backlog
+from telepresence.link.gateway import BACKLOG_OCTETS, Backlog
 
 SOUND = np.zeros(960, np.int16)
 

@@ -14,7 +14,7 @@ from flat_pictures import PAGE, PICTURE_OCTETS, STREAM, flat, newest_level, repe
 from running_part import CLOCK, SETUP, eventually, running, stream_gateway
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame, empty_picture
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.topics.bus import TopicBus

@@ -15,7 +15,7 @@ from ros2_peer import Ros2Peer, hash_of
 from running_session import assert_sound, eventually
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h26x import H264Decoder
 from pipelines.hand.hand_topics import unpack_status
 from pipelines.hand.haptic_trace import DEAD_MAN
 from pipelines.mission.tmtc_messages import SendK2aci

@@ -9,8 +9,8 @@ from partners import kept, pictures, receiving, send, sending, sounds, until
 from running_session import assert_sound
 
 from benchmarks.page.footage import coded
-from kontur_av.codecs.h264 import H264Decoder
-from kontur_av.rtp.rate_feedback import rate_message
+from kontur_av.codecs.h26x import H264Decoder
+from kontur_av.rtp.feedback import rate_message
 from kontur_av.rtp.wire import RTCP_PSFB_PLI, RtcpPsfbPacket
 from pipelines.bench.course.marks import levels, read_number
 

@@ -15,7 +15,7 @@ from running_session import eventually
 
 from kontur_av.clock import MonotonicClock
 from pipelines.hand.driver_checks import RobotCheck
-from telepresence.haptics.robot_spec import load_robot
+from telepresence.haptics.specs import load_robot
 
 SOURCE = Path(__file__).resolve().parents[2] / "samples" / "udp_robot.c"
 #: The task board. An old picture holds no robot here: how busy the machine is is another test's.

@@ -85,7 +85,7 @@ def test_a_program_ends_with_a_killed_keeper_and_the_next_keeper_starts_it(tmp_p
 GATEWAY = """#!/bin/sh
 echo {{name}} >> "$TRACE"
 exec {python} -c '
-from telepresence.link.supervision.configuration import Configuration
+from telepresence.link.supervision.message import Configuration
 Configuration.__init__.__kwdefaults__["version"] = {{status}}
 from pipelines.cli import main
 raise SystemExit(main(["link", "-q", "--setup", "spacejustin", "--insecure", *{options}]))'

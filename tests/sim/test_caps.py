@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rtp_packets import PromptSender
 
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.codecs.opus import OpusDecoder, OpusEncoder, bitrate_under_cap
 from kontur_av.media import VIDEO_CLOCK_HZ, CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS

@@ -13,8 +13,7 @@ from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.board import WALL_X_M, Board, WallModel
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, HandModel, Waypoint
-from telepresence.haptics.mediated.controller import MediatedController
-from telepresence.haptics.mediated.renderer import RendererModel
+from telepresence.haptics.mediated.controller import MediatedController, RendererModel
 from telepresence.haptics.mediated.wall import Wall, WallMessage, pack_wall
 from telepresence.haptics.sample import Feedback
 

@@ -14,7 +14,7 @@ from kontur_av.media import empty_picture, planes
 from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.hand import Hand, Waypoint
 from telepresence.world import WorldState
-from telepresence.world.board_view import BoardView
+from telepresence.world.board import BoardView
 from telepresence.world.ground_views import TIP_RADIUS_M, GroundView, camera_of
 
 WIDTH, HEIGHT = 640, 480

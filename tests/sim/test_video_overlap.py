@@ -7,7 +7,7 @@ import pytest
 from virtual_scene import bare_scene
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.video_sender import VideoSender

@@ -11,7 +11,7 @@ import pytest
 from virtual_scene import bare_scene
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.stereo import StereoPair, merge

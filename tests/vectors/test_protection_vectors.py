@@ -4,9 +4,14 @@ from hashlib import sha256
 
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
+from telepresence.link.protection.datagrams import (
+    DirectionKeys,
+    HandshakeSegment,
+    RecordOpener,
+    RecordSealer,
+    SegmentCodec,
+)
 from telepresence.link.protection.identity import MachineKey
-from telepresence.link.protection.record import DirectionKeys, RecordOpener, RecordSealer
-from telepresence.link.protection.segment import HandshakeSegment, SegmentCodec
 
 #: RFC 8032 section 7.1, test 1: seed and public key.
 SEED = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telepresence.link.clock.exchange import (
+from telepresence.link.clock_exchange import (
     NO_AGE_US,
     ClockMessage,
     message_mark,
@@ -13,8 +13,8 @@ from telepresence.link.clock.exchange import (
 )
 from telepresence.link.flows import Level, packet_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision.configuration import Configuration
 from telepresence.link.supervision.message import (
+    Configuration,
     LinkState,
     MessageKind,
     SupervisionMessage,

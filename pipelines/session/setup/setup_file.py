@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from kontur_av.codecs.coded_size import PREFERENCES
+from kontur_av.codecs.coding import PREFERENCES
 from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import VIDEO_CODECS, parse_size
 from pipelines.session.setup.built_in import BUILT_IN

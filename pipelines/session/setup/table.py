@@ -10,7 +10,7 @@ from math import ceil
 from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.coded_size import (
+from kontur_av.codecs.coding import (
     PREFERENCES,
     Preference,
     coded_rate_for,
@@ -31,7 +31,7 @@ from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.path import RadioPath
 from telepresence.link.radio.profile import RadioProfile, built_in_radio, delayed
 from telepresence.world import DEFAULT_SCENES
-from telepresence.world.board_view import BoardView
+from telepresence.world.board import BoardView
 
 #: The camera that is merged from the inputs `left` and `right`.
 STEREO = "stereo"

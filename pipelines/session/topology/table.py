@@ -26,8 +26,8 @@ from pipelines.session.topology.streams import (
     stream_rows,
 )
 from pipelines.session.topology.topics import Topic
-from telepresence.haptics.device.spec import SIMULATED
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
+from telepresence.haptics.specs import SIMULATED
 from telepresence.link.flows import Flow
 from telepresence.tmtc.telemetry_source import Component
 

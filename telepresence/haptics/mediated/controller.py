@@ -5,16 +5,235 @@ The robot's delayed force is not displayed, or only what the model does not expl
 took from it (`WallRenderer`), and the robot never gets more than the hand put in. What the hand
 puts into the rendered spring is granted to the robot, too, or it could not press. So the network as
 a whole is not passive (docs/haptics-controllers.md).
+
+`WallRenderer` renders the newest wall at the operator's handle, at 1 kHz and passively. The wall is
+a spring in series with the robot's own, so that the hand feels what the robot presses with. It acts
+across the plane only. The force of a cycle is held while the handle moves by `d`, so exactly `f·d`
+has flowed out. A force that turns does no work.
+
+An energy tank bounds what a change of the wall may add (docs/haptics-controllers.md). A part of it
+is the spring's own energy f^2 / 2k; only the rest may pay for a wall that appears under the hand,
+comes nearer or becomes softer under load.
+
+M. Franken et al., "Bilateral telemanipulation with time delays: a two-layer approach combining
+passivity and transparency", IEEE Trans. Robotics 27, 2011, has such tanks. P. Mitra, G. Niemeyer,
+"Model-mediated telemanipulation", Int. J. Robotics Research 27, 2008, has the transitions.
 """
 
-from math import hypot
+from dataclasses import dataclass
+from math import hypot, sqrt
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
-from telepresence.haptics.mediated.renderer import RendererModel, WallRenderer
-from telepresence.haptics.mediated.wall import parse_wall
+from telepresence.haptics.mediated.wall import STAMP_MODULUS_MS, Wall, WallMessage, parse_wall
 from telepresence.haptics.sample import Feedback
+
+_CYCLE_S = NS_PER_MS / NS_PER_S
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RendererModel:
+    """Parameters of the rendering; all of them chosen.
+
+    robot_n_m: stiffness between the robot's reference and its tip (`RobotControllerModel`).
+    start_j, limit_j: what the tank holds at first and at most. Without a limit, an hour of free
+    motion would pay for a minute of instability.
+    rise_n_s, fall_n_s: fastest change of the force where the wall changes, to more and to less. A
+    hand that is pushed back fast wastes the tank's energy in its muscles, so the rise is slow.
+    back_m_s: while the tank cannot pay for all the way back, a hand that is pushed back this fast
+    halves the rise.
+    late_ns, hurry_ns: in the first `hurry_ns` a wall that was lost comes back. The rise does not
+    save energy then, and after `late_ns` it is the faster, the later it is.
+    most_rate_n_s: fastest change of the force for any reason.
+    soften_s: the stiffness under load follows a new one with this time constant.
+    steepest_n_m: where the tank does not pay for the wall's spring, one of up to this stiffness has
+    the same force and stores less. It feels as stiff to a hand that keeps still.
+    acceleration_m_s2: greatest acceleration of the handle; it bounds the next cycle's distance.
+    old_ns: a wall that nobody has repeated for so long fades out.
+    """
+
+    robot_n_m: float = 1000.0
+    start_j: float = 0.05
+    limit_j: float = 0.3
+    rise_n_s: float = 25.0
+    fall_n_s: float = 100.0
+    back_m_s: float = 0.015
+    late_ns: int = 375 * NS_PER_MS
+    hurry_ns: int = 2 * NS_PER_S
+    most_rate_n_s: float = 1000.0
+    soften_s: float = 0.1
+    steepest_n_m: float = 0.0
+    acceleration_m_s2: float = 150.0
+    old_ns: int = 5 * NS_PER_S
+
+
+class WallRenderer:
+    """Call `handle_wall` for each message, and `step` once a millisecond for the force.
+
+    limit_n: the greatest force (N) now; set it before a step.
+    kept_j: what the tank keeps for other forces; a steeper spring leaves it. Set it before a step.
+    force_n: the present force on the handle (N, N).
+    tank_j: energy taken from the hand less energy given to it, bounded by `limit_j`.
+    least_j: the lowest value of `tank_j` so far.
+    given_j: energy that the spring gave to the hand in the last step, or took if negative.
+    used, stale: messages taken, and messages that were not newer than one before.
+    """
+
+    def __init__(self, model: RendererModel | None = None) -> None:
+        self.model = model = model or RendererModel()
+        self.limit_n = 12.0
+        self.kept_j = 0.0
+        self.tank_j = self.least_j = model.start_j
+        self.given_j = 0.0
+        self.used = self.stale = 0
+        self._goal: Wall | None = None
+        self._stamp_ms: int | None = None
+        self._age_ns = self._life_ns = 0
+        #: The plane that is rendered: its inward normal, the stiffness that is felt at rest and the
+        #: one of the spring, and where along the normal its force begins.
+        self._inward, self._stiffness, self._spring_n_m = (1.0, 0.0), 0.0, 0.0
+        self._from_m = 0.0
+        #: The present force on the handle (N, N).
+        self.force_n = (0.0, 0.0)
+        self._last: tuple[float, float] | None = None
+
+    @property
+    def spare_j(self) -> float:
+        """What the tank holds beyond the need of the wall's present force."""
+        fx, fy = self.force_n
+        if fx == fy == 0.0:
+            return self.tank_j
+        return max(0.0, self.tank_j - (fx * fx + fy * fy) / (2.0 * self._spring_n_m))
+
+    def handle_wall(self, message: WallMessage) -> None:
+        """Take a message. One that is not newer than the last counts as stale and changes nothing.
+
+        After a silence as long as the age limit any stamp counts: the ground's clock began anew.
+        """
+        stamp_ms = self._stamp_ms
+        if stamp_ms is not None and self._age_ns <= self.model.old_ns:
+            ahead_ms = (message.stamp_ms - stamp_ms) % STAMP_MODULUS_MS
+            if ahead_ms == 0 or ahead_ms >= STAMP_MODULUS_MS // 2:
+                self.stale += 1
+                return
+        self.used += 1
+        self._stamp_ms, self._age_ns, self._goal = message.stamp_ms, 0, message.wall
+
+    def handle_flow(self, energy_j: float) -> None:
+        """Count energy that the motors gave to the hand, or took if negative."""
+        self.tank_j = tank_j = min(self.tank_j - energy_j, self.model.limit_j)
+        if tank_j < self.least_j:
+            self.least_j = tank_j
+
+    def step(self, x_m: float, y_m: float, dt_ns: int, *, felt: bool = True) -> tuple[float, float]:
+        """Return the force (N, N) on the handle at (x_m, y_m) until the next step.
+
+        dt_ns: since the last step. felt: False fades the force out; the wall stays known.
+        The first step returns no force.
+        """
+        dt_s = dt_ns / NS_PER_S
+        self._age_ns += dt_ns
+        self._life_ns += dt_ns
+        last, self._last = self._last, (x_m, y_m)
+        self.given_j = 0.0
+        if last is None:
+            return 0.0, 0.0
+        held_x, held_y = self.force_n
+        dx, dy = x_m - last[0], y_m - last[1]
+        self.given_j = held_x * dx + held_y * dy
+        self.handle_flow(self.given_j)
+        # What the spring does by itself.
+        nx, ny = self._inward
+        force = self._spring_n_m * (nx * x_m + ny * y_m - self._from_m)
+        goal = self._goal if felt and self._age_ns <= self.model.old_ns else None
+        if force <= 0.0:
+            force = 0.0
+            self._place(goal, x_m, y_m)
+            nx, ny = self._inward
+        fx, fy = -force * nx, -force * ny
+        wanted_x = wanted_y = 0.0
+        if goal is not None:
+            if force:
+                self._soften(self._series(goal), force, dt_s)
+            wanted = self._stiffness * max(0.0, goal.depth_m(x_m, y_m))
+            nx, ny = goal.inward
+            wanted_x, wanted_y = -wanted * nx, -wanted * ny
+        more = wanted_x * wanted_x + wanted_y * wanted_y > force * force
+        rate = self.model.rise_n_s if more else self.model.fall_n_s
+        if more and self._life_ns <= self.model.hurry_ns:
+            rate *= max(1.0, self._life_ns / self.model.late_ns)
+        elif more and goal is not None:
+            out_m_s = -(nx * dx + ny * dy) / dt_s
+            if out_m_s > 0.0 and not self._pays_back(goal.depth_m(x_m, y_m), force):
+                rate *= self.model.back_m_s / (self.model.back_m_s + out_m_s)
+        fx, fy = _towards(fx, fy, wanted_x, wanted_y, rate * dt_s)
+        fx, fy = _towards(held_x, held_y, fx, fy, self.model.most_rate_n_s * dt_s)
+        force = hypot(fx, fy)
+        if force > 0.0:
+            self._steepen(force)
+            self._inward = nx, ny = -fx / force, -fy / force
+            force = self._bounded(force, (nx * dx + ny * dy) / dt_s)
+        if force > 0.0:
+            self.force_n = -force * nx, -force * ny
+            self._from_m = nx * x_m + ny * y_m - force / self._spring_n_m
+        else:
+            self.force_n = 0.0, 0.0
+        return self.force_n
+
+    def _series(self, wall: Wall) -> float:
+        robot = self.model.robot_n_m
+        return wall.stiffness_n_m * robot / (wall.stiffness_n_m + robot)
+
+    def _place(self, goal: Wall | None, x_m: float, y_m: float) -> None:
+        """Take the newest wall while there is no force. It begins at a handle that is inside."""
+        if goal is None:
+            self._stiffness = self._spring_n_m = 0.0
+            return
+        self._inward = nx, ny = goal.inward
+        self._stiffness = self._spring_n_m = self._series(goal)
+        self._from_m = max(nx * x_m + ny * y_m, goal.distance_m)
+
+    def _pays_back(self, depth_m: float, force: float) -> bool:
+        """Whether the tank pays for a hand that goes back against `force` to where the wall is."""
+        stiffness = self._stiffness
+        if not stiffness:
+            return True
+        rest_m = force / stiffness
+        return force * (max(0.0, depth_m - rest_m) + rest_m / 2.0) <= self.tank_j - self.kept_j
+
+    def _soften(self, stiffness: float, force: float, dt_s: float) -> None:
+        """Let the stiffness follow at the same force; a softer spring stores more energy."""
+        before = self._stiffness
+        after = before + (stiffness - before) * dt_s / (dt_s + self.model.soften_s)
+        if force * force <= 2.0 * after * self.tank_j:
+            self._stiffness = after
+
+    def _steepen(self, force: float) -> None:
+        """Choose the spring whose energy at this force the tank pays for, as soft as the wall."""
+        tank_j = self.tank_j - self.kept_j
+        steepest = max(self._stiffness, self.model.steepest_n_m)
+        need_n_m = force * force / (2.0 * tank_j) if tank_j > 0.0 else steepest
+        self._spring_n_m = min(max(self._stiffness, need_n_m), steepest)
+
+    def _bounded(self, force: float, in_m_s: float) -> float:
+        tank_j = max(0.0, self.tank_j)
+        force = min(force, self.limit_n, sqrt(2.0 * self._spring_n_m * tank_j))
+        # The next cycle is held, and the handle may accelerate.
+        out_m = (self.model.acceleration_m_s2 * _CYCLE_S - in_m_s) * _CYCLE_S
+        if force * out_m > tank_j:
+            force = tank_j / out_m
+        return force
+
+
+def _towards(x: float, y: float, to_x: float, to_y: float, most: float) -> tuple[float, float]:
+    """Return the vector (x, y), moved to (to_x, to_y) by `most` at most."""
+    dx, dy = to_x - x, to_y - y
+    size = hypot(dx, dy)
+    if size <= most:
+        return to_x, to_y
+    return x + dx * most / size, y + dy * most / size
+
 
 _tuple = tuple.__new__
 #: Less damping than `direct`: the wall's force takes its energy from the tank, not from the robot.

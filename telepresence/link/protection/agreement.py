@@ -11,13 +11,13 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from OpenSSL import SSL, crypto
 
-from telepresence.link.protection.identity import MachineIdentity, MachineKey
-from telepresence.link.protection.record import (
+from telepresence.link.protection.datagrams import (
     DIRECTION_OCTETS,
     KEY_NUMBER_OCTETS,
     KEY_OCTETS,
     DirectionKeys,
 )
+from telepresence.link.protection.identity import MachineIdentity, MachineKey
 
 #: RFC 5705 section 4: labels outside the registry begin so.
 _LABEL = b"EXPERIMENTAL kontur-av link 1"

@@ -15,17 +15,17 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 
 from kontur_av.clock import NS_PER_S
-from telepresence.link.protection.handshake import Address, AttemptFailed, Handshake, KeysAgreed
-from telepresence.link.protection.identity import MachineIdentity, MachineKey
-from telepresence.link.protection.record import (
+from telepresence.link.protection.datagrams import (
     HANDSHAKE,
+    KNOCK,
     OVERHEAD_OCTETS,
     RECORD,
     RecordOpener,
     RecordSealer,
     key_number,
 )
-from telepresence.link.protection.segment import KNOCK
+from telepresence.link.protection.handshake import Address, AttemptFailed, Handshake, KeysAgreed
+from telepresence.link.protection.identity import MachineIdentity, MachineKey
 
 #: New keys after this time or this many frames of one direction: about 17 minutes of slots.
 REKEY_NS = 900 * NS_PER_S

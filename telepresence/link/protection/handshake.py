@@ -1,7 +1,7 @@
 """The handshake: how two ends that pinned each other agree on new keys, over a path that may fail.
 
 docs/security.md has its steps. Each side's TLS octets travel in numbered segments until they are
-acknowledged (segment.py, agreement.py). Sessions are not touched here: the keys of a complete
+acknowledged (datagrams.py, agreement.py). Sessions are not touched here: the keys of a complete
 attempt are handed on.
 
 The caller's next obligation after each call: `poll_transmit` until None, and `next_event` until
@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.bucket import Allowance
 from telepresence.link.protection.agreement import AgreedKeys, Agreement, AgreementRun
-from telepresence.link.protection.identity import MachineIdentity, MachineKey
-from telepresence.link.protection.segment import (
+from telepresence.link.protection.datagrams import (
     NO_NONCE,
     NONCE_OCTETS,
     HandshakeSegment,
@@ -24,6 +23,7 @@ from telepresence.link.protection.segment import (
     OutgoingStream,
     SegmentCodec,
 )
+from telepresence.link.protection.identity import MachineIdentity, MachineKey
 
 #: Where a datagram came from, or goes to: host and UDP port.
 Address = tuple[str, int]

@@ -10,13 +10,14 @@ from enum import Enum, auto
 from random import Random
 from typing import NamedTuple
 
-from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
 from telepresence.link.supervision.message import (
     NUMBER_BITS,
     TELLS_RATES,
+    Configuration,
     LinkState,
     MessageKind,
     SupervisionMessage,
+    SupervisionTiming,
     message_version,
     parse_message,
 )

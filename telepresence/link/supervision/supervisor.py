@@ -18,8 +18,17 @@ from enum import Enum, auto
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.figures import OtherEndFigures, SupervisionFigures
-from telepresence.link.supervision.configuration import Configuration, SupervisionTiming
-from telepresence.link.supervision.events import (
+from telepresence.link.supervision.message import (
+    Configuration,
+    LinkState,
+    MessageKind,
+    MessagePacing,
+    SupervisionMessage,
+    SupervisionTiming,
+    pack_message,
+)
+from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation, Proof
+from telepresence.link.supervision.record import (
     ApplicationReset,
     ContextsHeld,
     PeerDeaf,
@@ -30,16 +39,8 @@ from telepresence.link.supervision.events import (
     SignalLost,
     StateChanged,
     SupervisionEvent,
+    SupervisionRecord,
 )
-from telepresence.link.supervision.message import (
-    LinkState,
-    MessageKind,
-    MessagePacing,
-    SupervisionMessage,
-    pack_message,
-)
-from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation, Proof
-from telepresence.link.supervision.record import SupervisionRecord
 
 _NO_CONTEXTS = (0, 0, 0, 0)
 #: For a gateway that does not fetch events; beyond that the oldest are dropped.

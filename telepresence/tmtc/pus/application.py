@@ -24,8 +24,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
 from telepresence.tmtc.pus import verification
 from telepresence.tmtc.pus.dictionary import SEVERITIES, Application
-from telepresence.tmtc.pus.housekeeping import HousekeepingReports
-from telepresence.tmtc.pus.monitoring import EventActions, LimitMonitors
+from telepresence.tmtc.pus.monitoring import EventActions, HousekeepingReports, LimitMonitors
 from telepresence.tmtc.pus.packets import (
     COUNT_MODULUS,
     MAX_REPORT_OCTETS,

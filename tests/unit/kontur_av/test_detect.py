@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.coded_size import coded_size_for
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.coding import coded_size_for
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusDecoder, OpusEncoder, bitrate_under_cap
 from kontur_av.detect import ClickDetector, LightDetector, Roi
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes

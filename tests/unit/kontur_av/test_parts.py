@@ -8,10 +8,9 @@ from kontur_av import parts
 from kontur_av.errors import ConfigError
 from kontur_av.parts import PartDoor, find_part, make_part
 from kontur_av.sources import spec as sources
-from telepresence.haptics import robot_spec
-from telepresence.haptics.device import spec as joystick_spec
+from telepresence.haptics.specs import JOYSTICK_DOOR, ROBOT_DOOR
 
-DOORS = (robot_spec.DOOR, joystick_spec.DOOR, sources._VIDEO, sources._AUDIO)
+DOORS = (ROBOT_DOOR, JOYSTICK_DOOR, sources._VIDEO, sources._AUDIO)
 BUILT_IN = [(door, name) for door in DOORS for name in door.built_in]
 
 

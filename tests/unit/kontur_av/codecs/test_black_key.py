@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from kontur_av.codecs.black_key import black_key
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import BLACK_LUMA, NEUTRAL_CHROMA, CaptureStamp, VideoFrame, empty_picture
-from kontur_av.rtp.payload_h264 import parameter_sets
+from kontur_av.rtp.nal_formats import H264
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_a_stream_goes_on_behind_it_without_a_delay():
         picture[:120] = (np.arange(160) * 2 + 3 * number) % 200 + 20
         picture[120:] = 128
         unit = encoder.encode(VideoFrame(picture, CaptureStamp(number, number, "x"))).data
-        sets = parameter_sets(unit) or sets
+        sets = H264.parameter_sets(unit) or sets
         if number == 9:
             (_,) = decoder.decode(black_key(160, 120), number)
         elif number > 9:

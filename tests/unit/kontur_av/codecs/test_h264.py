@@ -13,16 +13,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kontur_av.codecs import encoder_settings
-from kontur_av.codecs.coded_size import coded_rate_for, coded_size_for
-from kontur_av.codecs.coding import Coding
+from kontur_av.codecs.coding import Coding, coded_rate_for, coded_size_for
 from kontur_av.codecs.colours import as_i420
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
-from kontur_av.codecs.h264_settings import H264Settings
+from kontur_av.codecs.encoder_settings import H264Settings
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.codecs.scaling import shrink
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.payload_h264 import nal_type
+from kontur_av.rtp.nal_formats import H264
 
 SIZE = (320, 240)
 
@@ -94,7 +93,7 @@ def test_sizes_that_are_not_multiples_of_a_macroblock(size):
 
 def test_every_refresh_begins_with_headers_and_a_recovery_point():
     units = encode(moving(95))
-    kinds = [[nal_type(nal) for nal in split_annex_b(unit.data)] for unit in units]
+    kinds = [[H264.nal_type(nal) for nal in split_annex_b(unit.data)] for unit in units]
     assert kinds[0] == [7, 8, 5]
     assert [i for i, found in enumerate(kinds) if 7 in found] == list(range(0, 95, 15))
     assert all(found == [7, 8, 6, 1] for found in kinds[15::15])
@@ -108,7 +107,7 @@ def test_access_units_are_of_one_size_key_pictures_too(pictures):
     sizes = sorted(len(unit.data) for unit in units)
     assert sizes[85] < 1.15 * share
     assert sizes[-1] < 2.5 * share
-    assert nal_type(split_annex_b(units[45].data)[-1]) == 5
+    assert H264.nal_type(split_annex_b(units[45].data)[-1]) == 5
 
 
 def test_an_awaited_picture_is_softened_if_coded_small(pictures, monkeypatch):
@@ -195,7 +194,12 @@ def test_an_encoder_that_follows_another_rate_begins_with_a_key_picture():
     for i, picture in enumerate(pictures):
         coding = Coding(rate_hz=15 if i == 30 else None)
         units.append(encoder.encode(VideoFrame(picture, CaptureStamp(i, i, "t")), coding))
-    assert [nal_type(split_annex_b(units[i].data)[-1]) for i in (0, 29, 30, 31)] == [5, 1, 5, 1]
+    assert [H264.nal_type(split_annex_b(units[i].data)[-1]) for i in (0, 29, 30, 31)] == [
+        5,
+        1,
+        5,
+        1,
+    ]
     assert sum(len(u.data) for u in units[30:]) > 1.3 * sum(len(u.data) for u in units[:30])
 
 

@@ -11,15 +11,15 @@ from av.video.frame import PictureType
 from kontur_av.codecs import encoder_settings
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.decoder import VideoDecoder
-from kontur_av.codecs.h265 import H265Encoder, recovery_point
-from kontur_av.codecs.h265_settings import H265Settings
+from kontur_av.codecs.encoder_settings import H265Settings
+from kontur_av.codecs.h26x import H265Encoder, recovery_point
 from kontur_av.codecs.healing import Healing, recovery_pictures
 from kontur_av.codecs.region import Region
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.annex_b import join_annex_b
+from kontur_av.rtp.nal_formats import H265
 from kontur_av.rtp.nal_payload import ReceivedUnit
-from kontur_av.rtp.payload_h265 import H265
 
 CAP_BPS, FPS, WIDTH, HEIGHT = 85_000, 30, 320, 240
 

@@ -8,18 +8,18 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.decoder import VideoDecoder
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.codecs.healing import Healing, recovery_pictures
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.nal_formats import H264, H264_IDR
 from kontur_av.rtp.nal_payload import ReceivedUnit
-from kontur_av.rtp.payload_h264 import NAL_IDR, nal_type
 
 FPS = 30
 
 
 def received(data, *, damaged=False, lost_before=0, timestamp=0):
-    idr = any(nal_type(nal) == NAL_IDR for nal in split_annex_b(data))
+    idr = any(H264.nal_type(nal) == H264_IDR for nal in split_annex_b(data))
     return ReceivedUnit(data, timestamp, idr, damaged, lost_before, 0, 0)
 
 

@@ -4,8 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kontur_av.rtp.feedback import PictureLossListener, PictureLossReporter, ReceptionReporter
-from kontur_av.rtp.rate_feedback import rate_message, told_rate
+from kontur_av.rtp.feedback import (
+    PictureLossListener,
+    PictureLossReporter,
+    ReceptionReporter,
+    rate_message,
+    told_rate,
+)
 from kontur_av.rtp.wire import (
     RTCP_PSFB_PLI,
     RtcpPsfbPacket,

@@ -6,8 +6,7 @@ from rtp_packets import PromptSender
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.payload_h264 import packetize, parse_payload
-from kontur_av.rtp.payload_h265 import H265
+from kontur_av.rtp.nal_formats import H264, H265
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.rtp.wire import TimestampUnwrapper, parse_rtcp, parse_rtp
@@ -57,13 +56,13 @@ def test_a_sender_report_octet_for_octet():
 
 
 def test_small_nal_units_share_a_stap_a():
-    (payload,) = packetize([SPS, PPS, IDR])
+    (payload,) = H264.packetize([SPS, PPS, IDR])
     # F=0, NRI=3, type 24; then a length of 16 bits before each
     assert payload == bytes.fromhex("78 0004 6742c01e 0004 68ce3c80 000e") + IDR
 
 
 def test_a_large_nal_unit_is_cut_into_fu_a():
-    assert packetize([IDR], max_payload_octets=8) == [
+    assert H264.packetize([IDR], max_payload_octets=8) == [
         # FU indicator: NRI=3, type 28; FU header: start, -, end | type 5; NAL header is left out
         bytes.fromhex("7c 85 88840102"),
         bytes.fromhex("7c 05 03040506"),
@@ -72,7 +71,7 @@ def test_a_large_nal_unit_is_cut_into_fu_a():
 
 
 def test_fu_a_restores_the_nal_header():
-    first = parse_payload(bytes.fromhex("7c858884"))
+    first = H264.parse_payload(bytes.fromhex("7c858884"))
     assert (first.nal_units, first.starts, first.ends) == ((bytes.fromhex("658884"),), True, False)
 
 

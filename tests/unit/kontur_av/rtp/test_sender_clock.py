@@ -7,8 +7,8 @@ import pytest
 from rtp_packets import FRAME_NS, drain, make_receiver, make_sender, picture, reported, singles
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.rtp.nal_formats import H264
 from kontur_av.rtp.nal_payload import NalDepacketizer
-from kontur_av.rtp.payload_h264 import H264
 from kontur_av.rtp.wire import pack_rtp
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_S, ManualClock
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.sources import check_spec, open_video

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
-from kontur_av.codecs.choice import encoder_of
+from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes

@@ -8,7 +8,7 @@ import pytest
 
 from kontur_av.clock import ManualClock
 from kontur_av.codecs.coding import Coding
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.codecs.region import Region
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from kontur_av.streams.paced_sender import UnitSent

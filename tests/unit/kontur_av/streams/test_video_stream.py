@@ -4,7 +4,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
-from kontur_av.codecs.h265 import recovery_point
+from kontur_av.codecs.h26x import recovery_point
 from kontur_av.media import AccessUnit, CaptureStamp, Quality
 from kontur_av.rtp.annex_b import join_annex_b
 from kontur_av.rtp.sender import RtpIdentity

@@ -8,7 +8,7 @@ from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusDecoder, OpusEncoder, h
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.payload_opus import holds_copy
 from kontur_av.rtp.playout import PlayoutBlock
-from kontur_av.streams.voice_player import VoicePlayer
+from kontur_av.streams.voice_receiver import VoicePlayer
 from telepresence.world.scenes import read_speech
 
 BLOCK = 960

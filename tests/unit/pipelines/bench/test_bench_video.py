@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, planes
 from pipelines.bench.course.ends import ThinChannel, muxed_payload_octets, rtp_payload_octets
 from pipelines.bench.course.marks import (

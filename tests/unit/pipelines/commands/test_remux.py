@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from kontur_av.codecs.choice import encoder_of
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h26x import H264Encoder, encoder_of
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import VIDEO_CODECS, CaptureStamp, VideoFrame, empty_picture

@@ -4,7 +4,7 @@ import pytest
 from mcap.writer import Writer
 from synthetic_recording import write_recording
 
-from kontur_av.recorded_format import FORMAT
+from kontur_av.sources.recorded_format import FORMAT
 from pipelines.cli import main
 
 #: Each of them plays the file {0}.

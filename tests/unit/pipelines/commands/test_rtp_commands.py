@@ -13,11 +13,11 @@ from forged_streams import sps as forged_sps
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.coding import SLOW_REFRESH_S
-from kontur_av.codecs.h264 import H264Encoder
+from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.payload_h264 import NAL_SPS, nal_type
+from kontur_av.rtp.nal_formats import H264, H264_SPS
 from kontur_av.rtp.sdp import parse_sdp
 from kontur_av.rtp.wire import pack_rtp
 from pipelines.commands import receive, send
@@ -218,7 +218,7 @@ def test_the_sdp_offers_the_level_that_pictures_may_grow_to(size, fps, cap_kbps,
     for number in range(100 if grown else 1):
         frame = VideoFrame(picture, CaptureStamp(number * 10**9 // fps, number, "still"))
         for unit in split_annex_b(encoder.encode(frame).data):
-            if nal_type(unit) == NAL_SPS:
+            if H264.nal_type(unit) == H264_SPS:
                 sent[encoder.unit_size] = unit
     assert (size in sent) == (grown or encoder.coded_size == size)
     for sps in sent.values():

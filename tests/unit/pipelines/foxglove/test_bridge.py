@@ -17,8 +17,7 @@ from places import ROOT
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.decoder import VideoDecoder
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
-from kontur_av.codecs.h265 import H265Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder, H265Encoder
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.streams.coded_unit import CodedUnit

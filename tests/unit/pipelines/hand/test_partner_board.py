@@ -15,8 +15,7 @@ from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import ExperimentName, JoystickEvent, JoystickState
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.ownership import HapticOwnership, Owner
-from telepresence.haptics.partner_board import PartnerBoard
+from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.sample import Feedback, pack_feedback
 
 GERMAN, RUSSIAN = JoystickEvent.START, JoystickEvent.START_RUSSIAN

@@ -4,8 +4,7 @@ import numpy as np
 
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.decoder import VideoDecoder
-from kontur_av.codecs.h264 import H264Decoder
-from kontur_av.codecs.h265 import H265Encoder
+from kontur_av.codecs.h26x import H264Decoder, H265Encoder
 from kontur_av.media import CaptureStamp, VideoFrame
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.media.key_picture_maker import H264Copy

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, Quality, VideoFrame, empty_picture
-from kontur_av.rtp.payload_h264 import parameter_sets
+from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.media.key_picture_maker import key_of
 from pipelines.media.unit_history import UnitHistory
@@ -153,7 +153,7 @@ def test_a_long_replay_is_exchanged_for_a_picture(stream):
 
 def test_a_stream_that_never_begins_is_not_kept(stream):
     history = UnitHistory(pictures=True)
-    sets = parameter_sets(stream[0][0].data)
+    sets = H264.parameter_sets(stream[0][0].data)
     unit = CodedUnit(data=bytes(1000), key=False, width=WIDTH, height=HEIGHT, parameter_sets=sets)
     for number in range(500):
         stamp = CaptureStamp(number, number + 1, "x", rtp_timestamp=number)
@@ -167,7 +167,7 @@ def test_a_stream_that_never_begins_is_not_kept(stream):
 
 def test_a_stream_of_large_units_that_never_begins_keeps_4_mib_of_them(stream):
     history = UnitHistory(pictures=True)
-    sets = parameter_sets(stream[0][0].data)
+    sets = H264.parameter_sets(stream[0][0].data)
     unit = CodedUnit(
         data=bytes(1 << 17), key=False, width=WIDTH, height=HEIGHT, parameter_sets=sets
     )
@@ -181,7 +181,7 @@ def test_a_stream_of_large_units_that_never_begins_keeps_4_mib_of_them(stream):
 
 def test_what_was_filmed_begins_a_stream_of_which_nothing_is_known(stream):
     history = UnitHistory(pictures=False, filmed=True)
-    give(history, stream, range(40, 45), parameter_sets=parameter_sets(stream[0][0].data))
+    give(history, stream, range(40, 45), parameter_sets=H264.parameter_sets(stream[0][0].data))
     assert history.replay() is None and history.needs_filmed
     assert not history.handle_filmed(key_of(moving(43)), 30)
     assert history.handle_filmed(key_of(moving(43)), 43)

@@ -9,8 +9,8 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.feedback import rate_message
 from kontur_av.rtp.header_extensions import elements_of
-from kontur_av.rtp.rate_feedback import rate_message
 from kontur_av.rtp.wire import is_rtcp
 from pipelines.partner.description import common_line, wanted_line
 from pipelines.partner.media import PictureCame, RtcMedia, SoundCame

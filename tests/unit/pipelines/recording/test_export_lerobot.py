@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 from synthetic_recording import BEGIN_NS, HEIGHT, LINK_CYCLES, MS, WIDTH, S, packet, write_recording
 
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.media import empty_picture
 from pipelines.bench.course import marks
 from pipelines.cli import main

@@ -7,7 +7,7 @@ from mcap.records import Channel, Message, Schema
 from mcap.writer import Writer
 from recordings import FACTS_OF_A_TEST, WALL_NS, Step, write
 
-from kontur_av.recorded_format import FORMAT_KEY
+from kontur_av.sources.recorded_format import FORMAT_KEY
 from pipelines.recording.facts import FACTS
 from pipelines.recording.inventory import ChannelInventory, inventory_lines, take_inventory
 from pipelines.recording.mcap_stream import McapStream

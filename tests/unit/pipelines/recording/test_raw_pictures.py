@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kontur_av.codecs.decoder import DecodedPicture
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame
 from kontur_av.sources.y4m import Y4mReader, parse_header

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.h264 import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
-from kontur_av.rtp.payload_h264 import parameter_sets
+from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, ROW
 from pipelines.link.frame_batch import pack_frames
@@ -174,7 +174,7 @@ def test_each_message_has_its_wall_time_and_what_was_in_the_topic():
 
 def test_a_recording_that_joins_begins_with_a_black_key_and_is_right_after_a_wave():
     units = coded(60)
-    sets = parameter_sets(units[0][0].data)
+    sets = H264.parameter_sets(units[0][0].data)
     disk = Disk()
     disk.pump(0)
     first = 20
@@ -326,7 +326,7 @@ def test_a_sample_that_an_earlier_recording_has_read_is_no_loss():
     disk.pump(joined_ns)
     for number in (12, *range(31, 60)):
         unit, size, _ = units[number]
-        sets = sets or parameter_sets(units[0][0].data)
+        sets = sets or H264.parameter_sets(units[0][0].data)
         at_ns = number * NS_PER_S // 30
         now_ns = max(at_ns, joined_ns)
         octets = packed(unit, size, sets)
@@ -477,7 +477,7 @@ def test_every_channel_that_is_read_exists_and_cameras_are_coded_cheaply():
     (file,) = disk.end(3 * NS_PER_S)
     units = [unpack(RecordedPicture, each.data) for each in file["/camera/head"]]
     assert len(units) == 10
-    assert parameter_sets(units[0].data)
+    assert H264.parameter_sets(units[0].data)
     assert {unit.frame_id for unit in units} == {"head"}
 
 

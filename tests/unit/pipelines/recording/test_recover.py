@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from recordings import FACTS_OF_A_TEST, LIBRARY, Step, channel, scanned, steps, write
 
 from kontur_av.errors import ProtocolError
-from kontur_av.recorded_format import FORMAT_KEY
+from kontur_av.sources.recorded_format import FORMAT_KEY
 from pipelines.recording.facts import FACTS, MENDED, RecordingFacts, sealed
 from pipelines.recording.inventory import take_inventory
 from pipelines.recording.mcap_stream import CHUNK_NS, MAGIC, McapStream, octets_of

@@ -21,8 +21,8 @@ from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesSent
-from telepresence.link.clock.exchange import ClockExchange
-from telepresence.link.peer.path import OpenPath
+from telepresence.link.clock_exchange import ClockExchange
+from telepresence.link.peer_path import OpenPath
 
 SETUP = BUILT_IN["spacejustin"]
 SECONDS = 60

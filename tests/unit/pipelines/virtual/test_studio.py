@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.codecs.coding import Coding
-from kontur_av.codecs.h264 import H264Decoder
+from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.media import BLOCK_NS, CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.sources.stereo import StereoPair, merge
 from pipelines.session.setup.table import VideoStream, VoiceStream

@@ -12,8 +12,7 @@ from kontur_av.errors import ProtocolError
 from telepresence.haptics import sample
 from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.mediated.wall import Wall, WallMessage, is_wall, pack_wall, parse_wall
-from telepresence.haptics.ownership import HapticOwnership, Owner
-from telepresence.haptics.partner_board import PartnerBoard
+from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.sample import (
     Command,
     Feedback,

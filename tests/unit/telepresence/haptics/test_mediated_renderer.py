@@ -6,7 +6,7 @@ from math import cos, hypot, radians, sin, tau
 
 import pytest
 
-from telepresence.haptics.mediated.renderer import RendererModel, WallRenderer
+from telepresence.haptics.mediated.controller import RendererModel, WallRenderer
 from telepresence.haptics.mediated.wall import Wall, WallMessage
 
 MS = 1_000_000

@@ -8,12 +8,11 @@ import pytest
 from kontur_av.clock import NS_PER_MS as MS
 from kontur_av.errors import ConfigError
 from telepresence.haptics.bilateral import RobotSide
-from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.robot import JointReading, Robot, RobotFacts
 from telepresence.haptics.robot_device import DrivenRobot, RobotReading
-from telepresence.haptics.robot_spec import facts_of, open_robot
 from telepresence.haptics.sample import Command
+from telepresence.haptics.specs import facts_of, open_device, open_robot
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
 

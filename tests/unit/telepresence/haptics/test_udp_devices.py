@@ -7,16 +7,13 @@ import pytest
 from udp_controller import MemoryLine, PythonController
 
 from kontur_av.errors import ConfigError
-from telepresence.haptics import udp_robot
-from telepresence.haptics.device import udp_joystick
+from telepresence.haptics import udp_devices
 from telepresence.haptics.device.operation import JoystickOperation
-from telepresence.haptics.device.spec import open_device
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.robot_device import DrivenRobot
-from telepresence.haptics.robot_spec import check_robot
+from telepresence.haptics.specs import check_robot, open_device
 from telepresence.haptics.udp_line import UdpLine, unprotected
-from telepresence.haptics.udp_protocol import UdpRole
-from telepresence.haptics.udp_session import MOST_UNANSWERED
+from telepresence.haptics.udp_protocol import MOST_UNANSWERED, UdpRole
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
 
@@ -27,8 +24,7 @@ OFF, POWER, ACTIVE = range(3)
 @pytest.fixture
 def controller(monkeypatch):
     controller = PythonController()
-    for module in (udp_robot, udp_joystick):
-        monkeypatch.setattr(module, "UdpLine", lambda _, role: MemoryLine(role, controller))
+    monkeypatch.setattr(udp_devices, "UdpLine", lambda _, role: MemoryLine(role, controller))
     return controller
 
 
@@ -42,7 +38,7 @@ def drive(control, robot, count, force=2.0):
 
 
 def test_a_robot_is_moved_and_switched_off_for_good(controller):
-    robot = DrivenRobot(udp_robot.UdpRobot("127.0.0.1:9"))
+    robot = DrivenRobot(udp_devices.UdpRobot("127.0.0.1:9"))
     control = RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
     assert robot.facts.force_limit_n == 25.0
     drive(control, robot, 200)
@@ -52,7 +48,7 @@ def test_a_robot_is_moved_and_switched_off_for_good(controller):
 
 
 def test_a_controller_that_dies_switches_the_robot_off_until_it_is_reset(controller):
-    robot = DrivenRobot(udp_robot.UdpRobot("127.0.0.1:9"))
+    robot = DrivenRobot(udp_devices.UdpRobot("127.0.0.1:9"))
     control = RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
     drive(control, robot, 100)
     controller.answers = False
@@ -69,7 +65,7 @@ def test_a_controller_that_dies_switches_the_robot_off_until_it_is_reset(control
 
 
 def test_a_loss_is_told_even_if_the_controller_is_back_at_once(controller):
-    device = udp_robot.UdpRobot("127.0.0.1:9")
+    device = udp_devices.UdpRobot("127.0.0.1:9")
     device.configure()
     device.power_on()
     device.activate()
@@ -89,7 +85,7 @@ def test_a_loss_is_told_even_if_the_controller_is_back_at_once(controller):
 
 
 def test_the_controllers_own_error_is_told(controller):
-    robot = DrivenRobot(udp_robot.UdpRobot("127.0.0.1:9"))
+    robot = DrivenRobot(udp_devices.UdpRobot("127.0.0.1:9"))
     control = RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
     controller.error, controller.text = 7, b"drive 2 is\n hot"
     drive(control, robot, 2)
@@ -106,7 +102,7 @@ def joystick_cycles(operation, count, begin=0):
 
 def test_a_joystick_leads_and_after_a_silence_is_calibrated_before_it_leads_again(controller):
     controller.facts = PythonController(limits=(0.0,) * 5).facts
-    device = udp_joystick.UdpJoystick("127.0.0.1:9")
+    device = udp_devices.UdpJoystick("127.0.0.1:9")
     operation = JoystickOperation(device)
     now = joystick_cycles(operation, 400)
     assert operation.state is JoystickState.APPLICATION
@@ -129,7 +125,7 @@ def test_a_joystick_leads_and_after_a_silence_is_calibrated_before_it_leads_agai
 
 
 def test_a_place_that_jumps_is_followed_with_a_hands_acceleration(controller):
-    device = udp_joystick.UdpJoystick("127.0.0.1:9")
+    device = udp_devices.UdpJoystick("127.0.0.1:9")
     places = [0.0]
     controller.place = [0.05, 0.0]
     for _ in range(200):

@@ -3,8 +3,7 @@
 import pytest
 from udp_controller import MS, MemoryLine, PythonController
 
-from telepresence.haptics.udp_protocol import UdpRole
-from telepresence.haptics.udp_session import MOST_UNANSWERED
+from telepresence.haptics.udp_protocol import MOST_UNANSWERED, UdpRole
 
 KEY = bytes(range(32))
 

@@ -5,14 +5,14 @@ from random import Random
 
 from virtual_link import VirtualLink
 
-from telepresence.link.backlog import (
+from telepresence.link.flows import Level, packet_flow
+from telepresence.link.gateway import (
     FREED_STEP_BPS,
     REPEAT_NS,
     REPORT_NS,
     Backlog,
     BacklogReporter,
 )
-from telepresence.link.flows import Level, packet_flow
 
 MS = 1_000_000
 SLOTS = 5500

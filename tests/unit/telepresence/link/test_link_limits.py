@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 
 from kontur_av.errors import ConfigError
-from telepresence.link.backlog import Backlog
 from telepresence.link.bucket import Allowance
 from telepresence.link.flows import (
     Flow,
@@ -18,6 +17,7 @@ from telepresence.link.flows import (
     video_flow,
     voice_flow,
 )
+from telepresence.link.gateway import Backlog
 from telepresence.link.profile import DOWNLINK, UPLINK
 
 MS = 1_000_000

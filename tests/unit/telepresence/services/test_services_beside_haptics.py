@@ -4,8 +4,8 @@ from service_pair import ServiceEnd
 from virtual_link import VirtualLink
 
 from kontur_av.clock import NS_PER_S
-from telepresence.link.backlog import BacklogReporter
 from telepresence.link.flows import HapticReceived, Level, PacketReceived, packet_flow
+from telepresence.link.gateway import BacklogReporter
 
 OCTETS = bytes(range(256)) * 64
 FLOW = "maintenance"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kontur_av.errors import ConfigError
-from telepresence.world.board_view import CORNERS_M, BoardView
+from telepresence.world.board import CORNERS_M, BoardView
 from telepresence.world.ground_views import MOUNTS, camera_of
 from telepresence.world.state import LEDS_M
 

@@ -18,7 +18,6 @@ from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.device.gamepad import GamepadDevice, feed, find_gamepads, open_gamepad
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, JoystickOperation
-from telepresence.haptics.device.spec import check_joystick
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import (
     RUMBLE_NS,
@@ -29,6 +28,7 @@ from telepresence.haptics.device.stick import (
     stick_axes,
 )
 from telepresence.haptics.joystick_controller import JoystickControllerModel
+from telepresence.haptics.specs import check_joystick
 
 KEYS = frozenset({0x130, 0x131, 0x133, 0x134, 0x136})
 AXES = {0: Axis(128, 0, 255, 15), 1: Axis(0, -32768, 32767, 128)}

@@ -8,9 +8,9 @@ from kontur_av.errors import ConfigError
 from telepresence.haptics.axes import AxisReading
 from telepresence.haptics.device.device import KEEPS_FORCE_NS
 from telepresence.haptics.device.simulated import FACTS, FAULTS, Faults, SimulatedDevice
-from telepresence.haptics.device.spec import check_joystick, is_simulated, open_alone, open_device
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import Hand
+from telepresence.haptics.specs import check_joystick, is_simulated, open_alone, open_device
 
 MS = 1_000_000
 

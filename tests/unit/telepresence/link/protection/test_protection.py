@@ -19,9 +19,14 @@ from telepresence.link.protection.channel import (
     PeerMoved,
     SessionBegun,
 )
+from telepresence.link.protection.datagrams import (
+    HANDSHAKE,
+    KNOCK,
+    RECORD,
+    SEGMENT_OVERHEAD_OCTETS,
+    SegmentCodec,
+)
 from telepresence.link.protection.identity import MachineKey
-from telepresence.link.protection.record import HANDSHAKE, RECORD
-from telepresence.link.protection.segment import KNOCK, SEGMENT_OVERHEAD_OCTETS, SegmentCodec
 
 STRANGER_KEY = MachineKey.from_seed(bytes([2] * 32))
 STRANGER = ("203.0.113.9", 4000)

@@ -18,12 +18,19 @@ from protected_pair import (
     connected,
 )
 
-from telepresence.link.protection import record
+from telepresence.link.protection import datagrams
 from telepresence.link.protection.channel import HandshakeFailed, ProtectedChannel, SessionBegun
+from telepresence.link.protection.datagrams import (
+    KNOCK,
+    RECORD,
+    DirectionKeys,
+    HandshakeSegment,
+    RecordSealer,
+    SegmentCodec,
+    key_number,
+)
 from telepresence.link.protection.handshake import Handshake
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
-from telepresence.link.protection.record import RECORD, DirectionKeys, RecordSealer, key_number
-from telepresence.link.protection.segment import KNOCK, HandshakeSegment, SegmentCodec
 
 
 def channel(**options):
@@ -173,7 +180,7 @@ def test_keys_that_are_used_up_seal_no_more_and_new_ones_are_agreed(monkeypatch)
     pair = connected(rekey_records=100)
     # New ones are asked for long before, but no handshake gets through.
     pair.blocks = lambda end, datagram: datagram[0] != RECORD
-    monkeypatch.setattr(record, "MOST_RECORDS", 300)
+    monkeypatch.setattr(datagrams, "MOST_RECORDS", 300)
     pair.run(300 * pair.slot_ns / S + 0.1)
     assert len(pair.ground.sealed) == 300 and not pair.ground.channel.protected
     figures = pair.ground.channel.figures

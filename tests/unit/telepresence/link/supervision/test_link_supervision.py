@@ -5,8 +5,14 @@ from itertools import pairwise
 import pytest
 from link_supervision_pair import CONNECTED, MS, SPACE, Pair, S, connected
 
-from telepresence.link.supervision.configuration import SupervisionTiming
-from telepresence.link.supervision.events import (
+from telepresence.link.supervision.message import (
+    LinkState,
+    MessageKind,
+    SupervisionTiming,
+    parse_message,
+)
+from telepresence.link.supervision.negotiation import Proof
+from telepresence.link.supervision.record import (
     ApplicationReset,
     ContextsHeld,
     PeerDeaf,
@@ -16,8 +22,6 @@ from telepresence.link.supervision.events import (
     SignalAcquired,
     SignalLost,
 )
-from telepresence.link.supervision.message import LinkState, MessageKind, parse_message
-from telepresence.link.supervision.negotiation import Proof
 from telepresence.link.supervision.supervisor import Encounter, Supervisor
 
 

@@ -3,8 +3,8 @@
 import pytest
 from link_supervision_pair import CONNECTED, GROUND, MS, SPACE, Pair, S, connected
 
-from telepresence.link.supervision.events import ApplicationReset, StateChanged
 from telepresence.link.supervision.message import MessageKind
+from telepresence.link.supervision.record import ApplicationReset, StateChanged
 from telepresence.link.supervision.supervisor import Supervisor
 
 

@@ -3,7 +3,7 @@
 import pytest
 from link_supervision_pair import CONNECTED, MS, Pair, S, connected
 
-from telepresence.link.supervision.events import (
+from telepresence.link.supervision.record import (
     ApplicationReset,
     PeerDeaf,
     PeerHears,

@@ -5,7 +5,8 @@ from random import Random
 import pytest
 from link_supervision_pair import CONNECTED, MS, Pair, S, connected
 
-from telepresence.link.supervision.events import (
+from telepresence.link.supervision.message import LinkState
+from telepresence.link.supervision.record import (
     ApplicationReset,
     ContextsHeld,
     PeerDeaf,
@@ -14,7 +15,6 @@ from telepresence.link.supervision.events import (
     SignalLost,
     StateChanged,
 )
-from telepresence.link.supervision.message import LinkState
 
 
 @pytest.mark.parametrize("blackout", [100, 1_000, 10_000])

@@ -4,9 +4,8 @@ import pytest
 from link_supervision_pair import CONNECTED, DOWN, MS, SPACE, UP, Pair, S, connected
 
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision.configuration import Configuration
-from telepresence.link.supervision.events import StateChanged
-from telepresence.link.supervision.message import LinkState
+from telepresence.link.supervision.message import Configuration, LinkState
+from telepresence.link.supervision.record import StateChanged
 
 
 def varied(**changes):

@@ -6,8 +6,8 @@ The far end is a supervisor, too. Only its HELLOs arrive, with the numbers that 
 import pytest
 from link_supervision_pair import GROUND, MS, SPACE
 
-from telepresence.link.supervision.events import PeerHears
 from telepresence.link.supervision.message import MessageKind, pack_message, parse_message
+from telepresence.link.supervision.record import PeerHears
 from telepresence.link.supervision.supervisor import Encounter, Supervisor
 
 

@@ -9,13 +9,13 @@ from link_supervision_pair import DOWN, GROUND, SPACE, UP
 
 from kontur_av.errors import ConfigError
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision.configuration import SupervisionTiming
 from telepresence.link.supervision.local_check import LocalCheck
 from telepresence.link.supervision.message import (
     LinkState,
     MessageKind,
     MessagePacing,
     SupervisionMessage,
+    SupervisionTiming,
     message_version,
     pack_message,
     parse_message,

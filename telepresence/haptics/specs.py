@@ -1,0 +1,129 @@
+"""How joysticks and robots are named on the command line, and how they are opened.
+
+| SPEC of a joystick | what |
+|---|---|
+| `sim` | the simulated joystick |
+| `sim:FAULT` | the same, broken: see `simulated.FAULTS` |
+| `page` | the simulated joystick in the hand of a person at a browser page |
+| `ros2` | the same in the hand of a ROS 2 node |
+| `evdev` | the first game controller |
+| `evdev:PATH` | the one at PATH, such as /dev/input/event5 |
+| `udp:HOST:PORT` | a controller in any language on this machine; with `:KEYFILE`, on any |
+| `module:Class` | a user's `JoystickDevice`; so is the name of an entry point of `JOYSTICK_DOOR` |
+
+| SPEC of a robot | what |
+|---|---|
+| `sim` | the simulated robot |
+| `udp:HOST:PORT` | as a joystick's |
+| `module:Class` | a user's `RobotDevice`; so is the name of an entry point of `ROBOT_DOOR` |
+"""
+
+from collections.abc import Sequence
+
+from kontur_av.errors import ConfigError
+from kontur_av.parts import PartDoor, make_part
+from telepresence.haptics.axes import AxisName, check_axes
+from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.hand import Hand
+from telepresence.haptics.robot import Robot, RobotFacts
+from telepresence.haptics.robot_device import SIMULATED_ROBOT, DrivenRobot, RobotDevice
+from telepresence.haptics.udp_line import UDP
+
+SIMULATED = "sim"
+PAGE = "page"
+ROS2_HAND = "ros2"
+GAME_CONTROLLER = "evdev"
+JOYSTICK_DOOR = PartDoor(
+    "joystick",
+    "sim, sim:FAULT, page, ros2, evdev, evdev:/dev/input/eventN, udp:HOST:PORT or module:Class",
+    "kontur_av.joysticks",
+    {
+        SIMULATED: "telepresence.haptics.device.simulated:open_simulated",
+        PAGE: "telepresence.haptics.device.page:PageDevice",
+        ROS2_HAND: "telepresence.haptics.device.page:Ros2Device",
+        GAME_CONTROLLER: "telepresence.haptics.device.gamepad:open_gamepad",
+        UDP: "telepresence.haptics.udp_devices:UdpJoystick",
+    },
+)
+
+
+def open_alone(
+    spec: str, *, hand: Hand | None = None, axes: Sequence[AxisName] | None = ()
+) -> JoystickDevice:
+    """Open a joystick without a session; ConfigError for one whose hand is in a session only."""
+    if spec in (PAGE, ROS2_HAND):
+        raise ConfigError(
+            f"joystick {spec}: it is moved in a session only, with `kontur-av stream --joystick "
+            f"{spec}`; its mechanics are those of sim: take that"
+        )
+    return open_device(spec, hand=hand, axes=axes)
+
+
+def check_joystick(spec: str, axes: Sequence[AxisName] = ()) -> None:
+    """Raise ConfigError if `spec` names no joystick with these axes that can be opened now."""
+    open_device(spec, axes=axes).close()
+
+
+def is_simulated(spec: str) -> bool:
+    """Whether `spec` names a simulated joystick, which runs on virtual time."""
+    return spec.partition(":")[0] == SIMULATED
+
+
+def open_device(
+    spec: str, *, hand: Hand | None = None, axes: Sequence[AxisName] | None = ()
+) -> JoystickDevice:
+    """Open the joystick that `spec` names; ConfigError if there is none, or it has other axes.
+
+    hand: holds a simulated joystick in the application. axes: those behind x and y; None: any.
+    """
+    device: JoystickDevice = make_part(spec, JOYSTICK_DOOR, hand=hand, axes=axes or ())
+    if axes is not None:
+        check_axes(f"joystick {spec}", device.facts.more, axes)
+    return device
+
+
+ROBOT_DOOR = PartDoor(
+    "robot",
+    "sim, udp:HOST:PORT or module:Class",
+    "kontur_av.robots",
+    {
+        SIMULATED_ROBOT: "telepresence.haptics.robot:Robot",
+        UDP: "telepresence.haptics.udp_devices:UdpRobot",
+    },
+)
+
+
+def load_robot(spec: str, axes: Sequence[AxisName] = ()) -> RobotDevice | Robot:
+    """Return the driver that `spec` names, or a robot without one, still off; ConfigError.
+
+    axes: those behind x and y, for one that has what it is asked for.
+    """
+    made: RobotDevice | Robot = make_part(spec, ROBOT_DOOR, axes=axes)
+    return made
+
+
+def facts_of(spec: str) -> RobotFacts | None:
+    """As `load_robot`: its facts; None for `sim`, and where only `configure` finds them out."""
+    return getattr(load_robot(spec), "facts", None)
+
+
+def check_robot(spec: str, axes: Sequence[AxisName] = ()) -> None:
+    """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
+    facts = getattr(load_robot(spec, axes), "facts", None)
+    if facts is not None:
+        check_axes(f"robot {spec}", facts.more, axes)
+
+
+def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
+    """Return the robot that `spec` names, with power.
+
+    axes: those behind x and y; ConfigError for a robot that has others.
+    """
+    made = load_robot(spec, axes)
+    robot = made if isinstance(made, Robot) else DrivenRobot(made)
+    try:
+        check_axes(f"robot {spec}", [axis.facts for axis in robot.more], axes)
+    except ConfigError:
+        robot.close()
+        raise
+    return robot

@@ -1,0 +1,246 @@
+"""The paths to the peer, for a loop with slots: protected, or not, for a private network. Cores.
+
+A protected path sends records at once, and handshakes in the rest of a slot. A handshake's step
+takes up to 0.5 ms, half of a slot. So its datagrams wait until the slot's frame has been sent, and
+at most about one step is taken in a slot. A record takes some µs.
+
+A shell that owns the socket does this:
+
+1. For every datagram: `handle_datagram`; what it returns is a frame.
+2. For every frame to send: `seal`; what it returns is a datagram and its address.
+3. After each slot's frame: `handle_rest` until it is False; then send `poll_transmit` until None.
+
+Without protection frames themselves are followed. An end that was given its peer's address takes
+frames from there only. An end that waits to be called follows the source of good frames, and
+another one only when the present peer has been silent for `SILENCE_NS`. All other datagrams are a
+stranger's.
+"""
+
+from collections import deque
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
+from telepresence.link.figures import Address, PeerFigures, PeerHistory, address_text
+from telepresence.link.frame import FrameCodec
+from telepresence.link.profile import LinkProfile
+from telepresence.link.protection.channel import (
+    REKEY_NS,
+    HandshakeFailed,
+    PeerMoved,
+    ProtectedChannel,
+    SessionBegun,
+)
+from telepresence.link.protection.datagrams import RECORD
+from telepresence.link.protection.identity import MachineIdentity, MachineKey
+
+#: Datagrams of handshakes that wait for the rest of a slot; more are dropped as `throttled`.
+_MOST_WAITING = 64
+#: The longest step; this much of a slot must remain.
+STEP_NS = 600 * NS_PER_US
+#: A step that found no such slot is taken after this many, because a late slot is better than none.
+_MOST_PUT_OFF = 50
+#: The channel's own deadlines are asked for this often.
+_LOOK_NS = 50 * NS_PER_MS
+#: An end that has sent no frame for this long sends a record without one. A radio that has lost its
+#: signal sends none, and neither the peer nor an address translator shall take the end for gone.
+KEEP_ALIVE_NS = 500 * NS_PER_MS
+
+
+class ProtectedPath:
+    """See the module for what to call when, and `ProtectedChannel` for the arguments.
+
+    rekey_ns: new keys after this time.
+    """
+
+    def __init__(
+        self,
+        key: MachineKey,
+        peer: MachineIdentity,
+        *,
+        secret: bytes,
+        address: Address | None,
+        now_ns: int,
+        rekey_ns: int = REKEY_NS,
+    ) -> None:
+        self._channel = ProtectedChannel(
+            key, peer, secret=secret, address=address, now_ns=now_ns, rekey_ns=rekey_ns
+        )
+        self._identity = str(peer)
+        self._waiting: deque[tuple[bytes, Address]] = deque()
+        self._due_ns = now_ns
+        self._sealed_ns = now_ns
+        self._keep_alive: tuple[bytes, Address] | None = None
+        self._history = PeerHistory(now_ns)
+        self._session_ns: int | None = None
+        self._moves = 0
+        self._overflows = 0
+        self._put_off = 0
+
+    def handle_datagram(self, datagram: bytes, source: Address, now_ns: int) -> bytes | None:
+        """Return the frame of a record; what belongs to handshakes waits for `handle_rest`."""
+        if datagram and datagram[0] != RECORD:
+            if len(self._waiting) < _MOST_WAITING:
+                self._waiting.append((datagram, source))
+            else:
+                self._overflows += 1
+            return None
+        # A record without a frame is a sign of life only.
+        return self._channel.handle_datagram(datagram, source, now_ns) or None
+
+    def seal(self, frame: bytes, now_ns: int) -> tuple[bytes, Address] | None:
+        """Return the datagram of a frame and where it goes; None without a session or address."""
+        self._sealed_ns = now_ns
+        datagram = self._channel.seal(frame, now_ns)
+        address = self._channel.peer_address
+        return None if datagram is None or address is None else (datagram, address)
+
+    def handle_rest(self, now_ns: int, until_ns: int) -> bool:
+        """Take one step of what waits for the rest of a slot; whether there was one.
+
+        until_ns: when the slot's rest ends.
+        """
+        if not self._waiting and now_ns < self._due_ns:
+            return False
+        if until_ns - now_ns < STEP_NS and self._put_off < _MOST_PUT_OFF:
+            self._put_off += 1
+            return False
+        self._put_off = 0
+        channel = self._channel
+        if self._waiting:
+            datagram, source = self._waiting.popleft()
+            channel.handle_datagram(datagram, source, now_ns)
+        else:
+            due_ns = channel.poll_timeout()
+            if due_ns is None or due_ns > now_ns:
+                # Records move the channel's deadlines, so look again soon.
+                self._due_ns = now_ns + _LOOK_NS
+                self._take_events(now_ns)
+                if channel.protected and now_ns - self._sealed_ns >= KEEP_ALIVE_NS:
+                    self._keep_alive = self.seal(b"", now_ns)
+                return False
+            channel.handle_timeout(now_ns)
+        self._due_ns = now_ns
+        self._take_events(now_ns)
+        return True
+
+    def poll_transmit(self) -> tuple[bytes, Address] | None:
+        """Return a datagram of a handshake, or a sign of life, and where it goes."""
+        keep_alive, self._keep_alive = self._keep_alive, None
+        return keep_alive or self._channel.poll_transmit()
+
+    def report(self, now_ns: int) -> PeerFigures:
+        """What this end knows of the path until `now_ns`."""
+        self._take_events(now_ns)
+        figures = self._channel.figures
+        dropped = dict(figures.dropped)
+        if self._overflows:
+            dropped["throttled"] = dropped.get("throttled", 0) + self._overflows
+        where = self._channel.peer_address
+        return PeerFigures(
+            begun_ns=self._history.begun_ns,
+            protected=True,
+            identity=self._identity,
+            address=None if where is None else address_text(where),
+            session_ns=self._session_ns,
+            sessions=figures.sessions,
+            failed_attempts=figures.failed_attempts,
+            address_changes=self._moves,
+            sent=figures.sealed,
+            unsent=figures.unsent,
+            taken=figures.opened,
+            handshake_datagrams=figures.handshake_datagrams,
+            dropped=dropped,
+            events=self._history.events(),
+        )
+
+    def _take_events(self, now_ns: int) -> None:
+        history = self._history
+        while (event := self._channel.next_event()) is not None:
+            if isinstance(event, SessionBegun):
+                self._session_ns = now_ns - history.begun_ns
+                word = "renewed" if event.renewed else "begun"
+                history.add(f"session with {self._identity} {word}", now_ns)
+            elif isinstance(event, PeerMoved):
+                # The first address is no change.
+                where = address_text(event.address)
+                moved = self._session_ns is not None
+                self._moves += moved
+                history.add(f"peer {'moved to' if moved else 'found at'} {where}", now_ns)
+            elif isinstance(event, HandshakeFailed):
+                history.add(f"handshake failed: {event.why}", now_ns)
+
+
+SILENCE_NS = NS_PER_S
+
+
+class OpenPath:
+    """See the module for whose frames are followed.
+
+    receive: the profile of the way in. address: where the peer is; None: it calls.
+    """
+
+    def __init__(self, receive: LinkProfile, *, address: Address | None, now_ns: int) -> None:
+        self._codec = FrameCodec(receive)
+        self._octets = receive.frame_octets
+        self._fixed = address is not None
+        self._address = address
+        self._heard_ns = now_ns
+        self._history = PeerHistory(now_ns)
+        self._history.add("the path is NOT PROTECTED", now_ns)
+        self._session_ns: int | None = None if address is None else 0
+        self._moves = self._sent = self._unsent = self._taken = self._strangers = 0
+
+    def handle_datagram(self, datagram: bytes, source: Address, now_ns: int) -> bytes | None:
+        """Return the peer's frame, good or not; None for a stranger's datagram."""
+        if source != self._address and not self._follow(datagram, source, now_ns):
+            self._strangers += 1
+            return None
+        # The radio may have hit some of its bits, so the peer is not silent.
+        if len(datagram) == self._octets:
+            self._heard_ns = now_ns
+        self._taken += 1
+        return datagram
+
+    def seal(self, frame: bytes, now_ns: int) -> tuple[bytes, Address] | None:
+        """Return the frame and where it goes; None as long as nobody has called."""
+        if self._address is None:
+            self._unsent += 1
+            return None
+        self._sent += 1
+        return frame, self._address
+
+    def handle_rest(self, now_ns: int, until_ns: int) -> bool:
+        """There is nothing to do in the rest of a slot."""
+        return False
+
+    def poll_transmit(self) -> tuple[bytes, Address] | None:
+        """There are no datagrams but those of frames."""
+        return None
+
+    def report(self, now_ns: int) -> PeerFigures:
+        """What this end knows of the path until `now_ns`."""
+        return PeerFigures(
+            begun_ns=self._history.begun_ns,
+            protected=False,
+            address=None if self._address is None else address_text(self._address),
+            session_ns=self._session_ns,
+            address_changes=self._moves,
+            sent=self._sent,
+            unsent=self._unsent,
+            taken=self._taken,
+            dropped={"stranger": self._strangers} if self._strangers else {},
+            events=self._history.events(),
+        )
+
+    def _follow(self, datagram: bytes, source: Address, now_ns: int) -> bool:
+        found = self._address is not None
+        if self._fixed or (found and now_ns - self._heard_ns < SILENCE_NS):
+            return False
+        if isinstance(self._codec.parse(datagram), str):
+            return False
+        self._moves += found
+        if self._session_ns is None:
+            self._session_ns = now_ns - self._history.begun_ns
+        word = "moved to" if found else "found at"
+        self._history.add(f"peer {word} {address_text(source)}", now_ns)
+        self._address = source
+        return True

@@ -1,0 +1,167 @@
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from telepresence.link.protection import datagrams
+from telepresence.link.protection.datagrams import (
+    DATA_OCTETS,
+    OVERHEAD_OCTETS,
+    SEGMENT_OCTETS,
+    SEGMENT_OVERHEAD_OCTETS,
+    STREAM_OCTETS,
+    WINDOW,
+    DirectionKeys,
+    HandshakeSegment,
+    IncomingStream,
+    OutgoingStream,
+    RecordOpener,
+    RecordSealer,
+    SegmentCodec,
+)
+from telepresence.link.protection.identity import MachineKey
+
+KEYS = DirectionKeys(b"abc", bytes(range(32)), bytes(range(12)))
+
+
+def sealed(count):
+    sealer = RecordSealer(KEYS)
+    return [sealer.seal(b"%d" % number) for number in range(count)]
+
+
+@given(st.binary(max_size=600))
+def test_a_record_returns_its_frame_and_has_one_overhead(frame):
+    datagram = RecordSealer(KEYS).seal(frame)
+    assert len(datagram) == len(frame) + OVERHEAD_OCTETS
+    assert RecordOpener(KEYS).open(datagram) == frame
+
+
+def test_a_flipped_bit_anywhere_or_a_cut_is_not_opened():
+    (datagram,) = sealed(1)
+    opener = RecordOpener(KEYS)
+    for bit in range(8 * len(datagram)):
+        flipped = bytearray(datagram)
+        flipped[bit // 8] ^= 1 << bit % 8
+        assert opener.open(bytes(flipped)) == "unauthenticated"
+    assert opener.open(datagram[:-1]) == "unauthenticated"
+    assert opener.open(datagram) == b"0"
+
+
+def test_each_record_opens_once_in_any_order_within_the_window():
+    records = sealed(WINDOW)
+    order = list(range(WINDOW))
+    Random(1).shuffle(order)
+    opener = RecordOpener(KEYS)
+    assert [opener.open(records[number]) for number in order] == [b"%d" % n for n in order]
+    assert {opener.open(each) for each in records} == {"replayed"}
+
+
+def test_what_is_behind_the_window_is_late_and_what_is_in_it_is_not():
+    records = sealed(WINDOW + 2)
+    opener = RecordOpener(KEYS)
+    opener.open(records[0])
+    opener.open(records[-1])
+    assert opener.open(records[0]) == opener.open(records[1]) == "late"
+    assert opener.open(records[2]) == b"2"
+    assert opener.open(records[-1]) == opener.open(records[2]) == "replayed"
+
+
+def test_a_jump_far_ahead_forgets_all_older_ones():
+    records = sealed(5 * WINDOW)
+    opener = RecordOpener(KEYS)
+    assert opener.open(records[0]) == b"0"
+    assert opener.open(records[-1]) == b"%d" % (5 * WINDOW - 1)
+    assert opener.open(records[-2]) == b"%d" % (5 * WINDOW - 2)
+    assert opener.open(records[0]) == "late"
+
+
+def test_a_forged_number_does_not_move_the_window():
+    records = sealed(2)
+    opener = RecordOpener(KEYS)
+    opener.open(records[0])
+    forged = records[0][:4] + (2**40).to_bytes(6, "big") + records[0][10:]
+    assert opener.open(forged) == "unauthenticated"
+    assert opener.open(records[1]) == b"1"
+
+
+def test_a_key_is_not_used_for_ever(monkeypatch):
+    monkeypatch.setattr(datagrams, "MOST_RECORDS", 2)
+    sealer = RecordSealer(KEYS)
+    sealer.seal(b"")
+    sealer.seal(b"")
+    with pytest.raises(OverflowError):
+        sealer.seal(b"")
+
+
+def test_keys_are_not_shown():
+    shown = repr(KEYS) + str(KEYS)
+    assert KEYS.key.hex() not in shown
+    assert repr(KEYS.key) not in shown and repr(KEYS.vector) not in shown
+
+
+ONE, TWO, THREE = (MachineKey.from_seed(bytes([n] * 32)).identity for n in range(3))
+CODEC = SegmentCodec(ONE, TWO)
+SEGMENT = HandshakeSegment(True, b"sendernn", b"receiver", 7, 9, b"octets")
+
+
+def test_only_the_peer_that_knows_both_identities_is_read():
+    datagram = CODEC.pack(SEGMENT)
+    assert len(datagram) == SEGMENT_OVERHEAD_OCTETS + 6
+    assert SegmentCodec(TWO, ONE).parse(datagram) == SEGMENT
+    for codec in (CODEC, SegmentCodec(THREE, ONE), SegmentCodec(TWO, THREE)):
+        assert codec.parse(datagram) == "unauthenticated"
+
+
+@pytest.mark.parametrize("bit", range(8 * (SEGMENT_OVERHEAD_OCTETS + 6)))
+def test_a_flipped_bit_is_noticed(bit):
+    datagram = bytearray(CODEC.pack(SEGMENT))
+    datagram[bit // 8] ^= 1 << bit % 8
+    assert SegmentCodec(TWO, ONE).parse(bytes(datagram)) == "unauthenticated"
+
+
+@pytest.mark.parametrize(
+    "segment",
+    [
+        HandshakeSegment(False, bytes(8), b"receiver", 0, 0, b""),
+        HandshakeSegment(False, b"sendernn", bytes(8), STREAM_OCTETS + 1, 0, b""),
+        HandshakeSegment(False, b"sendernn", bytes(8), 0, STREAM_OCTETS, b"x"),
+        HandshakeSegment(False, b"sendernn", bytes(8), 0, 0, bytes(DATA_OCTETS + 1)),
+    ],
+)
+def test_what_no_peer_sends_is_malformed(segment):
+    assert SegmentCodec(TWO, ONE).parse(CODEC.pack(segment)) == "malformed"
+
+
+@given(st.binary(max_size=5 * DATA_OCTETS), st.integers(0, 2**32))
+def test_a_stream_arrives_whatever_the_path_does(octets, seed):
+    random = Random(seed)
+    out, into, got = OutgoingStream(), IncomingStream(), b""
+    cut = random.randrange(len(octets) + 1)
+    out.add(octets[:cut])
+    for attempt in range(200):
+        pieces = []
+        while (piece := out.next_piece()) is not None:
+            assert len(piece[1]) <= SEGMENT_OCTETS
+            pieces += [piece] * random.choice((0, 1, 1, 2))
+        random.shuffle(pieces)
+        for piece in pieces:
+            got += into.handle_piece(*piece)
+        if random.random() < 0.7:
+            out.handle_acknowledged(into.received)
+        if attempt == 2:
+            out.add(octets[cut:])
+        if attempt > 2 and not out.outstanding:
+            break
+        out.repeat()
+    assert got == octets
+
+
+def test_an_acknowledgement_of_what_was_never_sent_is_no_news():
+    out = OutgoingStream()
+    out.add(b"12345")
+    assert out.handle_acknowledged(3)
+    assert not out.handle_acknowledged(3)
+    assert not out.handle_acknowledged(2)
+    assert not out.handle_acknowledged(6)
+    assert out.outstanding

@@ -1,0 +1,132 @@
+"""A protected path in a loop with slots: records at once, handshakes in the rest of a slot."""
+
+from protected_pair import GROUND_ADDRESS, GROUND_KEY, SPACE_ADDRESS, SPACE_KEY
+
+from telepresence.link.peer_path import STEP_NS, ProtectedPath
+
+SLOT_NS = 1_000_000
+FRAME = bytes(32)
+
+
+class Pair:
+    """Two paths that exchange a frame a slot; datagrams take no time.
+
+    rest_ns: how much of a slot is left after its frame.
+    """
+
+    def __init__(self, *, rest_ns=900_000, **options):
+        self.now_ns, self.rest_ns = 0, rest_ns
+        self.space_at = SPACE_ADDRESS
+        self.paths = {
+            GROUND_ADDRESS: self.path(GROUND_KEY, SPACE_KEY, None, **options),
+            SPACE_ADDRESS: self.path(SPACE_KEY, GROUND_KEY, GROUND_ADDRESS, **options),
+        }
+        self.ground, self.space = self.paths.values()
+        self.frames = dict.fromkeys(self.paths.values(), 0)
+
+    def path(self, key, peer, address, **options):
+        return ProtectedPath(
+            key,
+            peer.identity,
+            secret=key.identity.digest + bytes(12),
+            address=address,
+            now_ns=0,
+            **options,
+        )
+
+    def deliver(self, sender, datagram, address):
+        path = self.paths.get(address)
+        if path is not None:
+            self.frames[path] += path.handle_datagram(datagram, sender, self.now_ns) == FRAME
+
+    def slots(self, number, *, silent=()):
+        """silent: paths whose radio sends no frame, because it has lost its signal."""
+        for _ in range(number):
+            self.now_ns += SLOT_NS
+            for sender, path in list(self.paths.items()):
+                sealed = None if path in silent else path.seal(FRAME, self.now_ns)
+                if sealed is not None:
+                    self.deliver(sender, *sealed)
+                until_ns = self.now_ns + self.rest_ns
+                spent_ns = 0
+                while path.handle_rest(self.now_ns + spent_ns, until_ns):
+                    spent_ns += STEP_NS
+                while (found := path.poll_transmit()) is not None:
+                    self.deliver(sender, *found)
+        return self
+
+
+def test_two_ends_agree_exchange_frames_and_say_what_happened():
+    pair = Pair().slots(100)
+    ground, space = pair.ground.report(pair.now_ns), pair.space.report(pair.now_ns)
+    for mine, theirs, key in ((ground, space, SPACE_KEY), (space, ground, GROUND_KEY)):
+        assert mine.protected
+        assert mine.identity == str(key.identity)
+        assert mine.sessions == 1
+        assert mine.session_ns < 50 * SLOT_NS
+        assert mine.taken == theirs.sent > 50
+        assert mine.unsent + mine.sent == 100
+        assert mine.address_changes == 0
+    # The end that waits to be called was told by nobody where the other one is.
+    assert ground.address == f"{SPACE_ADDRESS[0]}:{SPACE_ADDRESS[1]}"
+    assert [event.what.partition(" ")[0] for event in ground.events] == ["peer", "session"]
+
+
+def test_a_new_address_is_followed_and_counted():
+    pair = Pair().slots(100)
+    moved = ("198.51.100.77", 40_000)
+    pair.paths[moved] = pair.paths.pop(SPACE_ADDRESS)
+    pair.slots(100)
+    ground = pair.ground.report(pair.now_ns)
+    assert (ground.address, ground.address_changes) == ("198.51.100.77:40000", 1)
+    assert ground.events[-1].what == "peer moved to 198.51.100.77:40000"
+    # The first slot after it still went to the old address.
+    assert pair.frames[pair.space] >= ground.sent - 1
+
+
+def test_records_are_opened_at_once_and_handshakes_only_in_a_long_rest():
+    pair = Pair().slots(100)
+    before = pair.ground.report(pair.now_ns)
+    sealed, _ = pair.space.seal(FRAME, pair.now_ns)
+    knock = bytes([0x13]) + bytes(60)
+    assert pair.ground.handle_datagram(knock, SPACE_ADDRESS, pair.now_ns) is None
+    assert pair.ground.handle_datagram(sealed, SPACE_ADDRESS, pair.now_ns) == FRAME
+    # It waits: not even its code was looked at.
+    assert pair.ground.report(pair.now_ns).dropped == before.dropped
+    assert not pair.ground.handle_rest(pair.now_ns, pair.now_ns + STEP_NS - 1)
+    assert pair.ground.report(pair.now_ns).dropped == before.dropped
+    assert pair.ground.handle_rest(pair.now_ns, pair.now_ns + STEP_NS)
+    assert pair.ground.report(pair.now_ns).dropped == {"unauthenticated": 1}
+
+
+def test_a_machine_without_any_rest_still_gets_a_session_and_new_keys():
+    pair = Pair(rest_ns=STEP_NS // 2, rekey_ns=2_000 * SLOT_NS).slots(4_000)
+    for path in (pair.ground, pair.space):
+        assert path.report(pair.now_ns).sessions >= 2
+    assert pair.frames[pair.ground] == pair.space.report(pair.now_ns).sent
+
+
+def test_a_flood_of_handshakes_is_bounded_and_counted():
+    pair = Pair().slots(100)
+    for _ in range(1000):
+        pair.ground.handle_datagram(bytes([0x12]) + bytes(60), ("192.0.2.66", 1), pair.now_ns)
+    pair.slots(200)
+    figures = pair.ground.report(pair.now_ns)
+    assert figures.dropped["throttled"] > 900
+    assert figures.dropped["throttled"] + figures.dropped["unauthenticated"] == 1000
+    assert figures.taken == pair.space.report(pair.now_ns).sent
+
+
+def test_a_session_outlives_a_radio_without_a_signal():
+    pair = Pair().slots(100)
+    frames = dict(pair.frames)
+    pair.slots(20_000, silent=(pair.ground, pair.space))
+    # Signs of life are no frames, and few.
+    assert pair.frames == frames
+    before = pair.ground.report(pair.now_ns)
+    assert 30 <= before.sent - frames[pair.space] <= 50
+    pair.slots(100)
+    for path in (pair.ground, pair.space):
+        figures = path.report(pair.now_ns)
+        assert (figures.sessions, figures.dropped) == (1, {})
+        assert pair.frames[path] == frames[path] + 100
