@@ -12,15 +12,20 @@ from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
+from pipelines.commands.rtc_media import (
+    PartnerOutput,
+    add_output_arguments,
+    add_sending_arguments,
+    coded_sources,
+    sends_of,
+)
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
     ice_servers_of,
     token_of,
 )
-from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_running import add_run_arguments, driven
-from pipelines.commands.rtc_sources import add_sending_arguments, coded_sources, sends_of
 from pipelines.partner.connection_report import RtcCommandReport, connection_report
 from pipelines.partner.peer import Programme
 from pipelines.partner.server import RtcServer

@@ -15,12 +15,14 @@ from pipelines.commands.live_session import (
 from pipelines.commands.record import add_record_arguments, checked_wish
 from pipelines.commands.session_parts import (
     add_part_arguments,
+    add_task_arguments,
     asked_topology,
     checked_components,
     chosen_setup,
+    task_arguments,
+    task_wish,
 )
 from pipelines.commands.session_ways import SessionWays, add_way_arguments
-from pipelines.commands.task_options import add_task_arguments, task_arguments, task_wish
 from pipelines.link.own_ends import hold_listen_port, path_line
 from pipelines.recording.part_files import clear_parts
 from pipelines.report.collector import Collector

@@ -7,12 +7,12 @@ from contextlib import closing
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
+from pipelines.commands.rtc_media import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_redirect_argument,
     add_token_arguments,
 )
-from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_running import add_run_arguments, keep, keeper_of
 from pipelines.partner.connection_report import RtcCommandReport
 from pipelines.partner.ice_servers import IceServers

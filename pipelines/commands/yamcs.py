@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 
 from kontur_av.errors import ConfigError, refused
-from pipelines.commands.packets_options import DEFAULT_PACKETS, parse_frames, parse_packets
 from pipelines.mission.supervisor import session_dictionary
+from pipelines.packets.process_packets import DEFAULT_PACKETS, parse_frames, parse_packets
 from pipelines.packets.yamcs import instance_files
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_setup_argument

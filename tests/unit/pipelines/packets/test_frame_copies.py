@@ -7,9 +7,8 @@ from unittest.mock import MagicMock
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.packets_options import parse_frames
 from pipelines.link.frame_batch import pack_frames
-from pipelines.packets.process_frames import FrameCopies
+from pipelines.packets.process_packets import FrameCopies, parse_frames
 from pipelines.packets.yamcs import instance_files
 
 
