@@ -35,9 +35,8 @@ from pipelines.recording.session_messages import (
     Instants,
     SessionMessages,
 )
-from pipelines.session.figures import SessionEvents, gathered, nested_values
-from pipelines.session.rows import SampleNumbers
-from pipelines.session.seat_roles import VIEWER_WORDS
+from pipelines.session.access import VIEWER_WORDS
+from pipelines.session.figures import SampleNumbers, SessionEvents, gathered, nested_values
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Topology
 

@@ -24,11 +24,10 @@ from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Content, Source, sources_of
 from pipelines.recording.session_messages import Instants
 from pipelines.seats.seat_sockets import Message, SeatSockets
-from pipelines.session.access import AccessError, AccessKind, Found
+from pipelines.session.access import AccessError, AccessKind, Found, Role
 from pipelines.session.figures import SessionEvents
 from pipelines.session.mission_messages import ExperimentShown, unpack
 from pipelines.session.process import Context
-from pipelines.session.seat_roles import Role
 from pipelines.session.serving_loop import Feed, ServingLoop, TopicState
 from pipelines.session.topology import (
     FOXGLOVE,

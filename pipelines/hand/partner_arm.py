@@ -16,8 +16,7 @@ from pipelines.session.children import stopped_by_signals
 from pipelines.session.datagrams import Outlet, OwnOutlet, receive
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.process import Context, take_realtime
-from pipelines.session.robot_state import STATE_OCTETS, pack_state
-from pipelines.session.topic_ends import NumberedTopic
+from pipelines.session.topic_ends import STATE_OCTETS, NumberedTopic, pack_state
 from pipelines.session.topology import (
     ARM_ORDER_TOPIC,
     ARM_STATE_TOPIC,

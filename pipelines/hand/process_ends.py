@@ -37,8 +37,13 @@ from pipelines.hand.safety_ends import (
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import LedsShown, PanelShown, RobotCommand, RobotOrder
 from pipelines.session.process import Context
-from pipelines.session.robot_state import unpack_state
-from pipelines.session.topic_ends import MissionReader, MissionWriter, NumberedTopic, new_exercises
+from pipelines.session.topic_ends import (
+    MissionReader,
+    MissionWriter,
+    NumberedTopic,
+    new_exercises,
+    unpack_state,
+)
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,

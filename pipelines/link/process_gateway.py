@@ -34,8 +34,8 @@ from pipelines.session.datagrams import (
     outlet,
     receive,
 )
+from pipelines.session.figures import LatenessRow, SendingRow
 from pipelines.session.process import Context
-from pipelines.session.rows import LatenessRow, SendingRow
 from pipelines.session.topic_ends import NumberedTopic, new_exercises
 from pipelines.session.topology import (
     TELECOMMAND,

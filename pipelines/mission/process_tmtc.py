@@ -28,8 +28,7 @@ from pipelines.session.datagrams import receive
 from pipelines.session.figures import ProcessState
 from pipelines.session.mission_messages import MISSION_OCTETS, CameraWish, RobotStatus, pack, unpack
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.robot_state import unpack_state
-from pipelines.session.topic_ends import NumberedTopic, SampleTopic
+from pipelines.session.topic_ends import NumberedTopic, SampleTopic, unpack_state
 from pipelines.session.topology import (
     FOLLOWED_TOPIC,
     JOYSTICK_COMMAND_TOPIC,

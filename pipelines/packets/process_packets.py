@@ -31,10 +31,10 @@ from pipelines.packets.bridge import (
 from pipelines.packets.figures import FrameFigures
 from pipelines.session.addresses import bound_socket, resolve
 from pipelines.session.datagrams import LOOPBACK, Address, Outlet, is_loopback, outlet
+from pipelines.session.figures import SampleNumbers
 from pipelines.session.option_rows import add_options
 from pipelines.session.output import say
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.rows import SampleNumbers
 from pipelines.session.setup.segments import Direction
 from pipelines.session.topology import (
     FRAMES,

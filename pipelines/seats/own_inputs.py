@@ -10,8 +10,8 @@ from kontur_av.media import CaptureStamp
 from pipelines.seats.open_page import MessageRate, PageTalker
 from pipelines.seats.plan import SeatInput, SeatPlan
 from pipelines.seats.texts import AnswerText, pack_text, parse_media_request
+from pipelines.session.access import VIEWER_WORDS, Role, place_name
 from pipelines.session.messages import OwnPicture, Ping, pack_pong, parse_media_message
-from pipelines.session.seat_roles import VIEWER_WORDS, Role, place_name
 
 #: Pings from which the offset is taken: 16 s of them, so that the clocks may drift apart.
 _KEPT = 16

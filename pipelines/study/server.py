@@ -10,10 +10,9 @@ from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ProtocolError
 from pipelines.seats.open_page import MessageRate
 from pipelines.seats.seat_sockets import Message, SeatSocket, SeatSockets
-from pipelines.session.access import AccessError, AccessKind, Found
+from pipelines.session.access import VIEWER_WORDS, AccessError, AccessKind, Found, Role
 from pipelines.session.messages import MOST_SEAT_OCTETS, parse_seat_message
 from pipelines.session.page_sockets import PageListener
-from pipelines.session.seat_roles import VIEWER_WORDS, Role
 from pipelines.session.web_site import WebSite
 from pipelines.study.desk import StudyDesk, parse_press
 from pipelines.study.plan import TrialResult

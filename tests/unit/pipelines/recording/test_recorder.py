@@ -42,7 +42,7 @@ from pipelines.recording.own_pictures import KEY_PATIENCE_NS
 from pipelines.recording.recorder import RETRY_NS, Recorder
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.session.probe import Probe
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.terminal_lines import PartLimits
 from pipelines.session.topology import Segment

@@ -9,8 +9,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.seats.own_inputs import Given, OwnInputs
 from pipelines.seats.plan import seat_plan
-from pipelines.session.seat_roles import Role
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.access import Role
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
