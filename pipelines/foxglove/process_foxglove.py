@@ -14,8 +14,8 @@ from aiohttp import web
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.foxglove.bridge import Bridge
+from pipelines.foxglove.client import KeyAsked
 from pipelines.foxglove.protocol import MOST_CLIENT_OCTETS, SUBPROTOCOLS
-from pipelines.foxglove.video import KeyAsked
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.mission.tmtc_messages import CommandUpdate, unpack_news

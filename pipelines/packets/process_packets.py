@@ -23,12 +23,12 @@ from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.packets.bridge import (
     AllowedCommands,
+    FrameFigures,
     PacketBridge,
     PacketSplitter,
     PeerQueue,
     allowed_commands,
 )
-from pipelines.packets.figures import FrameFigures
 from pipelines.session.addresses import bound_socket, resolve
 from pipelines.session.datagrams import LOOPBACK, Address, Outlet, is_loopback, outlet
 from pipelines.session.figures import SampleNumbers

@@ -12,7 +12,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import TopicBus
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.seats.figures import PageFigures
-from pipelines.seats.own_inputs import Given
+from pipelines.seats.holders import Given
 from pipelines.seats.plan import seat_plan, welcome_text
 from pipelines.seats.seat import Seat
 from pipelines.seats.seat_sockets import Message, SeatSockets

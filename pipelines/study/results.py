@@ -17,7 +17,7 @@ import numpy as np
 from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError, refused
 from pipelines.recording.export.columns import Column
-from pipelines.recording.export.mat_file import write_v5
+from pipelines.recording.export.table_files import write_v5
 from pipelines.report.report_file import write_text
 from pipelines.study.effects import StudyReport, account_of_study
 from pipelines.study.plan import StudyPlan, TrialResult

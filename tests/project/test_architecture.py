@@ -146,10 +146,9 @@ FILES = {
     "pipelines/bench/video/contenders.py",
     "pipelines/bench/sync.py",
     "pipelines/virtual/campaign/sweep_file.py",
-    "pipelines/recording/export/csv_files.py",
     "pipelines/recording/export/films.py",
     "pipelines/recording/export/lerobot.py",
-    "pipelines/recording/export/mat_file.py",
+    "pipelines/recording/export/table_files.py",
     "pipelines/recording/matroska.py",
     "pipelines/recording/recording_file.py",
     "pipelines/session/setup/setup_file.py",
@@ -200,7 +199,6 @@ USERS_OF_SHELLS = {
     "pipelines/recording/camera_reader.py": "a topic",
     "pipelines/partner/connection_report.py": "an event loop's connection",
     "pipelines/recording/received_media.py": "decodes in real time, into files",
-    "pipelines/recording/recorded_parts.py": "files",
     "pipelines/recording/replay_setup.py": "the files of recordings and setups",
 }
 

@@ -6,6 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
+from pipelines.hand.desks import JoystickStatusTeller
 from pipelines.hand.hand_topics import (
     INPUT_OCTETS,
     REQUEST_OCTETS,
@@ -17,7 +18,6 @@ from pipelines.hand.hand_topics import (
     unpack_request,
     unpack_status,
 )
-from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.process_ends import _hand
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.handle import OperatedHandle

@@ -3,7 +3,7 @@
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipelines.seats.handle_desk import HandGate, HandleOwnership, HandleState
+from pipelines.seats.holders import HandGate, HandleOwnership, HandleState
 from telepresence.haptics.device.page import PageInput
 
 #: Pages 1 to 3 may command; page 9 may only watch.

@@ -7,7 +7,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from pipelines.seats.own_inputs import Given, OwnInputs
+from pipelines.seats.holders import Given, OwnInputs
 from pipelines.seats.plan import seat_plan
 from pipelines.session.access import Role
 from pipelines.session.setup.setup_file import BUILT_IN
