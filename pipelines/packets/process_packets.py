@@ -17,7 +17,7 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.topics.bus import Reader
-from pipelines.link.frame_batch import unpack_frames
+from pipelines.link.figures import unpack_frames
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc

@@ -12,9 +12,8 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.desk import DiskStore, InboxFolder, answer_order, give_order, kept
+from pipelines.upkeep.desk import DiskStore, InboxFolder, Program, answer_order, give_order, kept
 from pipelines.upkeep.ftp import fetch_copies
-from pipelines.upkeep.program import Program
 from telepresence.upkeep.app_loader import (
     PAIRS,
     AppLoader,

@@ -59,9 +59,9 @@ ALLOWED = {
     "pipelines/session/children.py": {"handled"},
     "pipelines/session/machine_checks.py": {"take_descriptors"},
     # For the time of a connection, whose warnings are told in one line of ours.
-    "pipelines/virtual/campaign/places.py": {"_connected"},
+    "pipelines/virtual/campaign/sessions.py": {"_connected"},
     "pipelines/bench/video/command.py": {"run"},
-    "pipelines/bench/course/ends.py": {"_become"},
+    "pipelines/bench/video/ends.py": {"_become"},
     # The command itself, in a process of its own.
     "pipelines/cli.py": {"_loaded", "_apart"},
     "pipelines/partner/whip.py": {"_relay"},
@@ -77,7 +77,7 @@ ALLOWED = {
     "pipelines/session/process.py": {"become", "take_realtime", "Collections.handle_flush"},
     "pipelines/virtual/workers.py": {"Worker.start", "_work"},
     # In a program of its own, before it begins.
-    "pipelines/upkeep/program.py": {"_end_with_the_keeper"},
+    "pipelines/upkeep/desk.py": {"_end_with_the_keeper"},
 }
 #: Functions among them that others call by these names.
 CALLED = {

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from pipelines.bench import session
-from pipelines.bench.course.ends import End
+from pipelines.bench.video.ends import End
 from pipelines.session.children import end_all, ended_alike
 
 

@@ -7,7 +7,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.link.frame_batch import pack_frames
+from pipelines.link.figures import pack_frames
 from pipelines.packets.process_packets import FrameCopies, parse_frames
 from pipelines.packets.yamcs import instance_files
 

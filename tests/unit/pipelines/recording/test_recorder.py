@@ -18,7 +18,7 @@ from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.payload_h264 import parameter_sets
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, ROW
-from pipelines.link.frame_batch import pack_frames
+from pipelines.link.figures import pack_frames
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.key_picture_maker import last_key
 from pipelines.recording.camera_reader import CameraReader

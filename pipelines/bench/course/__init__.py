@@ -1,1 +1,0 @@
-"""The course of `bench video`: camera, thin channel and screen around what is measured."""
