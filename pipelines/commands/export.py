@@ -15,8 +15,8 @@ from pipelines.recording.export.table_files import CsvExport, MatExport
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.part_files import read_recording
 from pipelines.recording.recording_file import Outputs
+from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import say
 
 #: The bar moves after this many messages.
 _STEP = 500

@@ -22,10 +22,10 @@ from pipelines.media.sending import (
     open_sound,
 )
 from pipelines.partner.coded_sources import CodedSources
-from pipelines.partner.connection_report import ReceivedKind
 from pipelines.partner.decisions import LEAST_BPS
 from pipelines.partner.description import Kind
 from pipelines.partner.media import PictureCame, SoundCame
+from pipelines.partner.peer import ReceivedKind
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
 from pipelines.recording.received_media import TimeLine

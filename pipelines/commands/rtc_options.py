@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.partner.ice_servers import IceServer, IceServers, timed_credentials
+from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options, refuse_options
-from pipelines.session.output import say
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.served_pages import ServerWish, base_url, bound_server, served, write_private
 from pipelines.session.setup.table import Setup

@@ -6,13 +6,11 @@ from collections.abc import AsyncIterator, Callable
 
 from kontur_av.clock import Clock
 from pipelines.commands.rtc_options import ice_servers_of, token_of
-from pipelines.partner.connection_report import RtcConnection, connection_report
 from pipelines.partner.ice_servers import IceServers
-from pipelines.partner.peer import RtcPeer
+from pipelines.partner.peer import RtcConnection, RtcPeer, connection_report
 from pipelines.partner.whip import Keeper
-from pipelines.session.children import stopped_by_signals
+from pipelines.session.command_process import say, stopped_by_signals
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import say
 
 _LOOK_S = 0.2
 

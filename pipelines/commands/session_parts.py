@@ -9,7 +9,7 @@ from kontur_av.errors import ConfigError
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.live_session import made_directory
 from pipelines.mission.mission import TaskWish
-from pipelines.session.addresses import split_address
+from pipelines.session.datagrams import split_address
 from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.options import asked_setup
 from pipelines.session.setup.table import RtcLeg, Setup

@@ -15,8 +15,8 @@ from pipelines.files.desk import RATES_BPS
 from pipelines.files.process_files import FilesPlan
 from pipelines.files.service_sockets import ALLOW, LISTEN, bound_services, services_wish
 from pipelines.packets.process_packets import add_packets_arguments, checked_packets, parse_frames
+from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import say
 from pipelines.session.page_sockets import PageListener, listeners
 from pipelines.session.served_pages import (
     ServerWish,

@@ -9,7 +9,7 @@ from kontur_av.errors import ConfigError
 from pipelines.recording.replay_setup import load_replay
 from pipelines.report.model import CodingCosts, SessionReport
 from pipelines.report.report_file import check_writable, end_report
-from pipelines.session.children import stopped_by_signals
+from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.options import (
     add_coding_arguments,

@@ -29,6 +29,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.live import LiveView
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
+from pipelines.session.command_process import say
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import (
@@ -38,7 +39,6 @@ from pipelines.session.options import (
     add_setup_argument,
     add_source_argument,
 )
-from pipelines.session.output import say
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
 from pipelines.session.terminals import write_wish

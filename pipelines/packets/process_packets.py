@@ -29,11 +29,18 @@ from pipelines.packets.bridge import (
     PeerQueue,
     allowed_commands,
 )
-from pipelines.session.addresses import bound_socket, resolve
-from pipelines.session.datagrams import LOOPBACK, Address, Outlet, is_loopback, outlet
+from pipelines.session.command_process import say
+from pipelines.session.datagrams import (
+    LOOPBACK,
+    Address,
+    Outlet,
+    bound_socket,
+    is_loopback,
+    outlet,
+    resolve,
+)
 from pipelines.session.figures import SampleNumbers
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import say
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.segments import Direction
 from pipelines.session.topology import (

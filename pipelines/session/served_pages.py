@@ -16,9 +16,9 @@ from socket import socket
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
 from pipelines.session.access import Role
-from pipelines.session.addresses import resolve
+from pipelines.session.command_process import say
+from pipelines.session.datagrams import resolve
 from pipelines.session.option_rows import add_options, refuse_options
-from pipelines.session.output import say
 from pipelines.session.page_sockets import (
     PageHost,
     PageListener,

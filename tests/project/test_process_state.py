@@ -56,7 +56,7 @@ ALLOWED = {
     # For the time of an import whose warnings are not ours.
     "kontur_av/codecs/libopus.py": {"_import_with"},
     "kontur_av/streams/encoding_thread.py": {"switch_threads_often"},
-    "pipelines/session/children.py": {"handled"},
+    "pipelines/session/command_process.py": {"handled"},
     "pipelines/session/machine_checks.py": {"take_descriptors"},
     # For the time of a connection, whose warnings are told in one line of ours.
     "pipelines/virtual/campaign/sessions.py": {"_connected"},

@@ -55,7 +55,7 @@ from pipelines.bench.video.marks import MARK_ROWS, NUMBERS, check_width, read_al
 from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json, headline_tables
-from pipelines.session.children import ended_alike
+from pipelines.session.command_process import ended_alike
 
 FPS = 30
 

@@ -35,7 +35,7 @@ from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
 from pipelines.report.model import SessionReport, from_json
 from pipelines.report.report_file import write_report
-from pipelines.session.children import end_all
+from pipelines.session.command_process import end_all
 from pipelines.session.option_rows import add_options
 from pipelines.virtual.campaign.figures import Crash, Result, SessionTask
 from pipelines.virtual.media import check_virtual_sources

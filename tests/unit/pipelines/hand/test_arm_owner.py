@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from pipelines.hand.arm_owner import ArmState, OwnerDesk
+from pipelines.hand.hand_topics import ArmState, OwnerDesk
 from telepresence.haptics.ownership import HapticOwnership, Owner
 
 
