@@ -7,13 +7,19 @@ import time
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import check_options
-from pipelines.commands.rtc_media import add_sending_arguments, coded_sources, sends_of
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_redirect_argument,
     add_token_arguments,
 )
-from pipelines.commands.rtc_running import add_run_arguments, keep, keeper_of
+from pipelines.commands.rtc_running import (
+    add_run_arguments,
+    add_sending_arguments,
+    coded_sources,
+    keep,
+    keeper_of,
+    sends_of,
+)
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcCommandReport, RtcPeer
 from pipelines.report.report_file import end_with

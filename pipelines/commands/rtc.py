@@ -12,20 +12,21 @@ from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
-from pipelines.commands.rtc_media import (
-    PartnerOutput,
-    add_output_arguments,
-    add_sending_arguments,
-    coded_sources,
-    sends_of,
-)
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_token_arguments,
     ice_servers_of,
     token_of,
 )
-from pipelines.commands.rtc_running import add_run_arguments, driven
+from pipelines.commands.rtc_running import (
+    PartnerOutput,
+    add_output_arguments,
+    add_run_arguments,
+    add_sending_arguments,
+    coded_sources,
+    driven,
+    sends_of,
+)
 from pipelines.partner.peer import Programme, RtcCommandReport, connection_report
 from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with

@@ -4,17 +4,19 @@ import argparse
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
 from kontur_av.errors import ConfigError, refused
 from kontur_av.topics.session_files import session_root
-from pipelines.commands.rtc_options import add_rtc_arguments, announced_rtc, bound_rtc
+from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of
 from pipelines.files.desk import RATES_BPS
 from pipelines.files.process_files import FilesPlan
 from pipelines.files.service_sockets import ALLOW, LISTEN, bound_services, services_wish
 from pipelines.packets.process_packets import add_packets_arguments, checked_packets, parse_frames
+from pipelines.partner.ice_servers import IceServers
 from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
 from pipelines.session.page_sockets import PageListener, listeners
@@ -22,12 +24,14 @@ from pipelines.session.served_pages import (
     ServerWish,
     add_page_arguments,
     announced_pages,
+    base_url,
     bound_pages,
     bound_server,
     parse_page,
     served,
     write_private,
 )
+from pipelines.session.setup.table import Setup
 from pipelines.session.topology import (
     FILES,
     FOXGLOVE,
@@ -41,12 +45,84 @@ from pipelines.session.topology import (
     Topology,
 )
 from telepresence.haptics.device.spec import ROS2_HAND
+from telepresence.private_file import read_secret
 
-_FOXGLOVE_PORT, _METRICS_PORT, _ROS2_PORT = "8765", "9270", "7447"
+_FOXGLOVE_PORT, _METRICS_PORT, _ROS2_PORT, _RTC_PORT = "8765", "9270", "7447", "8290"
 _MOST_DOMAIN = 232
 _FILES_RATES = ",".join(f"{RATES_BPS[one] / 1000:g}" for one in (Segment.GROUND, Segment.SPACE))
 #: By process: its listener, and what else its function takes.
 _Opened = tuple[Mapping[str, PageListener], Mapping[str, Mapping[str, object]]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RtcWish:
+    """The leg as the options ask for it. token: "" for a new one. servers: of each connection."""
+
+    server: ServerWish
+    token: str
+    servers: Callable[[], IceServers]
+
+
+def add_rtc_arguments(parser: argparse.ArgumentParser) -> None:
+    add_options(
+        parser,
+        f"--rtc [HOST:]PORT <?={_RTC_PORT}>  serve a partner across the Internet by WebRTC: it "
+        "sees and hears both sides, and is seen and heard at the ground (default "
+        f"127.0.0.1:{_RTC_PORT}); TLS beyond loopback",
+        "--rtc-token-file FILE <Path>  the partner's token (default: a new one for each session)",
+    )
+    add_ice_arguments(parser)
+
+
+def bound_rtc(
+    args: argparse.Namespace, setup: Setup, segments: tuple[Segment, ...]
+) -> RtcWish | None:
+    """Bind what the options ask for; None without a leg on this machine.
+
+    ConfigError for options that cannot work, and for an address that cannot be had.
+    """
+    servers = ice_servers_of(args)
+    if setup.rtc is None or Segment.GROUND not in segments:
+        given = (args.rtc, args.rtc_token_file, args.ice_server)
+        if any(one is not None for one in given):
+            why = "give --rtc, too" if setup.rtc is None else "the leg is at the ground's end"
+            raise ConfigError(f"--rtc-token-file and --ice-server belong to a partner: {why}")
+        return None
+    token = ""
+    if args.rtc_token_file is not None:
+        token = read_secret(args.rtc_token_file, "--rtc-token-file")
+    server = bound_server(args.rtc or _RTC_PORT, RTC, "--rtc", args.page_cert)
+    return RtcWish(server=server, token=token, servers=servers)
+
+
+@contextmanager
+def announced_rtc(
+    wish: RtcWish | None, session: str, *, quiet: bool
+) -> Iterator[Mapping[str, PageListener]]:
+    """Make token and certificate, print the addresses, and yield the listener by process.
+
+    They are also in `rtc.json` in the session's directory, for programs of this user.
+    """
+    if wish is None:
+        yield {}
+        return
+    root = session_root(session)
+    with served(wish.server, root, "rtc") as (found, made):
+        listener = found[RTC]
+        if wish.token:
+            listener = replace(listener, operator_token=wish.token)
+        told = {
+            "page": listener.url(RTC),
+            "base": base_url(listener, RTC),
+            "token": listener.operator_token,
+        }
+        write_private(root / "rtc.json", json.dumps(told, indent=1) + "\n")
+        if not quiet:
+            lines = [f"partner {told['page']}"]
+            if made:
+                lines.append(f"its certificate was made for this session: {made}")
+            say("\n".join(lines))
+        yield {RTC: listener}
 
 
 def add_outlet_arguments(parser: argparse.ArgumentParser) -> None:

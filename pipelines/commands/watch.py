@@ -7,13 +7,18 @@ from contextlib import closing
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
-from pipelines.commands.rtc_media import PartnerOutput, add_output_arguments
 from pipelines.commands.rtc_options import (
     add_ice_arguments,
     add_redirect_argument,
     add_token_arguments,
 )
-from pipelines.commands.rtc_running import add_run_arguments, keep, keeper_of
+from pipelines.commands.rtc_running import (
+    PartnerOutput,
+    add_output_arguments,
+    add_run_arguments,
+    keep,
+    keeper_of,
+)
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcCommandReport, RtcPeer
 from pipelines.report.report_file import end_with
