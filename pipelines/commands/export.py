@@ -13,7 +13,7 @@ from pipelines.recording.export.films import MatroskaExport
 from pipelines.recording.export.lerobot import LeRobotExport
 from pipelines.recording.export.table_files import CsvExport, MatExport
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
-from pipelines.recording.part_files import read_recording
+from pipelines.recording.recorded_parts import read_recording
 from pipelines.recording.recording_file import Outputs
 from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options

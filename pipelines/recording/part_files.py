@@ -1,4 +1,4 @@
-"""The files of a recording's parts: written in one thread, flushed in another; read as one.
+"""The files of a recording's parts: written in one thread, handed to the disk in another. A shell.
 
 So neither a slow disk nor a full one holds up the reader of the topics.
 """
@@ -7,7 +7,6 @@ import fcntl
 import glob
 import os
 import shutil
-import sys
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -19,7 +18,6 @@ from typing import TYPE_CHECKING
 from kontur_av.errors import ConfigError, ProtocolError, refused
 from kontur_av.sources.spec import played_file
 from pipelines.recording.facts import RecordingFacts
-from pipelines.recording.joined import JoinedRecording, Part, chosen_parts, read_part
 from pipelines.recording.recording_file import check_new, octets_of_file
 from pipelines.recording.scan import first_facts
 from pipelines.session.setup.table import Setup
@@ -261,29 +259,3 @@ def _write_all(file: int, octets: bytes) -> None:
     left = memoryview(octets)
     while left:
         left = left[os.write(file, left) :]
-
-
-def read_recording(first: Path) -> tuple[list[Path], JoinedRecording]:
-    """Return the parts of a recording, and what is in them.
-
-    A file that has the name of a part but cannot be read, or is not of this recording, is left out
-    with a line; so is a part that is missing. Raises ConfigError if no file can be read.
-    """
-    paths = {1: first} | present_parts(first)
-    found: dict[int, Part] = {}
-    faults: dict[int, str] = {}
-    for number, path in paths.items():
-        try:
-            with refused(path, ProtocolError):
-                found[number] = read_part(octets_of_file(path))
-        except ConfigError as error:
-            faults[number] = f"{error}; it is left out"
-    if not found:
-        raise ConfigError(faults[1].removesuffix("; it is left out"))
-    parts, left_out = chosen_parts(found)
-    faults |= {number: f"{paths[number]} is left out: {why}" for number, why in left_out.items()}
-    for number in {*range(min(parts), max(parts))} - {*paths}:
-        faults[number] = f"{part_path(first, number)} is missing"
-    for _, fault in sorted(faults.items()):
-        print(f"kontur-av: {fault}", file=sys.stderr)
-    return [paths[number] for number in parts], JoinedRecording(parts=[*parts.values()])

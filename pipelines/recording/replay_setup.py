@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from kontur_av.errors import ConfigError, ProtocolError, refused
-from pipelines.recording.part_files import read_recording
+from pipelines.recording.recorded_parts import read_recording
 from pipelines.recording.recorded_session import (
     RecordedSession,
     SentUnit,

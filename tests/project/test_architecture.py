@@ -192,6 +192,7 @@ USERS_OF_SHELLS = {
     "pipelines/mission/tmtc_socket.py": "a Unix socket",
     "pipelines/recording/camera_reader.py": "a topic",
     "pipelines/recording/received_media.py": "decodes in real time, into files",
+    "pipelines/recording/recorded_parts.py": "files",
     "pipelines/recording/replay_setup.py": "the files of recordings and setups",
 }
 

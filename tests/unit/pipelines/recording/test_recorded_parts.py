@@ -10,7 +10,8 @@ from recordings import FACTS_OF_A_TEST, LIBRARY, channel
 from kontur_av.errors import ConfigError
 from pipelines.recording.facts import FACTS
 from pipelines.recording.mcap_stream import McapStream
-from pipelines.recording.part_files import check_recordable, clear_parts, part_path, read_recording
+from pipelines.recording.part_files import check_recordable, clear_parts, part_path
+from pipelines.recording.recorded_parts import read_recording
 
 PART_NS = 10**9
 ROWS = 5
