@@ -20,7 +20,7 @@ from benchmarks.page.session import PAGES, session_run
 from benchmarks.page.views import CONTENDERS, measured
 from benchmarks.page.voice import voice_run
 from kontur_av.errors import ConfigError
-from pipelines.bench.video.marks import NUMBERS
+from pipelines.bench.course.marks import NUMBERS
 from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, spread

@@ -7,7 +7,7 @@ import av
 import numpy as np
 
 from kontur_av.media import I420, NEUTRAL_CHROMA
-from pipelines.bench.video.marks import MARK_ROWS, NUMBERS, draw_number
+from pipelines.bench.course.marks import MARK_ROWS, NUMBERS, draw_number
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 RATE_BPS = 512_000

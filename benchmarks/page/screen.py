@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.bench.video.marks import SQUARES, read_number
+from pipelines.bench.course.marks import SQUARES, read_number
 from pipelines.session.command_process import end_all
 
-#: Side of a square of `pipelines.bench.video.marks`, in pixels of the picture.
+#: Side of a square of `pipelines.bench.course.marks`, in pixels of the picture.
 _SIDE = 16
 #: Between two looks at the screen. A number is dated at most this much too late.
 _LOOK_NS = NS_PER_MS // 4

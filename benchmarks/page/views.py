@@ -16,7 +16,7 @@ from benchmarks.page.footage import FPS
 from benchmarks.page.screen import Spot, VirtualScreen, watch
 from benchmarks.page.webrtc import serve_webrtc
 from kontur_av.clock import NS_PER_MS
-from pipelines.bench.video.marks import NUMBERS
+from pipelines.bench.course.marks import NUMBERS
 from pipelines.report.result import spread
 from pipelines.session.topology import Segment
 

@@ -30,7 +30,7 @@ from benchmarks.rtc.pixel import SPARE_S, pixel_run
 from benchmarks.rtc.reception import reception_run
 from benchmarks.rtc.session import session_run
 from kontur_av.errors import ConfigError
-from pipelines.bench.video.marks import NUMBERS
+from pipelines.bench.course.marks import NUMBERS
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline
 

@@ -24,7 +24,7 @@ from kontur_av.codecs.h264 import H264Decoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import BLOCK_NS, BLOCK_SAMPLES, AccessUnit, CaptureStamp, empty_picture
 from kontur_av.streams.voice_player import VoicePlayer
-from pipelines.bench.video.marks import MARK_ROWS, levels, read_number
+from pipelines.bench.course.marks import MARK_ROWS, levels, read_number
 from pipelines.partner.description import Kind
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.partner.peer import Programme, RtcPeer

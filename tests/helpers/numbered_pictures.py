@@ -9,7 +9,7 @@ import numpy as np
 from browser import luma
 
 from kontur_av.media import planes
-from pipelines.bench.video import marks
+from pipelines.bench.course import marks
 
 WIDTH, HEIGHT, FPS = 640, 480, 15
 _HEADER = b"YUV4MPEG2 W%d H%d F%d:1 Ip A1:1 C420jpeg\n" % (WIDTH, HEIGHT, FPS)

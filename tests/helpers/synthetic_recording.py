@@ -16,7 +16,7 @@ from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.h264 import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, CaptureStamp, VideoFrame
-from pipelines.bench.video import marks
+from pipelines.bench.course import marks
 from pipelines.hand.haptic_trace import flags_of
 from pipelines.recording.channels import channels_of
 from pipelines.recording.facts import FACTS, LIBRARY, RecordingFacts

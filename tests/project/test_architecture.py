@@ -66,7 +66,7 @@ SHELLS = {
     "pipelines/bench/session.py": "runs commands",
     "pipelines/bench/video/clips.py": "shared memory",
     "pipelines/bench/video/contenders.py": "runs commands",
-    "pipelines/bench/video/ends.py": "processes, FIFOs and sockets",
+    "pipelines/bench/course/ends.py": "processes, FIFOs and sockets",
     "pipelines/bench/video/command.py": "sockets, and sleep",
     "pipelines/virtual/campaign/sessions.py": "processes, a cluster, and asks for the time",
     "pipelines/cli.py": "the command itself",

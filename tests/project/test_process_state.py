@@ -61,7 +61,7 @@ ALLOWED = {
     # For the time of a connection, whose warnings are told in one line of ours.
     "pipelines/virtual/campaign/sessions.py": {"_connected"},
     "pipelines/bench/video/command.py": {"run"},
-    "pipelines/bench/video/ends.py": {"_become"},
+    "pipelines/bench/course/ends.py": {"_become"},
     # The command itself, in a process of its own.
     "pipelines/cli.py": {"_loaded", "_apart"},
     "pipelines/partner/whip.py": {"_relay"},

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from pipelines.bench import session
-from pipelines.bench.video.ends import End
+from pipelines.bench.course.ends import End
 from pipelines.session.command_process import end_all, ended_alike
 
 

@@ -12,7 +12,7 @@ from benchmarks.page.footage import coded
 from kontur_av.codecs.h264 import H264Decoder
 from kontur_av.rtp.rate_feedback import rate_message
 from kontur_av.rtp.wire import RTCP_PSFB_PLI, RtcpPsfbPacket
-from pipelines.bench.video.marks import levels, read_number
+from pipelines.bench.course.marks import levels, read_number
 
 pytestmark = pytest.mark.realtime
 

@@ -31,9 +31,10 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
+from pipelines.bench.course.ends import Carried, Filmed, Watched, carry, film_to, watch
+from pipelines.bench.course.marks import MARK_ROWS, NUMBERS, check_width, read_all, read_number
 from pipelines.bench.video.clips import SCENE, Clip, film, led_in, scene, shared_array
 from pipelines.bench.video.contenders import KONTUR_AV, Contender, ContenderError, Course
-from pipelines.bench.video.ends import Carried, Filmed, Watched, carry, film_to, watch
 from pipelines.bench.video.figures import (
     ALONE,
     OURS,
@@ -51,7 +52,6 @@ from pipelines.bench.video.figures import (
     ssim,
     summarise,
 )
-from pipelines.bench.video.marks import MARK_ROWS, NUMBERS, check_width, read_all, read_number
 from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json, headline_tables

@@ -10,8 +10,16 @@ from hypothesis import strategies as st
 
 from kontur_av.codecs.h264 import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, planes
+from pipelines.bench.course.ends import ThinChannel, muxed_payload_octets, rtp_payload_octets
+from pipelines.bench.course.marks import (
+    NUMBERS,
+    SQUARES,
+    draw_number,
+    levels,
+    read_all,
+    read_number,
+)
 from pipelines.bench.video.clips import Clip, crop_size, film, led_in, mirrored, scene
-from pipelines.bench.video.ends import ThinChannel, muxed_payload_octets, rtp_payload_octets
 from pipelines.bench.video.figures import (
     BEST_DB,
     largest_bps,
@@ -22,14 +30,6 @@ from pipelines.bench.video.figures import (
     shown,
     ssim,
     summarise,
-)
-from pipelines.bench.video.marks import (
-    NUMBERS,
-    SQUARES,
-    draw_number,
-    levels,
-    read_all,
-    read_number,
 )
 from pipelines.cli import main
 

@@ -15,7 +15,7 @@ from synthetic_recording import (
 )
 
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
-from pipelines.bench.video import marks
+from pipelines.bench.course import marks
 from pipelines.cli import main
 from pipelines.recording.export.films import FilmClock, FilmUnits
 from pipelines.recording.joined import JoinedMessage

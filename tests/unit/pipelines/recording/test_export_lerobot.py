@@ -10,7 +10,7 @@ from synthetic_recording import BEGIN_NS, HEIGHT, LINK_CYCLES, MS, WIDTH, S, pac
 
 from kontur_av.codecs.h264 import H264Decoder
 from kontur_av.media import empty_picture
-from pipelines.bench.video import marks
+from pipelines.bench.course import marks
 from pipelines.cli import main
 from pipelines.recording.export.tables import Run, TaskRuns, place_pictures, row_instants
 from pipelines.recording.joined import JoinedMessage

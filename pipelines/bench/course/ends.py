@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.sources.pipe import PIPE_OCTETS
 from kontur_av.sources.y4m import Y4mPicture, Y4mReader
+from pipelines.bench.course.marks import SQUARES, draw_number, levels
 from pipelines.bench.video.clips import Clip
-from pipelines.bench.video.marks import SQUARES, draw_number, levels
 
 
 class Departure(NamedTuple):

@@ -1,0 +1,1 @@
+"""The course of `bench video`: camera, thin channel and screen around what is measured."""
