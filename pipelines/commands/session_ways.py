@@ -140,11 +140,6 @@ def add_outlet_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(option, metavar="[HOST:]PORT", nargs="?", const=port, help=text)
 
 
-def bound_foxglove(args: argparse.Namespace) -> ServerWish | None:
-    """Bind what the option asks for; ConfigError if that cannot be."""
-    return None if args.foxglove is None else bound_server(args.foxglove, FOXGLOVE, "--foxglove")
-
-
 @contextmanager
 def announced_foxglove(
     wish: ServerWish | None, session: str, *, quiet: bool
@@ -276,7 +271,9 @@ class SessionWays:
         self._pages = bound_pages(args, segments)
         self._rtc = bound_rtc(args, topology.setup, segments)
         self._metrics = bound_metrics(args)
-        self._foxglove = bound_foxglove(args)
+        self._foxglove = None
+        if args.foxglove is not None:
+            self._foxglove = bound_server(args.foxglove, FOXGLOVE, "--foxglove")
 
     @contextmanager
     def opened(self, session: str) -> Iterator[_Opened]:

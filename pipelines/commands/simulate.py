@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.seconds is not None and not 0 < args.seconds < 1e6:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0 and below 1000000")
-    costs = costs_of(args)
+    costs = CodingCosts(**{cost.name: getattr(args, cost.name) for cost in fields(CodingCosts)})
     check_writable(args.report)
     report = _simulate(args, costs) if args.replay is None else _replay(args, costs)
     return end_report(report, args.report, quiet=args.quiet)
@@ -162,7 +162,3 @@ def _named(args: argparse.Namespace, option: str) -> bool:
             f"--{option} {spec}: lives in real time; a simulation takes sim or module:Class"
         )
     return spec is not None
-
-
-def costs_of(args: argparse.Namespace) -> CodingCosts:
-    return CodingCosts(**{cost.name: getattr(args, cost.name) for cost in fields(CodingCosts)})
