@@ -25,7 +25,7 @@ from pipelines.media.figures import (
     StereoFigures,
 )
 from pipelines.mission.figures import ComponentFigures, TaskFigures, TmtcFigures
-from pipelines.packets.figures import FrameFigures, PacketsFigures
+from pipelines.packets.bridge import FrameFigures, PacketsFigures
 from pipelines.partner.figures import RtcFigures
 from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.model import keys_of

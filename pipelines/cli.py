@@ -14,9 +14,9 @@ from types import FrameType
 
 from kontur_av import __version__
 from kontur_av.errors import ConfigError
-from pipelines.session.children import handled
-from pipelines.session.output import (
+from pipelines.session.command_process import (
     discard_output,
+    handled,
     keep_words_apart,
     prepare_output,
     reader_gone,

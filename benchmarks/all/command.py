@@ -15,7 +15,7 @@ from benchmarks.all.records import path_of, read_record, read_records, write_rec
 from benchmarks.all.run import measure
 from kontur_av.errors import ConfigError
 from pipelines.report.report_file import TableConsole, check_writable, open_console, write_text
-from pipelines.virtual.campaign.places import PACKAGES, code_digest
+from pipelines.virtual.campaign.sessions import PACKAGES, code_digest
 
 _DEFAULT_FOLDER = Path("measurements")
 

@@ -11,7 +11,7 @@ import msgspec
 from benchmarks.all.plan import Measurement
 from benchmarks.all.records import Record, Report
 from benchmarks.machine import this_machine
-from pipelines.session.children import end_all, ended_alike
+from pipelines.session.command_process import end_all, ended_alike
 
 
 def words_of(command: str) -> list[str]:

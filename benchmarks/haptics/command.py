@@ -20,8 +20,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.parts import find_part
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json
-from pipelines.virtual.campaign.places import add_place_arguments, cluster_of, jobs_of
-from pipelines.virtual.campaign.sessions import Progress
+from pipelines.virtual.campaign.sessions import Progress, add_place_arguments, cluster_of, jobs_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

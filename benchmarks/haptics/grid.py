@@ -12,7 +12,7 @@ from benchmarks.haptics.run import run_cell
 from benchmarks.haptics.traces import write_trace
 from kontur_av.errors import ConfigError
 from pipelines.virtual.campaign.figures import Crash
-from pipelines.virtual.campaign.places import Cluster
+from pipelines.virtual.campaign.sessions import Cluster
 
 
 def run_grid(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.bench.course.marks import SQUARES, read_number
-from pipelines.session.children import end_all
+from pipelines.session.command_process import end_all
 
 #: Side of a square of `pipelines.bench.course.marks`, in pixels of the picture.
 _SIDE = 16

@@ -15,7 +15,7 @@ from benchmarks.page.browser import Browser
 from benchmarks.page.figures import SessionRun
 from benchmarks.page.watcher import watch_seat
 from kontur_av.topics.session_files import session_root
-from pipelines.session.children import end_all
+from pipelines.session.command_process import end_all
 
 #: For a session to begin or to end, and for a page to show a picture.
 PATIENCE_S = 60.0

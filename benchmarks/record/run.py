@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.record.figures import Kill, kill_of, scan_part
 from kontur_av.errors import ConfigError
 from pipelines.recording.part_files import part_path
-from pipelines.session.children import end_all, ended_alike
+from pipelines.session.command_process import end_all, ended_alike
 
 #: A session for so many kills at most, so that none becomes too long.
 _KILLS_A_SESSION = 20

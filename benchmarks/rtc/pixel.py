@@ -20,7 +20,7 @@ from benchmarks.page.views import numbers, wait_for
 from benchmarks.rtc.figures import PixelRun
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from pipelines.report.result import spread
-from pipelines.session.children import end_all
+from pipelines.session.command_process import end_all
 
 _VIDEO = "video[data-programme=main]"
 _SCREEN = 820, 1000

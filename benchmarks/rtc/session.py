@@ -16,7 +16,7 @@ from benchmarks.rtc.figures import CUT, FULL, IDLE, NO_LEG, SessionRun
 from benchmarks.rtc.network import HOST, Network
 from benchmarks.rtc.partner import write_units
 from kontur_av.topics.session_files import session_root
-from pipelines.session.children import end_all
+from pipelines.session.command_process import end_all
 
 _PERCENTILES = ("p50", "p99")
 

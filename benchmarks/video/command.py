@@ -37,7 +37,7 @@ from benchmarks.video.targets import NARROW, STRANGE, WIDE
 from benchmarks.video.vmaf import vmaf, vmaf_program
 from kontur_av.errors import ConfigError
 from pipelines.bench.video.clips import Clip
-from pipelines.bench.video.command import FPS, check_options
+from pipelines.bench.video.command import FPS, Trial, TrialTerms, check_options, measure
 from pipelines.bench.video.contenders import Contender, ContenderError
 from pipelines.bench.video.figures import (
     VideoVerdict,
@@ -45,7 +45,6 @@ from pipelines.bench.video.figures import (
     judge,
     notes,
 )
-from pipelines.bench.video.run import Trial, TrialTerms, measure
 from pipelines.report.charts import distributions, save
 from pipelines.report.report_file import open_console, write_result
 from pipelines.report.result import Headline, Json, as_json, headline_tables

@@ -21,7 +21,7 @@ from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
 from kontur_av.modular import signed
 from kontur_av.sources.source import BLOCK_NS
 from pipelines.bench.video.contenders import open_udp_ports
-from pipelines.session.children import ended_alike
+from pipelines.session.command_process import ended_alike
 
 _LOOPBACK = "127.0.0.1"
 _HEADER_OCTETS = 12

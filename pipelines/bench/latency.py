@@ -35,8 +35,7 @@ from pipelines.session.options import (
     add_setup_argument,
     radio_change,
 )
-from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.setup.table import Setup
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.simulate import simulate

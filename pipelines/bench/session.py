@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 from kontur_av.errors import ConfigError
 from pipelines.report.model import SessionReport, from_json
-from pipelines.session.children import end_all, ended_alike
+from pipelines.session.command_process import end_all, ended_alike
 
 #: How much longer than the session the command may take to start and to end.
 _PATIENCE_S = 60

@@ -2,14 +2,11 @@
 
 import argparse
 
-from pipelines.session.addresses import parse_address
-from pipelines.session.children import stopped_by_signals
-from pipelines.session.datagrams import LOOPBACK
+from pipelines.session.command_process import say, stopped_by_signals
+from pipelines.session.datagrams import LOOPBACK, parse_address
 from pipelines.session.option_rows import add_actions
-from pipelines.session.output import say
 from pipelines.upkeep.desk import DiskStore
-from pipelines.upkeep.ftp import check_ftp_url, serve_ftp
-from pipelines.upkeep.loader_keeper import LoaderKeeper, list_lines
+from pipelines.upkeep.loader_keeper import LoaderKeeper, check_ftp_url, list_lines, serve_ftp
 from telepresence.upkeep.app_loader import BootDevice, Copy
 from telepresence.upkeep.file_store import read_folder, replace_file
 from telepresence.upkeep.manifest import SFV, sfv_text

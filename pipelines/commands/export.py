@@ -8,16 +8,15 @@ from rich.console import Console
 from rich.progress import Progress
 
 from kontur_av.errors import ConfigError
-from pipelines.recording.export import lerobot, mat_file
-from pipelines.recording.export.csv_files import CsvExport
+from pipelines.recording.export import lerobot, table_files
 from pipelines.recording.export.films import MatroskaExport
 from pipelines.recording.export.lerobot import LeRobotExport
-from pipelines.recording.export.mat_file import MatExport
+from pipelines.recording.export.table_files import CsvExport, MatExport
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.recorded_parts import read_recording
 from pipelines.recording.recording_file import Outputs
+from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import say
 
 #: The bar moves after this many messages.
 _STEP = 500
@@ -47,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     if args.fps is not None and args.lerobot is None:
         raise ConfigError("--fps is the rate of --lerobot: give --lerobot DIR, too")
     if args.mat is not None:
-        mat_file.check_packages()
+        table_files.check_packages()
     if args.lerobot is not None:
         lerobot.check_packages()
     paths, recording = read_recording(args.file)

@@ -16,9 +16,8 @@ from pipelines.commands.check_results import (
 from pipelines.commands.common import say_unprotected
 from pipelines.hand.driver_checks import JoystickCheck, run_live, run_virtually
 from pipelines.report.report_file import check_writable, words_console, write_report
-from pipelines.session.children import stopped_by_signals
+from pipelines.session.command_process import output_that_may_fail, stopped_by_signals
 from pipelines.session.option_rows import add_actions
-from pipelines.session.output import output_that_may_fail
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench
 from telepresence.haptics.device.gamepad import find_gamepads

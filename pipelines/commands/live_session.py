@@ -20,7 +20,7 @@ from pipelines.session.kept_files import NotesReader, SessionNow, write_now
 from pipelines.session.launcher import Launcher
 from pipelines.session.option_rows import add_options
 from pipelines.session.topology import Segment
-from pipelines.upkeep.program import status_teller
+from pipelines.upkeep.desk import status_teller
 from telepresence.upkeep.version_stack import status_of
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
 from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import say
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import running_sessions
 from pipelines.upkeep.sequence import MaintenanceSequence, StepOutcome

@@ -6,7 +6,7 @@ import time
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
-from pipelines.hand.arm_owner import DESK, OWNERS, OwnerAnswer, OwnerRequest
+from pipelines.hand.hand_topics import ARM_DESK, OWNERS, OwnerAnswer, OwnerRequest
 from pipelines.session.option_rows import add_options
 from pipelines.session.terminals import ask_desk, running_sessions
 
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 once the wanted owner drives; 1 without an answer, or if the robot does not rest."""
-    running = running_sessions(DESK)
+    running = running_sessions(ARM_DESK)
     session = acting_on(args.session, running, moves=bool(args.owner)) if running else None
     answer = _ask(args.owner, session)
     end_s = time.monotonic() + _PATIENCE_S
@@ -54,5 +54,5 @@ def state_words(answer: OwnerAnswer) -> str:
 
 
 def _ask(owner: str, session: str | None) -> OwnerAnswer:
-    answer = ask_desk(DESK, OwnerRequest(owner=owner), OwnerAnswer, session, missing=_MISSING)
+    answer = ask_desk(ARM_DESK, OwnerRequest(owner=owner), OwnerAnswer, session, missing=_MISSING)
     return answer or OwnerAnswer(ok=False, error="the session has ended before it answered")

@@ -8,7 +8,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on, check_options
 from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_recordable
-from pipelines.session.children import stopped_by_signals
+from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.terminal_lines import RecordingWish

@@ -6,8 +6,8 @@ from pathlib import Path
 from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.recording.recording_file import check_new, octets_of_file, write_whole
 from pipelines.recording.scan import Recovery
+from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

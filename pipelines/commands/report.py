@@ -11,8 +11,8 @@ from pipelines.report.join import join_reports
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.report_file import write_text
 from pipelines.report.summary import print_summary
+from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import print_data
 from pipelines.session.setup.setup_file import setup_from_text
 from pipelines.table import topology_of
 

@@ -18,15 +18,20 @@ from pipelines.commands.rtc_options import (
     ice_servers_of,
     token_of,
 )
-from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
-from pipelines.commands.rtc_running import add_run_arguments, driven
-from pipelines.commands.rtc_sources import add_sending_arguments, coded_sources, sends_of
-from pipelines.partner.connection_report import RtcCommandReport, connection_report
-from pipelines.partner.peer import Programme
+from pipelines.commands.rtc_running import (
+    PartnerOutput,
+    add_output_arguments,
+    add_run_arguments,
+    add_sending_arguments,
+    coded_sources,
+    driven,
+    sends_of,
+)
+from pipelines.partner.peer import Programme, RtcCommandReport, connection_report
 from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with
+from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_actions
-from pipelines.session.output import say
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.served_pages import base_url, bound_server, served
 

@@ -1,18 +1,40 @@
-"""The common part of the commands that speak WebRTC: how long they run, and what they say."""
+"""What the commands that speak WebRTC send, what becomes of what comes, and how long they run."""
 
 import argparse
 import asyncio
 from collections.abc import AsyncIterator, Callable
 
-from kontur_av.clock import Clock
+from kontur_av.clock import Clock, MonotonicClock
+from kontur_av.codecs.coding import SLOW_REFRESH_S
+from kontur_av.codecs.decoder import DecodedPicture
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder
+from kontur_av.codecs.opus import OpusEncoder
+from kontur_av.errors import ConfigError
+from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp, parse_size
+from kontur_av.meters import Histogram
+from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.commands.rtc_options import ice_servers_of, token_of
-from pipelines.partner.connection_report import RtcConnection, connection_report
+from pipelines.media.rtp_reports import latency_ms
+from pipelines.media.sending import (
+    add_picture_arguments,
+    add_source_arguments,
+    check_alone,
+    open_pictures,
+    open_sound,
+)
+from pipelines.partner.coded_sources import CodedSources
+from pipelines.partner.decisions import LEAST_BPS
+from pipelines.partner.description import Kind
 from pipelines.partner.ice_servers import IceServers
-from pipelines.partner.peer import RtcPeer
+from pipelines.partner.media import PictureCame, SoundCame
+from pipelines.partner.peer import ReceivedKind, RtcConnection, RtcPeer, connection_report
 from pipelines.partner.whip import Keeper
-from pipelines.session.children import stopped_by_signals
+from pipelines.recording.matroska import MatroskaWriter
+from pipelines.recording.raw_pictures import RawPictures
+from pipelines.recording.received_media import TimeLine
+from pipelines.session.command_process import say, stopped_by_signals
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import say
 
 _LOOK_S = 0.2
 
@@ -75,3 +97,163 @@ async def keep(
     keeper.stop()
     await running
     return newest
+
+
+VIDEO_KBPS, VOICE_KBPS = 1500.0, 32.0
+
+
+def add_sending_arguments(parser: argparse.ArgumentParser) -> None:
+    add_source_arguments(parser)
+    add_picture_arguments(parser)
+    add_options(
+        parser,
+        f"--video-kbps K <float={VIDEO_KBPS}>  of the picture, less when the partner can take "
+        f"less (default: {VIDEO_KBPS:g})",
+        f"--voice-kbps K <float={VOICE_KBPS}>  of the voice (default: {VOICE_KBPS:g})",
+    )
+
+
+def sends_of(args: argparse.Namespace) -> dict[Kind, int]:
+    """Return the bit/s of what is sent, by kind. ConfigError for rates that cannot work."""
+    check_alone(args.video)
+    check_alone(args.audio)
+    sends: dict[Kind, int] = {}
+    if args.video is not None:
+        sends["video"] = _bps(args.video_kbps, "--video-kbps", LEAST_BPS, 50_000_000)
+    if args.audio is not None:
+        sends["audio"] = _bps(args.voice_kbps, "--voice-kbps", 6_000, 510_000)
+    return sends
+
+
+def _bps(kbps: float, option: str, least: int, most: int) -> int:
+    bps = round(kbps * 1000)
+    if not least <= bps <= most:
+        raise ConfigError(f"{option} {kbps:g}: take {least / 1000:g} to {most / 1000:g}")
+    return bps
+
+
+def coded_sources(
+    args: argparse.Namespace,
+    clock: MonotonicClock,
+    *,
+    send_unit: Callable[[AccessUnit], None],
+    send_opus: Callable[[bytes, CaptureStamp], None],
+) -> CodedSources:
+    """Begin to code the sources. ConfigError for those that cannot be opened."""
+    sends = sends_of(args)
+    most_bps = sends.get("video", LEAST_BPS)
+    sources = CodedSources(clock, most_bps=most_bps, send_unit=send_unit, send_opus=send_opus)
+    if args.video is not None:
+        width, height = parse_size(args.size)
+        encoder = H264Encoder(
+            width=width, height=height, fps=args.fps, cap_bps=most_bps, refresh_s=SLOW_REFRESH_S
+        )
+        sources.add_pictures(open_pictures(args, clock), encoder)
+    if args.audio is not None:
+        sources.add_sound(open_sound(args, clock), OpusEncoder(bitrate_bps=sends["audio"]))
+    return sources
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    add_options(
+        parser,
+        "--save FILE.mkv  write the picture as it comes",
+        "--save-voice FILE.mka  write the voice as it comes",
+        "--raw",
+    )
+
+
+class PartnerOutput:
+    """Takes the events of a connection. `close` it at the end.
+
+    ConfigError for files that cannot be written.
+    """
+
+    def __init__(self, args: argparse.Namespace, clock: MonotonicClock) -> None:
+        self._clock = clock
+        self._decoder = H264Decoder(reordered=True)
+        self._player = VoicePlayer()
+        self._files: list[MatroskaWriter] = []
+        self._picture_file = self._open(args.save)
+        self._voice_file = self._open(args.save_voice)
+        self._raw = None if args.raw is None else RawPictures(args.raw)
+        # A partner may come again, with other timestamps.
+        self._picture_time, self._voice_time = TimeLine(VIDEO_CLOCK_HZ), TimeLine(AUDIO_CLOCK_HZ)
+        self._picture_ns, self._voice_ns = Histogram(), Histogram()
+        self._pictures = self._blocks = 0
+        #: Width and height of the newest picture; None before the first.
+        self.size: tuple[int, int] | None = None
+
+    def handle(self, event: PictureCame | SoundCame) -> None:
+        if isinstance(event, PictureCame):
+            self._handle_unit(event.unit, event.capture_ns)
+        else:
+            self._handle_block(event)
+
+    def flush(self) -> None:
+        """Write what a slow reader of --raw has not taken. Call it often."""
+        if self._raw is not None and self._raw.pending() is not None:
+            self._raw.handle_writable()
+
+    def close(self) -> None:
+        for file in self._files:
+            file.close()
+        if self._raw is not None:
+            self._raw.close()
+
+    def finish(self) -> list[str]:
+        """Write the rest, close, and say which files could not be written."""
+        for picture in self._decoder.drain():
+            self._show(picture)
+        self.close()
+        faults = [file.fault for file in self._files]
+        if self._raw is not None:
+            faults.append(self._raw.fault)
+        return [fault for fault in faults if fault]
+
+    def pictures(self) -> ReceivedKind:
+        return _kind(self._pictures, self._picture_ns)
+
+    def voice(self) -> ReceivedKind:
+        return _kind(self._blocks, self._voice_ns)
+
+    def _open(self, path: str | None) -> MatroskaWriter | None:
+        if path is None:
+            return None
+        file = MatroskaWriter(path)
+        self._files.append(file)
+        return file
+
+    def _handle_unit(self, unit: ReceivedUnit, capture_ns: int | None) -> None:
+        for picture in self._decoder.decode(unit.data, unit.timestamp):
+            self._show(picture)
+            if capture_ns is not None and picture.timestamp == unit.timestamp:
+                self._picture_ns.add(max(self._clock.now_ns() - capture_ns, 0))
+        if self._picture_file is not None:
+            ticks = self._picture_time.ticks(
+                unit.timestamp, unit.received_ns, follows_all=unit.keyframe
+            )
+            self._picture_file.add_unit(unit.data, ticks, keyframe=unit.keyframe)
+
+    def _show(self, picture: DecodedPicture) -> None:
+        self._pictures += 1
+        self.size = picture.width, picture.height
+        if self._raw is not None:
+            self._raw.handle_picture(picture)
+
+    def _handle_block(self, event: SoundCame) -> None:
+        block = event.block
+        _, decoded = self._player.play(block)
+        if not decoded:
+            return
+        self._blocks += 1
+        if event.capture_ns is not None:
+            self._voice_ns.add(max(block.play_ns - event.capture_ns, 0))
+        if self._voice_file is not None and block.payload is not None and not block.recovered:
+            ticks = self._voice_time.ticks(block.timestamp, block.play_ns, follows_all=True)
+            self._voice_file.add_opus(block.payload, ticks, block.samples)
+
+
+def _kind(decoded: int, latency_ns: Histogram) -> ReceivedKind:
+    latency = latency_ms(latency_ns) if latency_ns.count else None
+    return ReceivedKind(decoded=decoded, latency_ms=latency)

@@ -18,7 +18,7 @@ from pipelines.media.sending import (
     open_feed,
 )
 from pipelines.report.report_file import check_writable, end_with, write_text
-from pipelines.session.addresses import check_reachable, parse_address
+from pipelines.session.datagrams import check_reachable, parse_address
 from pipelines.session.option_rows import add_options
 
 

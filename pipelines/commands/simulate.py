@@ -1,12 +1,15 @@
 """`kontur-av simulate`: a session on virtual time, as fast as the machine goes."""
 
 import argparse
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import fields
 
 from kontur_av.errors import ConfigError
 from pipelines.recording.replay_setup import load_replay
 from pipelines.report.model import CodingCosts, SessionReport
 from pipelines.report.report_file import check_writable, end_report
-from pipelines.session.children import stopped_by_signals
+from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.options import (
     add_coding_arguments,
@@ -18,9 +21,14 @@ from pipelines.session.options import (
     asked_setup,
 )
 from pipelines.virtual.media import check_virtual_sources
-from pipelines.virtual.options import add_virtual_arguments, costs_of, opened_devices
 from pipelines.virtual.session import parse_selections
 from pipelines.virtual.simulate import replay, simulate
+from telepresence.haptics.axes import AxisName
+from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.hand import Hand
+from telepresence.haptics.robot import Robot
+from telepresence.haptics.specs import GAME_CONTROLLER, PAGE, ROS2_HAND, open_device, open_robot
+from telepresence.haptics.udp_line import UDP
 from telepresence.tasks.task_files import load_plan
 
 
@@ -50,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.seconds is not None and not 0 < args.seconds < 1e6:
         raise ConfigError(f"--seconds {args.seconds:g}: give a number above 0 and below 1000000")
-    costs = costs_of(args)
+    costs = CodingCosts(**{cost.name: getattr(args, cost.name) for cost in fields(CodingCosts)})
     check_writable(args.report)
     report = _simulate(args, costs) if args.replay is None else _replay(args, costs)
     return end_report(report, args.report, quiet=args.quiet)
@@ -103,3 +111,53 @@ def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
             recode=str(args.replay) if args.recode else None,
             stopped=stopped,
         )
+
+
+#: Kinds of robots and joysticks whose time is not ours.
+_REAL_TIME = (PAGE, ROS2_HAND, GAME_CONTROLLER, UDP)
+
+
+def add_virtual_arguments(parser: argparse.ArgumentParser) -> None:
+    add_options(
+        parser,
+        "--select T=CAMERA <*>  the operator selects CAMERA at second T; repeatable",
+        "--plan PLAN.toml <Path>  tasks that a simulated cosmonaut does, one after the other "
+        "(docs/tasks.md)",
+        "--robot SPEC  sim, or a simulated robot of your own: module:Class (default: sim)",
+        "--joystick SPEC  sim, sim:FAULT or your own simulated one, with calibration, states and "
+        "faults; without, always in the application",
+        "--no-media  haptics and telecommands alone: much faster",
+    )
+    for cost in fields(CodingCosts):
+        what = cost.name.removesuffix("_ms").replace("_", " ")
+        add_options(
+            parser,
+            f"--{cost.name.replace('_', '-')} MS <float={cost.default}>  virtual time to {what} "
+            f"({cost.default} ms)",
+        )
+
+
+@contextmanager
+def opened_devices(
+    args: argparse.Namespace, axes: Sequence[AxisName]
+) -> Iterator[tuple[Robot | None, JoystickDevice | None]]:
+    """Yield what the options name, with these axes; ConfigError for what lives in real time."""
+    robot: Robot | None = None
+    joystick: JoystickDevice | None = None
+    with ExitStack() as opened:
+        if _named(args, "joystick"):
+            joystick = open_device(args.joystick, hand=Hand(), axes=axes)
+            opened.callback(joystick.close)
+        if _named(args, "robot"):
+            robot = open_robot(args.robot, axes)
+            opened.callback(robot.close)
+        yield robot, joystick
+
+
+def _named(args: argparse.Namespace, option: str) -> bool:
+    spec = getattr(args, option)
+    if spec is not None and spec.partition(":")[0] in _REAL_TIME:
+        raise ConfigError(
+            f"--{option} {spec}: lives in real time; a simulation takes sim or module:Class"
+        )
+    return spec is not None

@@ -15,18 +15,21 @@ from pipelines.commands.live_session import (
 from pipelines.commands.record import add_record_arguments, checked_wish
 from pipelines.commands.session_parts import (
     add_part_arguments,
+    add_task_arguments,
     asked_topology,
     checked_components,
     chosen_setup,
+    task_arguments,
+    task_wish,
 )
 from pipelines.commands.session_ways import SessionWays, add_way_arguments
-from pipelines.commands.task_options import add_task_arguments, task_arguments, task_wish
 from pipelines.link.own_ends import hold_listen_port, path_line
 from pipelines.recording.part_files import clear_parts
 from pipelines.report.collector import Collector
 from pipelines.report.live import LiveView
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
+from pipelines.session.command_process import say
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import (
@@ -36,7 +39,6 @@ from pipelines.session.options import (
     add_setup_argument,
     add_source_argument,
 )
-from pipelines.session.output import say
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
 from pipelines.session.terminals import write_wish

@@ -11,14 +11,13 @@ from rich.table import Table
 from kontur_av.errors import ConfigError
 from pipelines.commands.rtc_running import driven
 from pipelines.report.report_file import words_console
+from pipelines.session.command_process import output_that_may_fail, say
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import output_that_may_fail, say
 from pipelines.session.served_pages import bound_server, served
 from pipelines.study.desk import StudyDesk, simulate_person
 from pipelines.study.effects import HEADINGS, effect_words, study_report, summary_of
 from pipelines.study.plan import StudyPlan
-from pipelines.study.results import StudyFolder, check_scipy, load_study, write_tables
-from pipelines.study.server import StudyServer
+from pipelines.study.running import StudyFolder, StudyServer, check_scipy, load_study, write_tables
 from telepresence.haptics.device.page import PageDevice
 
 _PAGE = "study"

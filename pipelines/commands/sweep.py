@@ -9,9 +9,9 @@ from rich.table import Table
 
 from pipelines.report.charts import check_plot, save
 from pipelines.report.report_file import check_writable, open_console, write_text
-from pipelines.session.children import ended_alike
+from pipelines.session.command_process import ended_alike
 from pipelines.session.option_rows import add_options
-from pipelines.virtual.campaign.places import add_place_arguments, jobs_of
+from pipelines.virtual.campaign.sessions import add_place_arguments, jobs_of
 from pipelines.virtual.campaign.sweep import case_figures, chart, csv_rows, headings, rows
 from pipelines.virtual.campaign.sweep_file import kept_runs, load_sweep, run_missing
 from pipelines.virtual.media import check_virtual_sources

@@ -15,8 +15,8 @@ from pipelines.mission.tmtc_messages import (
     update_words,
 )
 from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
+from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import print_data
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminals import running_sessions
 from pipelines.session.topology import TMTC_TOPICS

@@ -4,9 +4,9 @@ import argparse
 import shutil
 from dataclasses import replace
 
+from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_setup_argument, setup_changes
-from pipelines.session.output import print_data
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology.tables import dot, processes_table, streams_table, topics_table
 from pipelines.table import topology_of

@@ -5,9 +5,8 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_S
 from pipelines.link.key_files import default_key_path, read_key, trusted_identities
-from pipelines.session.children import stopped_by_signals
+from pipelines.session.command_process import say, stopped_by_signals
 from pipelines.session.option_rows import add_actions
-from pipelines.session.output import say
 from pipelines.upkeep.desk import DiskStore
 from pipelines.upkeep.version_keeper import VersionKeeper
 from telepresence.upkeep.file_store import read_folder, replace_file

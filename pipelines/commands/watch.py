@@ -12,11 +12,15 @@ from pipelines.commands.rtc_options import (
     add_redirect_argument,
     add_token_arguments,
 )
-from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
-from pipelines.commands.rtc_running import add_run_arguments, keep, keeper_of
-from pipelines.partner.connection_report import RtcCommandReport
+from pipelines.commands.rtc_running import (
+    PartnerOutput,
+    add_output_arguments,
+    add_run_arguments,
+    keep,
+    keeper_of,
+)
 from pipelines.partner.ice_servers import IceServers
-from pipelines.partner.peer import RtcPeer
+from pipelines.partner.peer import RtcCommandReport, RtcPeer
 from pipelines.report.report_file import end_with
 from pipelines.session.option_rows import add_options
 

@@ -4,12 +4,12 @@ import argparse
 from pathlib import Path
 
 from kontur_av.errors import ConfigError, refused
-from pipelines.commands.packets_options import DEFAULT_PACKETS, parse_frames, parse_packets
 from pipelines.mission.supervisor import session_dictionary
+from pipelines.packets.process_packets import DEFAULT_PACKETS, parse_frames, parse_packets
 from pipelines.packets.yamcs import instance_files
+from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_setup_argument
-from pipelines.session.output import print_data
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.table import topology_of

@@ -11,8 +11,7 @@ from errno import EINPROGRESS
 from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
-from pipelines.session.addresses import bound_socket, resolve
-from pipelines.session.datagrams import LOOPBACK, Address
+from pipelines.session.datagrams import LOOPBACK, Address, bound_socket, resolve
 from pipelines.session.topology import FILES, Segment
 from telepresence.services.datagrams import MOST_NAME_OCTETS, is_service_name
 from telepresence.services.streams import ServiceStreams, StreamClosed, StreamOpened

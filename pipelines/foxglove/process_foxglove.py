@@ -14,8 +14,8 @@ from aiohttp import web
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.foxglove.bridge import Bridge
+from pipelines.foxglove.client import KeyAsked
 from pipelines.foxglove.protocol import MOST_CLIENT_OCTETS, SUBPROTOCOLS
-from pipelines.foxglove.video import KeyAsked
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.mission.tmtc_messages import CommandUpdate, unpack_news
@@ -24,11 +24,10 @@ from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Content, Source, sources_of
 from pipelines.recording.session_messages import Instants
 from pipelines.seats.seat_sockets import Message, SeatSockets
-from pipelines.session.access import AccessError, AccessKind, Found
+from pipelines.session.access import AccessError, AccessKind, Found, Role
 from pipelines.session.figures import SessionEvents
 from pipelines.session.mission_messages import ExperimentShown, unpack
 from pipelines.session.process import Context
-from pipelines.session.seat_roles import Role
 from pipelines.session.serving_loop import Feed, ServingLoop, TopicState
 from pipelines.session.topology import (
     FOXGLOVE,

@@ -8,9 +8,8 @@ from pipelines.hand.haptic_trace import BLOCK_ROWS
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.hand.replaying import ReplayedEnd
 from pipelines.session.datagrams import receive
-from pipelines.session.figures import LoopFigures
+from pipelines.session.figures import LatenessRow, LoopFigures
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.rows import LatenessRow
 from pipelines.session.topology import Topology
 from telepresence.haptics.axes import sample_octets
 from telepresence.haptics.schedule import PeriodicSchedule

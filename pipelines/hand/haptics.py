@@ -5,8 +5,8 @@ from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.haptic_trace import HapticTrace, flags_of
+from pipelines.session.figures import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from pipelines.session.probe import Probe
-from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.states import ExperimentName

@@ -6,18 +6,16 @@ from contextlib import closing
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.arm_owner import STATE_OCTETS as ARM_STATE_OCTETS
-from pipelines.hand.arm_owner import ArmState
+from pipelines.hand.desks import limits_of
+from pipelines.hand.hand_topics import ARM_STATE_OCTETS, ArmState
 from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
 from pipelines.hand.haptics import CYCLE_NS, RobotEnd, robot_side
-from pipelines.hand.robot_desk import limits_of
 from pipelines.hand.safety_ends import follow_stop, within
-from pipelines.session.children import stopped_by_signals
+from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.datagrams import Outlet, OwnOutlet, receive
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.process import Context, take_realtime
-from pipelines.session.robot_state import STATE_OCTETS, pack_state
-from pipelines.session.topic_ends import NumberedTopic
+from pipelines.session.topic_ends import STATE_OCTETS, NumberedTopic, pack_state
 from pipelines.session.topology import (
     ARM_ORDER_TOPIC,
     ARM_STATE_TOPIC,

@@ -6,6 +6,7 @@ from contextlib import closing
 from dataclasses import fields
 
 from kontur_av.topics.bus import TopicBus
+from pipelines.hand.desks import JoystickStatusTeller, RobotDesk
 from pipelines.hand.hand_topics import (
     STATUS_OCTETS,
     JoystickOrders,
@@ -15,7 +16,6 @@ from pipelines.hand.hand_topics import (
 from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
-from pipelines.hand.joystick_status import JoystickStatusTeller
 from pipelines.hand.partner_arm import (
     follow_owner,
     open_partner,
@@ -23,7 +23,6 @@ from pipelines.hand.partner_arm import (
     serve_board,
     state_publisher,
 )
-from pipelines.hand.robot_desk import RobotDesk
 from pipelines.hand.safety_ends import (
     UNKNOWN_JOYSTICK,
     UNKNOWN_ROBOT,
@@ -37,8 +36,13 @@ from pipelines.hand.safety_ends import (
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import LedsShown, PanelShown, RobotCommand, RobotOrder
 from pipelines.session.process import Context
-from pipelines.session.robot_state import unpack_state
-from pipelines.session.topic_ends import MissionReader, MissionWriter, NumberedTopic, new_exercises
+from pipelines.session.topic_ends import (
+    MissionReader,
+    MissionWriter,
+    NumberedTopic,
+    new_exercises,
+    unpack_state,
+)
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,

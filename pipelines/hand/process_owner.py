@@ -4,7 +4,7 @@ The last order is kept in a file, so that a desk or a robot that was killed goes
 """
 
 from kontur_av.topics.session_files import make_session_root, replace_file, session_root
-from pipelines.hand.arm_owner import DESK, ORDER_OCTETS, ArmState, OwnerDesk
+from pipelines.hand.hand_topics import ARM_DESK, ARM_ORDER_OCTETS, ArmState, OwnerDesk
 from pipelines.session.process import Context
 from pipelines.session.terminals import serve_terminals
 from pipelines.session.topic_ends import NumberedTopic
@@ -19,7 +19,7 @@ def run_owner_desk(context: Context) -> None:
     known = remembered.read_text("ascii") if remembered.exists() else Owner.ISS.value
     desk = OwnerDesk(Owner(known))
     with context.open_bus() as bus:
-        writer = NumberedTopic(bus, ARM_ORDER_TOPIC, max_octets=ORDER_OCTETS)
+        writer = NumberedTopic(bus, ARM_ORDER_TOPIC, max_octets=ARM_ORDER_OCTETS)
         reader = bus.reader(ARM_STATE_TOPIC)
 
         def follow(now_ns: int) -> None:
@@ -33,4 +33,4 @@ def run_owner_desk(context: Context) -> None:
             # Published repeatedly, for a robot that has started since.
             writer.publish_octets(order.encode("ascii"), now_ns)
 
-        serve_terminals(context, DESK, desk.desk, follow)
+        serve_terminals(context, ARM_DESK, desk.desk, follow)

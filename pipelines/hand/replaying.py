@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from pipelines.hand.haptic_trace import CONTACT, DEAD_MAN, axis_columns, lit_of, state_of
 from pipelines.hand.haptics import CYCLE_NS
+from pipelines.session.figures import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from pipelines.session.probe import Probe
-from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.axes import AXIS_NAMES, lever_of
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.sample import STATE_HALTED, Command, Feedback

@@ -11,10 +11,10 @@ from kontur_av.sources.stereo import HALF
 from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.staleness import FUTURE_NS
 from kontur_av.topics.bus import TopicBus
+from pipelines.hand.desks import RobotDesk
 from pipelines.hand.hand_topics import JoystickOrders, RobotOrders
 from pipelines.hand.haptic_loop import Cycle
 from pipelines.hand.haptics import RobotEnd
-from pipelines.hand.robot_desk import RobotDesk
 from pipelines.media.following import Choice
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.setup.table import STEREO, Setup

@@ -1,10 +1,12 @@
-"""What a gateway counts beside the link itself, and what telemetry says of it. A core."""
+"""What a gateway counts beside the link itself, and what its topics carry. A core."""
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import msgspec
 
+from kontur_av.errors import ProtocolError
 from kontur_av.figures import Newest
 from telepresence.link.figures import GatewayFigures, PathFigures
 from telepresence.malformed import MALFORMED
@@ -62,3 +64,32 @@ def unpack_link(octets: bytes) -> LinkValues:
         return dict(_DECODER.decode(octets))
     except MALFORMED:
         return {}
+
+
+#: A batch of frames: their number, then of each its instant in ns, session clock, and its length,
+#: then the frames. All numbers are little-endian.
+_COUNT = struct.Struct("<H")
+_HEAD = struct.Struct("<qH")
+
+
+def pack_frames(frames: Sequence[tuple[int, bytes]]) -> bytes:
+    """Return frames (instant in ns, octets) as octets. At most 65535 frames."""
+    heads = [_HEAD.pack(at_ns, len(frame)) for at_ns, frame in frames]
+    return b"".join([_COUNT.pack(len(frames)), *heads, *(frame for _, frame in frames)])
+
+
+def unpack_frames(octets: bytes) -> list[tuple[int, bytes]]:
+    """Return the frames of these octets; ProtocolError for octets of something else."""
+    try:
+        (count,) = _COUNT.unpack_from(octets)
+        heads = list(_HEAD.iter_unpack(octets[_COUNT.size : _COUNT.size + count * _HEAD.size]))
+    except struct.error:
+        raise ProtocolError("no batch of frames") from None
+    at = _COUNT.size + count * _HEAD.size
+    if len(heads) != count or at + sum(length for _, length in heads) != len(octets):
+        raise ProtocolError("a batch of frames of another length")
+    found = []
+    for at_ns, length in heads:
+        found.append((at_ns, octets[at : at + length]))
+        at += length
+    return found

@@ -2,9 +2,8 @@
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.link.figures import WayInFigures
-from pipelines.session.figures import LoopFigures
+from pipelines.session.figures import ClockRow, LoopFigures
 from pipelines.session.probe import Probe
-from pipelines.session.rows import ClockRow
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.session.training import Exercises

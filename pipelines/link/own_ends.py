@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from kontur_av.errors import ConfigError
-from pipelines.session.addresses import parse_address, resolve
 from pipelines.session.datagrams import (
     LOOPBACK,
     Address,
@@ -17,7 +16,9 @@ from pipelines.session.datagrams import (
     is_loopback,
     listen,
     obstacle,
+    parse_address,
     reaches,
+    resolve,
 )
 from pipelines.session.launcher import hold_port
 from pipelines.session.option_rows import refuse_options

@@ -16,8 +16,13 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.bus import TopicBus
-from pipelines.link.figures import LINK_STATE_OCTETS, SocketFigures, link_values, pack_link
-from pipelines.link.frame_batch import pack_frames
+from pipelines.link.figures import (
+    LINK_STATE_OCTETS,
+    SocketFigures,
+    link_values,
+    pack_frames,
+    pack_link,
+)
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.link.own_ends import PeerPlan, PeerSocket, make_path
 from pipelines.session.datagrams import (
@@ -34,8 +39,8 @@ from pipelines.session.datagrams import (
     outlet,
     receive,
 )
+from pipelines.session.figures import LatenessRow, SendingRow
 from pipelines.session.process import Context
-from pipelines.session.rows import LatenessRow, SendingRow
 from pipelines.session.topic_ends import NumberedTopic, new_exercises
 from pipelines.session.topology import (
     TELECOMMAND,

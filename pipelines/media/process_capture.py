@@ -12,9 +12,8 @@ from pipelines.media.figures import StereoFigures
 from pipelines.media.marking import StereoMerger
 from pipelines.media.taking_over import Capturing, Previewing, Takeover, preview_size
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.robot_state import newest_state
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS, VideoStream
-from pipelines.session.topic_ends import new_exercises
+from pipelines.session.topic_ends import new_exercises, newest_state
 from pipelines.session.topology import HALVES_TOPIC, MISSION_LEDS_TOPIC, TRAINER_TOPIC, InputRow
 from telepresence.world import audio_scenes, video_scenes
 

@@ -17,8 +17,7 @@ from kontur_av.streams.lipsync import LAG
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.media.figures import SnapshotFigures
 from pipelines.media.marking import mark_stale
-from pipelines.media.showing import OPERATORS, Showing, Watching
-from pipelines.media.snapshots import SnapshotSchedule
+from pipelines.media.showing import OPERATORS, Showing, SnapshotSchedule, Watching
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import displayed_topic, received_topic

@@ -11,15 +11,20 @@ from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import SentTopic
-from pipelines.media.following import CONFIRMED_OCTETS, CameraFollower, Choice, pack_confirmed
+from pipelines.media.following import (
+    CONFIRMED_OCTETS,
+    CameraFollower,
+    Choice,
+    TipRegion,
+    pack_confirmed,
+    tip_region,
+)
 from pipelines.media.gain import LinkedVideoSender, gain_of
 from pipelines.media.stream_figures import tell_sender, to_gateway, video_sender, voice_sender
-from pipelines.media.tip_region import TipRegion, tip_region
 from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.robot_state import unpack_state
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topic_ends import SampleTopic
+from pipelines.session.topic_ends import SampleTopic, unpack_state
 from pipelines.session.topology import FOLLOWED_TOPIC, ROBOT_TOPIC, SELECTED_TOPIC
 from telepresence.link.gateway import Backlog
 

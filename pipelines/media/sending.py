@@ -20,9 +20,8 @@ from pipelines.media.rtp_reports import (
     SourceReport,
     latency_ms,
 )
-from pipelines.session.children import stopped_by_signals
+from pipelines.session.command_process import reader_gone, say, stopped_by_signals
 from pipelines.session.option_rows import add_options
-from pipelines.session.output import reader_gone, say
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
 

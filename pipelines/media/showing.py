@@ -1,4 +1,4 @@
-"""A segment's display and loudspeaker: what was shown, how old it was, what to draw; who looks."""
+"""A segment's display and loudspeaker: what is shown, its age, what to draw or keep; who looks."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -9,9 +9,10 @@ from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import BLOCK_NS, I420, CaptureStamp, Pcm, Quality
 from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
 from pipelines.media.figures import DisplayFigures
+from pipelines.session.figures import ClickRow, LightRow, ShownRow
 from pipelines.session.probe import Probe
-from pipelines.session.rows import ClickRow, LightRow, ShownRow
-from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.session.setup.table import STEREO, Setup, VideoStream, VoiceStream
+from pipelines.session.topology import Segment, Topology, VideoRow
 
 #: How often the age on a stale picture is drawn anew.
 REDRAW_NS = 100 * NS_PER_MS
@@ -223,3 +224,67 @@ class Recall:
         self.captured_ns[timestamp] = capture_ns
         if len(self.captured_ns) > self._depth:
             del self.captured_ns[next(iter(self.captured_ns))]
+
+
+_FIRST_NS = NS_PER_S
+_SHORTEST_INTERVAL_NS = 3 * NS_PER_S
+#: The interval is this part of the session's age: thirty snapshots in an hour, 45 in a day.
+_INTERVAL_SHARE = 4
+
+
+class Snapshot(NamedTuple):
+    """A picture to keep: its file's name without suffix, its topic, and whether to keep its halves
+    as files of their own, too."""
+
+    name: str
+    topic: str
+    halves: bool
+
+
+class SnapshotSchedule:
+    """Asks for a picture of each display and of the stereo merge, at growing intervals. A core.
+
+    Call `handle_time` at `poll_timeout`, then drain `next_event`.
+
+    started_ns: when the session began. The instants are the same for every life of the process, so
+    a restart repeats none. A name ends with the second of the session at which it was due.
+    """
+
+    def __init__(self, topology: Topology, *, started_ns: int, now_ns: int) -> None:
+        self._started_ns = started_ns
+        self._topics = {
+            f"{row.direction.receiver.value}-{row.name}": row.displayed_topic
+            for row in topology.media_streams
+            if isinstance(row, VideoRow) and topology.runs(row.display)
+        }
+        self._stereo = f"{Segment.GROUND.value}-{STEREO}"
+        if STEREO in topology.setup.cameras and Segment.GROUND in topology.segments:
+            self._topics[self._stereo] = topology.camera(STEREO).topic
+        self._due_ns = _next_ns(now_ns - started_ns)
+        self._snapshots: list[Snapshot] = []
+
+    def poll_timeout(self) -> int:
+        """Return when the next snapshots are due."""
+        return self._started_ns + self._due_ns
+
+    def handle_time(self, now_ns: int) -> None:
+        """Ask for the snapshots that are due; those that were missed are left out."""
+        if now_ns < self.poll_timeout():
+            return
+        second = f"{self._due_ns // NS_PER_S:04d}s"
+        self._snapshots = [
+            Snapshot(f"{name}-{second}", topic, halves=name == self._stereo)
+            for name, topic in reversed(self._topics.items())
+        ]
+        self._due_ns = _next_ns(now_ns - self._started_ns)
+
+    def next_event(self) -> Snapshot | None:
+        return self._snapshots.pop() if self._snapshots else None
+
+
+def _next_ns(session_ns: int) -> int:
+    """Return when the next snapshot is due after `session_ns`, both since the session's start."""
+    due_ns = _FIRST_NS
+    while due_ns <= session_ns:
+        due_ns += max(_SHORTEST_INTERVAL_NS, due_ns // _INTERVAL_SHARE)
+    return due_ns

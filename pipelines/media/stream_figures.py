@@ -15,9 +15,9 @@ from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
 from pipelines.media.figures import GainFigures
 from pipelines.media.gain import CapGain
+from pipelines.session.figures import CodingRow, OutRow, RxRow, TxRow
 from pipelines.session.probe import Probe
 from pipelines.session.process import Context
-from pipelines.session.rows import CodingRow, OutRow, RxRow, TxRow
 from pipelines.session.setup.table import VIDEO_PAYLOAD_OCTETS, Setup, VideoStream, VoiceStream
 from pipelines.session.topology import Topology
 

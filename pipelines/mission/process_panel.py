@@ -1,4 +1,7 @@
-"""The processes of the mission control panel in space, and of the built-in LED panel."""
+"""The processes of the mission control panel in space, of the built-in LED panel, and of a trainer.
+
+`Trainer` decides what an exercise does.
+"""
 
 import select
 import socket
@@ -13,16 +16,19 @@ from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.datagrams import Address
 from pipelines.session.mission_messages import LedsShown, PanelShown
 from pipelines.session.process import Context
-from pipelines.session.topic_ends import MissionWriter
+from pipelines.session.terminals import serve_terminals
+from pipelines.session.topic_ends import MissionWriter, NumberedTopic
 from pipelines.session.topology import (
     JOYSTICK_STATE_TOPIC,
     MISSION_LEDS_TOPIC,
     MISSION_PANEL_TOPIC,
     PANEL,
+    TRAINER_TOPIC,
     Segment,
     leds_port,
     link_state_topic,
 )
+from pipelines.session.training import TRAINER_DESK, Trainer, TrainerReach
 from telepresence.haptics.device.states import JoystickState
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.panel_picture import STATE_OCTETS, LedPanel
@@ -116,3 +122,20 @@ def run_panel(context: Context) -> None:
             ticks += 1
             context.tick(now_ns)
             clock.sleep_until_ns(now_ns + _TICK_NS)
+
+
+_OCTETS = 4096
+
+
+def run_trainer(context: Context) -> None:
+    """Take requests, and publish what lasts."""
+    trainer = Trainer(context.probe, TrainerReach.of(context.topology))
+    context.on_flush(trainer.tell)
+    with context.open_bus() as bus:
+        writer = NumberedTopic(bus, TRAINER_TOPIC, max_octets=_OCTETS)
+
+        def publish(now_ns: int) -> None:
+            if (exercises := trainer.poll_exercises(now_ns)) is not None:
+                writer.publish_octets(exercises.pack(), now_ns)
+
+        serve_terminals(context, TRAINER_DESK, trainer.desk, publish)

@@ -26,7 +26,6 @@ from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.datagrams import LOOPBACK, receive
 from pipelines.session.mission_messages import CameraWish, RobotStatus
 from pipelines.session.process import Context
-from pipelines.session.robot_state import unpack_state
 from pipelines.session.task_journal import KEPT, LinkMeanwhile
 from pipelines.session.terminal_lines import (
     START,
@@ -37,7 +36,7 @@ from pipelines.session.terminal_lines import (
     RecordRequest,
 )
 from pipelines.session.terminals import RecorderLink
-from pipelines.session.topic_ends import MissionReader, MissionWriter, new_exercises
+from pipelines.session.topic_ends import MissionReader, MissionWriter, new_exercises, unpack_state
 from pipelines.session.topology import (
     MISSION_CAMERA_TOPIC,
     MISSION_GROUND_TOPIC,

@@ -1,8 +1,11 @@
-"""The processes of console and selector: PUS of space and of the ground. `TmtcEnd` decides.
+"""The processes of PUS in space and on the ground, console and selector, and of users' components.
 
-This module carries octets between it, the topics of its segment and the radio. The selector reads
-no pictures. A choice is kept in a file, then published, and its telecommand is completed when the
-sender has confirmed it.
+`TmtcEnd` decides. This module carries octets between it, the topics of its segment and the radio.
+The selector reads no pictures. A choice is kept in a file, then published, and its telecommand is
+completed when the sender has confirmed it.
+
+Of a component `ComponentDesk` decides. Its methods may block. What telecommands have set outlives
+the process.
 """
 
 import secrets
@@ -19,17 +22,23 @@ from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
 from pipelines.link.figures import unpack_link
 from pipelines.media.following import CHOICE_OCTETS, unpack_confirmed
 from pipelines.mission.choosing import CameraChoice
+from pipelines.mission.component_desk import ComponentDesk
 from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
-from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, FunctionAsked, pack_news
-from pipelines.mission.tmtc_socket import TmtcSocket, write_dictionary
+from pipelines.mission.tmtc_messages import (
+    MAX_NEWS_OCTETS,
+    FunctionAsked,
+    Values,
+    pack_news,
+    unpack_news,
+)
+from pipelines.mission.tmtc_socket import TmtcSocket, send_to_tmtc, write_dictionary
 from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.datagrams import receive
 from pipelines.session.figures import ProcessState
 from pipelines.session.mission_messages import MISSION_OCTETS, CameraWish, RobotStatus, pack, unpack
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.robot_state import unpack_state
-from pipelines.session.topic_ends import NumberedTopic, SampleTopic
+from pipelines.session.topic_ends import NumberedTopic, SampleTopic, unpack_state
 from pipelines.session.topology import (
     FOLLOWED_TOPIC,
     JOYSTICK_COMMAND_TOPIC,
@@ -47,6 +56,7 @@ from pipelines.session.topology import (
     TMTC_TOPICS,
     WALL_TOPIC,
     Segment,
+    component_process,
     link_state_topic,
     packet_topics,
 )
@@ -54,6 +64,7 @@ from telepresence.haptics.mediated.wall import WALL_OCTETS, is_wall
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import is_telecommand
 from telepresence.tmtc.pus.packets import COUNT_MODULUS
+from telepresence.tmtc.telemetry_source import Component, load_telemetry
 
 #: Each state of the joystick or the robot may answer another telecommand.
 _STATES = 16
@@ -274,3 +285,40 @@ def run_console(context: Context) -> None:
             waiter.wait(desk.wait_ns(now_ns, PATIENCE_NS))
         del waiter
         desk.close()
+
+
+_DEPTH = 32
+
+
+def run_component(context: Context, component: Component) -> None:
+    """Read the component, and carry out by it what telecommands ask for."""
+    clock, table = context.clock, component.application
+    remembered = session_root(context.session) / component_process(table.name)
+    known: Values = {}
+    if remembered.exists():
+        known = msgspec.json.decode(remembered.read_bytes(), type=Values)
+    source = load_telemetry(component.spec)
+    source.configure()
+    with context.open_bus() as bus:
+        reader = bus.reader(TMTC_TOPICS[Segment.GROUND], depth=_DEPTH)
+        now_ns = clock.now_ns()
+        client = f"{table.name} {now_ns}"
+        desk = ComponentDesk(source, table, now_ns=now_ns, client=client, settings=known)
+        context.on_flush(lambda: desk.tell(context.probe))
+        waiter = bus.waiter([reader])
+        while not context.stopping:
+            context.tick(clock.now_ns())
+            while (octets := reader.next_octets()) is not None:
+                desk.handle_news(unpack_news(octets), clock.now_ns())
+            desk.handle_time(clock.now_ns())
+            if desk.settings != known:
+                known = desk.settings
+                replace_file(remembered, msgspec.json.encode(known))
+            now_ns = clock.now_ns()
+            while (request := desk.poll_transmit(now_ns)) is not None:
+                if not send_to_tmtc(context.session, Segment.GROUND, request):
+                    break
+                desk.handle_sent(request, now_ns)
+            waiter.wait(max(0, min(PATIENCE_NS, desk.poll_timeout() - now_ns)))
+        del waiter
+    source.close()

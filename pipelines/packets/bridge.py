@@ -4,21 +4,17 @@ Which telecommands it may send, and which are new though their counts are known.
 """
 
 from collections import OrderedDict, deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.figures import Most
 from pipelines.mission.tmtc_messages import CommandUpdate, ForwardCommand, TmtcNews
-from pipelines.packets.figures import PacketsFigures
 from telepresence.link.bucket import TokenBucket
 from telepresence.tmtc.pus import head
 from telepresence.tmtc.pus.dictionary import Dictionary
-from telepresence.tmtc.pus.packets import (
-    COUNT_MODULUS,
-    Telecommand,
-    parse_packet,
-)
+from telepresence.tmtc.pus.packets import COUNT_MODULUS, Telecommand, parse_packet
 from telepresence.tmtc.pus.user import EDITIONS
 from telepresence.tmtc.pus.verification import (
     SERVICE,
@@ -29,6 +25,41 @@ from telepresence.tmtc.pus.verification import (
     parse_verification,
     verification_of,
 )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PacketsFigures:
+    """Space packets to and from another ground system."""
+
+    #: Telemetry packets of this end.
+    outside_packets: int = 0
+    #: Connections opened; with UDP none.
+    outside_peers: int = 0
+    #: Packets not taken by a peer in time.
+    outside_dropped: int = 0
+    #: The longest that one waited for its peer.
+    outside_waited_ms: Most[float] = 0.0
+    #: Telecommands passed on.
+    outside_commands: int = 0
+    #: Telecommands not allowed, or refused before they were sent.
+    outside_refused: int = 0
+    #: Telecommands beyond the rate.
+    outside_excess: int = 0
+    #: Messages that are not telecommands.
+    outside_garbage: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameFigures:
+    """Copies of the radio link's frames for another ground system."""
+
+    #: Frames sent on, by direction.
+    copied: Mapping[str, int] = field(default_factory=dict)
+    #: Samples of 20 ms of frames, gone before they were read.
+    copies_missed: int = 0
+    #: Copies not taken by the network.
+    copies_unsent: int = 0
+
 
 #: Questions, which change nothing: are you alive, one report, values of parameters.
 _QUESTIONS = {(17, 1), (3, 27), (20, 1)}

@@ -1,25 +1,72 @@
-"""The process of `--packets`. `PacketBridge` decides; this module has the sockets and topics."""
+"""The processes of `--packets` and `--frames`, and their options.
 
+`PacketBridge` decides; this module has the sockets and topics.
+"""
+
+import argparse
 import fcntl
+import re
 import socket
 import sys
 import termios
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
-from kontur_av.errors import ProtocolError
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.topics.bus import Reader
+from pipelines.link.figures import unpack_frames
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
-from pipelines.packets.bridge import AllowedCommands, PacketBridge, PacketSplitter, PeerQueue
-from pipelines.session.datagrams import Address
+from pipelines.packets.bridge import (
+    AllowedCommands,
+    FrameFigures,
+    PacketBridge,
+    PacketSplitter,
+    PeerQueue,
+    allowed_commands,
+)
+from pipelines.session.command_process import say
+from pipelines.session.datagrams import (
+    LOOPBACK,
+    Address,
+    Outlet,
+    bound_socket,
+    is_loopback,
+    outlet,
+    resolve,
+)
+from pipelines.session.figures import SampleNumbers
+from pipelines.session.option_rows import add_options
 from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.topology import PACKETS, TELEMETRY_KIND, TMTC_TOPICS, packet_topics
+from pipelines.session.setup.segments import Direction
+from pipelines.session.topology import (
+    FRAMES,
+    PACKETS,
+    TELEMETRY_KIND,
+    TMTC_TOPICS,
+    Topology,
+    packet_topics,
+)
 from telepresence.tmtc.pus.dictionary import Dictionary
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import MAX_PACKET_OCTETS
 from telepresence.tmtc.pus.xtce_commands import FOREIGN_SOURCES
 
+_OPTION, _FRAMES = "--packets", "--frames"
+_TCP, _UDP = r"tcp:(?:([^:]+):)?(\d{1,5})", r"udp:([^:]+):(\d{1,5})"
+#: The one after it must be a port, too.
+_LAST_PORT = 65_534
+#: In the instance of YAMCS that `kontur-av yamcs new` writes.
+DEFAULT_PACKETS = "tcp:127.0.0.1:10015"
+
+#: Samples of a topic that wait; the oldest goes. One of frames has those of 20 ms.
 _DEPTH = 32
+#: Writers of frames wake nobody.
+_WAKE_NS = 20 * NS_PER_MS
 _READ_OCTETS = 4096
 _MOST_PEERS = 8
 #: Datagrams or reads of one peer before others have their turn.
@@ -38,6 +85,78 @@ class PacketsPlan:
     peer: Address | None
     dictionary: Dictionary
     allowed: AllowedCommands
+
+
+class PacketsWish(NamedTuple):
+    """address: by UDP of the other system, else of the session."""
+
+    address: Address
+    udp: bool
+
+
+def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
+    add_options(
+        parser,
+        f"{_OPTION} tcp:[HOST:]PORT|udp:HOST:PORT  give telemetry to another ground system, and "
+        "take its telecommands: tcp listens; udp sends to PORT, and takes telecommands of HOST at "
+        "PORT + 1",
+        "--packets-allow WHAT <*>  telecommands that may come by --packets: APPLICATION, "
+        "APPLICATION.FUNCTION or all; repeatable (default: questions alone)",
+        f"{_FRAMES} udp:HOST:PORT  send copies of the radio link's frames to another ground "
+        "system: the downlink's to PORT, the uplink's to PORT + 1",
+    )
+
+
+def checked_packets(
+    args: argparse.Namespace, topology: Topology
+) -> AbstractContextManager[PacketsPlan | None]:
+    """Return what the options ask for, to bind its socket; ConfigError if that cannot be."""
+    if args.packets is None:
+        if args.packets_allow:
+            raise ConfigError(f"--packets-allow needs {_OPTION}")
+        return nullcontext()
+    dictionary = session_dictionary(built_in_dictionary(), topology)
+    allowed = allowed_commands(args.packets_allow, dictionary)
+    return _bound(parse_packets(args.packets), dictionary, allowed, quiet=args.quiet)
+
+
+@contextmanager
+def _bound(
+    wish: PacketsWish, dictionary: Dictionary, allowed: AllowedCommands, *, quiet: bool
+) -> Iterator[PacketsPlan]:
+    host, port = wish.address
+    if wish.udp:
+        local = "127.0.0.1" if is_loopback(host) else ""
+        kind, address = socket.SOCK_DGRAM, (local, port + 1)
+        said = f"packets udp to {host}:{port}, telecommands at port {port + 1}"
+    else:
+        kind, address = socket.SOCK_STREAM, wish.address
+        said = f"packets tcp {host}:{port}"
+    where = f"{_OPTION}: port {address[1]} of {address[0] or 'this machine'}:"
+    with bound_socket(kind, address, where) as bound:
+        if not quiet:
+            say(said)
+        peer = wish.address if wish.udp else None
+        yield PacketsPlan(socket=bound, peer=peer, dictionary=dictionary, allowed=allowed)
+
+
+def parse_packets(text: str) -> PacketsWish:
+    udp = text.startswith("udp:")
+    fits = "tcp:[HOST:]PORT or udp:HOST:PORT"
+    return PacketsWish(_address(text, _OPTION, _UDP if udp else _TCP, fits), udp)
+
+
+def parse_frames(text: str | None) -> Address | None:
+    """Return where copies of the downlink's frames go, the uplink's to the next; ConfigError."""
+    return None if text is None else _address(text, _FRAMES, _UDP, "udp:HOST:PORT")
+
+
+def _address(text: str, option: str, pattern: str, fits: str) -> Address:
+    match = re.fullmatch(pattern, text)
+    if match is None or not 1 <= int(match[2]) <= _LAST_PORT:
+        raise ConfigError(f"{option} {text!r}: write {fits}")
+    host = resolve(match[1] or "127.0.0.1", text, option, socket.AF_INET)
+    return host, int(match[2])
 
 
 def run_packets(context: Context, plan: PacketsPlan) -> None:
@@ -217,3 +336,56 @@ def _unacknowledged(tcp: socket.socket) -> int:
     """Return how many octets the other host has not acknowledged (SIOCOUTQ, tcp(7))."""
     told = fcntl.ioctl(tcp, termios.TIOCOUTQ, bytes(4))
     return int.from_bytes(told, sys.byteorder)
+
+
+def run_frames(context: Context, address: Address) -> None:
+    """Send the downlink's frames to `address`, and the uplink's to the port after it."""
+    clock, segment = context.clock, context.topology.process(FRAMES).segment
+    assert segment is not None
+    host, port = address
+    bind = LOOPBACK if is_loopback(host) else ""
+    with context.open_bus() as bus:
+        ways = {
+            way: FrameCopies(
+                bus.reader(topic, depth=_DEPTH),
+                outlet(bind, (host, port + (way is Direction.UPLINK))),
+            )
+            for way, topic in context.topology.frame_topics(segment).items()
+        }
+
+        def fill() -> None:
+            context.probe.tell(
+                FrameFigures(
+                    copied={way.value: one.copied for way, one in ways.items()},
+                    copies_missed=sum(one.missed for one in ways.values()),
+                    copies_unsent=sum(one.to.failed for one in ways.values()),
+                )
+            )
+
+        context.on_flush(fill)
+        while not context.stopping:
+            context.tick(clock.now_ns())
+            for one in ways.values():
+                one.copy()
+            clock.sleep_until_ns(clock.now_ns() + _WAKE_NS)
+
+
+class FrameCopies:
+    """One direction of the link: where its frames come from, and where they go."""
+
+    def __init__(self, reader: Reader, to: Outlet) -> None:
+        self._reader, self.to = reader, to
+        self.copied = self.missed = 0
+        self._numbers = SampleNumbers()
+
+    def copy(self) -> None:
+        """Send on what waits; then the other direction has its turn."""
+        for _ in range(_DEPTH):
+            if (lease := self._reader.next()) is None:
+                return
+            with lease:
+                sequence, octets = lease.stamp.sequence, lease.octets()
+            self.missed += self._numbers.handle_sample("", sequence)
+            for _, frame in unpack_frames(octets):
+                self.to.send(frame)
+                self.copied += 1

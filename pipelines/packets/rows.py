@@ -35,7 +35,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             when=session.options.frames,
             segment=segment,
             stage=Stage.SINK,
-            run="pipelines.packets.process_frames:run_frames",
+            run="pipelines.packets.process_packets:run_frames",
             reads=tuple(session.frame_topics(segment).values()),
             what="gives copies of the radio link's frames to another ground system",
         ),

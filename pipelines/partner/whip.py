@@ -34,8 +34,8 @@ from pipelines.partner.description import (
 from pipelines.partner.ice_servers import IceServer, IceServers, servers_of_links
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.samples import SamplePeer
+from pipelines.session.command_process import say
 from pipelines.session.datagrams import Outlet, newest_sample
-from pipelines.session.output import say
 
 _SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
 _TIMEOUT = aiohttp.ClientTimeout(total=10, connect=5)

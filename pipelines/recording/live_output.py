@@ -22,9 +22,9 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import VideoCodec
 from pipelines.media.rtp_reports import ForwardedReport
 from pipelines.recording.matroska import CodedContainer, Remuxer, begins_stream
-from pipelines.session.addresses import resolve
+from pipelines.session.command_process import say
+from pipelines.session.datagrams import resolve
 from pipelines.session.figures import gathered
-from pipelines.session.output import say
 
 #: Without delays in the muxer: a picture's length is told, so that no player waits for the next.
 _MPEGTS = {"flush_packets": "1", "omit_video_pes_length": "0", "pes_payload_size": "0"}

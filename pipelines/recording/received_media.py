@@ -24,8 +24,7 @@ from pipelines.media.rtp_reports import (
 from pipelines.recording.live_output import LiveWriter
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
-from pipelines.session.children import stopped_by_signals
-from pipelines.session.output import reader_gone, say
+from pipelines.session.command_process import reader_gone, say, stopped_by_signals
 
 #: What a picture's timestamp may run ahead of its arrival, or behind it, and a sound's of its play.
 _PICTURE_S, _SOUND_S = 10.0, 0.25

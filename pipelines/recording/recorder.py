@@ -37,7 +37,7 @@ from pipelines.recording.session_messages import (
     Instants,
     SessionMessages,
 )
-from pipelines.session.rows import SampleNumbers
+from pipelines.session.figures import SampleNumbers
 from pipelines.session.terminal_lines import PartLimits
 from pipelines.session.topology import Topology
 

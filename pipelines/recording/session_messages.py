@@ -15,7 +15,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, rows_of
-from pipelines.link.frame_batch import unpack_frames
+from pipelines.link.figures import unpack_frames
 from pipelines.recording import messages
 from pipelines.recording.channels import (
     EVENTS,

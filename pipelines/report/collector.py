@@ -20,8 +20,7 @@ from pipelines.media.figures import CaptureFigures, DisplayFigures, SelectorFigu
 from pipelines.report.journeys import HapticFigures, LipSyncShare, Skew, StreamFigures
 from pipelines.report.sync_figures import PERCEIVED, SyncFigures
 from pipelines.report.trace import Trace
-from pipelines.session.probe import FLUSH_NS, Message, Series
-from pipelines.session.rows import (
+from pipelines.session.figures import (
     ClickRow,
     ClockRow,
     LatenessRow,
@@ -31,6 +30,7 @@ from pipelines.session.rows import (
     SendingRow,
     ShownRow,
 )
+from pipelines.session.probe import FLUSH_NS, Message, Series
 from pipelines.session.topology import (
     RTC_CAMERA,
     RTC_DISPLAY,

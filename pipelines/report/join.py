@@ -27,9 +27,8 @@ from pipelines.report.session_report import skew_reports, stream_latency_ms
 from pipelines.report.sync_figures import sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.trace import TRACED, rows_of
-from pipelines.session.figures import DatedEvent
+from pipelines.session.figures import INSTANTS, ClockRow, DatedEvent, Row
 from pipelines.session.probe import FLUSH_NS, Message, Series
-from pipelines.session.rows import INSTANTS, ClockRow, Row
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from telepresence.link.clock_estimator import ClockHistory

@@ -18,7 +18,7 @@ from kontur_av.meters import Histogram, RateMeter, rank_of
 from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
 from pipelines.report.model import LipSyncReport, SkewReport
 from pipelines.report.terms import LONGEST_GAP_NS, DelaySums
-from pipelines.session.rows import OutRow, Row, ShownRow
+from pipelines.session.figures import OutRow, Row, ShownRow
 from telepresence.haptics.latency import LatencyMatcher
 
 #: This many latencies of a sense are remembered, to be compared with those of another one: 20 s of

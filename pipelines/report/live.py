@@ -24,8 +24,8 @@ from pipelines.report.sections import clock_lines, recording_line, rtc_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import last_bps, shown_now, silences
 from pipelines.report.summary import NO_SAMPLE
+from pipelines.session.command_process import say
 from pipelines.session.launcher import Launcher
-from pipelines.session.output import say
 from pipelines.session.session_switch import Activity
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import HapticRow

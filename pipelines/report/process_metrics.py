@@ -10,11 +10,10 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from kontur_av.clock import NS_PER_S
 from pipelines.report.exposition import Exposition
 from pipelines.session.figures import MonitoredSession
-from pipelines.session.front_door import FrontDoor
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.topology import METRICS
-from pipelines.session.web_site import SHUTDOWN_S, quiet_log
+from pipelines.session.web_site import SHUTDOWN_S, FrontDoor, quiet_log
 
 #: The launcher tells the figures every two seconds.
 _LATE_NS = 10 * NS_PER_S

@@ -18,8 +18,8 @@ from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
 from pipelines.media.showing import WATCHED
 from pipelines.report.model import ContentSkew, ListedContact, Ranks, SenseReport, SyncReport
 from pipelines.report.sync_matching import Matched, judge, match
+from pipelines.session.figures import ClickRow, ContactRow, LightRow, StepRow
 from pipelines.session.probe import Series
-from pipelines.session.rows import ClickRow, ContactRow, LightRow, StepRow
 from pipelines.session.setup.table import GROUND_MIC, Setup
 from telepresence.world import CONTACT_SCENES
 

@@ -29,8 +29,7 @@ from pipelines.ros2.publications import (
     RosContent,
     RosSource,
 )
-from pipelines.session.figures import MonitoredSession, nested_values
-from pipelines.session.rows import SampleNumbers
+from pipelines.session.figures import MonitoredSession, SampleNumbers, nested_values
 from telepresence.tmtc.k2aci import Chat
 
 #: Units wait no longer for a key picture; then they go out without one.

@@ -11,7 +11,7 @@ from kontur_av.clock import NS_PER_US
 from pipelines.mission import tmtc_messages
 from pipelines.seats import texts
 from pipelines.seats.command_desk import ChatLog, CommandDesk
-from pipelines.session.seat_roles import Role, chat_role, refusal
+from pipelines.session.access import Role, chat_role, refusal
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary import Application, Dictionary, Monitor
 from telepresence.tmtc.pus.values import Parameter, Value

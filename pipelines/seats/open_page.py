@@ -28,6 +28,7 @@ from pipelines.hand.haptic_trace import rows_of
 from pipelines.media.unit_history import KeptUnit, UnitHistory
 from pipelines.seats.plan import SeatStream
 from pipelines.seats.texts import Via
+from pipelines.session.access import Role
 from pipelines.session.messages import (
     DAMAGED,
     KEY,
@@ -37,7 +38,6 @@ from pipelines.session.messages import (
     pack_sound,
     pack_unit,
 )
-from pipelines.session.seat_roles import Role
 
 
 class MessageRate:

@@ -8,13 +8,13 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
+from pipelines.media.following import board_view
 from pipelines.media.taking_over import preview_size
-from pipelines.media.tip_region import board_view
 from pipelines.seats import texts
 from pipelines.seats.mission_desk import application_texts
+from pipelines.session.access import Role
 from pipelines.session.figures import gathered
 from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
-from pipelines.session.seat_roles import Role
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import (
     JOYSTICK_TRACE_TOPIC,

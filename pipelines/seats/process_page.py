@@ -12,17 +12,16 @@ from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import TopicBus
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.seats.figures import PageFigures
-from pipelines.seats.own_inputs import Given
+from pipelines.seats.holders import Given
 from pipelines.seats.plan import seat_plan, welcome_text
 from pipelines.seats.seat import Seat
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
 from pipelines.seats.texts import pack_text
 from pipelines.seats.upkeep_watch import UpkeepWatch
-from pipelines.session.access import AccessError, AccessKind, Found
+from pipelines.session.access import VIEWER_WORDS, AccessError, AccessKind, Found, Role
 from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
-from pipelines.session.seat_roles import VIEWER_WORDS, Role
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.topology import PAGES, Segment
 from pipelines.session.web_site import WebSite

@@ -13,15 +13,14 @@ from pipelines.hand.hand_topics import HandRequest, JoystickStatus
 from pipelines.mission.tmtc_messages import TmtcNews, TmtcRequest
 from pipelines.seats import texts
 from pipelines.seats.figures import HOLDER, FiguresLog
-from pipelines.seats.handle_desk import HandGate, HandleOwnership, JoystickDesk
+from pipelines.seats.holders import HandGate, HandleOwnership, JoystickDesk, OwnInputs
 from pipelines.seats.mission_desk import MissionDesk
 from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
-from pipelines.seats.own_inputs import OwnInputs
 from pipelines.seats.plan import SeatPlan, Shown
+from pipelines.session.access import VIEWER_WORDS, Role, place_name, refusal
 from pipelines.session.figures import gathered
 from pipelines.session.messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.mission_messages import RobotStatus
-from pipelines.session.seat_roles import VIEWER_WORDS, Role, place_name, refusal
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
 from telepresence.haptics.device import states

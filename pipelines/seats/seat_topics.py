@@ -28,7 +28,7 @@ from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import H264Copy, KeyPictureMaker
 from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
-from pipelines.seats.own_inputs import Given
+from pipelines.seats.holders import Given
 from pipelines.seats.plan import SeatStream, Unpack
 from pipelines.seats.seat import PageRequest, Seat, StopAsked
 from pipelines.seats.texts import FetchRequest, RecordingRequest, Via

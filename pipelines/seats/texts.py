@@ -10,7 +10,7 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 import msgspec
 
 from kontur_av.errors import ProtocolError, refused
-from pipelines.session.seat_roles import Role
+from pipelines.session.access import Role
 from pipelines.session.setup.segments import Segment
 from telepresence.malformed import MALFORMED
 

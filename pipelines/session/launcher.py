@@ -25,7 +25,7 @@ from typing import Protocol
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.session import session_switch
-from pipelines.session.children import ENDING, handled
+from pipelines.session.command_process import ENDING, handled
 from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message

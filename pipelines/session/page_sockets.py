@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kontur_av.errors import ConfigError, refused
+from pipelines.session.access import PEOPLE, Role
 from pipelines.session.datagrams import reaches
-from pipelines.session.seat_roles import PEOPLE, Role
 
 if TYPE_CHECKING:
     from cryptography import x509

@@ -14,8 +14,7 @@ from itertools import chain
 from typing import Any, Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.session.figures import ProbeFigures
-from pipelines.session.rows import Row
+from pipelines.session.figures import ProbeFigures, Row
 from pipelines.session.session_switch import Order, ProcessOrder
 
 FLUSH_NS = 500 * NS_PER_MS

@@ -15,9 +15,10 @@ from socket import socket
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import session_root
-from pipelines.session.addresses import resolve
+from pipelines.session.access import Role
+from pipelines.session.command_process import say
+from pipelines.session.datagrams import resolve
 from pipelines.session.option_rows import add_options, refuse_options
-from pipelines.session.output import say
 from pipelines.session.page_sockets import (
     PageHost,
     PageListener,
@@ -26,7 +27,6 @@ from pipelines.session.page_sockets import (
     check_certificate,
     listeners,
 )
-from pipelines.session.seat_roles import Role
 from pipelines.session.topology import PAGES, Segment
 
 #: Of the first page, without an option.

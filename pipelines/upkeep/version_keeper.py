@@ -7,8 +7,7 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.desk import DiskStore, InboxFolder, answer_order, give_order, kept
-from pipelines.upkeep.program import Program
+from pipelines.upkeep.desk import DiskStore, InboxFolder, Program, answer_order, give_order, kept
 from telepresence.link.protection.identity import MachineIdentity
 from telepresence.upkeep.file_store import StoredFile, read_folder
 from telepresence.upkeep.version_stack import (

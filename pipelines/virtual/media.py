@@ -13,11 +13,10 @@ from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.sources.stereo import StereoPairer
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.media.figures import StereoFigures
-from pipelines.media.following import CameraFollower, Choice
+from pipelines.media.following import CameraFollower, Choice, tip_region
 from pipelines.media.showing import OPERATORS, Showing
 from pipelines.media.stream_figures import video_sender
 from pipelines.media.taking_over import Capturing
-from pipelines.media.tip_region import tip_region
 from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import (
     GROUND_MIC,

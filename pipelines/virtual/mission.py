@@ -5,10 +5,9 @@ from functools import partial
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.files.desk import ENTITIES, RATES_BPS
+from pipelines.hand.desks import JoystickStatusTeller, RobotDesk
 from pipelines.hand.hand_topics import JoystickStatus, unpack_status
 from pipelines.hand.haptics import JoystickEnd
-from pipelines.hand.joystick_status import JoystickStatusTeller
-from pipelines.hand.robot_desk import RobotDesk
 from pipelines.link.figures import link_values
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.mission import MissionGround, Seen, robot_order

@@ -15,9 +15,9 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from pipelines.hand.desks import RobotDesk
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.replaying import ReplayedEnd
-from pipelines.hand.robot_desk import RobotDesk
 from pipelines.hand.safety_ends import CameraWatch, within
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice

@@ -18,7 +18,7 @@ from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
-from pipelines.media.following import CameraFollower, Choice
+from pipelines.media.following import CameraFollower, Choice, TipRegion
 from pipelines.media.gain import LinkedVideoSender, gain_of
 from pipelines.media.showing import OPERATORS, Recall, Showing, tell_click, tell_light
 from pipelines.media.stream_figures import (
@@ -30,7 +30,6 @@ from pipelines.media.stream_figures import (
     voice_receiver,
     voice_sender,
 )
-from pipelines.media.tip_region import TipRegion
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.virtual.studio import Picture, VoiceDecoding
 from pipelines.virtual.workers import WALL_OFFSET_NS, Batch, Coder, Job, Scene, Timer, Worker

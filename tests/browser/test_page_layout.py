@@ -26,6 +26,7 @@ from pipelines.seats.texts import (
     WelcomeText,
     pack_text,
 )
+from pipelines.session.access import Role
 from pipelines.session.mission_messages import (
     ExperimentShown,
     PanelShown,
@@ -33,9 +34,8 @@ from pipelines.session.mission_messages import (
     RunShown,
     TaskListed,
 )
-from pipelines.session.seat_roles import Role
-from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.training import Exercises
 from pipelines.session.web_site import page_text
 from pipelines.study.desk import StudyDesk, StudyPhase, StudyPress

@@ -26,7 +26,7 @@ from running_session import RunningSession
 from selenium.webdriver import ActionChains
 
 from pipelines.hand.hand_topics import unpack_status
-from pipelines.session.robot_state import unpack_state
+from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_TOPIC
 
 #: Below what a local IDR picture reaches at once, far above a picture that began wrongly.

@@ -9,8 +9,8 @@ from browser import LIVE, eventually
 from running_session import RunningSession
 from selenium.webdriver import ActionChains
 
-from pipelines.media.tip_region import board_view
-from pipelines.session.robot_state import unpack_state
+from pipelines.media.following import board_view
+from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import ROBOT_TOPIC
 
 SETUP = """

@@ -11,7 +11,7 @@ import pytest
 from mutated_octets import mutate
 
 from kontur_av.errors import ProtocolError
-from pipelines.hand.robot_desk import RobotDesk
+from pipelines.hand.desks import RobotDesk
 from pipelines.session.mission_messages import (
     MISSION_OCTETS,
     CameraWish,

@@ -18,8 +18,8 @@ from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.seats.open_page import MOST_UNITS
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
-from pipelines.session.seat_roles import Role
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.access import Role
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.device.page import PageInput

@@ -15,7 +15,7 @@ from pipelines.hand.hand_topics import (
     unpack_status,
 )
 from pipelines.hand.haptic_trace import rows_of
-from pipelines.session.robot_state import unpack_state
+from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,

@@ -8,7 +8,7 @@ from virtual_link import VirtualLink
 from pipelines.report.collector import Collector
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.link.radio import load_radio
 

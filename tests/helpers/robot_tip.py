@@ -5,7 +5,7 @@ from math import dist
 
 from running_session import eventually
 
-from pipelines.session.robot_state import unpack_state
+from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import ROBOT_TOPIC
 
 #: A robot that holds still gives way to what it touches, and comes to rest.

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from running_session import end_with_the_tests
 
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS
 from pipelines.table import topology_of
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from pipelines.session.probe import Message
 from pipelines.session.process import Context
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 
 SETUP = replace(BUILT_IN["spacejustin"], base_port=29_300)

@@ -44,7 +44,7 @@ from pipelines.recording.messages import (
     pack_haptics,
     packet_words,
 )
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet
 

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SendCommand, SendK2aci
-from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.session import Simulation
 from pipelines.virtual.workers import Workers
 

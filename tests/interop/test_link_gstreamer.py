@@ -16,7 +16,7 @@ import pytest
 from places import ROOT
 from running_link import RunningLink, assert_books_are_right, came, eventually
 
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 
 pytestmark = pytest.mark.interop
 

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology.tables import dot
 from pipelines.table import topology_of
 

@@ -56,10 +56,10 @@ ALLOWED = {
     # For the time of an import whose warnings are not ours.
     "kontur_av/codecs/libopus.py": {"_import_with"},
     "kontur_av/streams/encoding_thread.py": {"switch_threads_often"},
-    "pipelines/session/children.py": {"handled"},
+    "pipelines/session/command_process.py": {"handled"},
     "pipelines/session/machine_checks.py": {"take_descriptors"},
     # For the time of a connection, whose warnings are told in one line of ours.
-    "pipelines/virtual/campaign/places.py": {"_connected"},
+    "pipelines/virtual/campaign/sessions.py": {"_connected"},
     "pipelines/bench/video/command.py": {"run"},
     "pipelines/bench/course/ends.py": {"_become"},
     # The command itself, in a process of its own.
@@ -77,7 +77,7 @@ ALLOWED = {
     "pipelines/session/process.py": {"become", "take_realtime", "Collections.handle_flush"},
     "pipelines/virtual/workers.py": {"Worker.start", "_work"},
     # In a program of its own, before it begins.
-    "pipelines/upkeep/program.py": {"_end_with_the_keeper"},
+    "pipelines/upkeep/desk.py": {"_end_with_the_keeper"},
 }
 #: Functions among them that others call by these names.
 CALLED = {

@@ -9,7 +9,7 @@ import pytest
 from places import ROOT
 from unit_room import closed_doors
 
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.simulate import simulate
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from pipelines.bench import session
 from pipelines.bench.course.ends import End
-from pipelines.session.children import end_all, ended_alike
+from pipelines.session.command_process import end_all, ended_alike
 
 
 def test_a_second_interrupt_ends_all_at_once():

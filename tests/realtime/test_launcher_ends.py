@@ -12,7 +12,7 @@ import json, os, signal, sys
 from kontur_av.clock import MonotonicClock
 from pipelines.session.launcher import Launcher
 from pipelines.report.collector import Collector
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import ProcessRow, Segment, Stage
 from pipelines.table import topology_of
 

@@ -12,7 +12,7 @@ from pipelines.session.session_switch import Order
 from pipelines.session.launcher import Launcher
 from pipelines.session.page_sockets import PageListener
 from pipelines.report.collector import Collector
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import ProcessRow, Segment, Stage
 from pipelines.table import topology_of
 

@@ -16,7 +16,7 @@ from running_link import (
 )
 
 from pipelines.link.key_files import make_key, trust
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of

@@ -37,8 +37,8 @@ from pipelines.media.process_capture import run_microphone
 from pipelines.media.process_display import run_display
 from pipelines.media.process_receive import run_video_receive, run_voice_receive
 from pipelines.media.process_send import run_video_send
+from pipelines.session.figures import ShownRow
 from pipelines.session.process import Context
-from pipelines.session.rows import ShownRow
 from pipelines.session.topology import SELECTED_TOPIC
 from pipelines.table import topology_of
 from telepresence.link.gateway import BACKLOG_OCTETS, Backlog

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from running_session import COMMAND, eventually
 
-from pipelines.session.robot_state import unpack_state
+from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import ROBOT_TOPIC
 
 pytest.importorskip("mujoco")

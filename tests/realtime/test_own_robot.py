@@ -6,7 +6,7 @@ from pathlib import Path
 
 from running_session import eventually
 
-from pipelines.session.robot_state import unpack_state
+from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import ROBOT_TOPIC
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_robot.py"

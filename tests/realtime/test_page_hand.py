@@ -9,7 +9,7 @@ from running_session import PATIENCE_S, eventually
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.haptic_trace import BLOCK_ROWS, DEAD_MAN
-from pipelines.session.robot_state import unpack_state
+from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import ROBOT_TOPIC
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 

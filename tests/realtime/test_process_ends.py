@@ -6,10 +6,9 @@ import pytest
 
 from kontur_av.clock import MonotonicClock
 from pipelines.session.datagrams import LOOPBACK, receive
-from pipelines.session.figures import LoopFigures, ProbeFigures
+from pipelines.session.figures import LatenessRow, LoopFigures, ProbeFigures, RxRow
 from pipelines.session.probe import FLUSH_NS, Message
 from pipelines.session.process import Context
-from pipelines.session.rows import LatenessRow, RxRow
 from telepresence.haptics.figures import PortFigures
 
 

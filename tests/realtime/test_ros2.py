@@ -24,10 +24,10 @@ from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.messages import RecordedPicture, UnitFacts, unpack, unpack_haptics
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.ros2.publications import publications_of, sources_of
-from pipelines.session.robot_state import unpack_state
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_TOPIC
 from pipelines.table import topology_of
 from telepresence.haptics.device.page import FACTS as HANDLE

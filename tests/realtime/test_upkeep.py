@@ -14,7 +14,7 @@ from upkeep_programs import command, make, running, until
 
 from pipelines.link.key_files import make_key
 from pipelines.upkeep.desk import DiskStore
-from pipelines.upkeep.ftp import serve_ftp
+from pipelines.upkeep.loader_keeper import serve_ftp
 from telepresence.upkeep.manifest import fault_of
 
 pytestmark = pytest.mark.realtime

@@ -11,7 +11,7 @@ from benchmarks.voice import command as voice
 from benchmarks.voice.network import Network
 from benchmarks.voice.speech import LEAD_IN_BLOCKS, lags, speech_track
 from benchmarks.voice.virtual import listen, speak
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 
 SETUP = BUILT_IN["spacejustin"]
 

@@ -15,8 +15,8 @@ import pytest
 
 from benchmarks.__main__ import main as benchmark
 from pipelines.cli import main
-from pipelines.virtual.campaign import places
-from pipelines.virtual.campaign.places import Cluster
+from pipelines.virtual.campaign import sessions
+from pipelines.virtual.campaign.sessions import Cluster
 
 pytest.importorskip("distributed", reason="needs Dask: the extra cluster")
 
@@ -135,7 +135,7 @@ def refused(address, capfd, tmp_path):
 
 
 def test_a_worker_of_another_version_is_refused(processes, tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(places, "code_digest", lambda: "newer")
+    monkeypatch.setattr(sessions, "code_digest", lambda: "newer")
     told = ", and this machine newer: install the same"
     assert told in refused(processes.address, capfd, tmp_path)
     # One that comes after the first look refuses its first run.
@@ -144,14 +144,14 @@ def test_a_worker_of_another_version_is_refused(processes, tmp_path, capfd, monk
 
 
 def test_a_scheduler_of_another_version_is_refused(processes, tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(places, "version", lambda name: "1.0")
+    monkeypatch.setattr(sessions, "version", lambda name: "1.0")
     error = refused(processes.address, capfd, tmp_path)
     assert "the scheduler has distributed " in error
     assert "and this machine 1.0: install the same" in error
 
 
 def test_what_is_no_scheduler_is_refused(tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(places, "_CONNECT_S", 1)
+    monkeypatch.setattr(sessions, "_CONNECT_S", 1)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         assert "no scheduler of Dask" in refused(address, capfd, tmp_path)

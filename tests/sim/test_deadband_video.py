@@ -12,9 +12,9 @@ from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from pipelines.media.gain import STEADY_NS, LinkedVideoSender, gain_of
 from pipelines.media.stream_figures import Outgoing, video_sender
+from pipelines.session.figures import OutRow
 from pipelines.session.probe import Probe
-from pipelines.session.rows import OutRow
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Direction
 from pipelines.table import topology_of
 from pipelines.virtual.simulate import simulate

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.campaign.figures import (
     faults,
     pass_figures,

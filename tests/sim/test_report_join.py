@@ -14,8 +14,8 @@ from pipelines.report import join
 from pipelines.report.collector import Collector
 from pipelines.report.model import EndTrace, SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report
+from pipelines.session.figures import INSTANTS, ClockRow
 from pipelines.session.probe import Message, Series
-from pipelines.session.rows import INSTANTS, ClockRow
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Segment

@@ -19,7 +19,7 @@ noise = numpy.random.default_rng(1).integers(0, 2, (960, 1280), numpy.uint8)
 for _ in range(20):
     cv2.connectedComponentsWithStats(noise)
     cv2.resize(noise, (640, 480), interpolation=cv2.INTER_AREA)
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.simulate import simulate
 print(simulate(BUILT_IN["taskboard"], seconds=0.5, seed=1).seconds)
 """

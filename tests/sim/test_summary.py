@@ -13,7 +13,7 @@ from pipelines.report.model import to_json
 from pipelines.report.report_file import end_report
 from pipelines.report.summary import first_line, stages_line, streams_table
 from pipelines.report.warnings import restart_warning
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.task_journal import TaskRow, TaskStep
 from pipelines.virtual.simulate import simulate
 

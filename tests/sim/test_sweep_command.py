@@ -13,7 +13,7 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.campaign import sessions
 from pipelines.virtual.campaign.figures import Crash, SessionTask
 from pipelines.virtual.campaign.sessions import run_session, run_sessions

@@ -15,11 +15,10 @@ from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.stereo import StereoPair, merge
-from pipelines.media.following import CameraFollower, Choice
+from pipelines.media.following import CameraFollower, Choice, tip_region
 from pipelines.media.stream_figures import video_sender
-from pipelines.media.tip_region import tip_region
 from pipelines.report.model import CodingCosts
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.streams import VideoSendProcess
 from pipelines.virtual.studio import Paired, Shot, VideoStudio
 from pipelines.virtual.workers import Agenda, Job

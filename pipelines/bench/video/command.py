@@ -13,28 +13,49 @@ number. The first second counts only against the cap.
 """
 
 import argparse
-from collections.abc import Callable
+import os
+import resource
+import socket
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
+import numpy as np
+from numpy.typing import NDArray
 
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
-from pipelines.bench.course.marks import NUMBERS, check_width
-from pipelines.bench.video.clips import SCENE, Clip, film, scene
-from pipelines.bench.video.contenders import KONTUR_AV, ContenderError
+from pipelines.bench.course.ends import Carried, Filmed, Watched, carry, film_to, watch
+from pipelines.bench.course.marks import MARK_ROWS, NUMBERS, check_width, read_all, read_number
+from pipelines.bench.video.clips import SCENE, Clip, film, led_in, scene, shared_array
+from pipelines.bench.video.contenders import KONTUR_AV, Contender, ContenderError, Course
 from pipelines.bench.video.figures import (
     ALONE,
     OURS,
+    ContenderFigures,
+    Luma,
     headlines,
     judge,
+    largest_bps,
+    latest,
+    mean_bps,
     notes,
+    percentiles,
+    psnr_db,
+    shown,
+    ssim,
+    summarise,
 )
-from pipelines.bench.video.run import TrialTerms, measure
 from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json, headline_tables
+from pipelines.session.command_process import ended_alike
 
 FPS = 30
 
@@ -133,3 +154,218 @@ def _clips(files: list[Path], width: int, height: int, count: int) -> dict[str, 
     if not files:
         return {SCENE: partial(scene, width, height, FPS, count)}
     return {path.stem: partial(film, path, path.stem, width, height, count) for path in files}
+
+
+_START_S = 30.0
+#: After the end of the camera, the last pictures have this long to arrive.
+_REST_S = 1.5
+
+
+#: Scores of pairs of picture and original, in order of time; empty for no measure.
+Score = Callable[[Iterable[tuple[Luma, Luma]]], list[float]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialTerms:
+    """The same for all contenders.
+
+    settle_s: length of the beginning that counts only against the cap. lead_s: before that, this
+    much of the clip backwards, or more for a contender that needs it. wide: of the wide channel.
+    """
+
+    fps: int = 30
+    cap_kbps: float
+    channel_kbps: float
+    settle_s: int = 1
+    lead_s: int = 0
+    wide: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What one contender did on one clip.
+
+    latencies_ms: of each picture that counts, in order of arrival. shots: what the screen showed
+    when the pictures of those numbers were due there, and the number of the picture shown.
+    """
+
+    figures: ContenderFigures
+    latencies_ms: list[float]
+    shots: dict[int, tuple[int, Luma]]
+
+
+def measure(
+    contender: Contender,
+    clip: Clip,
+    terms: TrialTerms,
+    *,
+    shot_numbers: Sequence[int] = (),
+    score: Score = lambda _: [],
+) -> Trial:
+    """Measure one contender.
+
+    shot_numbers: of the pictures to keep. score: another measure of quality, as VMAF. Raises
+    ContenderError when the contender does not run, EndError when the bench itself fails.
+    """
+    lead_s = max(terms.lead_s, contender.lead_s)
+    lead = lead_s * terms.fps
+    clip = led_in(clip, lead)
+    terms = replace(terms, settle_s=terms.settle_s + lead_s)
+    _, rows, width = clip.pictures.shape
+    height = rows * 2 // 3
+    lumas = shared_array(len(clip.order), height, width)
+    meter = _Machine()
+    with ended_alike(), ExitStack() as stack:
+        directory = Path(stack.enter_context(TemporaryDirectory(prefix="kontur-av-bench-")))
+        entrance, exit_port = free_ports(), free_ports()
+        course = Course(
+            width=width,
+            height=height,
+            fps=terms.fps,
+            cap_kbps=terms.cap_kbps,
+            channel_kbps=terms.channel_kbps,
+            entrance=entrance,
+            exit=exit_port,
+            directory=directory,
+        )
+        channel = carry(
+            entrance, exit_port, round(terms.channel_kbps * 1000), muxed=contender.muxed
+        )
+        stack.callback(channel.close)
+        screen = watch(str(course.screen), lumas)
+        stack.callback(screen.close)
+        sender, receiver = stack.enter_context(contender.started(course))
+        camera = film_to(clip, str(course.film), terms.fps, _START_S)
+        stack.callback(camera.close)
+        filmed: Filmed = camera.result(_START_S + 2 * len(clip.order) / terms.fps + 10)
+        time.sleep(_REST_S)
+        sender_cpu_s = sender.stop(0)
+        receiver_cpu_s = receiver.stop(0)
+        screen.end()
+        channel.end()
+        watched: Watched = screen.result(10)
+        carried: Carried = channel.result(10)
+    return _figures(
+        clip,
+        terms,
+        lumas,
+        filmed,
+        watched,
+        carried,
+        (sender_cpu_s, receiver_cpu_s),
+        meter.others(),
+        {number: number + lead for number in shot_numbers},
+        score,
+    )
+
+
+def _figures(
+    clip: Clip,
+    terms: TrialTerms,
+    lumas: NDArray[np.uint8],
+    filmed: Filmed,
+    watched: Watched,
+    carried: Carried,
+    cpu_s: tuple[float, float],
+    others_cores: float,
+    shot_numbers: Mapping[int, int],
+    score: Score,
+) -> Trial:
+    first = terms.settle_s * terms.fps
+    numbers = _numbers(filmed, watched)
+    shown_ns = {
+        number: at
+        for number, at in zip(numbers, watched.shown_ns, strict=True)
+        if number is not None
+    }
+    seen = shown(filmed.captured_ns, shown_ns, first=first, fps=terms.fps)
+    compared = [
+        (lumas[index, MARK_ROWS:], clip.luma(number)[MARK_ROWS:])
+        for index, number in enumerate(numbers)
+        if number is not None and number >= first
+    ]
+    scores = score(compared)
+    counted_ns = filmed.captured_ns[first:]
+    unreadable = sum(number is None for number in numbers)
+    payload_1s_bps, payload_100ms_bps = largest_bps(carried.came_ns, carried.payload_octets)
+    rtp_1s_bps, rtp_100ms_bps = largest_bps(carried.came_ns, carried.octets)
+    figures = ContenderFigures(
+        latency_ms=percentiles(seen.latency_ms),
+        psnr_db=summarise([psnr_db(*pair) for pair in compared]),
+        ssim=summarise([ssim(*pair) for pair in compared]),
+        vmaf=summarise(scores) if scores else None,
+        per_second=seen.per_second,
+        longest_gap_ms=seen.longest_gap_ms,
+        payload_1s_bps=payload_1s_bps,
+        payload_100ms_bps=payload_100ms_bps,
+        rtp_1s_bps=rtp_1s_bps,
+        rtp_100ms_bps=rtp_100ms_bps,
+        payload_bps=mean_bps(
+            carried.came_ns,
+            carried.payload_octets,
+            begin_ns=int(counted_ns[counted_ns > 0].min(initial=counted_ns.max(initial=0))),
+            seconds=len(counted_ns) / terms.fps,
+        ),
+        rtcp_octets=carried.control_octets,
+        answers=carried.returned,
+        sender_cpu_s=cpu_s[0],
+        receiver_cpu_s=cpu_s[1],
+        guessed=sum(read_number(squares) is None for squares in watched.squares) - unreadable,
+        unreadable=unreadable,
+        left_out_by_camera=int((filmed.captured_ns == 0).sum()),
+        camera_latest_us=filmed.latest_ns / NS_PER_US,
+        channel_late_us=percentiles([late / NS_PER_US for late in carried.late_ns]),
+        channel_longest_wait_ms=carried.longest_wait_ns / NS_PER_MS,
+        realtime=filmed.realtime and watched.realtime and carried.realtime,
+        others_cores=others_cores,
+    )
+    shots = {}
+    for wanted, drawn in shot_numbers.items():
+        index, number = latest(numbers, drawn)
+        if number is not None:
+            shots[wanted] = (number + wanted - drawn, lumas[index].copy())
+    return Trial(figures, seen.latency_ms, shots)
+
+
+def _numbers(filmed: Filmed, watched: Watched) -> list[int | None]:
+    captured = np.flatnonzero(filmed.captured_ns)
+    counts = np.searchsorted(filmed.captured_ns[captured], watched.shown_ns)
+    numbers = captured.tolist()
+    return read_all(watched.squares, [numbers[:count] for count in counts])
+
+
+class _Machine:
+    """The cores that all other programs use, since this was made."""
+
+    def __init__(self) -> None:
+        self._start = self._read()
+
+    def others(self) -> float:
+        """In cores. Call it after all children of this process have been waited for."""
+        start_ns, start_s = self._start
+        now_ns, now_s = self._read()
+        return max(now_s - start_s, 0.0) * NS_PER_S / (now_ns - start_ns)
+
+    @staticmethod
+    def _read() -> tuple[int, float]:
+        # proc(5): user, nice, system, idle, iowait, irq, softirq, steal, in ticks.
+        words = Path("/proc/stat").read_text().split(maxsplit=9)
+        user, nice, system, _, _, irq, soft, steal = (int(word) for word in words[1:9])
+        busy_s = (user + nice + system + irq + soft + steal) / os.sysconf("SC_CLK_TCK")
+        used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+        return time.monotonic_ns(), busy_s - sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def free_ports() -> int:
+    """A UDP port of the loopback that is free, as is the next one."""
+    for _ in range(100):
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as first,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second,
+        ):
+            first.bind(("127.0.0.1", 0))
+            port: int = first.getsockname()[1]
+            with suppress(OSError, OverflowError):
+                second.bind(("127.0.0.1", port + 1))
+                return port
+    raise ConfigError("no two neighbouring UDP ports of the loopback are free: end what uses them")

@@ -20,10 +20,19 @@ from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import I420, empty_picture
 from pipelines.recording.channels import RECEIVED, SENT
-from pipelines.recording.export import episodes
 from pipelines.recording.export.columns import Columns
 from pipelines.recording.export.films import FilmUnit, FilmUnits
-from pipelines.recording.export.tables import NEAR_NS, TableCollector
+from pipelines.recording.export.tables import (
+    NEAR_NS,
+    TASK_CHANNELS,
+    Placed,
+    Run,
+    TableCollector,
+    TaskRuns,
+    place_pictures,
+    row_instants,
+    usual_fps,
+)
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.messages import HAPTIC_SAMPLES, VIDEO
 from pipelines.recording.recording_file import Outputs
@@ -56,7 +65,7 @@ def check_packages() -> None:
 
 
 class LeRobotExport:
-    """A data set in a directory of its own. Rows are as `episodes` says.
+    """A data set in a directory of its own. Rows are as `tables` says.
 
     State and force are those of the robot's newest cycle that is not after the capture of the row's
     picture; where that is repeated, not after the row's instant. The action is the handle's
@@ -84,7 +93,7 @@ class LeRobotExport:
         self._takers = {topic: one for one in self._cameras for topic in one.topics}
         self._directory, self._recording, self._fps = directory, recording, fps
         self._haptics = TableCollector(recording.begin_ns)
-        self._tasks = episodes.TaskRuns()
+        self._tasks = TaskRuns()
         self._outputs: Outputs | None = None
         self._lines: list[str] = []
 
@@ -101,7 +110,7 @@ class LeRobotExport:
             camera.handle_message(message)
         elif message.schema == HAPTIC_SAMPLES.full_name:
             self._haptics.handle_message(message)
-        elif message.topic in episodes.TASK_CHANNELS:
+        elif message.topic in TASK_CHANNELS:
             self._tasks.handle_message(message)
 
     def end(self) -> None:
@@ -112,12 +121,12 @@ class LeRobotExport:
         leading = self._cameras[0]
         if not len(leading.captures_ns):
             raise ConfigError(f"no picture of {leading.topic} can be decoded")
-        fps = episodes.usual_fps(leading.captures_ns) if self._fps is None else self._fps
+        fps = usual_fps(leading.captures_ns) if self._fps is None else self._fps
         cameras = [leading, *self._gapless(self._cameras[1:], leading.captures_ns)]
         begin_ns = max(hand.begin_ns, *(one.captures_ns[0] for one in cameras))
         facts = self._recording.facts
         setup = facts.setup if facts is not None and facts.setup else "telepresence"
-        runs = self._tasks.runs() or [episodes.Run(setup, begin_ns, None, "")]
+        runs = self._tasks.runs() or [Run(setup, begin_ns, None, "")]
         writing = _Writing(self._directory, self._outputs, cameras, hand, fps, setup)
         for run in runs:
             writing.add_run(run, begin_ns)
@@ -303,7 +312,7 @@ class _Writing:
         self._left_out = {camera.key: 0 for camera in cameras}
         self._old = self._total = 0
 
-    def add_run(self, run: episodes.Run, begin_ns: int) -> None:
+    def add_run(self, run: Run, begin_ns: int) -> None:
         """Write a run as one episode, or several if it is long."""
         leading = self._cameras[0].captures_ns
         last_ns = min(self._hand.end_ns, int(leading[-1]))
@@ -313,15 +322,13 @@ class _Writing:
             first_ns = int(leading[first])
             if first_ns > end_ns:
                 break
-            self._add(
-                run, episodes.row_instants(first_ns, min(end_ns, first_ns + _LONGEST_NS), self._fps)
-            )
+            self._add(run, row_instants(first_ns, min(end_ns, first_ns + _LONGEST_NS), self._fps))
             at_ns = first_ns + _LONGEST_NS + 1
 
-    def _add(self, run: episodes.Run, instants_ns: NDArray[np.int64]) -> None:
+    def _add(self, run: Run, instants_ns: NDArray[np.int64]) -> None:
         number, count = len(self.episodes), len(instants_ns)
         placed = {
-            one.key: episodes.place_pictures(one.captures_ns, instants_ns, self._fps)
+            one.key: place_pictures(one.captures_ns, instants_ns, self._fps)
             for one in self._cameras
         }
         leading = placed[self._cameras[0].key]
@@ -366,7 +373,7 @@ class _Writing:
         self._rows.append(rows)
         self._total += count
 
-    def _write_film(self, camera: _Camera, placed: episodes.Placed, number: int) -> _Colours:
+    def _write_film(self, camera: _Camera, placed: Placed, number: int) -> _Colours:
         self._repeated[camera.key] += int((~placed.own).sum())
         self._left_out[camera.key] += placed.left_out
         colours, step = _Colours(), -(-len(placed.pictures) // _SAMPLED_PICTURES)

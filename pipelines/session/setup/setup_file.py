@@ -11,7 +11,6 @@ from typing import Any
 from kontur_av.codecs.coding import PREFERENCES
 from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import VIDEO_CODECS, parse_size
-from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.setup.table import NO_RADIO, RtcLeg, Setup, VideoStream, VoiceStream
 from telepresence.haptics.envelope import SafetyLimits
@@ -20,6 +19,24 @@ from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile import started
 from telepresence.link.radio.profile_file import load_radio
 from telepresence.toml_file import parse_toml, read_toml, typed
+
+#: The humanoid SpaceJustin, with voice both ways and a picture for the ground.
+SPACEJUSTIN = Setup(
+    name="spacejustin",
+    cameras=("stereo", "static", "head"),
+    uplink_video=VideoStream(name="uplink_video", cap_bps=85_000),
+    uplink_voice=VoiceStream(name="uplink_voice", cap_bps=8_000),
+    downlink_video=VideoStream(name="downlink_video", cap_bps=512_000),
+    downlink_voice=VoiceStream(name="downlink_voice", cap_bps=64_000),
+)
+#: The two-joint robot at its task board: more picture, no voice.
+TASKBOARD = Setup(
+    name="taskboard",
+    cameras=("stereo", "static"),
+    uplink_video=VideoStream(name="uplink_video", cap_bps=90_000),
+)
+BUILT_IN = {setup.name: setup for setup in (SPACEJUSTIN, TASKBOARD)}
+
 
 _NOTHING: Mapping[str, Any] = {}
 

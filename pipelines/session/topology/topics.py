@@ -74,7 +74,7 @@ JOYSTICK_STATE_TOPIC = Topic("joystick/state", "state of the joystick, answer to
 #: Both ends' haptic samples at 1 kHz; see `pipelines.hand.haptic_trace`.
 JOYSTICK_TRACE_TOPIC = Topic("haptic/joystick", "20 ms of the handle: place, force, energy")
 ROBOT_TRACE_TOPIC = Topic("haptic/robot", "20 ms of the tip: place, force, energy")
-#: Who is to drive, and who does: `pipelines.hand.arm_owner`.
+#: Who is to drive, and who does: `pipelines.hand.hand_topics`.
 ARM_ORDER_TOPIC = Topic("arm/order", "who is to drive the robot")
 ARM_STATE_TOPIC = Topic("arm/state", "who drives the robot, and refused datagrams")
 #: The arm that only a partner drives.

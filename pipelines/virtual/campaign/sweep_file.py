@@ -31,8 +31,7 @@ from pipelines.session.setup.table import (
     Setup,
 )
 from pipelines.virtual.campaign.figures import Crash, RunFigures, crashed, run_figures
-from pipelines.virtual.campaign.places import cluster_of, code_digest
-from pipelines.virtual.campaign.sessions import Progress, session_results
+from pipelines.virtual.campaign.sessions import Progress, cluster_of, code_digest, session_results
 from pipelines.virtual.campaign.sweep import Case, Sweep, Value, case_figures, headlines, task_key
 from telepresence.link.radio.profile_file import radio_from_table
 from telepresence.tasks.task_files import load_plan

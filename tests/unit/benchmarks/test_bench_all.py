@@ -17,7 +17,7 @@ from kontur_av.errors import ConfigError
 from pipelines.bench import BENCHES
 from pipelines.cli import make_parser as make_command_parser
 from pipelines.report.result import Headline
-from pipelines.virtual.campaign.places import PACKAGES, code_digest
+from pipelines.virtual.campaign.sessions import PACKAGES, code_digest
 
 #: Sweeps take long.
 LEFT_OUT = {"quick": {"passes"}, "full": set(), "smoke": {"passes", "tasks"}}

@@ -7,7 +7,7 @@ from benchmarks.__main__ import main
 from benchmarks.voice.gstreamer import laid_out
 from benchmarks.voice.network import BURST_PACKETS, Network
 from benchmarks.voice.speech import lags, speech_track
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 
 SETUP = BUILT_IN["spacejustin"]
 

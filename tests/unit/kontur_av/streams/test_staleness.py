@@ -14,7 +14,7 @@ from pipelines.media.figures import DisplayFigures
 from pipelines.media.marking import age_words, mark_halves, mark_stale
 from pipelines.media.showing import Showing
 from pipelines.session.probe import Probe
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 
 MS = NS_PER_MS
 

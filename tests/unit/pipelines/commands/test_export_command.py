@@ -12,7 +12,7 @@ from synthetic_recording import write_recording
 
 from pipelines.cli import main
 from pipelines.recording import facts
-from pipelines.recording.export import mat_file
+from pipelines.recording.export import table_files
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_what_is_too_long_for_the_older_matlab_format_is_written_in_the_newer(
     assert main(["export", str(recording), "--mat", str(out)]) == 0
     old = loadmat(out)
     # A table of 3000 cycles of 70 octets is longer.
-    monkeypatch.setattr(mat_file, "MOST_V5_OCTETS", 200_000)
+    monkeypatch.setattr(table_files, "MOST_V5_OCTETS", 200_000)
     assert main(["export", str(recording), "--mat", str(out), "--overwrite"]) == 0
     assert "MATLAB v7.3" in capsys.readouterr().out
     assert out.read_bytes().startswith(b"MATLAB 7.3 MAT-file")
@@ -149,7 +149,7 @@ def test_an_export_that_fails_leaves_nothing(recording, capsys, monkeypatch):
     def full_disk(*_args, **_options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(mat_file, "write_v5", full_disk)
+    monkeypatch.setattr(table_files, "write_v5", full_disk)
     words = (
         recording,
         "--mat",
@@ -172,7 +172,7 @@ def test_nothing_is_written_where_nothing_can_be(recording, capsys):
 
 
 def test_a_missing_package_is_one_line_that_names_the_mend(recording, capsys, monkeypatch):
-    monkeypatch.setattr(mat_file, "find_spec", lambda name: None)
+    monkeypatch.setattr(table_files, "find_spec", lambda name: None)
     line = refused(capsys, recording, "--mat", recording.with_name("out.mat"))
     assert "pip install 'kontur-av[export]'" in line
 

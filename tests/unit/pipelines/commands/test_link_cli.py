@@ -6,7 +6,7 @@ from places import ROOT
 from pipelines.cli import main
 from pipelines.commands import link
 from pipelines.link import own_ends
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of

@@ -15,7 +15,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import VIDEO_CODECS, CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
-from pipelines.commands.rtc_outputs import PartnerOutput, add_output_arguments
+from pipelines.commands.rtc_running import PartnerOutput, add_output_arguments
 from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures

@@ -30,7 +30,7 @@ from pipelines.recording.channels import sources_of
 from pipelines.recording.messages import RecordedPicture, UnitFacts, unpack
 from pipelines.recording.session_messages import Instants
 from pipelines.session.figures import Event, SessionEvents
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 

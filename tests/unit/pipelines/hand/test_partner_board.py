@@ -6,8 +6,8 @@ from collections import deque
 import pytest
 
 from kontur_av.clock import NS_PER_MS as MS
+from pipelines.hand.desks import RobotDesk
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
-from pipelines.hand.robot_desk import RobotDesk
 from pipelines.session.mission_messages import RobotCommand
 from pipelines.session.probe import Probe
 from telepresence.haptics.device.handle import OperatedHandle

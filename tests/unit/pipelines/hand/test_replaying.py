@@ -11,8 +11,8 @@ from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
 from pipelines.recording.figures import ReplayFigures
 from pipelines.recording.process_replaying import ReplayStart
 from pipelines.recording.recorded_session import MOST_MORE_NS, cap_needed_bps, longest_wait_ns
+from pipelines.session.figures import ContactRow, SampleReceivedRow, SampleSentRow
 from pipelines.session.probe import Probe
-from pipelines.session.rows import ContactRow, SampleReceivedRow, SampleSentRow
 
 BEGIN_NS = 7_000 * NS_PER_S
 HALF_NS = NS_PER_MS // 2

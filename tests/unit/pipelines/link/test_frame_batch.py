@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.errors import ProtocolError
-from pipelines.link.frame_batch import pack_frames, unpack_frames
+from pipelines.link.figures import pack_frames, unpack_frames
 
 INSTANTS = st.integers(-(2**63), 2**63 - 1)
 BATCHES = st.lists(st.tuples(INSTANTS, st.binary(max_size=600)), max_size=40)

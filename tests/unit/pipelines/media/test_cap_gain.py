@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.media.gain import LASTED_NS, RESERVE_BPS, STEADY_NS, CapGain, gain_of
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 
 SETUP = replace(BUILT_IN["spacejustin"], deadband="picture")
 STREAM = SETUP.uplink_video

@@ -6,8 +6,8 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.detect import Click, Light
 from kontur_av.media import CaptureStamp, empty_picture
 from pipelines.media.showing import Recall, Watching, tell_click, tell_light
+from pipelines.session.figures import ClickRow, LightRow
 from pipelines.session.probe import Probe
-from pipelines.session.rows import ClickRow, LightRow
 
 LATE_NS = 60 * NS_PER_MS
 

@@ -16,7 +16,7 @@ from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValues
 from pipelines.session.probe import Probe
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import MAX_CAMERA_OCTETS
 from pipelines.session.topology import Topology
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary

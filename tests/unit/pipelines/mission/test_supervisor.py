@@ -9,8 +9,8 @@ from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, Reported, SendCommand
 from pipelines.session.figures import LoopFigures, ProcessState
 from pipelines.session.session_switch import ProcessOrder
-from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import SessionOptions
 from pipelines.table import topology_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary

@@ -5,7 +5,7 @@ from google.protobuf import descriptor_pb2
 
 from kontur_av.sources.recorded_format import FORMAT_KEY
 from pipelines.recording.channels import channels_of
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Kind
 from pipelines.table import topology_of
 

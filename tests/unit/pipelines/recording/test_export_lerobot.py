@@ -12,7 +12,7 @@ from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.media import empty_picture
 from pipelines.bench.course import marks
 from pipelines.cli import main
-from pipelines.recording.export.episodes import Run, TaskRuns, place_pictures, row_instants
+from pipelines.recording.export.tables import Run, TaskRuns, place_pictures, row_instants
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import SPACE_PACKET
 from telepresence.tmtc.k2aci import Numbered, StartTask, TaskFinished, TaskResult, pack_body

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from synthetic_recording import BEGIN_NS, LINK_CYCLES, MS, S, write_recording
 
 from pipelines.recording.export.columns import Columnizer, joined, table_names
-from pipelines.recording.export.csv_files import CsvExport
+from pipelines.recording.export.table_files import CsvExport
 from pipelines.recording.export.tables import TableCollector, haptic_tables, rows_of_haptics
 from pipelines.recording.joined import JoinedMessage, JoinedRecording, read_part
 from pipelines.recording.messages import (

@@ -10,7 +10,7 @@ from pipelines.recording.channels import channels_of
 from pipelines.recording.joined import JoinedRecording, read_part
 from pipelines.recording.messages import NO_SAMPLE, RecordedPicture, UnitFacts, pack, unpack
 from pipelines.recording.recorded_session import read_session
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 
 ROWS = channels_of(topology_of(BUILT_IN["spacejustin"]))

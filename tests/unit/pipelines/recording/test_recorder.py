@@ -18,7 +18,7 @@ from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, ROW
-from pipelines.link.frame_batch import pack_frames
+from pipelines.link.figures import pack_frames
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.key_picture_maker import last_key
 from pipelines.recording.camera_reader import CameraReader
@@ -42,7 +42,7 @@ from pipelines.recording.own_pictures import KEY_PATIENCE_NS
 from pipelines.recording.recorder import RETRY_NS, Recorder
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.session.probe import Probe
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.terminal_lines import PartLimits
 from pipelines.session.topology import Segment

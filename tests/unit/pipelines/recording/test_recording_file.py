@@ -9,7 +9,7 @@ import pytest
 from kontur_av.errors import ConfigError
 from pipelines.recording.part_files import PartFiles, check_disk, check_recordable
 from pipelines.recording.recording_file import Outputs, write_whole
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 
 
 def test_recordings_are_for_their_user_alone(tmp_path):

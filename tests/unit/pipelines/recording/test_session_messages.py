@@ -10,7 +10,7 @@ from pipelines.recording.channels import sources_of
 from pipelines.recording.messages import RecordedExperiment, RecordedLeds, unpack
 from pipelines.recording.session_messages import Instants, SessionMessages
 from pipelines.session.mission_messages import ExperimentShown, LedsShown, RunShown, pack
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.tasks.definitions import Pattern
 from telepresence.tasks.panel_picture import PanelPicture

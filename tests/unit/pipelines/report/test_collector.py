@@ -13,9 +13,8 @@ from pipelines.link.figures import SocketFigures
 from pipelines.media.figures import CaptureFigures
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import STAGES, Skew
-from pipelines.session.figures import LoopFigures
-from pipelines.session.probe import Message
-from pipelines.session.rows import (
+from pipelines.session.figures import (
+    LoopFigures,
     OutRow,
     RxRow,
     SampleReceivedRow,
@@ -23,7 +22,8 @@ from pipelines.session.rows import (
     ShownRow,
     TxRow,
 )
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.probe import Message
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesReceived
 from telepresence.link.figures import SenderFigures

@@ -10,7 +10,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.media.figures import CaptureFigures, SelectorFigures
 from pipelines.report.collector import ProcessFigures
 from pipelines.report.journeys import HapticFigures, Pauses, StreamFigures
-from pipelines.session.rows import OutRow, RxRow, ShownRow, TxRow
+from pipelines.session.figures import OutRow, RxRow, ShownRow, TxRow
 
 START_NS = 1_000 * NS_PER_S
 

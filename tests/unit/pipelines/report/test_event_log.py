@@ -14,8 +14,7 @@ from pipelines.mission.figures import TaskFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import DEPTH, EventLog, ProcessNow
 from pipelines.session.session_switch import Order, SessionSwitch
-from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.task_journal import TaskRow, TaskStep
 from pipelines.table import topology_of
 from telepresence.haptics.figures import JoystickFigures

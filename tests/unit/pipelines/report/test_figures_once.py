@@ -20,7 +20,7 @@ from pipelines.report.seat_figures import SeatFigures
 from pipelines.report.session_report import build_report
 from pipelines.session.figures import TrainerFigures
 from pipelines.session.session_switch import SessionSwitch
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 
 SETUP = BUILT_IN["taskboard"]

@@ -8,7 +8,7 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.collector import Collector
-from pipelines.session.rows import (
+from pipelines.session.figures import (
     CodingRow,
     DecodedRow,
     RxRow,
@@ -17,7 +17,7 @@ from pipelines.session.rows import (
     ShownRow,
     TxRow,
 )
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 
 SESSION = topology_of(BUILT_IN["spacejustin"])

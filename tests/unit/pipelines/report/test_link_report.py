@@ -10,7 +10,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.model import GatewayReport, LinkReport, from_json, to_json
 from pipelines.session.figures import LoopFigures
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Direction, Segment
 from pipelines.table import topology_of
 from telepresence.link.gateway import Gateway

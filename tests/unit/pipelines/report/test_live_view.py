@@ -11,9 +11,9 @@ from kontur_av.streams.staleness import State
 from pipelines.media.figures import CaptureFigures, DisplayFigures
 from pipelines.report.collector import Collector
 from pipelines.report.live import _age, _inputs, _line, first_line, streams_table
-from pipelines.session.rows import OutRow, SampleReceivedRow
+from pipelines.session.figures import OutRow, SampleReceivedRow
 from pipelines.session.session_switch import Order, SessionSwitch
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 
 SETUP = BUILT_IN["taskboard"]

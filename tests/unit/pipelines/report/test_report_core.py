@@ -18,9 +18,8 @@ from pipelines.report.link_report import ledger_percent, link_figures
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report, failures
 from pipelines.report.silence import never_met, signal_ns, silences
-from pipelines.session.figures import ProbeFigures
-from pipelines.session.rows import OutRow, ShownRow
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.figures import OutRow, ProbeFigures, ShownRow
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Direction
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesReceived, SamplesSent

@@ -20,10 +20,15 @@ from pipelines.report.seat_feed import SeatFeed
 from pipelines.report.seat_figures import SeatFigures, SeatMessage
 from pipelines.report.session_report import build_report
 from pipelines.seats.figures import PageFigures
-from pipelines.session.figures import LoopFigures, ProcessState
-from pipelines.session.rows import OutRow, SampleReceivedRow, SampleSentRow
+from pipelines.session.figures import (
+    LoopFigures,
+    OutRow,
+    ProcessState,
+    SampleReceivedRow,
+    SampleSentRow,
+)
 from pipelines.session.session_switch import Order, RestartPolicy, SessionSwitch
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesReceived, SamplesSent
 

@@ -15,9 +15,9 @@ from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report
 from pipelines.report.summary import first_line, streams_table
 from pipelines.report.warnings import find_path_warnings, hand_warnings
-from pipelines.session.rows import ShownRow
+from pipelines.session.figures import ShownRow
 from pipelines.session.session_switch import SessionSwitch
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesSent

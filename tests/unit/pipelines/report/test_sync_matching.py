@@ -19,8 +19,8 @@ from pipelines.report.sync_figures import (
     sync_section,
 )
 from pipelines.report.sync_matching import Matched, match
-from pipelines.session.rows import ClickRow, ContactRow, LightRow, StepRow
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.figures import ClickRow, ContactRow, LightRow, StepRow
+from pipelines.session.setup.setup_file import BUILT_IN
 
 MS = NS_PER_MS
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.model import Terms
 from pipelines.report.terms import TERMS, DelaySums, video_lead, zone_bps
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from telepresence.link.figures import SenderFigures
 from telepresence.link.profile import UPLINK
 from telepresence.link.radio import load_radio

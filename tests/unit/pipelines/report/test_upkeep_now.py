@@ -16,7 +16,7 @@ from pipelines.report.upkeep_now import (
     planned_contact,
 )
 from pipelines.seats.figures import PageFigures
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.envelope import Hold, SafetyFigures

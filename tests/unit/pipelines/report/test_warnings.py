@@ -15,7 +15,7 @@ from pipelines.report.warnings import (
     restart_warning,
 )
 from pipelines.session.session_switch import NO_ROOM
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 
 

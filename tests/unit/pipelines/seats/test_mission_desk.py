@@ -16,8 +16,8 @@ from pipelines.mission.tmtc_messages import (
 )
 from pipelines.seats.mission_desk import MissionDesk, level_of, radio_text
 from pipelines.seats.texts import ChatRequest, CommandRequest
+from pipelines.session.access import Role
 from pipelines.session.mission_messages import ExperimentShown, TaskListed
-from pipelines.session.seat_roles import Role
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 

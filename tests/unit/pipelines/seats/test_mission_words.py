@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from pipelines.session import seat_roles
+from pipelines.session import access
 from pipelines.session.web_site import STATIC
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.experiment import Phase, RunStep
@@ -36,7 +36,7 @@ def test_the_pages_have_the_steps_in_their_order():
     assert re.findall(r'"(.*?)",', table("STEPS")) == [one.value for one in RunStep]
 
 
-@pytest.mark.parametrize("deed", [one for one in seat_roles._MAY if "." in one])
+@pytest.mark.parametrize("deed", [one for one in access._MAY if "." in one])
 def test_each_telecommand_that_a_role_may_give_exists(deed):
     application, _, function = deed.partition(".")
     known = built_in_dictionary().application(application).functions

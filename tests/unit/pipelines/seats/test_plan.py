@@ -3,7 +3,7 @@
 import pytest
 
 from pipelines.seats.plan import welcome_text
-from pipelines.session.seat_roles import Role
+from pipelines.session.access import Role
 from pipelines.session.setup.segments import Segment
 
 

@@ -17,9 +17,9 @@ from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import PageRequest, Seat
 from pipelines.seats.texts import ExerciseRequest, FetchRequest, RecordingRequest
-from pipelines.session.seat_roles import Role
+from pipelines.session.access import Role
 from pipelines.session.session_switch import Order
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.device.states import JoystickEvent, JoystickState

@@ -8,7 +8,7 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.session.launcher import hold_ports
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS
 from pipelines.table import topology_of
 

@@ -3,9 +3,8 @@
 import pytest
 
 from pipelines.media.figures import DisplayFigures
-from pipelines.session.figures import ProbeFigures
+from pipelines.session.figures import LatenessRow, ProbeFigures, RxRow, ShownRow
 from pipelines.session.probe import FLUSH_NS, Message, Probe, Series
-from pipelines.session.rows import LatenessRow, RxRow, ShownRow
 from pipelines.session.session_switch import Order
 from telepresence.haptics.figures import PortFigures, SamplesSent
 

@@ -3,7 +3,7 @@
 import pytest
 
 from pipelines.recording.rows import Script, replay_topology
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Topology
 from pipelines.table import topology_of
 

@@ -7,7 +7,7 @@ import pytest
 from kontur_av.clock import MonotonicClock
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 
 PATIENCE_S = 20

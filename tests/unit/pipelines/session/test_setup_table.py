@@ -8,9 +8,8 @@ from rtp_packets import PromptSender
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
 from pipelines.media.stream_figures import REPORT_INTERVAL_NS
-from pipelines.session.setup.built_in import BUILT_IN
 from pipelines.session.setup.segments import Direction, Segment
-from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.setup.table import PORTS, RtcLeg, Setup, VideoStream
 from telepresence.haptics.envelope import SafetyLimits
 from telepresence.link.arithmetic import (

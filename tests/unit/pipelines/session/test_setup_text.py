@@ -5,8 +5,7 @@ from dataclasses import fields, replace
 
 import pytest
 
-from pipelines.session.setup.built_in import BUILT_IN
-from pipelines.session.setup.setup_file import setup_from_table
+from pipelines.session.setup.setup_file import BUILT_IN, setup_from_table
 from pipelines.session.setup.setup_text import setup_toml
 
 SETUPS = [

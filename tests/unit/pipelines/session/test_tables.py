@@ -5,7 +5,7 @@ import re
 import pytest
 
 from pipelines.cli import main
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology.tables import dot, processes_table, streams_table, topics_table
 from pipelines.table import topology_of
 

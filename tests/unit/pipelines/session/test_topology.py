@@ -8,7 +8,7 @@ from pkgutil import resolve_name
 import pytest
 
 from pipelines.recording.channels import sources_of
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS, RtcLeg, Setup
 from pipelines.session.topology import PAGES, TASKS, Direction, Kind, Segment, Topology, VideoRow
 from pipelines.table import topology_of

@@ -10,7 +10,7 @@ from kontur_av.errors import ConfigError
 from pipelines.study.desk import StudyDesk, StudyPhase, StudyPress
 from pipelines.study.effects import study_report
 from pipelines.study.plan import Aiming, HandleLevels, StudyPlan, Tracking
-from pipelines.study.results import StudyFolder, write_tables
+from pipelines.study.running import StudyFolder, write_tables
 from telepresence.haptics.device.page import PageDevice, PageInput
 
 PLAN = StudyPlan(

@@ -7,7 +7,7 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.study.plan import Aiming, HandleLevels, StudyPlan, Tracking, latin_square, trials_of
-from pipelines.study.results import load_study
+from pipelines.study.running import load_study
 
 FOUR = {"damping_n_s_m": (0.0, 10.0), "inertia_kg": (0.0, 1.0)}
 

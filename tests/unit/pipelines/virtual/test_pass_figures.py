@@ -5,7 +5,7 @@ import copy
 import pytest
 from partial_report import partial_report
 
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.campaign.figures import (
     Crash,
     SessionTask,

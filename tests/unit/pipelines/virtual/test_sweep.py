@@ -1,6 +1,6 @@
 """A sweep's table: medians over seeds, verdicts, and runs that are missing."""
 
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.campaign.figures import RunFigures
 from pipelines.virtual.campaign.sweep import (
     Case,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.session.setup.built_in import TASKBOARD
+from pipelines.session.setup.setup_file import TASKBOARD
 from telepresence.haptics.axes import (
     AXIS_OCTETS,
     MOST_AXIS_ENERGY_UJ,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from telepresence.link.frame import FrameCodec
 from telepresence.link.peer_path import SILENCE_NS, OpenPath
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Direction
 from pipelines.table import topology_of
 from telepresence.link.receiver import LinkReceiver

@@ -5,9 +5,9 @@ import pkgutil
 import socket
 from types import SimpleNamespace
 
-from pipelines.commands.files_options import files_arguments
+from pipelines.commands.session_ways import files_arguments
 from pipelines.files.service_sockets import bound_services, services_wish
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import FILES, PAGES, Segment
 from pipelines.table import topology_of
 

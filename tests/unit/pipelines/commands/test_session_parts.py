@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.task_options import add_task_arguments, task_wish
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.commands.session_parts import add_task_arguments, task_wish
 from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.setup_file import BUILT_IN
 
 SETUP = BUILT_IN["spacejustin"]
 

@@ -9,15 +9,15 @@ from rtp_packets import PromptSender
 from kontur_av.clock import ManualClock
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.receiver import RtpReceiver
-from pipelines.session import reception
-from pipelines.session.reception import Incoming
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.media import process_receive
+from pipelines.media.process_receive import Incoming
+from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 
 
 @pytest.fixture
 def context(tmp_path, monkeypatch):
-    monkeypatch.setattr(reception, "session_root", lambda session: tmp_path)
+    monkeypatch.setattr(process_receive, "session_root", lambda session: tmp_path)
     sockets = []
 
     def listen(port):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.hand.robot_desk import STATUS_NS, RobotDesk
+from pipelines.hand.desks import STATUS_NS, RobotDesk
 from pipelines.session.mission_messages import RobotCommand, RobotOrder
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.loop import robot_link

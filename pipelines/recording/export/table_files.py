@@ -1,25 +1,123 @@
-"""Tables as a MATLAB file: v5 by scipy, v7.3 by h5py (the extra `export`). A shell.
+"""The tables of a recording as CSV files, and as a MATLAB file: v5 by scipy, v7.3 by h5py. A shell.
 
-A table is a struct of column vectors; a column of texts is a cell array. A v7.3 file is HDF5 with a
-header and attributes of its own. MathWorks does not publish the format. Written after what MATLAB's
-own files hold: a struct is a group, arrays have their dimensions reversed, a text is UTF-16, a cell
-array refers to datasets.
+CSV has a line for each row, and units in the headings. The packages for MATLAB are of the extra
+`export`.
+
+A MATLAB table is a struct of column vectors; a column of texts is a cell array. A v7.3 file is HDF5
+with a header and attributes of its own. MathWorks does not publish the format. Written after what
+MATLAB's own files hold: a struct is a group, arrays have their dimensions reversed, a text is
+UTF-16, a cell array refers to datasets.
 """
 
-from collections.abc import Mapping
+import csv
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.util import find_spec
+from io import TextIOWrapper
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.errors import ConfigError
-from pipelines.recording.export.columns import Column, Columns
+from pipelines.recording.export.columns import (
+    Column,
+    Columnizer,
+    Columns,
+    Rows,
+    joined,
+    table_names,
+)
 from pipelines.recording.export.tables import RECORDING, TableCollector
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
+from pipelines.recording.messages import LINK_SENT
 from pipelines.recording.recording_file import Outputs
+
+if TYPE_CHECKING:
+    from _csv import Writer
+
+#: Its columns may grow during a session, so it is written at the end.
+_GROWING = {LINK_SENT.full_name}
+
+
+class CsvExport:
+    """A file for each channel that has messages, in one directory.
+
+    Call `begin`, then `handle_message` for each message, then `end`.
+    """
+
+    def __init__(self, directory: Path, recording: JoinedRecording) -> None:
+        self._directory = directory
+        self._columnizer = Columnizer(recording.begin_ns)
+        names = table_names(topic for topic, count in recording.counts.items() if count)
+        self._topics = {topic: directory / f"{name}.csv" for topic, name in names.items()}
+        self._files: dict[str, CsvFile] = {}
+
+    @property
+    def paths(self) -> list[Path]:
+        return [*self._topics.values()]
+
+    def begin(self, outputs: Outputs) -> None:
+        outputs.make_directory(self._directory)
+        for topic, path in self._topics.items():
+            self._files[topic] = CsvFile(outputs.unfinished(path), self._columnizer)
+
+    def handle_message(self, message: JoinedMessage) -> None:
+        self._files[message.topic].handle_message(message)
+
+    def end(self) -> None:
+        for file in self._files.values():
+            file.close()
+
+    def lines(self) -> list[str]:
+        return [f"{self._directory}: {len(self._files)} CSV files", *self._columnizer.lines()]
+
+
+class CsvFile:
+    """One channel as CSV (RFC 4180), written while it is read.
+
+    Numbers have as many digits as are needed to read back the same value. True is 1, False is 0.
+    """
+
+    def __init__(self, path: Path, columnizer: Columnizer) -> None:
+        self._file: TextIOWrapper = path.open("w", newline="", encoding="utf-8")
+        self._writer: Writer = csv.writer(self._file)
+        self._columnizer = columnizer
+        self._headed = False
+        self._waiting: list[Rows] = []
+
+    def handle_message(self, message: JoinedMessage) -> None:
+        rows = self._columnizer.rows(message)
+        if rows is None:
+            return
+        if message.schema in _GROWING:
+            self._waiting.append(rows)
+        else:
+            self._write(rows)
+
+    def close(self) -> None:
+        """Write what waits, and end the file."""
+        if self._waiting:
+            self._write(joined(self._waiting))
+        self._file.close()
+
+    def _write(self, rows: Rows) -> None:
+        if not self._headed:
+            self._writer.writerow(rows)
+            self._headed = True
+        self._writer.writerows(zip(*(_texts(column) for column in rows.values()), strict=True))
+
+
+def _texts(column: Sequence[Any] | NDArray[Any]) -> Sequence[Any]:
+    if not isinstance(column, np.ndarray):
+        return column
+    if column.dtype == np.bool_:
+        column = column.astype(np.uint8)
+    # The shortest text from which the same float32 is read; as a Python float it is longer.
+    found: list[Any] = (column.astype("U") if column.dtype == np.float32 else column).tolist()
+    return found
+
 
 #: A variable of a v5 file has less; a struct is one variable.
 MOST_V5_OCTETS = (1 << 31) - (1 << 20)

@@ -7,8 +7,8 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.media.tip_region import tip_region
-from pipelines.session.setup.built_in import BUILT_IN
+from pipelines.media.following import tip_region
+from pipelines.session.setup.setup_file import BUILT_IN
 from telepresence.world.ground_views import camera_of
 
 SETUP = replace(BUILT_IN["spacejustin"], region="stylus")
