@@ -100,7 +100,7 @@ class _Rays:
     @classmethod
     @cache
     def of_curve(cls) -> "_Rays":
-        """The table of the drawn curve, which all boards share: it takes 10 ms to compute."""
+        """The table of the drawn curve, which all boards share: it takes 5 ms to compute."""
         points = [contour_point(tau * k / 7200) for k in range(7200)]
         rays = sorted((atan2(y, x + 0.045) % tau, hypot(x + 0.045, y)) for x, y in points)
         angles = [angle for angle, _ in rays]

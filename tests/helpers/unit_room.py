@@ -22,7 +22,7 @@ _DOORS = (
 def closed_doors() -> Iterator[None]:
     """Within this context, starting a process or a simulation raises AssertionError."""
     opened = [getattr(owner, name) for owner, name in _DOORS]
-    # Without unittest.mock, which takes a third of a millisecond for each of thousands of tests.
+    # Without unittest.mock, which does more for each of thousands of tests.
     for (owner, name), door in zip(_DOORS, opened, strict=True):
         setattr(owner, name, _closed(owner, name, door))
     try:
