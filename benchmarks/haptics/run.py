@@ -1,6 +1,7 @@
 """One run of a cell on virtual time, with any controller at either end. A core."""
 
 import json
+from array import array
 from cmath import rect
 from math import radians
 from pathlib import Path
@@ -104,10 +105,10 @@ def run_cell(
     down = _channel(cell, f"{seed} down", planned.down_dark)
     up = _channel(cell, f"{seed} up", planned.up_dark)
     handle, tip, hand = ends.handle, ends.tip, ends.hand
-    rows = np.zeros((planned.end_ns + _WAITS_NS) // NS_PER_MS, [(name, float) for name in COLUMNS])
+    values = array("d")
     restart = planned.restart if cell.restart != "none" else (len(planned.script), 0)
     waypoint = number = 0
-    for number in range(len(rows)):
+    for number in range((planned.end_ns + _WAITS_NS) // NS_PER_MS):
         now_ns = number * NS_PER_MS
         before, (waypoint, into_ns) = waypoint, hand.place
         if waypoint < before:
@@ -133,7 +134,7 @@ def run_cell(
             up.handle_datagram(data, now_ns)
         if (data := robot_side.poll_wall(now_ns)) is not None:
             up.handle_datagram(data, now_ns)
-        rows[number] = (
+        row = (
             *(handle.x_m, handle.y_m, handle.motor_x_n, handle.motor_y_n),
             *(tip.x_m, tip.y_m, robot_side.force_x_n, robot_side.force_y_n),
             *(tip.push_x_n, tip.push_y_n, handle.work_j, tip.work_j),
@@ -142,7 +143,8 @@ def run_cell(
             *((0.0, 0.0) if ends.envelope is None else ends.envelope.offset_m),
             *(waypoint, *ends.lives),
         )
-    return planned, rows[:number]
+        values.extend(row)
+    return planned, np.frombuffer(values, [(name, float) for name in COLUMNS])[:number]
 
 
 def _channel(cell: Cell, seed: str, dark: tuple[tuple[int, int], ...]) -> SampleChannel:

@@ -772,7 +772,7 @@ def _nested(found: Any, hint: Any) -> Any:
             {key: _nested(one, arguments[1]) for key, one in found.items()} if arguments else found
         )
     made: dict[str, object] = {}
-    hints, rows = get_type_hints(hint), keys_of(hint)
+    hints, rows = _hints_of(hint), keys_of(hint)
     for name, key, _, flat in rows:
         if flat and not _is_record(_type_of(hints[name])):
             own = {one[1] for one in rows if not one[3]}
@@ -786,14 +786,26 @@ def _nested(found: Any, hint: Any) -> Any:
 
 def _is_in(found: Mapping[str, Any], kind: type) -> bool:
     """Whether a table has a flat record of this kind: some of its keys, and all that must be."""
+    known, required = _keys_in(kind)
+    return required <= found.keys() and not found.keys().isdisjoint(known)
+
+
+@cache
+def _hints_of(kind: Any) -> Mapping[str, Any]:
+    """The types of a record's fields; a report has hundreds of records of few kinds."""
+    return get_type_hints(kind)
+
+
+@cache
+def _keys_in(kind: type) -> tuple[frozenset[str], frozenset[str]]:
+    """All keys of a record, with those of the flat ones in it, and those that must be there."""
     keys = dict(_keys(kind))
-    required = {key for key, optional in keys.items() if not optional}
-    return required <= found.keys() and not found.keys().isdisjoint(keys)
+    return frozenset(keys), frozenset(key for key, optional in keys.items() if not optional)
 
 
 def _keys(kind: type) -> Iterator[tuple[str, bool]]:
     """The keys of a record, with those of the flat ones in it; whether each may be left out."""
-    hints = get_type_hints(kind)
+    hints = _hints_of(kind)
     for name, key, optional, flat in keys_of(kind):
         if flat:
             below = _keys(_type_of(hints[name]))

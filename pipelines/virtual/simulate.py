@@ -326,8 +326,8 @@ def replay(
 
 
 def _run(simulation: Simulation, end_ns: int, stopped: Callable[[], bool]) -> None:
-    # The present objects stay until the end, so the garbage collector need not visit them.
-    gc.collect()
+    # The present objects stay until the end, so the garbage collector need not visit them. It
+    # need not look for garbage among them first, either.
     gc.freeze()
     try:
         now_ns = simulation.start_ns

@@ -1,5 +1,6 @@
 """Both sides of mediated haptics on virtual time, with a delay for samples and for walls."""
 
+from array import array
 from collections import deque
 
 import numpy as np
@@ -45,11 +46,11 @@ class MediatedPair:
         self.now_ns = 0
         self._down, self._up, self._walls = deque(), deque(), deque()
         self._garble = garble
-        self._rows = []
+        self._values = array("d")
 
     @property
     def rows(self) -> np.ndarray:
-        return np.array(self._rows)
+        return np.array(self._values).reshape(-1, 7)
 
     def restart_joystick(self) -> None:
         """Begin a new life of the joystick's side, with the handle where it is."""
@@ -62,24 +63,24 @@ class MediatedPair:
 
     def _cycle(self) -> None:
         now_ns, space, ground = self.now_ns, self.space, self.ground
-        for path, handle in (
-            (self._down, lambda data: ground.handle_datagram(data, now_ns)),
-            (self._up, lambda data: space.handle_datagram(data, now_ns)),
-            (self._walls, space.handle_wall),
-        ):
-            while path and path[0][0] <= now_ns:
-                handle(path.popleft()[1])
+        down, up, walls = self._down, self._up, self._walls
+        while down and down[0][0] <= now_ns:
+            ground.handle_datagram(down.popleft()[1], now_ns)
+        while up and up[0][0] <= now_ns:
+            space.handle_datagram(up.popleft()[1], now_ns)
+        while walls and walls[0][0] <= now_ns:
+            space.handle_wall(walls.popleft()[1])
         ground.handle_cycle(now_ns, MS)
         space.handle_cycle(now_ns, MS)
         due_ns = now_ns + self.half_ns
         if (command := space.poll_transmit(now_ns)) is not None:
-            self._down.append((due_ns, command))
+            down.append((due_ns, command))
         if (feedback := ground.poll_transmit(now_ns)) is not None:
-            self._up.append((due_ns, feedback))
+            up.append((due_ns, feedback))
         if (wall := ground.poll_wall(now_ns)) is not None:
-            self._walls += [(due_ns, each) for each in self._garble(wall)]
+            walls += [(due_ns, each) for each in self._garble(wall)]
         handle = self.handle
         x_n, y_n = handle.motor_x_n, handle.motor_y_n
-        walls = self.space.controller.robot_force_n
-        self._rows.append((handle.x_m, x_n, handle.work_j, handle.y_m, y_n, *walls))
+        wall_n = space.controller.robot_force_n
+        self._values.extend((handle.x_m, x_n, handle.work_j, handle.y_m, y_n, *wall_n))
         self.now_ns += MS

@@ -50,6 +50,12 @@ class Mission:
         self.records = []
         self.delay_ns = delay_ms * MS
         self._ways = {"up": deque(), "down": deque()}
+        self._ends = {
+            ("up", "sample"): self.joystick.handle_datagram,
+            ("down", "sample"): self.robot.handle_datagram,
+            ("up", "body"): self.space.handle_message,
+            ("down", "body"): self.ground.handle_message,
+        }
         self._pressed = 0
         self.log, self.runs, self.events = [], [], []
         self.keeper = ScoreKeeper()
@@ -96,18 +102,12 @@ class Mission:
             self._ways[way].append((now_ns + self.delay_ns, what, octets))
 
     def _carry(self, now_ns):
-        ends = {
-            ("up", "sample"): self.joystick.handle_datagram,
-            ("down", "sample"): self.robot.handle_datagram,
-            ("up", "body"): self.space.handle_message,
-            ("down", "body"): self.ground.handle_message,
-        }
         for way, waiting in self._ways.items():
             if not self.signal:
                 waiting.clear()
             while waiting and waiting[0][0] <= now_ns:
                 _, what, octets = waiting.popleft()
-                ends[way, what](octets, now_ns)
+                self._ends[way, what](octets, now_ns)
 
     def _above(self, now_ns):
         handle = self.joystick.handle

@@ -1,7 +1,7 @@
 """Random losses, stalls, halts, changes of owner and presses at the robot, and who may move it."""
 
-from dataclasses import dataclass
 from random import Random
+from typing import NamedTuple
 
 from telepresence.haptics.envelope import Hold, SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import Robot
@@ -17,8 +17,7 @@ _REST = 60
 _REST_M_S = 0.05
 
 
-@dataclass(frozen=True)
-class Cycle:
+class Cycle(NamedTuple):
     """What happens in one millisecond. command: None if none is fresh."""
 
     command: Command | None

@@ -98,8 +98,15 @@ def calls(node: ast.AST, place: str = "") -> Iterator[tuple[str, str]]:
         if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             inner = f"{place}.{child.name}" if place else child.name
         elif isinstance(child, ast.Call):
-            yield place, ast.unparse(child.func)
+            yield place, dotted(child.func)
         yield from calls(child, inner)
+
+
+def dotted(node: ast.AST) -> str:
+    """The dotted name; what is no name in it is left empty."""
+    if isinstance(node, ast.Attribute):
+        return f"{dotted(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
 
 
 def found(names: set[str]) -> dict[str, set[str]]:

@@ -5,6 +5,7 @@ import re
 import shlex
 import tomllib
 from dataclasses import fields
+from functools import cache
 
 import pytest
 from places import ROOT
@@ -44,20 +45,25 @@ def commands_in(text: str, program: str = "kontur-av") -> list[list[str]]:
     return found
 
 
+@cache
+def parsers() -> tuple[argparse.ArgumentParser, argparse.ArgumentParser]:
+    """Those of kontur-av and of the benchmarks, which take long to make."""
+    return make_parser(), make_benchmark_parser()
+
+
 def subcommands() -> dict[str, argparse.ArgumentParser]:
-    parser = make_parser()
     (action,) = (
-        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+        action for action in parsers()[0]._actions if isinstance(action, argparse._SubParsersAction)
     )
     return dict(action.choices)
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_the_cli_accepts_every_documented_command(document):
-    for arguments in commands_in(document.read_text(encoding="utf-8")):
-        make_parser().parse_args(arguments)
-    for arguments in commands_in(document.read_text(encoding="utf-8"), "benchmarks"):
-        make_benchmark_parser().parse_args(arguments)
+    text = document.read_text(encoding="utf-8")
+    for parser, program in zip(parsers(), ("kontur-av", "benchmarks"), strict=True):
+        for arguments in commands_in(text, program):
+            parser.parse_args(arguments)
 
 
 def test_the_table_of_commands_has_each_command():

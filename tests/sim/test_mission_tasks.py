@@ -1,17 +1,19 @@
 """Fig. 14 from selection to end: every task of the catalogue, and what ends one early."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mission import Mission
+from mission import MS, Mission
 
 from telepresence.haptics.board import LIGHTS_M
 from telepresence.haptics.sample import MODE_OFF
+from telepresence.tasks.cosmonaut import LOOK_NS
 from telepresence.tasks.experiment import Experiment, Phase, RunStep, TaskRun
 from telepresence.tasks.kernel import PowerRobot, View
 from telepresence.tasks.panel import MissionPanel
+from telepresence.tasks.scores import ScoreKeeper, Scores
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.k2aci import (
     Numbered,
@@ -32,41 +34,81 @@ def steps(mission, run):
     return [one.step for one in mission.log if one.run == run]
 
 
-def assert_at_rest(mission):
-    assert mission.robot.robot.mode == MODE_OFF
-    assert not mission.recording
-    assert mission.experiment.status.phase is Phase.IDLE
-    # Nothing led the tip without the dead-man button.
-    assert mission.led_m < 1e-6
+def is_at_rest(mission):
+    return (
+        mission.robot.robot.mode == MODE_OFF
+        and not mission.recording
+        and mission.experiment.status.phase is Phase.IDLE
+        # Nothing led the tip without the dead-man button.
+        and mission.led_m < 1e-6
+    )
 
 
-@pytest.mark.parametrize(("skill", "tasks"), [(0.0, ("line", "spring")), (1.0, TASKS)])
-def test_every_task_is_done_and_each_step_is_logged_once_in_order(skill, tasks):
-    mission = Mission(skill=skill)
-    for number, name in enumerate(tasks, 1):
-        run = mission.do(name)
+@dataclass
+class Done:
+    """One task from its selection to 3 s after its end. views: of the panel, at each look."""
+
+    run: TaskRun
+    steps: list
+    records: int
+    at_rest: bool
+    scores: Scores
+    views: list = field(default_factory=list)
+
+
+def done(skill, tasks):
+    """Do these tasks one after the other; return the mission, and each by its name."""
+    mission, by_task = Mission(skill=skill), {}
+    for name in tasks:
+        mission.keeper, views, count = ScoreKeeper(), [], len(mission.runs)
+
+        def over(views=views, count=count):
+            if mission.now_ns % LOOK_NS == MS:
+                views.append(mission.panel.view)
+            return len(mission.runs) > count
+
+        assert mission.experiment.select(name, mission.now_ns) == ""
+        assert mission.run(240, until=over), name
+        mission.run(3)
+        run = mission.runs[-1]
+        by_task[name] = Done(
+            run,
+            steps(mission, run.run),
+            len(mission.records),
+            is_at_rest(mission),
+            mission.keeper.report(),
+            views,
+        )
+    return mission, by_task
+
+
+@pytest.fixture(scope="module")
+def beginner():
+    return done(0.0, ("line", "spring"))
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return done(1.0, TASKS)
+
+
+@pytest.mark.parametrize("who", ["beginner", "trained"])
+def test_every_task_is_done_and_each_step_is_logged_once_in_order(who, request):
+    mission, tasks = request.getfixturevalue(who)
+    for number, (name, one) in enumerate(tasks.items(), 1):
+        run = one.run
         assert (run.task, run.run, run.result) == (name, number, TaskResult.FINISHED), run.reason
-        assert steps(mission, number) == list(RunStep)
-        assert_at_rest(mission)
-        assert len(mission.records) == 2 * number
+        assert one.steps == list(RunStep)
+        assert one.at_rest
+        assert one.records == 2 * number
     assert mission.panel.mode is PanelMode.WAIT_TASK
 
 
-def test_the_panel_says_what_to_do_how_far_it_is_and_how_much_time_is_left():
-    mission, seen = Mission(skill=1.0), []
-
-    def done():
-        view = mission.panel.view
-        if view.left_s is not None:
-            seen.append(view)
-        return mission.runs
-
-    for task in ("aiming", "pursuit", "contour", "spring"):
-        mission.runs.clear()
-        assert mission.experiment.select(task, mission.now_ns) == ""
-        assert mission.run(240, until=done)
-        mission.run(3)
-    by_task = {task: [one for one in seen if one.task == task] for task in ("aiming", "contour")}
+def test_the_panel_says_what_to_do_how_far_it_is_and_how_much_time_is_left(trained):
+    by_task = {
+        task: [view for view in one.views if view.left_s is not None and view.task == task]
+        for task, one in trained[1].items()
+    }
     waited = [one for one in by_task["aiming"] if one.goal == ""]
     assert 170.0 < waited[0].left_s <= 180.0 and waited[-1].left_s < waited[0].left_s
     aimed = [one for one in by_task["aiming"] if one.goal]
@@ -76,23 +118,19 @@ def test_the_panel_says_what_to_do_how_far_it_is_and_how_much_time_is_left():
     assert [*map(list, lit.values())] == [pytest.approx(place, abs=1e-6) for place in expected]
     # Each is held for half a second, which the panel counts.
     assert {one.hold_s for one in aimed} == {0.5} and max(one.held_s for one in aimed) > 0.3
-    spots = [one.target_m for one in seen if one.goal == "eight"]
+    spots = [one.target_m for one in by_task["pursuit"] if one.goal == "eight"]
     assert len({*spots}) > 900 and all(abs(y_m) <= 0.024 for _, y_m in spots)
     percents = [one.percent for one in by_task["contour"] if one.goal == "contour"]
     assert percents == sorted(percents) and percents[-1] >= 80
-    (force_n,) = {one.force_n for one in seen if one.goal == "spring"}
+    (force_n,) = {one.force_n for one in by_task["spring"] if one.goal == "spring"}
     assert force_n == 3.0
 
 
-def test_a_trained_cosmonaut_is_faster_and_nearer():
-    def do(skill):
-        mission = Mission(skill=skill)
-        line = mission.do("line")
-        assert line.result is TaskResult.FINISHED
-        return mission.keeper.report().error_mean, line.ended_ns - line.started_ns
-
-    (error, took_ns), (less, sooner_ns) = do(0.0), do(1.0)
-    assert less < error and sooner_ns < took_ns
+def test_a_trained_cosmonaut_is_faster_and_nearer(beginner, trained):
+    slow, fast = beginner[1]["line"], trained[1]["line"]
+    assert slow.run.result is fast.run.result is TaskResult.FINISHED
+    assert fast.scores.error_mean < slow.scores.error_mean
+    assert fast.run.ended_ns - fast.run.started_ns < slow.run.ended_ns - slow.run.started_ns
 
 
 def reached(mission, phase, panel=None):
@@ -133,13 +171,13 @@ def test_whatever_happens_ends_the_run_and_the_next_one_is_done(moment, trouble)
     logged = steps(mission, run.run)
     assert RunStep.CONDITION not in logged and RunStep.ENDED in logged
     assert (RunStep.FINISHED in logged) <= (trouble != "signal")
-    assert_at_rest(mission)
+    assert is_at_rest(mission)
     mission.signal, mission.halted = True, ""
     mission.control.reset()
     mission.run(5)
     assert mission.panel.mode in (PanelMode.WAIT_TASK, PanelMode.ERROR)
     assert mission.do("aiming").result is TaskResult.FINISHED
-    assert_at_rest(mission)
+    assert is_at_rest(mission)
 
 
 def test_a_task_that_takes_too_long_times_out():
@@ -155,7 +193,7 @@ def test_a_task_that_takes_too_long_times_out():
     )
     mission.run(1)
     assert mission.panel.view.words == ("The task took too long. Step 1 of 4 was not done in time.")
-    assert_at_rest(mission)
+    assert is_at_rest(mission)
 
 
 def test_a_cosmonaut_who_never_starts_is_not_waited_for_for_ever():
@@ -166,7 +204,7 @@ def test_a_cosmonaut_who_never_starts_is_not_waited_for_for_ever():
     assert mission.runs[0].result is TaskResult.TIMED_OUT and mission.runs[0].started_ns is None
     mission.run(1)
     assert "Reason: the cosmonaut did not start." in mission.panel.view.words
-    assert_at_rest(mission)
+    assert is_at_rest(mission)
 
 
 def test_who_keeps_the_dead_man_button_pressed_at_the_start_is_told_to_let_go():

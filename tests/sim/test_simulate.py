@@ -183,6 +183,7 @@ def test_all_streams_resume_after_a_blackout_without_late_data(tmp_path):
         # A picture kept during the blackout would be a second old.
         assert stream.latency_ms.max < 150
         assert stream.payload_bps_max_1s <= stream.cap_bps
+        assert stream.payload_bps_max_100ms <= 1.5 * stream.cap_bps
     for direction in report.haptic.values():
         assert direction.latency_ms.max == DELAY_MS + TWO_HALVES_MS
         assert direction.receiver.received + direction.receiver.greetings == pytest.approx(

@@ -18,10 +18,13 @@ def usual(tmp_path_factory):
     return session(tmp_path_factory.mktemp("usual"), seconds=3.0)[1]
 
 
-def session(tmp_path, *, seconds, radio="", **options):
+def session(tmp_path, *, seconds, radio="", down=True, **options):
+    """down: with picture and voice from space, too."""
     path = tmp_path / "radio.toml"
     path.write_text(f"delay_ms = {DELAY_MS}\n{radio}")
     setup = replace(load_setup("spacejustin"), radio=load_radio(str(path)))
+    if not down:
+        setup = replace(setup, downlink_video=None, downlink_voice=None)
     return setup, simulate(setup, seconds=seconds, seed=1, **options)
 
 
@@ -40,7 +43,8 @@ def test_voice_within_60_ms_and_in_sync_with_pictures(usual):
 
 
 def test_only_sound_waits_for_late_pictures_and_no_longer_than_needed(tmp_path, usual):
-    _, report = session(tmp_path, seconds=7.0, costs=CodingCosts(capture_ms=95))
+    costs = CodingCosts(capture_ms=95)
+    _, report = session(tmp_path, seconds=7.0, down=False, costs=costs)
     video, voice = (report.streams[name].latency_ms for name in ("uplink_video", "uplink_voice"))
     skew = report.skew_ms["audio_video"]
     # Without lip-sync the sound would be about 90 ms early; with it at most 45, and not later.
@@ -72,7 +76,7 @@ def test_a_blackout_of_a_second_gives_a_second_of_stale_and_frozen_pictures(tmp_
 
 
 def test_occasional_losses_count_as_damaged_and_concealed(tmp_path):
-    _, report = session(tmp_path, seconds=3.0, radio="frame_loss = 0.01\n")
+    _, report = session(tmp_path, seconds=3.0, radio="frame_loss = 0.01\n", down=False)
     video, voice = (report.streams[name] for name in ("uplink_video", "uplink_voice"))
     assert video.rtp.rtp_lost > 0
     assert 0 < video.display.damaged_ns / NS_PER_MS < 3000

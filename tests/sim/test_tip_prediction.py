@@ -5,7 +5,9 @@
 
 import math
 from collections import deque
+from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 
@@ -58,13 +60,20 @@ def run(delay_ms):
     return places[:, :2], places[:, 2:]
 
 
+@cache
+def bare():
+    """The board without the robot's arm: nothing else moves in it."""
+    picture = empty_picture(WIDTH, HEIGHT)
+    STATIC.draw(WorldState(0, 0.0, 0.0), picture, 0, stylus=False)
+    return picture
+
+
 def found(x_m, y_m):
     """The tip's pixel, found in the picture: the lowest bright part of what hides the board."""
-    state, shown, empty = WorldState(0, x_m, y_m), *(empty_picture(WIDTH, HEIGHT) for _ in range(2))
-    STATIC.draw(state, shown, 0)
-    STATIC.draw(state, empty, 0, stylus=False)
-    luma, board = (planes(each)[0].astype(int) for each in (shown, empty))
-    ys, xs = np.nonzero((luma > 190) & (luma - board > 60))
+    shown = empty_picture(WIDTH, HEIGHT)
+    STATIC.draw(WorldState(0, x_m, y_m), shown, 0)
+    luma, board = planes(shown)[0], planes(bare())[0]
+    ys, xs = np.nonzero((luma > 190) & (cv2.subtract(luma, board) > 60))
     _, scale = CAMERA.see((x_m, y_m, 0.0))
     low = ys.max()
     return float(xs[ys >= low - 1].mean()), low - TIP_RADIUS_M * scale

@@ -22,7 +22,7 @@ from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.streams import VideoSendProcess
 from pipelines.virtual.studio import Paired, Shot, VideoStudio
 from pipelines.virtual.workers import Agenda, Job
-from telepresence.world import render, scripted_state
+from telepresence.world import scripted_state
 from telepresence.world.ground_views import camera_of
 
 SETUP = BUILT_IN["spacejustin"]
@@ -61,8 +61,10 @@ class Studio:
 
     def submit(self, job):
         picture, _, _ = job
-        data, keyframe = self.studio(job)
         shots = shots_of(picture)
+        for shot in shots:
+            self.studio(shot)
+        data, keyframe = self.studio(job)
         self.states.append(shots[0].state)
         self.octets.append(len(data))
         self.compare(shots, data)
@@ -71,9 +73,7 @@ class Studio:
         return done
 
     def compare(self, shots, data):
-        drawn = [empty_picture(STREAM.width, STREAM.height) for _ in shots]
-        for shot, room in zip(shots, drawn, strict=True):
-            render(shot.camera, shot.state, room, shot.sequence)
+        drawn = [self.studio._ahead[shot.camera][1] for shot in shots]
         original, shown = drawn[0], empty_picture(STREAM.width, STREAM.height)
         if len(drawn) == 2:
             original = empty_picture(STREAM.width, STREAM.height)
@@ -85,10 +85,11 @@ class Studio:
         ((x, y),) = np.rint(self.camera.project(np.array([(state.x_m, state.y_m, 0.0)]))).astype(
             int
         )
-        around = np.zeros(error.shape, bool)
-        around[max(y - HALF_PX, 0) : y + HALF_PX, max(x - HALF_PX, 0) : x + HALF_PX] = True
-        for values, part in ((self.tip_db, error[around]), (self.rest_db, error[~around])):
-            values.append(10 * np.log10(255**2 / max(part.mean(), 1e-3)))
+        around = error[max(y - HALF_PX, 0) : y + HALF_PX, max(x - HALF_PX, 0) : x + HALF_PX]
+        whole, tip = (part.sum(dtype=np.float64) for part in (error, around))
+        rest = (whole - tip) / (error.size - around.size)
+        for values, mean in ((self.tip_db, tip / around.size), (self.rest_db, rest)):
+            values.append(10 * np.log10(255**2 / max(mean, 1e-3)))
 
 
 class Channel:

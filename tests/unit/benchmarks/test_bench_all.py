@@ -36,9 +36,10 @@ def test_every_bench_is_in_the_plan_and_every_command_is_one(length):
     benches = {words[1] for one in plan if (words := words_of(one.command)[2:])[0] == "bench"}
     assert benches == set(BENCHES) - {"video"}
     assert set(BENCHMARKS) - {"all"} <= names
+    of_benchmarks, of_commands = make_parser(), make_command_parser()
     for one in plan:
         _, module, *words = words_of(one.command)
-        parser = make_command_parser() if module == "pipelines.cli" else make_parser()
+        parser = of_commands if module == "pipelines.cli" else of_benchmarks
         parser.parse_args(words)
         assert words[0] != "sweep" or (ROOT / words[1]).is_file()
 
