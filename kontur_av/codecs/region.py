@@ -79,7 +79,7 @@ _PASSES = 2
 #: Two columns in the first picture would make it take up to two shares.
 _FIRST_COLUMNS, _MOST_COLUMNS = 1.0, 8.0
 #: How large the pictures should be, in shares of the cap.
-_SHARES = 1.05
+_SHARES = 0.95
 
 
 class Sharpening:
