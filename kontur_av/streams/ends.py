@@ -384,15 +384,12 @@ class StreamReceiver(_AsyncClosing):
         age_ms = None if capture_ns is None else (now_ns - capture_ns) / NS_PER_MS
         return Received(data, age_ms, quality)
 
-    def _put(self, data: Any, stamp: CaptureStamp | None, undated: Quality) -> None:
-        """undated: the quality, if there is no stamp that tells it."""
+    def _put(self, data: Any, capture_ns: int | None, quality: Quality) -> None:
         with self._ready:
             if len(self._waiting) >= self._most:
                 self._waiting.popleft()
                 self.skipped += 1
-            self._waiting.append(
-                (data, None, undated) if stamp is None else (data, stamp.capture_ns, stamp.quality)
-            )
+            self._waiting.append((data, capture_ns, quality))
             self._ready.notify()
 
     def _end(self, why: str) -> None:
@@ -414,9 +411,11 @@ class StreamReceiver(_AsyncClosing):
 
         def drain() -> None:
             for _, pictures in decoding.units():
-                for picture, stamp in pictures:
-                    damaged = Quality.DAMAGED if picture.corrupt else Quality.FRESH
-                    self._put(picture.to_i420(), stamp, damaged)
+                for picture, _ in pictures:
+                    capture_ns = decoding.receiver.capture_ns(picture.timestamp)
+                    damaged = decoding.receiver.shows_damage
+                    quality = Quality.DAMAGED if damaged else Quality.FRESH
+                    self._put(picture.to_i420(), capture_ns, quality)
 
         self._follow(decoding.receiver, drain)
 
@@ -425,8 +424,9 @@ class StreamReceiver(_AsyncClosing):
 
         def drain() -> None:
             decoding.receiver.take_arrivals()
-            for _, sound, decoded, stamp in decoding.blocks():
-                self._put(sound, stamp, Quality.FRESH if decoded else Quality.CONCEALED)
+            for block, sound, decoded, _ in decoding.blocks():
+                capture_ns = decoding.receiver.capture_ns(block.timestamp)
+                self._put(sound, capture_ns, Quality.FRESH if decoded else Quality.CONCEALED)
 
         self._follow(decoding.receiver, drain)
 

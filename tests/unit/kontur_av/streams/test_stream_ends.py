@@ -5,8 +5,10 @@ import socket
 import numpy as np
 import pytest
 from janus_room import free_port
+from rtp_packets import PromptSender
 
 import kontur_av as av
+from kontur_av.media import BLOCK_NS, CaptureStamp, Quality, VideoFrame
 from kontur_av.streams import ends
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
@@ -82,3 +84,34 @@ def test_an_sdp_that_is_absent_or_whose_port_is_taken_is_refused(tmp_path):
         other.bind(("127.0.0.1", port))
         with pytest.raises(av.ConfigError, match="cannot be opened"):
             av.StreamReceiver(sdp)
+
+
+def test_an_undated_picture_after_a_loss_is_called_damaged(tmp_path):
+    port, sdp = free_port(), tmp_path / "s.sdp"
+    stream = av.StreamDescription(kind="video", host="127.0.0.1", port=port, payload_type=96)
+    sdp.write_text(av.write_sdp(stream))
+    encoder = av.H264Encoder(width=128, height=96, fps=50, cap_bps=300_000)
+    sender = PromptSender(
+        payload_type=96,
+        clock_rate_hz=90_000,
+        ssrc=1,
+        first_sequence=0,
+        timestamp_offset=0,
+        cname="test",
+    )
+    with (
+        av.StreamReceiver(sdp) as pictures,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
+    ):
+        for number in range(6):
+            picture = np.full((144, 128), 60 + 10 * number, np.uint8)
+            frame = VideoFrame(picture, CaptureStamp(number * BLOCK_NS, number, "test"))
+            for packet in sender.video_packets(encoder.encode(frame)).packets:
+                if number != 4:
+                    out.sendto(packet, ("127.0.0.1", port))
+        seen = []
+        for one in pictures:
+            seen.append((one.age_ms, one.quality))
+            if one.quality is not Quality.FRESH:
+                break
+    assert seen[-1] == (None, Quality.DAMAGED)
