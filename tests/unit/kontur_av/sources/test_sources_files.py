@@ -287,7 +287,7 @@ def test_a_sound_file_that_disappears_and_returns(tmp_path):
         ("{}", "video", "cannot read .*give a readable file"),
         ("{}/text.mp4", "video", "no media file"),
         ("{}/tone.wav", "video", "no pictures.*video stream"),
-        ("{}/clip.mkv", "audio", "no sound.*audio stream"),
+        ("{}/clip.mkv", "audio", "no sound.*an audio stream"),
         ("pipe:{}/none.fifo", "video", "no FIFO .*mkfifo"),
         ("{}/head.y4m", "video", "is a FIFO: write pipe:.*/head.y4m$"),
         ("{}/head.y4m", "audio", "is a FIFO, which brings no sound: give a file or alsa:DEVICE"),
@@ -326,8 +326,8 @@ def change_tone(path, at, octets):
     path.write_bytes(whole)
 
 
-#: Places in the header of WAVE: format, rate, and text of its LIST of comments.
-FORMAT_AT, RATE_AT, TEXT_AT = 20, 24, 56
+#: Places in the header of WAVE: format, channels, rate, and text of its LIST of comments.
+FORMAT_AT, CHANNELS_AT, RATE_AT, TEXT_AT = 20, 22, 24, 56
 
 
 def test_comments_in_any_charset_play(tmp_path):
@@ -342,6 +342,7 @@ def test_comments_in_any_charset_play(tmp_path):
         (FORMAT_AT, b"\x34\x12", "no sound that FFmpeg can decode"),
         (RATE_AT, b"\x00\x00\x00\x40", "sound at 1073741824 Hz: resample it"),
         (RATE_AT, b"\x01\x00\x00\x00", "sound at 1 Hz: resample it"),
+        (CHANNELS_AT, b"\x09", "sound of 9 channels that nothing places: mix them to mono"),
     ],
 )
 def test_sound_that_cannot_be_played_is_refused(tmp_path, at, octets, words):
