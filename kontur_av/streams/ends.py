@@ -17,7 +17,7 @@ Use::
 import asyncio
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.closing import Closing
+from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import (
     BLOCK_NS,
@@ -397,29 +398,34 @@ class StreamReceiver(_AsyncClosing):
             self.ended = self.ended or why
             self._ready.notify_all()
 
-    def _run(self, drive: Callable[[StreamDescription], None], stream: StreamDescription) -> None:
+    def _run(self, drive: Callable[[StreamDescription], str], stream: StreamDescription) -> None:
+        why = "an error"
         try:
-            drive(stream)
+            why = drive(stream)
         except BaseException as error:
             self._error = error
         finally:
             self._udp.close()
-            self._end("an error")
+            self._end(why)
 
-    def _pictures(self, stream: StreamDescription) -> None:
+    def _pictures(self, stream: StreamDescription) -> str:
         decoding = PictureDecoding(stream, self._clock)
+        receiver = decoding.receiver
+
+        def put(pictures: Iterable[tuple[DecodedPicture, object]]) -> None:
+            for picture, _ in pictures:
+                quality = Quality.DAMAGED if receiver.shows_damage else Quality.FRESH
+                self._put(picture.to_i420(), receiver.capture_ns(picture.timestamp), quality)
 
         def drain() -> None:
             for _, pictures in decoding.units():
-                for picture, _ in pictures:
-                    capture_ns = decoding.receiver.capture_ns(picture.timestamp)
-                    damaged = decoding.receiver.shows_damage
-                    quality = Quality.DAMAGED if damaged else Quality.FRESH
-                    self._put(picture.to_i420(), capture_ns, quality)
+                put(pictures)
 
-        self._follow(decoding.receiver, drain)
+        why = self._follow(receiver, drain)
+        put(decoding.rest())
+        return why
 
-    def _sound(self, stream: StreamDescription) -> None:
+    def _sound(self, stream: StreamDescription) -> str:
         decoding = SoundDecoding(stream, self._clock)
 
         def drain() -> None:
@@ -428,9 +434,10 @@ class StreamReceiver(_AsyncClosing):
                 capture_ns = decoding.receiver.capture_ns(block.timestamp)
                 self._put(sound, capture_ns, Quality.FRESH if decoded else Quality.CONCEALED)
 
-        self._follow(decoding.receiver, drain)
+        return self._follow(decoding.receiver, drain)
 
-    def _follow(self, receiver: VideoReceiver | VoiceReceiver, drain: Callable[[], None]) -> None:
+    def _follow(self, receiver: VideoReceiver | VoiceReceiver, drain: Callable[[], None]) -> str:
+        """Receive until the end, and return why it came."""
         packets, heard_ns = 0, None
         while not self.ended:
             self._udp.exchange(receiver, self._clock, _STEP_NS)
@@ -441,6 +448,7 @@ class StreamReceiver(_AsyncClosing):
             if heard_ns is None:
                 continue
             if receiver.ended and now_ns - heard_ns > _AFTER_GOODBYE_NS:
-                self._end("the sender has said goodbye")
-            elif now_ns - heard_ns > _SILENCE_NS:
-                self._end("silent for 5 s")
+                return "the sender has said goodbye"
+            if now_ns - heard_ns > _SILENCE_NS:
+                return "silent for 5 s"
+        return self.ended

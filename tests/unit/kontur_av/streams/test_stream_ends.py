@@ -1,7 +1,10 @@
 """Whole ends of a stream: bad input is refused, and errors reach the caller."""
 
 import socket
+import struct
+from fractions import Fraction
 
+import av as pyav
 import numpy as np
 import pytest
 from janus_room import free_port
@@ -9,6 +12,8 @@ from rtp_packets import PromptSender
 
 import kontur_av as av
 from kontur_av.media import BLOCK_NS, CaptureStamp, Quality, VideoFrame
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.payload_h264 import packetize
 from kontur_av.streams import ends
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
@@ -115,3 +120,36 @@ def test_an_undated_picture_after_a_loss_is_called_damaged(tmp_path):
             if one.quality is not Quality.FRESH:
                 break
     assert seen[-1] == (None, Quality.DAMAGED)
+
+
+def test_a_stream_with_b_pictures_ends_with_its_last_picture(tmp_path):
+    port, sdp = free_port(), tmp_path / "s.sdp"
+    stream = av.StreamDescription(kind="video", host="127.0.0.1", port=port, payload_type=96)
+    sdp.write_text(av.write_sdp(stream))
+    codec = pyav.CodecContext.create("libx264", "w")
+    codec.width, codec.height, codec.pix_fmt = 128, 96, "yuv420p"
+    codec.time_base, codec.framerate = Fraction(1, 25), Fraction(25)
+    codec.options = {"x264-params": "bframes=2:b-adapt=0"}
+    coded = []
+    for number in range(8):
+        frame = pyav.VideoFrame.from_ndarray(
+            np.full((144, 128), 60 + 10 * number, np.uint8), "yuv420p"
+        )
+        frame.pts = number
+        coded += codec.encode(frame)
+    coded += codec.encode(None)
+    sequence = 0
+    with (
+        av.StreamReceiver(sdp) as pictures,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
+    ):
+        for one in coded:
+            for payload in packetize(split_annex_b(bytes(one))):
+                header = struct.pack("!BBHII", 0x80, 96, sequence, one.pts * 3600, 7)
+                out.sendto(header + payload, ("127.0.0.1", port))
+                sequence += 1
+        goodbye = struct.pack("!BBHIBBHI", 0x80, 201, 1, 7, 0x81, 203, 1, 7)
+        out.sendto(goodbye, ("127.0.0.1", port + 1))
+        *_, last = pictures
+    # Luma 130 in RGB; the picture before it has 120, 121 in RGB.
+    assert abs(last.data.mean() - 133) < 5
