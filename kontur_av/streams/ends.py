@@ -15,6 +15,7 @@ Use::
 """
 
 import asyncio
+import ipaddress
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -130,9 +131,12 @@ class _Sender(_AsyncClosing, Generic[_Item]):
     def __init__(self, to: str, cap_bps: int, sdp: str | Path | None, period_ns: int) -> None:
         self._cap_bps, self._sdp, self._period_ns = cap_bps, sdp, period_ns
         host, _, port = to.rpartition(":")
-        if not host or not port.isdigit() or not 0 < int(port) < 65_535:
+        try:
+            self._address = str(ipaddress.ip_address(host.strip("[]"))), int(port)
+        except ValueError:
+            self._address = "", 0
+        if not 0 < self._address[1] < 65_535:
             raise ConfigError(f"address {to!r}: write HOST:PORT with an IP address")
-        self._address = host.strip("[]"), int(port)
         self._clock = MonotonicClock()
         self._feed: PictureFeed | SoundFeed | None = None
         self._over = threading.Event()

@@ -20,11 +20,16 @@ GREY = np.full((96, 128, 3), 90, np.uint8)
 
 
 @pytest.mark.parametrize(
-    "to", ["127.0.0.1", "127.0.0.1:x", ":5004", "127.0.0.1:65535", "127.0.0.1:0"]
+    "to",
+    [
+        *("127.0.0.1", "127.0.0.1:x", ":5004", "127.0.0.1:65535", "127.0.0.1:0"),
+        *("localhost:5004", "192.0.2.256:5004", "127.0.0.1:\u00b2"),
+    ],
 )
 def test_a_wrong_address_is_refused(to):
-    with pytest.raises(av.ConfigError, match="HOST:PORT"):
-        av.PictureSender(to, cap_bps=85_000)
+    for sender in (av.PictureSender, av.SoundSender):
+        with pytest.raises(av.ConfigError, match="HOST:PORT"):
+            sender(to, cap_bps=85_000)
 
 
 def test_what_is_no_picture_or_no_block_is_refused():
