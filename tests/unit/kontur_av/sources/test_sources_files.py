@@ -14,7 +14,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
 from kontur_av.errors import ConfigError
 from kontur_av.media import empty_picture, planes
 from kontur_av.sources import check_spec, open_audio, open_video
-from kontur_av.sources.fit import fitted_size
+from kontur_av.sources.fit import Fitter, fitted_size
 from kontur_av.sources.source import RETRY_NS
 from telepresence.world.scenes import media_folder
 
@@ -150,6 +150,25 @@ def test_a_file_with_nothing_in_it_says_so(tmp_path):
     audio = open_audio(str(tmp_path / "tone.wav"), name="mic", clock=ManualClock(0))
     assert audio.read(NS_PER_S) is None
     assert audio.last_fault.endswith("tone.wav: it holds less than 5 ms of sound")
+
+
+@pytest.mark.parametrize("pictures", [1, 3])
+def test_pictures_that_cannot_be_fitted_end_no_read(tmp_path, monkeypatch, pictures):
+    path = tmp_path / "clip.mkv"
+    write_video(path, pictures=pictures)
+    source = open_video(str(path), name="v", width=64, height=48, fps=25, clock=ManualClock(0))
+    tried = iter(range(100))
+
+    def refuse(*_):
+        # StopIteration ends a source that tries without end.
+        next(tried)
+        raise ValueError("no such colours")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Fitter, "scale", refuse)
+        assert source.read(empty_picture(64, 48), 400 * NS_PER_MS) is None
+    assert 0 < source.faults < 20 and "no such colours" in source.last_fault
+    assert source.read(empty_picture(64, 48), NS_PER_S) is not None
 
 
 def test_a_file_that_disappears_and_returns(tmp_path):
