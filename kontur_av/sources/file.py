@@ -38,7 +38,7 @@ _OTHER: dict[str, Literal["video", "audio"]] = {"video": "audio", "audio": "vide
 
 def check_file(path: str, kind: Literal["video", "audio"]) -> None:
     """Raise ConfigError, with the mend, if the file cannot be played."""
-    wanted = "pictures" if kind == "video" else "sound"
+    wanted, stream = ("pictures", "a video") if kind == "video" else ("sound", "an audio")
     try:
         # Opened as a file, a FIFO would wait for a writer for ever.
         fifo = Path(path).is_fifo()
@@ -67,13 +67,32 @@ def check_file(path: str, kind: Literal["video", "audio"]) -> None:
         ) from None
     if found is None:
         raise ConfigError(
-            f"{path!r} has no {wanted} that FFmpeg can decode: give a file with a {kind} stream"
+            f"{path!r} has no {wanted} that FFmpeg can decode: give a file with {stream} stream"
         )
-    if isinstance(found, av.AudioStream) and found.rate not in _RATES_HZ:
-        raise ConfigError(f"{path!r} has sound at {found.rate} Hz: resample it to 48000 Hz")
+    if isinstance(found, av.AudioStream):
+        if found.rate not in _RATES_HZ:
+            raise ConfigError(f"{path!r} has sound at {found.rate} Hz: resample it to 48000 Hz")
+        if not _can_be_mixed(found):
+            raise ConfigError(
+                f"{path!r} has sound of {found.layout.name} that nothing places: mix them to mono"
+            )
     if isinstance(found, av.VideoStream) and found.width * found.height > _MOST_PIXELS:
         size = f"{found.width}x{found.height}"
         raise ConfigError(f"{path!r} has pictures of {size}: scale them to 8192x8192 at most")
+
+
+def _can_be_mixed(stream: av.AudioStream) -> bool:
+    """Return whether FFmpeg knows how to make mono of the channels: not of 9, and most over 8."""
+    # PyAV's type does not say that a form may be unknown before the first packet.
+    if getattr(stream, "format", None) is None or not stream.layout.nb_channels:
+        return True
+    frame = av.AudioFrame(stream.format.name, stream.layout.name, samples=1)
+    frame.sample_rate = stream.rate
+    try:
+        list(_Resampling().take(frame))
+    except av.FFmpegError:
+        return False
+    return True
 
 
 def set_up_decoder(stream: av.VideoStream | av.AudioStream) -> None:

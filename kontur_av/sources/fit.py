@@ -64,7 +64,12 @@ def orientation(frame: av.VideoFrame) -> Orientation:
     The matrix is FFmpeg's (libavutil/display.h), as of rotated films of telephones.
     """
     # PyAV's type of the key is wrong.
-    beside: Any = frame.side_data
+    try:
+        beside: Any = frame.side_data
+    except ValueError:
+        # PyAV knows no EXIF, which photographs have. Their rotation it tells, but not mirroring.
+        turns = round(frame.rotation / 90) % 4
+        return Orientation(turns % 2 == 1, turns in (1, 2), turns in (2, 3))
     matrix = beside.get(SideDataType.DISPLAYMATRIX)
     if matrix is None or matrix.buffer_size < 20:
         return Orientation()

@@ -69,12 +69,15 @@ class LoopedVideo(StampingSource, ABC):
 
     def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
         give_up_ns = self._clock.now_ns() + timeout_ns
-        if self._next is None:
-            self._next = self._prepare()
-        if self._next is None or self._next[1] > give_up_ns:
+        while (found := self._next or self._prepare()) is None:
+            self._clock.sleep_until_ns(min(self._retry_ns, give_up_ns))
+            if self._retry_ns > give_up_ns:
+                return None
+        self._next = found
+        if found[1] > give_up_ns:
             self._clock.sleep_until_ns(give_up_ns)
             return None
-        scaled, due_ns = self._next
+        scaled, due_ns = found
         self._clock.sleep_until_ns(due_ns)
         self._fitter.write(scaled, into)
         self._next = None
@@ -102,6 +105,8 @@ class LoopedVideo(StampingSource, ABC):
                 return self._fitter.scale(frame, aspect), due_ns
             except (av.FFmpegError, ValueError) as error:
                 self._fault(error)
+                # No sooner than the next one, so that a file of such pictures ends no read.
+                self._retry_ns = due_ns
         return None
 
     def _play(self) -> Generator[PlayedPicture | None]:

@@ -48,6 +48,15 @@ class PictureDecoding:
         pictures = self.decoder.decode(unit.data, unit.timestamp)
         if self.decoder.counts.frames_corrupt > corrupt:
             self.receiver.handle_undecoded()
+        yield from self._stamped(pictures)
+
+    def rest(self) -> Iterator[tuple[DecodedPicture, CaptureStamp | None]]:
+        """Yield the pictures that the decoder has held back, as the stream has ended."""
+        return self._stamped(self.decoder.drain())
+
+    def _stamped(
+        self, pictures: list[DecodedPicture]
+    ) -> Iterator[tuple[DecodedPicture, CaptureStamp | None]]:
         for picture in pictures:
             yield (
                 picture,

@@ -15,9 +15,10 @@ Use::
 """
 
 import asyncio
+import ipaddress
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.closing import Closing
+from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import (
     BLOCK_NS,
@@ -129,9 +131,12 @@ class _Sender(_AsyncClosing, Generic[_Item]):
     def __init__(self, to: str, cap_bps: int, sdp: str | Path | None, period_ns: int) -> None:
         self._cap_bps, self._sdp, self._period_ns = cap_bps, sdp, period_ns
         host, _, port = to.rpartition(":")
-        if not host or not port.isdigit() or not 0 < int(port) < 65_535:
+        try:
+            self._address = str(ipaddress.ip_address(host.strip("[]"))), int(port)
+        except ValueError:
+            self._address = "", 0
+        if not 0 < self._address[1] < 65_535:
             raise ConfigError(f"address {to!r}: write HOST:PORT with an IP address")
-        self._address = host.strip("[]"), int(port)
         self._clock = MonotonicClock()
         self._feed: PictureFeed | SoundFeed | None = None
         self._over = threading.Event()
@@ -384,15 +389,12 @@ class StreamReceiver(_AsyncClosing):
         age_ms = None if capture_ns is None else (now_ns - capture_ns) / NS_PER_MS
         return Received(data, age_ms, quality)
 
-    def _put(self, data: Any, stamp: CaptureStamp | None, undated: Quality) -> None:
-        """undated: the quality, if there is no stamp that tells it."""
+    def _put(self, data: Any, capture_ns: int | None, quality: Quality) -> None:
         with self._ready:
             if len(self._waiting) >= self._most:
                 self._waiting.popleft()
                 self.skipped += 1
-            self._waiting.append(
-                (data, None, undated) if stamp is None else (data, stamp.capture_ns, stamp.quality)
-            )
+            self._waiting.append((data, capture_ns, quality))
             self._ready.notify()
 
     def _end(self, why: str) -> None:
@@ -400,37 +402,46 @@ class StreamReceiver(_AsyncClosing):
             self.ended = self.ended or why
             self._ready.notify_all()
 
-    def _run(self, drive: Callable[[StreamDescription], None], stream: StreamDescription) -> None:
+    def _run(self, drive: Callable[[StreamDescription], str], stream: StreamDescription) -> None:
+        why = "an error"
         try:
-            drive(stream)
+            why = drive(stream)
         except BaseException as error:
             self._error = error
         finally:
             self._udp.close()
-            self._end("an error")
+            self._end(why)
 
-    def _pictures(self, stream: StreamDescription) -> None:
+    def _pictures(self, stream: StreamDescription) -> str:
         decoding = PictureDecoding(stream, self._clock)
+        receiver = decoding.receiver
+
+        def put(pictures: Iterable[tuple[DecodedPicture, object]]) -> None:
+            for picture, _ in pictures:
+                quality = Quality.DAMAGED if receiver.shows_damage else Quality.FRESH
+                self._put(picture.to_i420(), receiver.capture_ns(picture.timestamp), quality)
 
         def drain() -> None:
             for _, pictures in decoding.units():
-                for picture, stamp in pictures:
-                    damaged = Quality.DAMAGED if picture.corrupt else Quality.FRESH
-                    self._put(picture.to_i420(), stamp, damaged)
+                put(pictures)
 
-        self._follow(decoding.receiver, drain)
+        why = self._follow(receiver, drain)
+        put(decoding.rest())
+        return why
 
-    def _sound(self, stream: StreamDescription) -> None:
+    def _sound(self, stream: StreamDescription) -> str:
         decoding = SoundDecoding(stream, self._clock)
 
         def drain() -> None:
             decoding.receiver.take_arrivals()
-            for _, sound, decoded, stamp in decoding.blocks():
-                self._put(sound, stamp, Quality.FRESH if decoded else Quality.CONCEALED)
+            for block, sound, decoded, _ in decoding.blocks():
+                capture_ns = decoding.receiver.capture_ns(block.timestamp)
+                self._put(sound, capture_ns, Quality.FRESH if decoded else Quality.CONCEALED)
 
-        self._follow(decoding.receiver, drain)
+        return self._follow(decoding.receiver, drain)
 
-    def _follow(self, receiver: VideoReceiver | VoiceReceiver, drain: Callable[[], None]) -> None:
+    def _follow(self, receiver: VideoReceiver | VoiceReceiver, drain: Callable[[], None]) -> str:
+        """Receive until the end, and return why it came."""
         packets, heard_ns = 0, None
         while not self.ended:
             self._udp.exchange(receiver, self._clock, _STEP_NS)
@@ -441,6 +452,7 @@ class StreamReceiver(_AsyncClosing):
             if heard_ns is None:
                 continue
             if receiver.ended and now_ns - heard_ns > _AFTER_GOODBYE_NS:
-                self._end("the sender has said goodbye")
-            elif now_ns - heard_ns > _SILENCE_NS:
-                self._end("silent for 5 s")
+                return "the sender has said goodbye"
+            if now_ns - heard_ns > _SILENCE_NS:
+                return "silent for 5 s"
+        return self.ended

@@ -113,6 +113,8 @@ class VideoReceiver(ReportingReceiver):
         self._reduced_size = reduced_size
         #: Whether the decoder has a picture at which to start.
         self._begun = False
+        #: Whether the newest picture of `handle_picture` shows damage.
+        self.shows_damage = False
         self._shown = self._undated = self._oversized = self._withheld = 0
         self._without_references = 0
 
@@ -201,7 +203,7 @@ class VideoReceiver(ReportingReceiver):
         """
         self._begun = True
         withheld = self._hurt.pop(timestamp, None)
-        hurt = withheld is not None or corrupt
+        self.shows_damage = withheld is not None or corrupt
         if corrupt and withheld is None:
             # So the next unit asks for a key picture. Known damage may have healed since.
             self._healing.handle_damage()
@@ -215,7 +217,7 @@ class VideoReceiver(ReportingReceiver):
         if capture_ns is None:
             self._undated += 1
             return None
-        quality = Quality.DAMAGED if hurt else Quality.FRESH
+        quality = Quality.DAMAGED if self.shows_damage else Quality.FRESH
         self._shown += 1
         return CaptureStamp(capture_ns, self._shown - 1, self._name, quality, timestamp)
 

@@ -109,7 +109,7 @@ class PictureOutput:
 
     def finish(self) -> None:
         """Show the pictures that the decoder has held back."""
-        for picture in self._decoding.decoder.drain():
+        for picture, _ in self._decoding.rest():
             self._show(picture)
 
     def missing(self) -> str:

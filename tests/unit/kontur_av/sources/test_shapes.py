@@ -1,10 +1,12 @@
 """Colours, rotation and names of files, and arrays that are no `I420`."""
 
 import os
+import struct
 from itertools import product
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
 
@@ -84,6 +86,16 @@ def test_a_picture_is_turned_and_mirrored_as_its_matrix_says(tmp_path, a, b, c, 
         )
         wanted[to] = CORNERS[y : y + 32, x : x + 32]
     assert np.allclose(corners(rgb(shown(tmp_path / "c.mp4"))), corners(wanted), atol=6)
+
+
+@pytest.mark.parametrize(("turned", "turns"), [(1, 0), (3, 2), (6, 3), (8, 1)])
+def test_a_photograph_with_exif_is_shown_and_turned(tmp_path, turned, turns):
+    octets = cv2.imencode(".jpg", CORNERS[:, :, ::-1])[1].tobytes()
+    exif = b"Exif\0\0II*\0" + struct.pack("<IHHHIII", 8, 1, 0x112, 3, 1, turned, 0)
+    marked = b"\xff\xe1" + struct.pack("!H", len(exif) + 2) + exif
+    (tmp_path / "p.jpg").write_bytes(octets[:2] + marked + octets[2:])
+    wanted = np.rot90(CORNERS, turns)
+    assert np.allclose(corners(rgb(shown(tmp_path / "p.jpg"))), corners(wanted), atol=12)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
 from kontur_av.errors import ConfigError
 from kontur_av.media import empty_picture, planes
 from kontur_av.sources import check_spec, open_audio, open_video
-from kontur_av.sources.fit import fitted_size
+from kontur_av.sources.fit import Fitter, fitted_size
 from kontur_av.sources.source import RETRY_NS
 from telepresence.world.scenes import media_folder
 
@@ -152,6 +152,25 @@ def test_a_file_with_nothing_in_it_says_so(tmp_path):
     assert audio.last_fault.endswith("tone.wav: it holds less than 5 ms of sound")
 
 
+@pytest.mark.parametrize("pictures", [1, 3])
+def test_pictures_that_cannot_be_fitted_end_no_read(tmp_path, monkeypatch, pictures):
+    path = tmp_path / "clip.mkv"
+    write_video(path, pictures=pictures)
+    source = open_video(str(path), name="v", width=64, height=48, fps=25, clock=ManualClock(0))
+    tried = iter(range(100))
+
+    def refuse(*_):
+        # StopIteration ends a source that tries without end.
+        next(tried)
+        raise ValueError("no such colours")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Fitter, "scale", refuse)
+        assert source.read(empty_picture(64, 48), 400 * NS_PER_MS) is None
+    assert 0 < source.faults < 20 and "no such colours" in source.last_fault
+    assert source.read(empty_picture(64, 48), NS_PER_S) is not None
+
+
 def test_a_file_that_disappears_and_returns(tmp_path):
     path = tmp_path / "clip.mkv"
     write_video(path, pictures=5)
@@ -287,7 +306,7 @@ def test_a_sound_file_that_disappears_and_returns(tmp_path):
         ("{}", "video", "cannot read .*give a readable file"),
         ("{}/text.mp4", "video", "no media file"),
         ("{}/tone.wav", "video", "no pictures.*video stream"),
-        ("{}/clip.mkv", "audio", "no sound.*audio stream"),
+        ("{}/clip.mkv", "audio", "no sound.*an audio stream"),
         ("pipe:{}/none.fifo", "video", "no FIFO .*mkfifo"),
         ("{}/head.y4m", "video", "is a FIFO: write pipe:.*/head.y4m$"),
         ("{}/head.y4m", "audio", "is a FIFO, which brings no sound: give a file or alsa:DEVICE"),
@@ -326,8 +345,8 @@ def change_tone(path, at, octets):
     path.write_bytes(whole)
 
 
-#: Places in the header of WAVE: format, rate, and text of its LIST of comments.
-FORMAT_AT, RATE_AT, TEXT_AT = 20, 24, 56
+#: Places in the header of WAVE: format, channels, rate, and text of its LIST of comments.
+FORMAT_AT, CHANNELS_AT, RATE_AT, TEXT_AT = 20, 22, 24, 56
 
 
 def test_comments_in_any_charset_play(tmp_path):
@@ -342,6 +361,7 @@ def test_comments_in_any_charset_play(tmp_path):
         (FORMAT_AT, b"\x34\x12", "no sound that FFmpeg can decode"),
         (RATE_AT, b"\x00\x00\x00\x40", "sound at 1073741824 Hz: resample it"),
         (RATE_AT, b"\x01\x00\x00\x00", "sound at 1 Hz: resample it"),
+        (CHANNELS_AT, b"\x09", "sound of 9 channels that nothing places: mix them to mono"),
     ],
 )
 def test_sound_that_cannot_be_played_is_refused(tmp_path, at, octets, words):
