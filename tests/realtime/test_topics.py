@@ -244,7 +244,7 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, t
     # A socket's path has at most 107 octets, and the user's number in it may be long, too.
     directory = tmp_path / ("d" * octets)
     directory.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(directory))
+    monkeypatch.setenv("TMPDIR", str(directory))
     monkeypatch.setattr(os, "getuid", lambda: 1_234_567_890)
     # The directory belongs to another user.
     monkeypatch.setattr(session_files, "_check_own", lambda directory: None)
@@ -266,7 +266,7 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, t
 def test_a_directory_that_others_can_write_to_is_not_used(monkeypatch, tmp_path):
     # Not tmp_path itself, which may be too deep for sockets.
     with tempfile.TemporaryDirectory(prefix="kav") as directory:
-        monkeypatch.setattr(tempfile, "tempdir", directory)
+        monkeypatch.setenv("TMPDIR", directory)
         own = session_root("lab").parent
         own.mkdir()
         own.chmod(0o777)
