@@ -93,3 +93,10 @@ def test_without_a_directory_for_its_files_no_session_is_asked(monkeypatch, caps
     assert main(["stop"]) == 2
     said = capsys.readouterr().err
     assert said == "kontur-av: no directory for temporary files: set TMPDIR to one of your own\n"
+
+
+@pytest.mark.parametrize("name", ["a\nb", "a\x1b[31m", "a\u2028b", "a\r"])
+def test_what_was_written_wrong_stands_in_one_line(name, capsys):
+    assert main(["topology", "--setup", f"{name}.toml"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.isprintable() and line.startswith("kontur-av: cannot read setup a\\")
