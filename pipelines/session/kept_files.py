@@ -54,7 +54,11 @@ class KeptOrders:
     def stop(self, by: str) -> None:
         """Order an emergency stop. The first of several is kept."""
         if not self.stopped:
-            replace_file(self._stop, by[:_MOST_CHARACTERS].encode())
+            try:
+                replace_file(self._stop, by[:_MOST_CHARACTERS].encode())
+            except OSError:
+                # On a full disk only the words have no room.
+                self._stop.touch()
 
     def release(self) -> None:
         self._stop.unlink(missing_ok=True)

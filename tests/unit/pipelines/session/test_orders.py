@@ -1,5 +1,8 @@
 """Orders that outlive the processes that took them."""
 
+import errno
+from pathlib import Path
+
 import pytest
 
 from kontur_av.topics import session_files
@@ -19,6 +22,18 @@ def test_an_emergency_stop_holds_until_it_is_released(kept):
     kept.stop("a test")
     assert kept.stopped
     assert kept.stopped_by == "a test"
+    kept.release()
+    assert not kept.stopped
+
+
+def test_an_emergency_stop_holds_on_a_full_disk(kept, monkeypatch):
+    def full(path, content):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    kept.stop("a test")
+    assert kept.stopped
+    assert kept.stopped_by == ""
     kept.release()
     assert not kept.stopped
 
