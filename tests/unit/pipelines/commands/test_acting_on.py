@@ -74,6 +74,18 @@ def test_an_emergency_stop_without_a_name_stops_all_and_its_release_asks(
     assert "several sessions" in capsys.readouterr().err
 
 
+def test_an_emergency_stop_by_a_user_without_a_name_holds(tmp_path, monkeypatch):
+    def unknown(uid):
+        raise KeyError(uid)
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with hold_session("lab") as lab:
+        monkeypatch.setattr(stop, "sessions", lambda: [lab])
+        monkeypatch.setattr("pwd.getpwuid", unknown)
+        assert main(["stop"]) == 0
+        assert KeptOrders(lab).stopped_by == f"a terminal of {os.getuid()}"
+
+
 def test_an_emergency_stop_finds_its_session_on_a_full_disk(tmp_path, monkeypatch):
     def full():
         raise FileNotFoundError("no usable temporary directory")
