@@ -7,6 +7,7 @@ import re
 import shutil
 import stat
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
@@ -185,3 +186,15 @@ def replace_file(path: Path, content: bytes) -> None:
     partial = path.with_suffix(".new")
     partial.write_bytes(content)
     partial.replace(path)
+
+
+def remember(path: Path, content: bytes) -> None:
+    """Keep what a process shall know after a restart; on a full disk nothing, old content neither.
+
+    So a full disk ends no process.
+    """
+    with suppress(OSError):
+        try:
+            replace_file(path, content)
+        except OSError:
+            path.unlink()

@@ -5,7 +5,7 @@ The component's methods may block. What telecommands have set outlives the proce
 
 import msgspec
 
-from kontur_av.topics.session_files import replace_file, session_root
+from kontur_av.topics.session_files import remember, session_root
 from pipelines.mission.component_desk import ComponentDesk
 from pipelines.mission.tmtc_messages import Values, unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
@@ -39,7 +39,7 @@ def run_component(context: Context, component: Component) -> None:
             desk.handle_time(clock.now_ns())
             if desk.settings != known:
                 known = desk.settings
-                replace_file(remembered, msgspec.json.encode(known))
+                remember(remembered, msgspec.json.encode(known))
             now_ns = clock.now_ns()
             while (request := desk.poll_transmit(now_ns)) is not None:
                 if not send_to_tmtc(context.session, Segment.GROUND, request):

@@ -76,7 +76,12 @@ class KeptOrders:
             return unknown
 
     def keep(self, name: str, orders: msgspec.Struct) -> None:
-        replace_file(self._path(name), msgspec.json.encode(orders))
+        path = self._path(name)
+        try:
+            replace_file(path, msgspec.json.encode(orders))
+        except OSError:
+            # On a full disk: after a restart nothing is known, so older orders do not come back.
+            path.write_bytes(b"")
 
     def _path(self, name: str) -> Path:
         return self._root / f"orders-{name}"

@@ -4,7 +4,7 @@ import select
 from typing import Protocol
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.topics.session_files import replace_file, session_root
+from kontur_av.topics.session_files import remember, session_root
 from pipelines.session.datagrams import receive
 from pipelines.session.process import PATIENCE_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
@@ -48,7 +48,7 @@ class Incoming:
         if self._rtcp in ready:
             while (datagram := receive(self._rtcp)) is not None:
                 if self._receiver.handle_report(datagram, self._clock.now_ns()):
-                    replace_file(self._memory, datagram)
+                    remember(self._memory, datagram)
         if self._rtp in ready:
             while (datagram := receive(self._rtp)) is not None:
                 self._receiver.handle_packet(datagram, self._clock.now_ns())
