@@ -15,6 +15,7 @@ from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame
 from kontur_av.topics import session_files
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session, session_root, shared_memory
+from pipelines.cli import exit_code
 
 PICTURE_OCTETS = 64 * 48 * 3 // 2
 
@@ -261,6 +262,24 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, t
     assert not shared_memory(name)
     assert list(user_root.iterdir()) == []
     user_root.rmdir()
+
+
+def test_without_room_for_its_files_a_bus_says_so(monkeypatch, capsys):
+    iox2 = pytest.importorskip("iceoryx2")
+
+    class Builder:
+        new = config = signal_handling_mode = lambda self, *_: self
+
+        def create(self, _kind):
+            raise iox2.NodeCreationFailure("InternalError")
+
+    monkeypatch.setattr(iox2, "NodeBuilder", Builder())
+    monkeypatch.delenv("KONTUR_AV_TOPICS", raising=False)
+    name = f"full-{os.getpid()}"
+    assert exit_code(lambda: TopicBus(name), "kontur-av") == 1
+    remove_session(name)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("no file can be made there (InternalError): free some room")
 
 
 def test_a_directory_that_others_can_write_to_is_not_used(monkeypatch, tmp_path):
