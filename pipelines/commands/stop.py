@@ -28,9 +28,8 @@ def run(args: argparse.Namespace) -> int:
     for session in [choose_session(args.session, running)] if named else running:
         orders = KeptOrders(session)
         orders.stop(f"a terminal of {_user()}")
-        print(
-            f"{session}: emergency stop by {orders.stopped_by}; `kontur-av stop --release` ends it"
-        )
+        by = orders.stopped_by or "somebody"
+        print(f"{session}: emergency stop by {by}; `kontur-av stop --release` ends it")
     return 0
 
 
