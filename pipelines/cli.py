@@ -129,6 +129,12 @@ def _loaded(command: str, *, alone: bool) -> argparse.ArgumentParser:
         gc.enable()
 
 
+def _tell(line: str) -> None:
+    """Print it on standard error in one line, whatever the names and values in it hold."""
+    signs = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+    print("".join(signs), file=sys.stderr)
+
+
 def exit_code(work: Callable[[], int], name: str) -> int:
     """What `work` returns; 2 with one line for the user's mistake, 130 if interrupted.
 
@@ -142,14 +148,14 @@ def exit_code(work: Callable[[], int], name: str) -> int:
         sys.stdout.flush()
         return code
     except ConfigError as error:
-        print(f"{name}: {error}", file=sys.stderr)
+        _tell(f"{name}: {error}")
         return MISTAKE
     except OSError as error:
         if isinstance(error, BrokenPipeError) and reader_gone():
             discard_output()
             return WELL
         if error.errno == errno.ENAMETOOLONG:
-            print(f"{name}: {error.filename!r}: {error.strerror}: shorten it", file=sys.stderr)
+            _tell(f"{name}: {error.filename!r}: {error.strerror}: shorten it")
             return MISTAKE
         mend = _SYSTEM.get(error.errno or 0)
         if mend is None:
@@ -157,7 +163,7 @@ def exit_code(work: Callable[[], int], name: str) -> int:
         if not error.filename:
             discard_output()  # perhaps it was full
         at = f" {error.filename}:" if error.filename else ""
-        print(f"{name}:{at} {error.strerror}: {mend}", file=sys.stderr)
+        _tell(f"{name}:{at} {error.strerror}: {mend}")
         return FAILED
     except KeyboardInterrupt:
         return INTERRUPTED

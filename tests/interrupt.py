@@ -253,7 +253,7 @@ def main() -> int:
         ) as session,
     ):
         interrupter = Interrupter(session, log, arguments.seed)
-        tempfile.tempdir = str(session.temporary)
+        os.environ["TMPDIR"] = str(session.temporary)
         with TopicBus(session.session) as bus:
             hand = Hand(bus, log, arguments.seed)
             hand.start()
@@ -265,7 +265,6 @@ def main() -> int:
                 print(f"{interrupter.clock.now_ns() / NS_PER_S:.2f} {done[-1]}", flush=True)
             hand.running = False
             hand.join()
-        tempfile.tempdir = None
         code, report = session.interrupt()
     wrong, moved_s = judge(log)
     if arguments.log:

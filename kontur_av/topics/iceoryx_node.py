@@ -1,6 +1,7 @@
 """The topics of a session by iceoryx2 (https://iceoryx.io), with limits and reserved pages."""
 
 import ctypes
+import errno
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -45,12 +46,16 @@ class IceoryxNode:
         root.mkdir(mode=0o700, exist_ok=True)
         config.global_cfg.root_path = iox2.Path.new(str(root))
         iox2.set_log_level(iox2.LogLevel.Error)
-        self._node: Any = (
-            iox2.NodeBuilder.new()
-            .config(config)
-            .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
-            .create(iox2.ServiceType.Ipc)
-        )
+        try:
+            self._node: Any = (
+                iox2.NodeBuilder.new()
+                .config(config)
+                .signal_handling_mode(iox2.SignalHandlingMode.Disabled)
+                .create(iox2.ServiceType.Ipc)
+            )
+        except iox2.NodeCreationFailure as error:
+            # The directory is there and ours, so its disk is full.
+            raise OSError(errno.ENOSPC, f"no file can be made there ({error})", str(root)) from None
         self._config, self._most_readers, self._most_depth = config, most_readers, most_depth
         self._header_octets = header_octets
         fields = [("words", ctypes.c_uint64 * (header_octets // 8))]

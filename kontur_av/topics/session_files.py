@@ -6,8 +6,8 @@ import os
 import re
 import shutil
 import stat
-import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
@@ -123,9 +123,20 @@ def joins_path(session: str, topic: str) -> Path:
 
 
 def user_root() -> Path:
-    """Return this user's directory for all sessions: in TMPDIR, if a socket's path fits there."""
+    """Return this user's directory for all sessions: in TMPDIR, if a socket's path fits there.
+
+    Python's `tempfile` would write a file to try each directory. On a full disk it takes another
+    one, or none, and an emergency stop would not find its session.
+    """
     own = f"kontur-av-{os.getuid()}"
-    chosen = Path(tempfile.gettempdir()) / own
+    named = (os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP"))
+    for directory in (*filter(None, named), "/tmp", "/var/tmp", os.curdir):
+        chosen = Path(directory).absolute() / own
+        # No file passes as a directory with "/." behind it.
+        if os.access(chosen, os.X_OK) or os.access(f"{directory}/.", os.W_OK | os.X_OK):
+            break
+    else:
+        raise ConfigError("no directory for temporary files: set TMPDIR to one of your own")
     longest = len(os.fsencode(chosen)) + 1 + _SESSION_OCTETS + 1 + _SOCKET_NAME_OCTETS
     if longest > _SOCKET_PATH_OCTETS:
         chosen = Path("/tmp") / own
@@ -175,3 +186,15 @@ def replace_file(path: Path, content: bytes) -> None:
     partial = path.with_suffix(".new")
     partial.write_bytes(content)
     partial.replace(path)
+
+
+def remember(path: Path, content: bytes) -> None:
+    """Keep what a process shall know after a restart; on a full disk nothing, old content neither.
+
+    So a full disk ends no process.
+    """
+    with suppress(OSError):
+        try:
+            replace_file(path, content)
+        except OSError:
+            path.unlink()

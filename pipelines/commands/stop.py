@@ -27,11 +27,18 @@ def run(args: argparse.Namespace) -> int:
     named = args.session is not None or not running
     for session in [choose_session(args.session, running)] if named else running:
         orders = KeptOrders(session)
-        orders.stop(f"a terminal of {pwd.getpwuid(os.getuid()).pw_name}")
-        print(
-            f"{session}: emergency stop by {orders.stopped_by}; `kontur-av stop --release` ends it"
-        )
+        orders.stop(f"a terminal of {_user()}")
+        by = orders.stopped_by or "somebody"
+        print(f"{session}: emergency stop by {by}; `kontur-av stop --release` ends it")
     return 0
+
+
+def _user() -> str:
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        # A container may run under any number.
+        return str(os.getuid())
 
 
 def _release(session: str) -> int:

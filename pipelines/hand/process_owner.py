@@ -3,7 +3,7 @@
 The last order is kept in a file, so that a desk or a robot that was killed goes on with it.
 """
 
-from kontur_av.topics.session_files import make_session_root, replace_file, session_root
+from kontur_av.topics.session_files import make_session_root, remember, session_root
 from pipelines.hand.hand_topics import ARM_DESK, ARM_ORDER_OCTETS, ArmState, OwnerDesk
 from pipelines.session.process import Context
 from pipelines.session.terminals import serve_terminals
@@ -29,7 +29,7 @@ def run_owner_desk(context: Context) -> None:
             order = desk.order.value
             if order != known:
                 known = order
-                replace_file(remembered, order.encode("ascii"))
+                remember(remembered, order.encode("ascii"))
             # Published repeatedly, for a robot that has started since.
             writer.publish_octets(order.encode("ascii"), now_ns)
 

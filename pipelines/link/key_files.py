@@ -19,10 +19,16 @@ _HEAD = "# Identities that this machine trusts: `kontur-av keys trust` and `keys
 
 
 def default_key_path() -> Path:
-    """Return where the key lies: in the configuration directory (XDG Base Directory 0.8)."""
+    """Return where the key lies: in the configuration directory (XDG Base Directory 0.8).
+
+    Raises ConfigError for a user without a home directory, as in some containers.
+    """
     configured = Path(os.environ.get("XDG_CONFIG_HOME", ""))
-    # The specification: a relative path is to be ignored.
-    room = configured if configured.is_absolute() else Path.home() / ".config"
+    try:
+        # The specification: a relative path is to be ignored.
+        room = configured if configured.is_absolute() else Path.home() / ".config"
+    except RuntimeError:
+        raise ConfigError("you have no home directory: set HOME, or give --key FILE") from None
     return room / "kontur-av" / "key.pem"
 
 

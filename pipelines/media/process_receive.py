@@ -10,7 +10,7 @@ from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AudioFrame
 from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.voice_receiver import VoicePlayer
-from kontur_av.topics.session_files import replace_file, session_root
+from kontur_av.topics.session_files import remember, session_root
 from pipelines.media.coded_topics import ReceivedTopics
 from pipelines.media.stream_figures import note_arrivals, note_unit, video_receiver, voice_receiver
 from pipelines.session.datagrams import receive
@@ -58,7 +58,7 @@ class Incoming:
         if self._rtcp in ready:
             while (datagram := receive(self._rtcp)) is not None:
                 if self._receiver.handle_report(datagram, self._clock.now_ns()):
-                    replace_file(self._memory, datagram)
+                    remember(self._memory, datagram)
         if self._rtp in ready:
             while (datagram := receive(self._rtp)) is not None:
                 self._receiver.handle_packet(datagram, self._clock.now_ns())

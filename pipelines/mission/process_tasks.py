@@ -16,7 +16,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.topics.bus import TopicBus
-from kontur_av.topics.session_files import make_session_root, replace_file, session_root
+from kontur_av.topics.session_files import make_session_root, remember, session_root
 from pipelines.link.figures import CONNECTED, unpack_link
 from pipelines.media.following import Choice
 from pipelines.mission.figures import TaskFigures
@@ -181,7 +181,7 @@ class _Tasks:
         if memory != self._kept:
             # Before anything follows from it.
             self._kept = memory
-            replace_file(self._remembered, msgspec.json.encode(memory))
+            remember(self._remembered, msgspec.json.encode(memory))
         while (order := ground.poll_order()) is not None:
             self._number = max(now_ns, self._number + 1)
             if isinstance(order, ChooseCamera):

@@ -17,7 +17,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.topics.bus import Reader, TopicBus
-from kontur_av.topics.session_files import make_session_root, replace_file, session_root
+from kontur_av.topics.session_files import make_session_root, remember, session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
 from pipelines.link.figures import unpack_link
 from pipelines.media.following import CHOICE_OCTETS, unpack_confirmed
@@ -247,7 +247,7 @@ def run_selector(context: Context) -> None:
             while asked:
                 changed |= choice.handle_asked(asked.popleft(), now_ns)
             if changed:
-                replace_file(remembered, choice.selected.encode("ascii"))
+                remember(remembered, choice.selected.encode("ascii"))
             if (told := choice.poll_choice(now_ns)) is not None:
                 writer.publish_octets(told.pack(), now_ns)
             if (confirmed := reader.latest_octets()) is not None:
@@ -313,7 +313,7 @@ def run_component(context: Context, component: Component) -> None:
             desk.handle_time(clock.now_ns())
             if desk.settings != known:
                 known = desk.settings
-                replace_file(remembered, msgspec.json.encode(known))
+                remember(remembered, msgspec.json.encode(known))
             now_ns = clock.now_ns()
             while (request := desk.poll_transmit(now_ns)) is not None:
                 if not send_to_tmtc(context.session, Segment.GROUND, request):

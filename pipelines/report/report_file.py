@@ -53,8 +53,9 @@ def save_report(path: Path | None, report: object) -> bool:
         why = f"kontur-av: --report {path}: {error.strerror or error}"
     else:
         return True
-    elsewhere = Path(tempfile.gettempdir(), f"kontur-av-report-{secrets.token_hex(4)}.json")
     try:
+        # Without room anywhere there is no directory for temporary files either.
+        elsewhere = Path(tempfile.gettempdir(), f"kontur-av-report-{secrets.token_hex(4)}.json")
         write_report(elsewhere, report)
     except OSError:
         print(f"{why}; the report follows", file=sys.stderr)

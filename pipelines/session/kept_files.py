@@ -54,7 +54,11 @@ class KeptOrders:
     def stop(self, by: str) -> None:
         """Order an emergency stop. The first of several is kept."""
         if not self.stopped:
-            replace_file(self._stop, by[:_MOST_CHARACTERS].encode())
+            try:
+                replace_file(self._stop, by[:_MOST_CHARACTERS].encode())
+            except OSError:
+                # On a full disk only the words have no room.
+                self._stop.touch()
 
     def release(self) -> None:
         self._stop.unlink(missing_ok=True)
@@ -72,7 +76,12 @@ class KeptOrders:
             return unknown
 
     def keep(self, name: str, orders: msgspec.Struct) -> None:
-        replace_file(self._path(name), msgspec.json.encode(orders))
+        path = self._path(name)
+        try:
+            replace_file(path, msgspec.json.encode(orders))
+        except OSError:
+            # On a full disk: after a restart nothing is known, so older orders do not come back.
+            path.write_bytes(b"")
 
     def _path(self, name: str) -> Path:
         return self._root / f"orders-{name}"

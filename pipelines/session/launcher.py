@@ -12,7 +12,6 @@ import resource
 import selectors
 import signal
 import socket
-import tempfile
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -482,8 +481,6 @@ def hold_port(port: int, address: str = LOOPBACK) -> socket.socket:
 
 def load_libraries() -> None:
     """Load the libraries of the processes once, before they are forked."""
-    # Python tests the directory with a file, which a process killed meanwhile would leave.
-    tempfile.gettempdir()
     import av  # noqa: F401
     import cv2
 

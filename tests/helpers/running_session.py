@@ -253,7 +253,7 @@ class RunningSession:
     @contextlib.contextmanager
     def bus(self, monkeypatch):
         """Open our own access to the topics of the session."""
-        monkeypatch.setattr(tempfile, "tempdir", str(self.temporary))
+        monkeypatch.setenv("TMPDIR", str(self.temporary))
         with TopicBus(self.session) as bus:
             yield bus
         monkeypatch.undo()

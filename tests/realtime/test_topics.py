@@ -15,6 +15,7 @@ from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame
 from kontur_av.topics import session_files
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session, session_root, shared_memory
+from pipelines.cli import exit_code
 
 PICTURE_OCTETS = 64 * 48 * 3 // 2
 
@@ -244,7 +245,7 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, t
     # A socket's path has at most 107 octets, and the user's number in it may be long, too.
     directory = tmp_path / ("d" * octets)
     directory.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(directory))
+    monkeypatch.setenv("TMPDIR", str(directory))
     monkeypatch.setattr(os, "getuid", lambda: 1_234_567_890)
     # The directory belongs to another user.
     monkeypatch.setattr(session_files, "_check_own", lambda directory: None)
@@ -263,10 +264,28 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, t
     user_root.rmdir()
 
 
+def test_without_room_for_its_files_a_bus_says_so(monkeypatch, capsys):
+    iox2 = pytest.importorskip("iceoryx2")
+
+    class Builder:
+        new = config = signal_handling_mode = lambda self, *_: self
+
+        def create(self, _kind):
+            raise iox2.NodeCreationFailure("InternalError")
+
+    monkeypatch.setattr(iox2, "NodeBuilder", Builder())
+    monkeypatch.delenv("KONTUR_AV_TOPICS", raising=False)
+    name = f"full-{os.getpid()}"
+    assert exit_code(lambda: TopicBus(name), "kontur-av") == 1
+    remove_session(name)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("no file can be made there (InternalError): free some room")
+
+
 def test_a_directory_that_others_can_write_to_is_not_used(monkeypatch, tmp_path):
     # Not tmp_path itself, which may be too deep for sockets.
     with tempfile.TemporaryDirectory(prefix="kav") as directory:
-        monkeypatch.setattr(tempfile, "tempdir", directory)
+        monkeypatch.setenv("TMPDIR", directory)
         own = session_root("lab").parent
         own.mkdir()
         own.chmod(0o777)

@@ -35,7 +35,7 @@ def test_a_program_joins_a_session_until_it_ends(tmp_path, monkeypatch):
         for line in rest[:30]:
             assert re.fullmatch(r"\(480, 640, 3\), \d+ ms old, \w+", line), line
         assert len(rest) == 33
-        monkeypatch.setattr("tempfile.tempdir", str(session.temporary))
+        monkeypatch.setenv("TMPDIR", str(session.temporary))
         code, report = asyncio.run(use(session))
         assert (code, report["failures"]) == (0, [])
         session.assert_nothing_left()
@@ -69,7 +69,7 @@ def test_a_program_fills_an_input(tmp_path, monkeypatch):
     options = ("--source", "head=topic", "--source", "ground_mic=topic", "--no-page")
     with RunningSession("spacejustin", *options, directory=tmp_path) as running:
         running.wait_for_flow(["uplink_video"])
-        monkeypatch.setattr("tempfile.tempdir", str(running.temporary))
+        monkeypatch.setenv("TMPDIR", str(running.temporary))
         clock = MonotonicClock()
         picture = np.zeros((480, 640, 3), np.uint8)
         picture[:, :, 0] = 200

@@ -8,12 +8,12 @@ import av as pyav
 import numpy as np
 import pytest
 from janus_room import free_port
+from kontur_av.rtp.payload_h264 import packetize
 from rtp_packets import PromptSender
 
 import kontur_av as av
 from kontur_av.media import BLOCK_NS, CaptureStamp, Quality, VideoFrame
 from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.payload_h264 import packetize
 from kontur_av.streams import ends
 
 GREY = np.full((96, 128, 3), 90, np.uint8)

@@ -50,7 +50,7 @@ def test_what_moves_a_robot_asks_beside_another_session(runs):
 
 
 def test_a_session_knows_its_terminal(tmp_path, monkeypatch):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     with hold_session("lab") as session:
         assert started_here(session)
         monkeypatch.setattr(os, "getsid", lambda _: 1)
@@ -61,7 +61,7 @@ def test_a_session_knows_its_terminal(tmp_path, monkeypatch):
 def test_an_emergency_stop_without_a_name_stops_all_and_its_release_asks(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     with hold_session("lab") as lab, hold_session("pool") as pool:
         for module in (stop, common):
             monkeypatch.setattr(module, "sessions", lambda: [lab, pool])
@@ -72,3 +72,43 @@ def test_an_emergency_stop_without_a_name_stops_all_and_its_release_asks(
         assert main(["stop", "--release", "--session", "pool"]) == 0
         assert [KeptOrders(one).stopped for one in (lab, pool)] == [True, False]
     assert "several sessions" in capsys.readouterr().err
+
+
+def test_an_emergency_stop_by_a_user_without_a_name_holds(tmp_path, monkeypatch):
+    def unknown(uid):
+        raise KeyError(uid)
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with hold_session("lab") as lab:
+        monkeypatch.setattr(stop, "sessions", lambda: [lab])
+        monkeypatch.setattr("pwd.getpwuid", unknown)
+        assert main(["stop"]) == 0
+        assert KeptOrders(lab).stopped_by == f"a terminal of {os.getuid()}"
+
+
+def test_an_emergency_stop_finds_its_session_on_a_full_disk(tmp_path, monkeypatch):
+    def full():
+        raise FileNotFoundError("no usable temporary directory")
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with hold_session("lab") as lab:
+        monkeypatch.setattr("tempfile.gettempdir", full)
+        monkeypatch.setattr(os, "access", lambda path, mode: mode == os.X_OK)  # read-only by now
+        for module in (stop, common):
+            monkeypatch.setattr(module, "sessions", lambda: [lab])
+        assert main(["stop"]) == 0
+        assert KeptOrders(lab).stopped
+
+
+def test_without_a_directory_for_its_files_no_session_is_asked(monkeypatch, capsys):
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert main(["stop"]) == 2
+    said = capsys.readouterr().err
+    assert said == "kontur-av: no directory for temporary files: set TMPDIR to one of your own\n"
+
+
+@pytest.mark.parametrize("name", ["a\nb", "a\x1b[31m", "a\u2028b", "a\r"])
+def test_what_was_written_wrong_stands_in_one_line(name, capsys):
+    assert main(["topology", "--setup", f"{name}.toml"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.isprintable() and line.startswith("kontur-av: cannot read setup a\\")

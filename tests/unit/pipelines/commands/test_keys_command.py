@@ -128,6 +128,16 @@ def test_a_relative_configuration_directory_is_ignored(monkeypatch, tmp_path):
     assert default_key_path() == tmp_path / ".config" / "kontur-av" / "key.pem"
 
 
+def test_a_user_without_a_home_directory_is_told_so(monkeypatch, capsys):
+    def unknown(uid):
+        raise KeyError(uid)
+
+    monkeypatch.delenv("HOME")
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    assert "set HOME" in refused(capsys, "keys", "show")
+
+
 def test_the_peer_is_the_only_one_that_is_trusted_or_the_one_that_is_named(home, capsys):
     key = home / "key.pem"
     make_key(key)

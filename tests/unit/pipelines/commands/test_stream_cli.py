@@ -355,7 +355,7 @@ def test_a_busy_port_is_named(capsys):
 def test_impossible_commands_are_refused(capsys, monkeypatch, arguments, says):
     # Not tmp_path, because a socket's path must be short. Sessions are looked for in there.
     with tempfile.TemporaryDirectory(prefix="kav") as directory:
-        monkeypatch.setattr(tempfile, "tempdir", directory)
+        monkeypatch.setenv("TMPDIR", directory)
         assert says in refusal(capsys, *arguments)
 
 

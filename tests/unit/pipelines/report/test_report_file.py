@@ -72,8 +72,15 @@ def test_a_report_that_has_no_room_is_kept_elsewhere(tmp_path, monkeypatch, caps
     assert json.loads(kept.read_text()) == {"kept": 1}
 
 
-def test_a_report_that_can_be_written_nowhere_goes_to_standard_error(monkeypatch, capsys):
-    monkeypatch.setattr("tempfile.tempdir", "/nowhere")
+def _no_directory():
+    raise FileNotFoundError("no usable temporary directory")
+
+
+@pytest.mark.parametrize("directory", [lambda: "/nowhere", _no_directory])
+def test_a_report_that_can_be_written_nowhere_goes_to_standard_error(
+    directory, monkeypatch, capsys
+):
+    monkeypatch.setattr("tempfile.gettempdir", directory)
     assert not save_report(Path("/dev/full"), {"kept": 2})
     first, *rest = capsys.readouterr().err.splitlines()
     assert first.endswith("No space left on device; the report follows")

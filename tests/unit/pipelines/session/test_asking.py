@@ -24,7 +24,7 @@ def desk(monkeypatch):
     """desk(session, answer): a listening socket; returns the lines that it received."""
     # Not tmp_path, because the path of a socket must be short.
     directory = tempfile.mkdtemp(prefix="kav")
-    monkeypatch.setattr(tempfile, "tempdir", directory)
+    monkeypatch.setenv("TMPDIR", directory)
     listeners = []
 
     def listen(session, answer):

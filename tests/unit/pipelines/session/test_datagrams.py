@@ -70,7 +70,7 @@ def test_a_port_for_one_sender_takes_nobody_elses_datagrams(sockets):
 
 
 def test_one_process_has_a_sessions_own_socket_until_it_ends(tmp_path, monkeypatch):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     first = listen_alone("lab", 27_008)
     assert first is not None and listen_alone("lab", 27_008) is None
     first.close()
@@ -121,7 +121,7 @@ def test_which_addresses_are_this_machines():
 
 
 def test_samples_reach_a_listener_that_comes_late_and_one_that_was_restarted(tmp_path, monkeypatch):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     to_robot = OwnOutlet("lab", 27_008)
     to_robot.send(b"too soon")
     for life in (b"first", b"second"):
