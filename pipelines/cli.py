@@ -27,6 +27,7 @@ WELL, FAILED, MISTAKE = 0, 1, 2
 _SYSTEM = {
     errno.ENOSPC: "free some room",
     errno.EDQUOT: "free some of your quota",
+    errno.EROFS: "make the file system writable",
     errno.EMFILE: "raise `ulimit -n`",
     errno.ENFILE: "end other programs",
     errno.ENOMEM: "end other programs",

@@ -86,12 +86,15 @@ def _can_be_mixed(stream: av.AudioStream) -> bool:
     # PyAV's type does not say that a form may be unknown before the first packet.
     if getattr(stream, "format", None) is None or not stream.layout.nb_channels:
         return True
-    frame = av.AudioFrame(stream.format.name, stream.layout.name, samples=1)
-    frame.sample_rate = stream.rate
     try:
+        frame = av.AudioFrame(stream.format.name, stream.layout.name, samples=1)
+        frame.sample_rate = stream.rate
         list(_Resampling().take(frame))
     except av.FFmpegError:
         return False
+    except ValueError:
+        # The name of many channels is cut short, and cannot be read; the frames have the layout.
+        pass
     return True
 
 

@@ -135,7 +135,7 @@ class _Sender(_AsyncClosing, Generic[_Item]):
             self._address = str(ipaddress.ip_address(host.strip("[]"))), int(port)
         except ValueError:
             self._address = "", 0
-        if not 0 < self._address[1] < 65_535:
+        if not port.isalnum() or not 0 < self._address[1] < 65_535:
             raise ConfigError(f"address {to!r}: write HOST:PORT with an IP address")
         self._clock = MonotonicClock()
         self._feed: PictureFeed | SoundFeed | None = None
@@ -426,7 +426,12 @@ class StreamReceiver(_AsyncClosing):
                 put(pictures)
 
         why = self._follow(receiver, drain)
-        put(decoding.rest())
+        if not self.ended:
+            rest = list(decoding.rest())
+            with self._ready:
+                # They come at once, and nobody is too slow for them.
+                self._most += len(rest)
+            put(rest)
         return why
 
     def _sound(self, stream: StreamDescription) -> str:

@@ -189,12 +189,13 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def remember(path: Path, content: bytes) -> None:
-    """Keep what a process shall know after a restart; on a full disk nothing, old content neither.
+    """Keep what a process shall know after a restart.
 
-    So a full disk ends no process.
+    On a full disk the file becomes empty: something was to be kept, and nobody knows what. So a
+    full disk ends no process, and old content does not come back.
     """
     with suppress(OSError):
         try:
             replace_file(path, content)
         except OSError:
-            path.unlink()
+            path.write_bytes(b"")

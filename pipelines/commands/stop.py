@@ -25,11 +25,18 @@ def run(args: argparse.Namespace) -> int:
         return _release(acting_on(args.session, running, moves=True))
     # A stop must not wait for a name.
     named = args.session is not None or not running
+    stopped, failed = [], None
     for session in [choose_session(args.session, running)] if named else running:
-        orders = KeptOrders(session)
-        orders.stop(f"a terminal of {_user()}")
-        by = orders.stopped_by or "somebody"
+        try:
+            KeptOrders(session).stop(f"a terminal of {_user()}")
+            stopped.append(session)
+        except OSError as error:
+            failed = error
+    for session in stopped:
+        by = KeptOrders(session).stopped_by or "somebody"
         print(f"{session}: emergency stop by {by}; `kontur-av stop --release` ends it")
+    if failed is not None:
+        raise failed
     return 0
 
 

@@ -16,7 +16,8 @@ def run_owner_desk(context: Context) -> None:
     """Take an operator's orders, and publish who is to drive."""
     make_session_root(context.session)
     remembered = session_root(context.session) / "owner"
-    known = remembered.read_text("ascii") if remembered.exists() else Owner.ISS.value
+    known = remembered.read_text("ascii") if remembered.exists() else ""
+    known = known or Owner.ISS.value
     desk = OwnerDesk(Owner(known))
     with context.open_bus() as bus:
         writer = NumberedTopic(bus, ARM_ORDER_TOPIC, max_octets=ARM_ORDER_OCTETS)

@@ -4,6 +4,7 @@ And whether what the operator sees is too old to move a robot by.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_S
@@ -110,8 +111,10 @@ def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:
         elif known and not ordered:
             envelope.handle_stop_released(now_ns)
         elif envelope.stopped and not ordered:
-            kept.stop("the joystick or a telecommand")
-            ordered = True
+            # What cannot be kept now holds all the same, and is tried again.
+            with suppress(OSError):
+                kept.stop("the joystick or a telecommand")
+                ordered = True
         elif ordered and not envelope.stopped:
             # By a telecommand.
             kept.release()
@@ -124,6 +127,8 @@ def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:
 def keep_robot(kept: KeptOrders, desk: RobotDesk) -> Cycle:
     """Return what keeps power and mode of the robot."""
     last = desk.orders
+    # On a disk that is full later, what is there can be emptied.
+    kept.keep(ROBOT, last)
 
     def keep(_now_ns: int) -> None:
         nonlocal last
@@ -139,6 +144,7 @@ def keep_joystick(kept: KeptOrders, handle: OperatedHandle) -> Cycle:
     """Return what keeps a person's orders, and puts the emergency stop into every sample."""
     operation = handle.operation
     last = JoystickOrders(paused=operation.paused, experiment=operation.experiment)
+    kept.keep(JOYSTICK, last)
 
     def keep(_now_ns: int) -> None:
         nonlocal last

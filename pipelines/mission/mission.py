@@ -275,6 +275,11 @@ class MissionGround:
         score = self.journal.keeper.words if finished else ""
         self._runs.append(RunShown(run.task, run.run, run.result.value, run.reason, seconds, score))
 
+    def switch_off(self, now_ns: int) -> None:
+        """End what an earlier life may have been doing; also where its memory was lost."""
+        self._orders.extend((PowerRobot(False), Record(False)))
+        self.leds.show(DARK, now_ns)
+
     def _end_earlier(self, memory: MissionMemory, now_ns: int) -> None:
         """A run of an earlier life: whatever it was doing is switched off."""
         run = TaskRun(
@@ -286,8 +291,7 @@ class MissionGround:
             started_ns=memory.started_ns,
             ended_ns=now_ns,
         )
-        self._orders.extend((PowerRobot(False), Record(False)))
-        self.leds.show(DARK, now_ns)
+        self.switch_off(now_ns)
         self._messages.append(
             TaskFinished(task=memory.task, run=memory.run, result=TaskResult.ABORTED)
         )

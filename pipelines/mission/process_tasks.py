@@ -89,6 +89,8 @@ class _Tasks:
             first_number=now_ns // (100 * NS_PER_MS) % (1 << 32),
             two_hands=wish.two_hands,
         )
+        if self._kept is None and self._remembered.exists():
+            self._ground.switch_off(now_ns)
         self._other_robot = bus.reader(SECOND_ROBOT_TOPIC) if wish.two_hands else None
         self._other: WorldState | None = None
         self._client = TmtcClient(bus, context.session, Segment.GROUND, TASKS, first_number=now_ns)

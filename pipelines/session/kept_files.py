@@ -12,6 +12,7 @@ content, it does not know what was ordered; then it starts halted and off.
 """
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, Literal, TypeVar
 
@@ -53,12 +54,16 @@ class KeptOrders:
 
     def stop(self, by: str) -> None:
         """Order an emergency stop. The first of several is kept."""
-        if not self.stopped:
-            try:
-                replace_file(self._stop, by[:_MOST_CHARACTERS].encode())
-            except OSError:
-                # On a full disk only the words have no room.
-                self._stop.touch()
+        if self.stopped:
+            return
+        try:
+            replace_file(self._stop, by[:_MOST_CHARACTERS].encode())
+        except OSError:
+            # On a full disk only the words have no room. What was begun for them needs no more.
+            with suppress(OSError):
+                self._stop.with_suffix(".new").replace(self._stop)
+                return
+            self._stop.touch()
 
     def release(self) -> None:
         self._stop.unlink(missing_ok=True)
@@ -81,7 +86,8 @@ class KeptOrders:
             replace_file(path, msgspec.json.encode(orders))
         except OSError:
             # On a full disk: after a restart nothing is known, so older orders do not come back.
-            path.write_bytes(b"")
+            with suppress(OSError):
+                path.write_bytes(b"")
 
     def _path(self, name: str) -> Path:
         return self._root / f"orders-{name}"

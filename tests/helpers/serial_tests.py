@@ -50,9 +50,16 @@ def yield_the_machine() -> None:
     Linux weighs sessions of processes against each other first (autogroup), then the processes of
     one session.
     """
+    if os.getpriority(os.PRIO_PROCESS, 0) == 19:
+        return
+    group = Path("/proc/self/autogroup")
+    if group.exists():
+        try:
+            group.write_text("19")
+        except OSError:
+            # Only root may do so more than ten times a second; the next test tries again.
+            return
     os.nice(19)
-    with contextlib.suppress(OSError):
-        Path("/proc/self/autogroup").write_text("19")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -81,7 +88,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
     if lane_of(item.nodeid) == 2:
-        if hasattr(item.config, "workerinput") and os.getpriority(os.PRIO_PROCESS, 0) < 19:
+        if hasattr(item.config, "workerinput"):
             yield_the_machine()
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)

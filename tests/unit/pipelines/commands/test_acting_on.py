@@ -93,9 +93,11 @@ def test_an_emergency_stop_finds_its_session_on_a_full_disk(tmp_path, monkeypatc
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with hold_session("lab") as lab:
         monkeypatch.setattr("tempfile.gettempdir", full)
-        monkeypatch.setattr(os, "access", lambda path, mode: mode == os.X_OK)  # read-only by now
+        asked = os.access  # read-only by now
+        monkeypatch.setattr(os, "access", lambda p, mode: not mode & os.W_OK and asked(p, mode))
         for module in (stop, common):
             monkeypatch.setattr(module, "sessions", lambda: [lab])
+        assert not KeptOrders(lab).stopped
         assert main(["stop"]) == 0
         assert KeptOrders(lab).stopped
 

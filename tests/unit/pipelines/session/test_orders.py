@@ -2,12 +2,14 @@
 
 import errno
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
 
 from kontur_av.topics import session_files
 from kontur_av.topics.session_files import make_session_root, session_root
+from pipelines.hand.safety_ends import follow_stop
 from pipelines.session.kept_files import KeptOrders
 
 
@@ -54,9 +56,38 @@ def test_orders_without_room_are_unknown_and_older_ones_do_not_come_back(kept, m
     monkeypatch.setattr(Path, "replace", full)
     kept.keep("robot", Orders(on=False))
     assert kept.recall("robot", first, unknown) is unknown
-    for _ in range(2):
-        session_files.remember(memory, b"iss")
-        assert not memory.exists()
+    session_files.remember(memory, b"iss")
+    assert memory.read_bytes() == b""
+    # Not even that: the process goes on.
+    monkeypatch.setattr(Path, "write_bytes", full)
+    kept.keep("robot", Orders(on=False))
+    session_files.remember(memory, b"iss")
+
+
+def test_an_emergency_stop_without_room_for_a_file_takes_what_is_there(kept, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    (session_root("lab-1") / "stop.new").touch()
+    for what in ("write_bytes", "touch"):
+        monkeypatch.setattr(Path, what, full)
+    kept.stop("a test")
+    assert kept.stopped
+
+
+def test_a_stop_that_cannot_be_kept_holds_the_robot_and_is_tried_again(kept, monkeypatch):
+    def full(by):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    envelope = SimpleNamespace(stopped=True)
+    follow = follow_stop(kept, SimpleNamespace(envelope=envelope))
+    with monkeypatch.context() as disk:
+        disk.setattr(kept, "stop", full)
+        for now_ns in range(3):
+            follow(now_ns)
+    assert envelope.stopped and not kept.stopped
+    follow(3)
+    assert kept.stopped
 
 
 @pytest.mark.parametrize("left", ["nothing", "file"])

@@ -190,6 +190,16 @@ def test_the_next_life_ends_the_run_and_goes_on_with_the_numbers():
     assert [run.run for run in ground.core.shown.runs] == [1]
 
 
+def test_the_next_life_whose_memory_is_lost_switches_the_robot_off():
+    ground = Ground()
+    ground.change(powered=True)
+    ground.recording = True
+    ground.core.switch_off(ground.now_ns)
+    ground.settle()
+    assert not ground.robot.powered and not ground.recording
+    assert ground.core.leds.picture == DARK
+
+
 @pytest.mark.parametrize("fault", ["it does not answer", "force above 28 N"])
 def test_a_robot_with_a_fault_ends_the_run(fault):
     ground = running()
