@@ -295,8 +295,8 @@ def run_component(context: Context, component: Component) -> None:
     clock, table = context.clock, component.application
     remembered = session_root(context.session) / component_process(table.name)
     known: Values = {}
-    if remembered.exists() and (octets := remembered.read_bytes()):
-        known = msgspec.json.decode(octets, type=Values)
+    if remembered.exists() and (kept := remembered.read_bytes()):
+        known = msgspec.json.decode(kept, type=Values)
     source = load_telemetry(component.spec)
     source.configure()
     with context.open_bus() as bus:

@@ -248,8 +248,9 @@ def test_coded_units_decode_to_the_pictures_that_are_shown(session):
         compared += 1
     assert compared >= 10
     # What arrived is what was sent, and was captured when it was.
-    by_data = {unit.data: (unit, stamp) for unit, stamp in sent}
     for unit, stamp in coded[:-1]:
-        whole, sent_stamp = by_data[unit.data]
+        # Pictures of a film that repeats itself may have the same octets.
+        same = [(one, when) for one, when in sent if one.data == unit.data]
+        whole, sent_stamp = min(same, key=lambda one: abs(one[1].capture_ns - stamp.capture_ns))
         assert (whole.key, whole.width, whole.height) == (unit.key, unit.width, unit.height)
         assert not unit.dated or abs(stamp.capture_ns - sent_stamp.capture_ns) < NS_PER_MS

@@ -196,10 +196,7 @@ def test_a_whole_session_gains_and_reports_it():
 
 
 def test_freed_capacity_can_reduce_the_latency_instead():
-    # What the other direction carries does not touch the uplink.
-    setup = replace(
-        BUILT_IN["spacejustin"], radio="clean", downlink_video=None, downlink_voice=None
-    )
+    setup = replace(BUILT_IN["spacejustin"], radio="clean")
     reports = (
         simulate(replace(setup, deadband=deadband), seconds=6.0, seed=1)
         for deadband in ("off", "picture", "latency")

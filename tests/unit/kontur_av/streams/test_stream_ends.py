@@ -8,12 +8,12 @@ import av as pyav
 import numpy as np
 import pytest
 from janus_room import free_port
-from kontur_av.rtp.payload_h264 import packetize
 from rtp_packets import PromptSender
 
 import kontur_av as av
 from kontur_av.media import BLOCK_NS, CaptureStamp, Quality, VideoFrame
 from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams import ends
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
@@ -149,7 +149,7 @@ def test_a_stream_with_b_pictures_ends_with_its_last_picture(tmp_path):
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out,
     ):
         for one in coded:
-            for payload in packetize(split_annex_b(bytes(one))):
+            for payload in H264.packetize(split_annex_b(bytes(one))):
                 header = struct.pack("!BBHII", 0x80, 96, sequence, one.pts * 3600, 7)
                 out.sendto(header + payload, ("127.0.0.1", port))
                 sequence += 1
