@@ -67,7 +67,7 @@ def orientation(frame: av.VideoFrame) -> Orientation:
     try:
         beside: Any = frame.side_data
     except ValueError:
-        # PyAV knows no EXIF, which photographs have. Their rotation it tells, but not mirroring.
+        # PyAV cannot read the EXIF data of photographs. It tells their rotation, not mirroring.
         turns = round(frame.rotation / 90) % 4
         return Orientation(turns % 2 == 1, turns in (1, 2), turns in (2, 3))
     matrix = beside.get(SideDataType.DISPLAYMATRIX)

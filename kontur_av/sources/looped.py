@@ -105,7 +105,7 @@ class LoopedVideo(StampingSource, ABC):
                 return self._fitter.scale(frame, aspect), due_ns
             except (av.FFmpegError, ValueError) as error:
                 self._fault(error)
-                # No sooner than the next one, so that a file of such pictures ends no read.
+                # Try again when the next picture is due, so that `read` returns in any case.
                 self._retry_ns = due_ns
         return None
 

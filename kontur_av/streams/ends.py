@@ -429,7 +429,7 @@ class StreamReceiver(_AsyncClosing):
         if not self.ended:
             rest = list(decoding.rest())
             with self._ready:
-                # They come at once, and nobody is too slow for them.
+                # These pictures come all at once: make room for them.
                 self._most += len(rest)
             put(rest)
         return why

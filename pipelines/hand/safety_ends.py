@@ -111,7 +111,7 @@ def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:
         elif known and not ordered:
             envelope.handle_stop_released(now_ns)
         elif envelope.stopped and not ordered:
-            # What cannot be kept now holds all the same, and is tried again.
+            # A stop that cannot be kept holds in this process, and is tried again.
             with suppress(OSError):
                 kept.stop("the joystick or a telecommand")
                 ordered = True
@@ -127,7 +127,7 @@ def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:
 def keep_robot(kept: KeptOrders, desk: RobotDesk) -> Cycle:
     """Return what keeps power and mode of the robot."""
     last = desk.orders
-    # On a disk that is full later, what is there can be emptied.
+    # Once the disk is full, a file that exists can still be emptied.
     kept.keep(ROBOT, last)
 
     def keep(_now_ns: int) -> None:

@@ -45,7 +45,7 @@ class Incoming:
         self._rtcp = context.listen_media(topology.exit_port(topology.media(stream.name).rtcp))
         self._memory = session_root(context.session) / f"{stream.name}.report"
         if self._memory.exists():
-            # An empty one is no report, and ignored as such.
+            # An empty file is counted as garbage.
             receiver.handle_report(self._memory.read_bytes(), self._clock.now_ns())
 
     def wait(self, due_ns: int | None) -> None:

@@ -4,8 +4,8 @@
 The selector reads no pictures. A choice is kept in a file, then published, and its telecommand is
 completed when the sender has confirmed it.
 
-Of a component `ComponentDesk` decides. Its methods may block. What telecommands have set outlives
-the process.
+`ComponentDesk` decides for a component, whose methods may block. What telecommands have set
+outlives the process.
 """
 
 import secrets

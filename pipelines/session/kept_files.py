@@ -59,7 +59,7 @@ class KeptOrders:
         try:
             replace_file(self._stop, by[:_MOST_CHARACTERS].encode())
         except OSError:
-            # On a full disk only the words have no room. What was begun for them needs no more.
+            # A full disk has no room for the words. The file begun for them can be renamed.
             with suppress(OSError):
                 self._stop.with_suffix(".new").replace(self._stop)
                 return

@@ -71,7 +71,7 @@ class Browser:
             "no-sandbox",
             # Without a graphics card its emulation would take a core.
             "disable-gpu",
-            # Its address bar has pages of its own, which draw as much as ours.
+            # Chromium's address bar has pages of its own, which draw as much as ours.
             "disable-features=WebUIOmniboxPopup,WebUIOmniboxAimPopup",
             f"force-device-scale-factor={scale}",
             f"user-data-dir={self.directory / 'profile'}",

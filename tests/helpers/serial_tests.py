@@ -76,7 +76,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Lanes:
 
 def pytest_configure(config: pytest.Config) -> None:
     if hasattr(config, "workerinput"):
-        # A session of its own has a priority of its own.
+        # Linux keeps a priority for each process session.
         with contextlib.suppress(OSError):
             os.setsid()
 

@@ -103,7 +103,7 @@ def calls(node: ast.AST, place: str = "") -> Iterator[tuple[str, str]]:
 
 
 def dotted(node: ast.AST) -> str:
-    """The dotted name; what is no name in it is left empty."""
+    """The dotted name. Parts that are not names are left empty."""
     if isinstance(node, ast.Attribute):
         return f"{dotted(node.value)}.{node.attr}"
     return node.id if isinstance(node, ast.Name) else ""

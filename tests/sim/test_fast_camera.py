@@ -10,7 +10,7 @@ from pipelines.virtual.simulate import simulate
 
 def uplink(**changes):
     setup = BUILT_IN["spacejustin"]
-    # What the other direction carries does not touch the uplink.
+    # Only the uplink is looked at, so nothing else is coded.
     setup = replace(setup, downlink_video=None, downlink_voice=None)
     setup = replace(setup, uplink_video=replace(setup.uplink_video, **changes))
     stream = simulate(setup, seconds=10, seed=1).streams["uplink_video"]

@@ -17,6 +17,10 @@ class Orders(msgspec.Struct):
     on: bool
 
 
+def full(*_, **__):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     monkeypatch.setattr(session_files, "user_root", lambda: tmp_path)
@@ -34,9 +38,6 @@ def test_an_emergency_stop_holds_until_it_is_released(kept):
 
 
 def test_an_emergency_stop_holds_on_a_full_disk(kept, monkeypatch):
-    def full(path, content):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
     monkeypatch.setattr(Path, "write_bytes", full)
     kept.stop("a test")
     assert kept.stopped
@@ -46,9 +47,6 @@ def test_an_emergency_stop_holds_on_a_full_disk(kept, monkeypatch):
 
 
 def test_orders_without_room_are_unknown_and_older_ones_do_not_come_back(kept, monkeypatch):
-    def full(path, new):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
     first, unknown = Orders(on=True), Orders(on=False)
     kept.keep("robot", Orders(on=True))
     memory = session_root("lab-1") / "owner"
@@ -65,9 +63,6 @@ def test_orders_without_room_are_unknown_and_older_ones_do_not_come_back(kept, m
 
 
 def test_an_emergency_stop_without_room_for_a_file_takes_what_is_there(kept, monkeypatch):
-    def full(*_, **__):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
     (session_root("lab-1") / "stop.new").touch()
     for what in ("write_bytes", "touch"):
         monkeypatch.setattr(Path, what, full)
@@ -76,9 +71,6 @@ def test_an_emergency_stop_without_room_for_a_file_takes_what_is_there(kept, mon
 
 
 def test_a_stop_that_cannot_be_kept_holds_the_robot_and_is_tried_again(kept, monkeypatch):
-    def full(by):
-        raise OSError(errno.EROFS, "Read-only file system")
-
     envelope = SimpleNamespace(stopped=True)
     follow = follow_stop(kept, SimpleNamespace(envelope=envelope))
     with monkeypatch.context() as disk:
