@@ -1,5 +1,6 @@
 """Which session a command acts on, and when it asks."""
 
+import errno
 import os
 
 import pytest
@@ -100,6 +101,30 @@ def test_an_emergency_stop_finds_its_session_on_a_full_disk(tmp_path, monkeypatc
         assert not KeptOrders(lab).stopped
         assert main(["stop"]) == 0
         assert KeptOrders(lab).stopped
+
+
+def test_an_emergency_stop_that_fails_for_one_session_stops_the_others(
+    tmp_path, monkeypatch, capsys
+):
+    real = KeptOrders.stop
+
+    def stop_one(orders, by):
+        if orders is first:
+            raise OSError(errno.EROFS, "Read-only file system")
+        real(orders, by)
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with hold_session("lab") as lab, hold_session("sea") as sea:
+        first = KeptOrders(lab)
+        monkeypatch.setattr(
+            stop, "KeptOrders", lambda name: {lab: first}.get(name, KeptOrders(name))
+        )
+        monkeypatch.setattr(KeptOrders, "stop", stop_one)
+        monkeypatch.setattr(stop, "sessions", lambda: [lab, sea])
+        assert main(["stop"]) == 1
+        assert KeptOrders(sea).stopped and not KeptOrders(lab).stopped
+    out, error = capsys.readouterr()
+    assert out.startswith(f"{sea}: emergency stop by ") and "make the file system writable" in error
 
 
 def test_without_a_directory_for_its_files_no_session_is_asked(monkeypatch, capsys):
