@@ -1,5 +1,6 @@
 """What tests of several rooms need: waiting, free ports, likeness of pictures."""
 
+import os
 import socket
 import time
 from collections.abc import Callable
@@ -36,3 +37,13 @@ def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
     """Return the peak signal-to-noise ratio of two pictures of uint8, of equal shape."""
     error = np.mean((one.astype(np.float32) - other.astype(np.float32)) ** 2)
     return float(10 * np.log10(255**2 / max(error, 1e-9)))
+
+
+def repeats(count: int) -> int:
+    """Return how often a random test repeats: `count`, in the nightly tier KONTUR_TIMES as often."""
+    return count * int(os.environ.get("KONTUR_TIMES", "1"))
+
+
+def first_seed(seed: int = 1) -> int:
+    """Return the first seed of a random test: `seed`, in the nightly tier KONTUR_SEED."""
+    return int(os.environ.get("KONTUR_SEED", seed))
