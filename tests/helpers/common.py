@@ -40,7 +40,7 @@ def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def repeats(count: int) -> int:
-    """Return how often a random test repeats: `count`, in the nightly tier KONTUR_TIMES as often."""
+    """Return how often a random test repeats: `count` times KONTUR_TIMES of the nightly tier."""
     return count * int(os.environ.get("KONTUR_TIMES", "1"))
 
 
