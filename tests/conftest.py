@@ -19,7 +19,7 @@ settings.register_profile("random", **COMMON)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 # What needs the machine runs last.
-pytest_plugins = ("serial_tests",)
+pytest_plugins = ("tiers",)
 
 SPEECH = Path("/usr/share/sounds/alsa")
 

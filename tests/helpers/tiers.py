@@ -1,0 +1,211 @@
+"""A plug-in of pytest: which tests run by default, and which run beside which. One table says both.
+
+`pytest` runs the default tier, `pytest --full` everything. A test that fails has failed; none is
+tried again. In the full tier a test that lacks a program fails; in the default tier the last lines
+name each missing program once.
+"""
+
+import contextlib
+import enum
+import os
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+
+class Lane(enum.IntEnum):
+    """Tests of one lane run one at a time, in one worker; the lanes run beside each other."""
+
+    MACHINE = 0  #: Real processes that need the machine.
+    PEERS = 1  #: Programs of others.
+    WAITS = 2  #: Real processes that mostly wait: at most half a core.
+    ANY = 3  #: No processes: in any worker at any time, at the lowest priority.
+
+
+@dataclass(frozen=True)
+class Row:
+    """What holds for the tests whose node ids begin with `where`; the longest such row counts."""
+
+    where: str
+    lane: Lane = Lane.ANY
+    default: bool = False
+
+
+_DEFAULT, _MACHINE, _PEERS, _WAITS = (
+    lambda where: Row(f"tests/{where}", default=True),
+    lambda where, default=False: Row(f"tests/{where}", Lane.MACHINE, default),
+    lambda where, default=False: Row(f"tests/{where}", Lane.PEERS, default),
+    lambda where: Row(f"tests/{where}", Lane.WAITS),
+)
+
+TABLE = (
+    _DEFAULT("unit/"),
+    _DEFAULT("vectors/"),
+    _DEFAULT("fuzz/"),
+    _DEFAULT("sim/"),
+    _DEFAULT("web/"),
+    _DEFAULT("project/"),
+    _DEFAULT("samples/"),
+    _MACHINE("browser/"),
+    _MACHINE("realtime/"),
+    _PEERS("interop/"),
+)
+
+#: Who asks for one of these needs files that only the full tier has: real footage, real speech.
+FULL_FIXTURES = {"footage", "pictures", "speech", "speech_samples"}
+
+#: A skip for one of these reasons is no missing program: the machine itself cannot do it.
+MACHINE_REASONS = ("this machine", "no block of free UDP ports")
+
+_LOWEST_PRIORITY = 19
+_LEFT_OUT = pytest.StashKey[int]()
+
+
+def row_of(nodeid: str) -> Row:
+    """Return the row of the table that holds for a test."""
+    rows = [row for row in TABLE if nodeid.startswith(row.where)]
+    return max(rows, key=lambda row: len(row.where), default=Row(nodeid, default=True))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("tiers")
+    group.addoption("--full", action="store_true", help="run all tests, not the default tier alone")
+    group.addoption(
+        "--skip-default", action="store_true", help="with --full: only what the default leaves out"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "full: not in the default tier; tests/helpers/tiers.py")
+    if hasattr(config, "workerinput"):
+        # Linux keeps a priority for each process session.
+        with contextlib.suppress(OSError):
+            os.setsid()
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """As many workers as lanes; none for tests that are named one by one."""
+    if any(".py" in argument for argument in config.args):
+        return 0
+    return len(Lane) if config.option.full else 2
+
+
+def pytest_xdist_make_scheduler(config, log):
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Lanes(LoadScopeScheduling):
+        """A lane to one worker, any other test to any."""
+
+        def _split_scope(self, nodeid: str) -> str:
+            lane = row_of(nodeid).lane
+            if lane is not Lane.ANY:
+                return lane.name
+            # Simulations of one file share their runs.
+            return nodeid.partition("::")[0] if nodeid.startswith("tests/sim/") else nodeid
+
+    return Lanes(config, log)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: row_of(item.nodeid).lane)
+    for item in items:
+        fixtures = FULL_FIXTURES.intersection(getattr(item, "fixturenames", ()))
+        if fixtures or not row_of(item.nodeid).default:
+            item.add_marker("full")
+    left_out = [item for item in items if _is_left_out(config, item)]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
+    config.stash[_LEFT_OUT] = len(left_out)
+    if hasattr(config, "workeroutput"):
+        config.workeroutput["left_out"] = len(left_out)
+
+
+def _is_left_out(config: pytest.Config, item: pytest.Item) -> bool:
+    full = item.get_closest_marker("full") is not None
+    if config.option.full:
+        return config.option.skip_default and not full
+    # A file or test that the command line names runs in any tier.
+    return full and not any(
+        Path(argument.partition("::")[0]).name == item.path.name for argument in config.args
+    )
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    if hasattr(item.config, "workerinput") and row_of(item.nodeid).lane is Lane.ANY:
+        _yield_the_machine()
+    return (yield)
+
+
+def _yield_the_machine() -> None:
+    """Take from now on only what other processes leave of the processors.
+
+    Linux weighs sessions of processes against each other first (autogroup), then the processes of
+    one session.
+    """
+    if os.getpriority(os.PRIO_PROCESS, 0) == _LOWEST_PRIORITY:
+        return
+    group = Path("/proc/self/autogroup")
+    if group.exists():
+        try:
+            group.write_text(str(_LOWEST_PRIORITY))
+        except OSError:
+            # Only root may do so more than ten times a second; the next test tries again.
+            return
+    os.nice(_LOWEST_PRIORITY)
+
+
+def _reason(report: pytest.TestReport | pytest.CollectReport) -> str:
+    text = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+    return text.removeprefix("Skipped: ")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
+    return _full_or_failed(item.config, (yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
+    return _full_or_failed(collector.config, (yield))
+
+
+def _full_or_failed(config, report):
+    """In the full tier, what lacks a program or package fails."""
+    if config.option.full and report.skipped and not hasattr(report, "wasxfail"):
+        reason = _reason(report)
+        if not reason.startswith(MACHINE_REASONS):
+            report.outcome = "failed"
+            report.longrepr = f"the full tier skips nothing: {reason}"
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    missing = Counter(_reason(report) for report in terminalreporter.stats.get("skipped", []))
+    if missing:
+        terminalreporter.section("not run, because something is missing here")
+        for reason, count in sorted(missing.items()):
+            terminalreporter.write_line(f"{count} {'test' if count == 1 else 'tests'}: {reason}")
+
+
+def pytest_testnodedown(node, error) -> None:
+    """Every worker collects all tests, so any one knows how many were left out."""
+    if "left_out" in getattr(node, "workeroutput", {}):
+        node.config.stash[_LEFT_OUT] = node.workeroutput["left_out"]
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Iterator[None]:
+    yield
+    config = session.config
+    left_out = config.stash.get(_LEFT_OUT, 0)
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    if left_out and not config.option.full and not hasattr(config, "workerinput"):
+        counts = {word: len(reporter.stats.get(word, ())) for word in ("failed", "error", "passed")}
+        told = ", ".join(f"{n} {word}" for word, n in counts.items() if n or word == "passed")
+        reporter.write_line(f"{told}; {left_out} live tests not run: pytest --full")
