@@ -3,14 +3,67 @@
 from collections.abc import Sequence
 from typing import Any
 
+from hypothesis import strategies as st
+
 from telepresence.tmtc.pus.application import PusApplication
 from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.pus.dictionary_file import dictionary_from_table
 from telepresence.tmtc.pus.node import PusNode
+from telepresence.tmtc.pus.packets import Telecommand, Telemetry, parse_packet
 from telepresence.tmtc.pus.user import PusUser
 
 MS = 1_000_000
 S = 1_000 * MS
+#: By packet: when each of its copies arrives, in steps; none: it is lost.
+FATES = st.lists(st.lists(st.integers(1, 12), max_size=2), max_size=40)
+
+
+def sent(core: Any, now_ns: int = 0) -> list[bytes]:
+    """All packets that `core` has to send now."""
+    return list(iter(lambda: core.poll_transmit(now_ns), None))
+
+
+def packets(core: Any, now_ns: int = 0) -> list[Any]:
+    """The same, parsed."""
+    return [parse_packet(octets) for octets in sent(core, now_ns)]
+
+
+def events(core: Any) -> list[Any]:
+    """All events of `core` that were not fetched yet."""
+    return list(iter(core.next_event, None))
+
+
+def command(
+    service: int = 17, subtype: int = 1, data: bytes = b"", count: int = 1, **fields: int
+) -> Telecommand:
+    """A telecommand to the oven from source 7."""
+    known: dict[str, Any] = {"apid": 0x200, "source": 7} | fields
+    return Telecommand(count=count, service=service, subtype=subtype, data=data, **known)
+
+
+def report(
+    service: int, subtype: int, data: bytes = b"", count: int = 0, **fields: int
+) -> Telemetry:
+    """A report of the oven."""
+    known: dict[str, Any] = {"apid": 0x200} | fields
+    return Telemetry(count=count, service=service, subtype=subtype, data=data, **known)
+
+
+class LossyPath:
+    """Loses, repeats and reorders the first packets; later ones arrive at the next step."""
+
+    def __init__(self, fates: Sequence[Sequence[int]]) -> None:
+        self.fates = list(fates)
+        self.flying: list[tuple[int, bytes]] = []
+
+    def put(self, octets: bytes, step: int) -> None:
+        for steps in self.fates.pop(0) if self.fates else [1]:
+            self.flying.append((step + steps, octets))
+
+    def arrivals(self, step: int) -> list[bytes]:
+        due = [octets for at, octets in self.flying if at <= step]
+        self.flying = [one for one in self.flying if one[0] > step]
+        return due
 
 
 def oven_table() -> dict[str, Any]:
@@ -103,6 +156,6 @@ class Ends:
                 return
             self.now_ns = max(next_ns, self.now_ns + 1)
 
-    def events(self) -> Sequence[Any]:
-        """What the user has to say."""
-        return list(iter(self.user.next_event, None))
+    def events(self, *kinds: type) -> list[Any]:
+        """What the user has to say, or only events of `kinds`."""
+        return [one for one in events(self.user) if not kinds or isinstance(one, kinds)]

@@ -2,38 +2,9 @@
 
 from itertools import pairwise
 
-from hypothesis import given
-from hypothesis import strategies as st
-
-from telepresence.tmtc.k2aci import Arrived, Chat, ChatRole, Delivered, K2aciEndpoint
-from telepresence.tmtc.pus.application import FunctionRequest, PusApplication
-from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
-from telepresence.tmtc.pus.packets import parse_packet
-from telepresence.tmtc.pus.user import CommandResult, PusUser
 from telepresence.tmtc.retransmission import Retransmission
 
-MS = 1_000_000
-TIMEOUT = 100 * MS
-#: By packet: when each of its copies arrives, in steps of 50 ms; none: it is lost.
-FATES = st.lists(st.lists(st.integers(1, 12), max_size=2), max_size=40)
-STEP = 50 * MS
-
-
-class Path:
-    """Loses, repeats and reorders the first packets; later ones arrive at the next step."""
-
-    def __init__(self, fates):
-        self.fates = list(fates)
-        self.flying = []
-
-    def put(self, octets, step):
-        for steps in self.fates.pop(0) if self.fates else [1]:
-            self.flying.append((step + steps, octets))
-
-    def arrivals(self, step):
-        due = [octets for at, octets in self.flying if at <= step]
-        self.flying = [one for one in self.flying if one[0] > step]
-        return due
+TIMEOUT = 100_000_000
 
 
 def test_waits_double_up_to_eight_times_and_begin_anew_with_a_contact():
@@ -75,70 +46,3 @@ def test_what_took_too_long_is_given_up_once_it_was_sent():
     machine.poll_transmit(TIMEOUT)
     assert machine.next_given_up(2 * TIMEOUT) is None
     assert machine.next_given_up(3 * TIMEOUT) == number
-
-
-@given(there=FATES, back=FATES, restart=st.integers(0, 60))
-def test_a_telecommand_is_carried_out_once_or_its_failure_is_reported(there, back, restart):
-    dictionary = built_in_dictionary()
-    table = dictionary.application("tasks")
-    user = PusUser(
-        dictionary, source=1, first_count=7, timeout_ns=TIMEOUT, patience_ns=40 * TIMEOUT
-    )
-    application = PusApplication(table, now_ns=0)
-    paths, done, results = (Path(there), Path(back)), [], []
-    lives, restarted = 1, False
-    numbers = [user.call("tasks", "select", [task], now_ns=0) for task in range(3)]
-    for step in range(200):
-        now_ns = step * STEP
-        if step == restart and restart % 2:
-            # It forgets what it has carried out.
-            application, lives, restarted = PusApplication(table, now_ns=now_ns), 2, True
-        for octets in paths[0].arrivals(step):
-            application.handle_telecommand(parse_packet(octets), now_ns)
-        while (request := application.next_event()) is not None:
-            if isinstance(request, FunctionRequest):
-                done.append(request.arguments[0])
-                application.handle_result(request.token, "", now_ns)
-        while (octets := application.poll_transmit(now_ns)) is not None:
-            paths[1].put(octets, step)
-        for octets in paths[1].arrivals(step):
-            user.handle_telemetry(parse_packet(octets), now_ns)
-        while (octets := user.poll_transmit(now_ns)) is not None:
-            paths[0].put(octets, step)
-        while (event := user.next_event()) is not None:
-            if isinstance(event, CommandResult):
-                results.append(event)
-    assert sorted(one.number for one in results) == numbers
-    for one in results:
-        times = done.count(one.number)
-        assert times <= lives
-        if one.ok:
-            assert times >= 1
-        assert one.verified or not one.ok
-    assert restarted or len(done) == len(set(done))
-    assert user.poll_timeout() is None
-
-
-@given(there=FATES, back=FATES)
-def test_messages_arrive_once_and_in_order(there, back):
-    ends = K2aciEndpoint(life=1, timeout_ns=TIMEOUT), K2aciEndpoint(life=1, timeout_ns=TIMEOUT)
-    paths = Path(there), Path(back)
-    lines = [Chat(sender=ChatRole.OPERATOR, text=word) for word in "abcdefgh"]
-    numbers = [ends[0].send(line, 0) for line in lines]
-    arrived, delivered = [], []
-    for step in range(400):
-        now_ns = step * STEP
-        for end, path, other in ((ends[0], paths[0], ends[1]), (ends[1], paths[1], ends[0])):
-            while (octets := end.poll_transmit(now_ns)) is not None:
-                path.put(octets, step)
-            for octets in path.arrivals(step):
-                other.handle_message(octets, now_ns)
-        while (event := ends[1].next_event()) is not None:
-            assert isinstance(event, Arrived)
-            arrived.append(event.message)
-        while (event := ends[0].next_event()) is not None:
-            assert isinstance(event, Delivered)
-            delivered.append(event.number)
-    assert arrived == lines
-    assert sorted(delivered) == numbers
-    assert ends[0].waiting == ()

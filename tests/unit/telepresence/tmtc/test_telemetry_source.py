@@ -23,31 +23,50 @@ from telepresence.tmtc.telemetry_source import (
 VOLTAGE, TARGET, LIMIT, CELL = Battery.parameters
 
 
-class Many(TelemetrySource):
-    """More parameters than a packet has room for."""
-
-    name = "many"
-    parameters = tuple(
-        TelemetryParameter(name=f"p{at}", type="text", size=40, period_s=60.0) for at in range(14)
-    )
-
-
 def made(**fields):
     return type("Other", (Battery,), fields)()
 
 
+def table_of(**fields):
+    """The table of a battery with other fields."""
+    return application_of(made(**fields), 0x140)
+
+
+def several(count, **fields):
+    """A component of nothing but so many parameters."""
+    names = (f"p{at}" for at in range(count))
+    parameters = tuple(TelemetryParameter(name=name, **fields) for name in names)
+    return {"parameters": parameters, "events": (), "functions": ()}
+
+
+@pytest.fixture
+def load(monkeypatch):
+    """Load components that are the given objects."""
+
+    def run(*sources):
+        left = iter(sources)
+        monkeypatch.setattr(
+            "telepresence.tmtc.telemetry_source.load_telemetry", lambda _: next(left)
+        )
+        return load_components(["some:Other"] * len(sources), built_in_dictionary())
+
+    return run
+
+
 def test_reports_derive_from_periods_and_split_where_a_packet_is_full():
-    table = application_of(Battery(), 0x140)
-    assert [(one.interval_s, one.parameters) for one in table.structures] == [
+    assert [(one.interval_s, one.parameters) for one in table_of().structures] == [
         (1.0, ("voltage", "limit"))
     ]
-    table = application_of(Many(), 0x140)
-    assert [name for one in table.structures for name in one.parameters] == [
-        one.name for one in Many.parameters
-    ]
+    many = several(14, type="text", size=40, period_s=60.0)
+    table = table_of(**many)
+    names = [name for one in table.structures for name in one.parameters]
+    assert names == [one.name for one in many["parameters"]]
     for report in table.structures:
         assert 1 + sum(one.octets for one in table.named(report.parameters)) <= MAX_REPORT_OCTETS
     assert len(table.structures) == 3
+    # A report has its number and 234 octets of values.
+    (report,) = table_of(**several(117, type="u16")).structures
+    assert len(report.parameters) == 117
 
 
 @pytest.mark.parametrize(
@@ -69,25 +88,22 @@ def test_reports_derive_from_periods_and_split_where_a_packet_is_full():
         ({"functions": (TelemetryFunction(name="f", arguments=("amps",)),)}, "'amps' is unknown"),
     ],
 )
-def test_what_cannot_be_is_refused_by_one_line(fields, line, monkeypatch):
-    monkeypatch.setattr(
-        "telepresence.tmtc.telemetry_source.load_telemetry", lambda _: made(**fields)
-    )
+def test_what_cannot_be_is_refused_by_one_line(fields, line, load):
     with pytest.raises(ConfigError) as caught:
-        load_components(["some:Other"], built_in_dictionary())
+        load(made(**fields))
     assert line in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_what_a_spec_names_must_be_a_component():
     known = built_in_dictionary()
-    with pytest.raises(ConfigError, match="inherit from"):
-        load_components(["collections:OrderedDict"], known)
-    with pytest.raises(ConfigError, match="no class 'Stove'"):
-        load_components(["battery:Stove"], known)
-    with pytest.raises(ConfigError, match="at most 8"):
-        load_components(["battery:Battery"] * 9, known)
-    with pytest.raises(ConfigError, match="another application has this name"):
-        load_components(["battery:Battery"] * 2, known)
+    for specs, line in (
+        (["collections:OrderedDict"], "inherit from"),
+        (["battery:Stove"], "no class 'Stove'"),
+        (["battery:Battery"] * 9, "at most 8"),
+        (["battery:Battery"] * 2, "another application has this name"),
+    ):
+        with pytest.raises(ConfigError, match=line):
+            load_components(specs, known)
     (found,) = load_components(["battery:Battery"], known)
     assert found.spec == "battery:Battery"
     names = [one.name for one in with_components(known, [found]).applications]
@@ -116,70 +132,46 @@ def test_a_component_has_numbers_limits_and_defaults():
 
 
 @pytest.mark.parametrize(
-    ("changes", "low", "low_clear", "high", "high_clear"),
+    ("changes", "limits", "clear"),
     [
-        ({"low": None, "below": ""}, None, None, 14.4, 14.4 - 0.05 * 14.4),
-        ({"high": None, "above": "", "low": -8.0}, -8.0, -8.0 + 0.05 * 8.0, None, None),
+        ({"low": None, "below": ""}, (None, 14.4), (None, 13.68)),
+        ({"high": None, "above": "", "low": -8.0}, (-8.0, None), (-7.6, None)),
         # A limit without an event belongs to the range, not to the monitor.
-        ({"above": ""}, 11.1, 11.1 + 0.05 * 3.3, None, None),
+        ({"above": ""}, (11.1, None), (11.265, None)),
     ],
 )
-def test_a_value_with_one_limit_comes_back_by_a_twentieth_of_it(
-    changes, low, low_clear, high, high_clear
-):
-    (one,) = application_of(
-        made(parameters=(replace(VOLTAGE, **changes),), functions=()), 1
-    ).monitors
-    assert (one.low, one.high) == (low, high)
-    assert (one.low_clear, one.high_clear) == pytest.approx((low_clear, high_clear))
+def test_a_value_with_one_limit_comes_back_by_a_twentieth_of_it(changes, limits, clear):
+    (one,) = table_of(parameters=(replace(VOLTAGE, **changes),), functions=()).monitors
+    assert (one.low, one.high) == limits
+    assert (one.low_clear, one.high_clear) == pytest.approx(clear)
 
 
 def test_periods_have_reports_of_their_own_and_none_is_reported():
-    parameters = tuple(
-        TelemetryParameter(name=f"p{at}", period_s=period_s)
-        for at, period_s in enumerate((10.0, None, 2.0, 10.0))
+    periods_s = (10.0, None, 2.0, 10.0)
+    fields = several(4)
+    fields["parameters"] = tuple(
+        replace(one, period_s=period_s)
+        for one, period_s in zip(fields["parameters"], periods_s, strict=True)
     )
-    table = application_of(made(parameters=parameters, events=(), functions=()), 1)
-    assert [(one.number, one.interval_s, one.parameters) for one in table.structures] == [
-        (1, 10.0, ("p0", "p3")),
-        (2, 2.0, ("p2",)),
-    ]
+    assert [
+        (one.number, one.interval_s, one.parameters) for one in table_of(**fields).structures
+    ] == [(1, 10.0, ("p0", "p3")), (2, 2.0, ("p2",))]
     assert TelemetryParameter(name="x").period_s == 10.0
-    # A report has its number and 234 octets of values.
-    full = tuple(TelemetryParameter(name=f"p{at}", type="u16") for at in range(117))
-    (report,) = application_of(made(parameters=full, events=(), functions=()), 1).structures
-    assert len(report.parameters) == 117
 
 
-def test_names_have_at_most_32_characters_and_apids_follow_each_other(monkeypatch):
-    for name in ("a" * 32, "b" * 33):
-        if len(name) <= 32:
-            application_of(made(name=name), 1)
-            continue
-        with pytest.raises(ConfigError, match="at most 32"):
-            application_of(made(name=name), 1)
-    sources = iter([made(name=f"c{at}", parameters=(), events=(), functions=()) for at in range(8)])
-    monkeypatch.setattr(
-        "telepresence.tmtc.telemetry_source.load_telemetry", lambda _: next(sources)
-    )
-    found = load_components(["some:Other"] * 8, built_in_dictionary())
+def test_names_have_at_most_32_characters_and_apids_follow_each_other(load):
+    table_of(name="a" * 32)
+    with pytest.raises(ConfigError, match="at most 32"):
+        table_of(name="b" * 33)
+    found = load(*(made(name=f"c{at}", **several(0)) for at in range(8)))
     assert [one.application.apid for one in found] == list(range(0x140, 0x148))
 
 
-def test_reports_of_all_components_take_1000_bits_a_second(monkeypatch):
+def test_reports_of_all_components_take_1000_bits_a_second(load):
     # Each report has 22 octets beside its values.
-    for octets, fits in ((103, True), (104, False)):
-        one = TelemetryParameter(name="p", type="u8", period_s=1.0)
-        parameters = tuple(replace(one, name=f"p{at}") for at in range(octets))
-        source = made(parameters=parameters, events=(), functions=())
-        monkeypatch.setattr(
-            "telepresence.tmtc.telemetry_source.load_telemetry", lambda _, made=source: made
-        )
-        if fits:
-            load_components(["some:Other"], built_in_dictionary())
-            continue
-        with pytest.raises(ConfigError, match="take 1008 bit/s of 1000"):
-            load_components(["some:Other"], built_in_dictionary())
+    load(made(**several(103, type="u8", period_s=1.0)))
+    with pytest.raises(ConfigError, match="take 1008 bit/s of 1000"):
+        load(made(**several(104, type="u8", period_s=1.0)))
 
 
 def test_a_component_that_does_nothing_says_so():
