@@ -15,5 +15,10 @@ await cp(STATIC, folder, { recursive: true });
 await writeFile(join(folder, "package.json"), '{"type": "module"}');
 after(() => rm(folder, { recursive: true }));
 
+let copies = 0;
+
 /** @param {string} name As "wire.js". */
 export const load = (name) => import(pathToFileURL(join(folder, name)).href);
+
+/** Loads it anew, as a worker or a worklet that begins. @param {string} name */
+export const begin = (name) => import(`${pathToFileURL(join(folder, name)).href}?${(copies += 1)}`);
