@@ -74,7 +74,7 @@ test("a picture is closed after all have drawn it, and the worker hears of it", 
 test("the session's clock is that of hello until a ping knows better", () => {
   const connection = new Connection();
   const { worker } = made;
-  assert.equal(connection.nowUs(), null);
+  assert.deepEqual([connection.nowUs(), connection.alive], [null, false]);
   worker.tell(text(HELLO));
   pass(100);
   assert.equal(connection.nowUs(), 5_100_000);
@@ -90,6 +90,8 @@ test("a new connection voids what was known; a viewer may not act; a refused add
   assert.ok(shown.every((kind) => connection[kind].kind === kind) && connection.stopped && connection.mayAct);
   worker.tell(text({ ...HELLO, role: "viewer" }));
   assert.deepEqual([connection.robot, connection.experiment, connection.panel, connection.mayAct], [null, null, null, false]);
+  worker.tell({ kind: "lost", why: "closed", reason: "" });
+  assert.equal(connection.ended, false);
   worker.tell({ kind: "lost", why: "refused", reason: "" });
   worker.tell({ kind: "lost", why: "closed", reason: "" });
   assert.deepEqual([connection.ended, connection.alive], [true, false]);

@@ -75,14 +75,14 @@ test("a press while the page has no focus counts only after its release; unplugg
   assert.equal(control.source, null);
 });
 
-/** A pointer on a surface that is pressed at (0, 0), and what happens in the window. */
+/** A pointer on a surface that is pressed at (20, 10), and what happens in the window. */
 function pointed() {
   const { control } = steered();
   const surface = new Element();
   surface.setPointerCapture = () => undefined;
   surface.hasPointerCapture = () => surface.captured;
   steerByPointer(surface, control, () => ({ x: 100, y: 50 }));
-  const fields = { pointerId: 1, buttons: 1, clientX: 0, clientY: 0, isPrimary: true, button: 0 };
+  const fields = { pointerId: 1, buttons: 1, clientX: 20, clientY: 10, isPrimary: true, button: 0 };
   const press = (more) => surface.dispatchEvent(event("pointerdown", { ...fields, ...more }, PointerEvent));
   const send = (name, more) => happen(name, { ...fields, ...more }, PointerEvent);
   return { control, surface, press, send };
@@ -94,7 +94,7 @@ test("a pointer drags from where the handle is, up is up, and only the primary b
   press({ isPrimary: false });
   assert.equal(control.source, null);
   press();
-  send("pointermove", { clientX: 50, clientY: -10 });
+  send("pointermove", { clientX: 70, clientY: 0 });
   assert.deepEqual(control.target, { x: 0.5, y: 0.2 });
   send("pointermove", { pointerId: 2, clientX: 90 });
   send("pointerup", { pointerId: 2 });

@@ -1,7 +1,7 @@
 /** What is known of place and force now: the newest row of its own end, as long as it is fresh. */
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Line, haptics, pass } from "./page.mjs";
+import { Line, clockMs, haptics, pass } from "./page.mjs";
 import { load } from "./modules.mjs";
 
 const { NewestRow } = await load("newest_row.js");
@@ -16,7 +16,11 @@ test("the newest row is that of its own end, and nothing is known of one that is
   line.tell("haptic", haptics("robot", 0.01, 0.02, 3, -4, 1 | (3 << 16)));
   assert.deepEqual([newest.row.contact, newest.row.deadMan, newest.row.lit], [true, false, 2]);
   assert.equal(newest.forceN, 5);
-  pass(700);
+  pass(300 - (clockMs() % 300));
+  line.tell("haptic", haptics("robot", 0.01, 0.02, 3, -4));
+  pass(300);
+  assert.notEqual(newest.row, null);
+  pass(300);
   assert.deepEqual([newest.row, newest.forceN], [null, null]);
 });
 
