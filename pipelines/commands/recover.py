@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Mend a recording, or say that there is nothing to mend."""
     torn: Path = args.file
-    whole: Path = args.out or mended_name(torn)
     octets = octets_of_file(torn)
+    whole: Path = args.out or mended_name(torn)
     if whole.exists() and whole.samefile(torn):
         raise ConfigError(f"--out {whole} is the torn recording itself: give another name")
     with refused(torn, ProtocolError):

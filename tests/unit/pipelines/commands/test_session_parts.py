@@ -21,14 +21,11 @@ def wish(setup, *words):
     return task_wish(parser.parse_args(words), setup, tuple(Segment))
 
 
-def test_a_setup_may_wish_tasks_as_the_option_does():
+def test_a_setup_may_wish_tasks_as_the_option_does_unless_a_partner_drives_the_robot():
     assert wish(SETUP) is None
     with_tasks = replace(SETUP, tasks=True)
     assert wish(with_tasks) == wish(SETUP, "--tasks") == wish(with_tasks, "--tasks") is not None
     assert wish(with_tasks, "--leds", "panel:5000").leds == ("panel", 5000)
-
-
-def test_a_partner_who_drives_the_robot_does_no_tasks():
     with pytest.raises(ConfigError, match="tasks are the cosmonaut's"):
         wish(replace(SETUP, partner_arm="shared"), "--tasks")
     with pytest.raises(ConfigError, match="tasks are the cosmonaut's"):

@@ -34,43 +34,33 @@ def driver(capabilities: dict[str, tuple[int, int]], formats: list[bytes]):
     return ioctl
 
 
-def test_without_devices_the_other_sources_are_named(tmp_path: Path) -> None:
+def listed(place):
     lines: list[str] = []
-    assert devices(lines.append, dev=tmp_path, asound=tmp_path, scenes=SCENES) == 0
-    assert lines[0] == (
-        "no camera and no microphone here; scene:NAME, a media file and pipe:PATH work"
-    )
-    assert any("scene:ground_voice" in line and "ground_mic" in line for line in lines)
+    assert devices(lines.append, dev=place, asound=place, scenes=SCENES) == 0
+    return lines
 
 
-def test_cameras_are_listed_by_number_and_with_formats(
-    tmp_path: Path,
-) -> None:
-    for name, content in (("video10", "old"), ("video0", "own"), ("video1", "meta")):
+def test_without_devices_the_other_sources_are_named_and_a_bad_node_with_its_reason(tmp_path):
+    first, *others = listed(tmp_path)
+    assert first == "no camera and no microphone here; scene:NAME, a media file and pipe:PATH work"
+    assert any("scene:ground_voice" in line and "ground_mic" in line for line in others)
+    (tmp_path / "video0").write_text("")
+    first, *_ = listed(tmp_path)
+    assert f"v4l2:{tmp_path / 'video0'}" in first and "is no V4L2 device" in first
+
+
+def test_cameras_are_listed_by_number_and_with_formats(tmp_path):
+    nodes = {"video10": "old", "video0": "own", "video1": "meta", "videoish": ""}
+    for name, content in nodes.items():
         (tmp_path / name).write_text(content)
-    (tmp_path / "videoish").write_text("")
-    found = cameras(
-        tmp_path,
-        driver(
-            {"own": (0x84A00001, 0x04200001), "meta": (0x84A00001, 0x04A00000), "old": (1, 0)},
-            [b"MJPG", b"YUYV"],
-        ),
-    )
+    known = {"own": (0x84A00001, 0x04200001), "meta": (0x84A00001, 0x04A00000), "old": (1, 0)}
+    found = cameras(tmp_path, driver(known, [b"MJPG", b"YUYV"]))
     assert [(Path(c.path).name, c.card, c.formats) for c in found] == [
-        ("video0", "Good Camera", ("MJPG", "YUYV")),
-        ("video10", "Good Camera", ("MJPG", "YUYV")),
+        (name, "Good Camera", ("MJPG", "YUYV")) for name in ("video0", "video10")
     ]
 
 
-def test_a_node_that_is_no_camera_is_named_with_its_reason(tmp_path: Path) -> None:
-    (tmp_path / "video0").write_text("")
-    lines: list[str] = []
-    devices(lines.append, dev=tmp_path, asound=tmp_path, scenes=SCENES)
-    assert f"v4l2:{tmp_path / 'video0'}" in lines[0]
-    assert "is no V4L2 device" in lines[0]
-
-
-def test_only_capture_lines_are_microphones(tmp_path: Path) -> None:
+def test_only_capture_lines_are_microphones(tmp_path):
     (tmp_path / "pcm").write_text(PCM)
     assert [(m.device, m.name) for m in microphones(tmp_path)] == [
         ("plughw:0,0", "ALC257 Analog"),

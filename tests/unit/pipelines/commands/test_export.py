@@ -1,0 +1,136 @@
+"""`kontur-av export` writes all that was asked for, or leaves nothing."""
+
+import csv
+import shutil
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import loadmat
+from synthetic_recording import write_recording
+
+from pipelines.cli import main
+from pipelines.recording.export import table_files
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return write_recording(tmp_path_factory.mktemp("written") / "a.mcap", parts=2, link_frames=True)
+
+
+@pytest.fixture
+def recording(written, tmp_path):
+    """The first of two parts."""
+    for path in written.paths:
+        shutil.copy(path, tmp_path)
+    return tmp_path / "a.mcap"
+
+
+def export(recording, *words):
+    return main(["export", *map(str, (recording, *words))])
+
+
+def names(directory):
+    return sorted(path.name for path in directory.iterdir())
+
+
+def text_of(data):
+    assert data.attrs["MATLAB_class"] == b"char"
+    return np.asarray(data).tobytes().decode("utf-16-le")
+
+
+def test_a_matlab_file_has_the_tables_and_where_they_come_from(
+    recording, written, capsys, monkeypatch
+):
+    out = recording.with_name("out.mat")
+    assert export(recording, "--mat", out) == 0
+    assert f"{out}: 19 tables" in capsys.readouterr().out
+    found = loadmat(out, simplify_cells=True)
+    assert (found["recording"]["session"], found["recording"]["parts"]) == ("kontur-1", 2)
+    assert found["recording"]["begin_wall_ns"] == written.facts.wall_ns
+    cycles = written.haptics["/haptic/up/sent"]
+    assert found["haptic_up"]["fx_n"].tolist() == cycles["fx_n"].tolist()
+    old = loadmat(out)
+    assert old["haptic_up"]["time_s"][0, 0].shape == (len(cycles), 1)
+    assert list(found["events"]["what"]) == ["link", "touch", "camera", "touch", "touch"]
+    assert names(recording.parent) == ["a-2.mcap", "a.mcap", "out.mat"]
+    # What is too long for the older format is written in the newer. A table of 3000 cycles is.
+    monkeypatch.setattr(table_files, "MOST_V5_OCTETS", 200_000)
+    assert export(recording, "--mat", out, "--overwrite") == 0
+    assert "MATLAB v7.3" in capsys.readouterr().out
+    assert out.read_bytes().startswith(b"MATLAB 7.3 MAT-file")
+    with h5py.File(out) as file:
+        assert text_of(file["recording/session"]) == "kontur-1"
+        for name, table in file.items():
+            if name != "#refs#":
+                assert_same_table(file, table, old[name])
+
+
+def assert_same_table(file, table, old):
+    assert table.attrs["MATLAB_class"] == b"struct"
+    fields = [field.tobytes().decode() for field in table.attrs["MATLAB_fields"]]
+    assert fields == list(old.dtype.names)
+    for field, data in table.items():
+        kind = data.attrs["MATLAB_class"]
+        before = old[field][0, 0]
+        if kind == b"cell":
+            texts = [text_of(file[each]) for each in data[0]]
+            assert texts == [cell[0] if cell.size else "" for cell in before[:, 0]]
+        elif kind != b"char":
+            assert np.array_equal(data, before.T, equal_nan=data.dtype.kind == "f")
+
+
+def test_there_is_a_csv_file_for_each_channel_with_units_in_its_headings(recording, written):
+    directory = recording.with_name("csv")
+
+    def rows_of(name):
+        with (directory / name).open(newline="") as file:
+            return list(csv.DictReader(file))
+
+    directory.mkdir()
+    (directory / "events.csv").write_text("no longer precious")
+    assert export(recording, "--csv", directory, "--overwrite") == 0
+    assert (directory / "events.csv").read_text().startswith("time_s,")
+    assert len(names(directory)) == len(written.told)
+    rows, cycles = rows_of("haptic_up_sent.csv"), written.haptics["/haptic/up/sent"]
+    assert len(rows) == len(cycles)
+    assert [float(row["fx_n"]) for row in rows] == pytest.approx(cycles["fx_n"].tolist(), rel=1e-6)
+    assert [int(row["session_ns"]) for row in rows] == cycles["time_ns"].tolist()
+    frames = rows_of("link_uplink_frames_sent.csv")
+    assert {row["data_hex"] for row in frames} == {"01" * 32}
+    carried = [int(row["carried_video_octets"]) for row in rows_of("link_uplink_sent.csv")]
+    assert carried == [1000 * number for number in range(30)]
+
+
+def test_a_torn_recording_is_exported_as_far_as_it_can_be_read(recording, capsys):
+    torn = recording.with_name("torn.mcap")
+    torn.write_bytes(recording.read_bytes()[:-9000])
+    out = recording.with_name("out.mat")
+    assert export(torn, "--mat", out) == 0
+    assert f"{torn} is torn or damaged: " in capsys.readouterr().out
+    assert len(loadmat(out, simplify_cells=True)["haptic_up"]["time_s"]) > 500
+
+
+def test_a_copy_of_a_part_is_left_out_of_the_export(recording, capsys):
+    shutil.copy(recording, recording.with_name("a-2.mcap"))
+    out = recording.with_name("out.mat")
+    assert export(recording, "--mat", out) == 0
+    assert "a-2.mcap is left out: part 1 is there already" in capsys.readouterr().err
+    assert loadmat(out, simplify_cells=True)["recording"]["parts"] == 1
+
+
+@pytest.mark.parametrize(
+    ("broken", "says"),
+    [("write_v5", "No space left on device"), ("find_spec", "pip install 'kontur-av[export]'")],
+)
+def test_an_export_that_fails_leaves_nothing(recording, capsys, monkeypatch, broken, says):
+    def full_disk(*_args, **_options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(
+        table_files, broken, full_disk if broken == "write_v5" else lambda name: None
+    )
+    words = ("--mat", recording.with_name("out.mat"), "--csv", recording.with_name("csv"))
+    assert export(recording, *words) == 2
+    assert says in capsys.readouterr().err
+    assert names(recording.parent) == ["a-2.mcap", "a.mcap"]

@@ -1,0 +1,44 @@
+"""`kontur-av file`: how it follows a transfer."""
+
+import pytest
+
+from pipelines.cli import main
+from pipelines.commands import file
+from pipelines.session.terminal_lines import FileAnswer
+
+UNDER_WAY = FileAnswer(ok=True, number=7, state="sending", octets=5, size=5)
+DONE = FileAnswer(ok=True, number=7, state=file.DONE, octets=5, size=5)
+
+
+class Time:
+    """Each look at the clock takes 2 s."""
+
+    now_s = 0.0
+
+    def monotonic(self):
+        self.now_s += 2.0
+        return self.now_s
+
+    def sleep(self, seconds):
+        self.now_s += seconds
+
+
+@pytest.mark.parametrize(
+    ("answers", "code", "says"),
+    [
+        # None stands for a question without an answer: a pause of the session is outlived.
+        ([UNDER_WAY, *[None] * 8, UNDER_WAY, *[None] * 8, DONE], 0, ""),
+        ([None], 1, "the session has not answered"),
+        ([UNDER_WAY, *[None] * 20], 1, "the session has not answered"),
+    ],
+)
+def test_a_session_that_stays_silent_is_a_failure_and_a_pause_is_none(
+    monkeypatch, capsys, answers, code, says
+):
+    given = iter(answers)
+    monkeypatch.setattr(file, "time", Time())
+    monkeypatch.setattr(file, "running_sessions", lambda _desk: ["s"])
+    monkeypatch.setattr(file, "acting_on", lambda *_: "s")
+    monkeypatch.setattr(file, "ask_desk", lambda *_, **__: next(given))
+    assert main(["file", "put", "a.txt"]) == code
+    assert says in capsys.readouterr().err

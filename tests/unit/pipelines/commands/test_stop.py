@@ -1,0 +1,89 @@
+"""`kontur-av stop` stops every session, whatever else fails."""
+
+import errno
+import os
+from contextlib import ExitStack
+
+import pytest
+
+from pipelines.cli import main
+from pipelines.commands import common, stop
+from pipelines.session.kept_files import KeptOrders
+from pipelines.session.sessions import hold_session
+
+
+@pytest.fixture
+def held(tmp_path, monkeypatch):
+    """held("lab", ...): the names of sessions that run, and were not started here."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(common, "started_here", lambda session: False)
+    with ExitStack() as stack:
+
+        def hold(*setups):
+            found = [stack.enter_context(hold_session(setup)) for setup in setups]
+            for module in (stop, common):
+                monkeypatch.setattr(module, "sessions", lambda: found)
+            return found
+
+        yield hold
+
+
+def stopped(*sessions):
+    return [KeptOrders(one).stopped for one in sessions]
+
+
+def test_without_a_name_it_stops_all_and_its_release_asks(held, capsys):
+    lab, pool = held("lab", "pool")
+    assert main(["stop"]) == 0
+    assert stopped(lab, pool) == [True, True]
+    assert main(["stop", "--release"]) == 2
+    assert "several sessions" in capsys.readouterr().err
+    assert main(["stop", "--release", "--session", "pool"]) == 0
+    assert stopped(lab, pool) == [True, False]
+
+
+def test_it_holds_for_a_user_without_a_name(held, monkeypatch):
+    def unknown(uid):
+        raise KeyError(uid)
+
+    (lab,) = held("lab")
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    assert main(["stop"]) == 0
+    assert KeptOrders(lab).stopped_by == f"a terminal of {os.getuid()}"
+
+
+def test_it_finds_its_session_on_a_full_disk(held, monkeypatch):
+    def full():
+        raise FileNotFoundError("no usable temporary directory")
+
+    (lab,) = held("lab")
+    monkeypatch.setattr("tempfile.gettempdir", full)
+    asked = os.access  # read-only by now
+    monkeypatch.setattr(os, "access", lambda p, mode: not mode & os.W_OK and asked(p, mode))
+    assert stopped(lab) == [False]
+    assert main(["stop"]) == 0
+    assert stopped(lab) == [True]
+
+
+def test_if_it_fails_for_one_session_it_stops_the_others(held, monkeypatch, capsys):
+    lab, sea = held("lab", "sea")
+    first, real = KeptOrders(lab), KeptOrders.stop
+
+    def stop_one(orders, by):
+        if orders is first:
+            raise OSError(errno.EROFS, "Read-only file system")
+        real(orders, by)
+
+    monkeypatch.setattr(stop, "KeptOrders", lambda name: first if name == lab else KeptOrders(name))
+    monkeypatch.setattr(KeptOrders, "stop", stop_one)
+    assert main(["stop"]) == 1
+    assert stopped(lab, sea) == [False, True]
+    out, error = capsys.readouterr()
+    assert out.startswith(f"{sea}: emergency stop by ") and "make the file system writable" in error
+
+
+def test_without_a_directory_for_its_files_no_session_is_asked(monkeypatch, capsys):
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert main(["stop"]) == 2
+    said = capsys.readouterr().err
+    assert said == "kontur-av: no directory for temporary files: set TMPDIR to one of your own\n"

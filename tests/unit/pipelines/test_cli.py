@@ -1,0 +1,424 @@
+"""What commands refuse: one line that names the mend, exit code 2, and nothing is begun or changed.
+
+A row is the words after the command, with what its message must say.
+"""
+
+import os
+import platform
+import tempfile
+import wave
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+from recordings import Step, write
+from synthetic_recording import write_recording
+
+from kontur_av.sources.recorded_format import FORMAT
+from pipelines.cli import MISTAKE, main
+from pipelines.commands import link, stream
+from pipelines.link import own_ends
+from pipelines.link.key_files import make_key, trusted_path
+from telepresence.link.protection.identity import MachineKey
+
+OTHER, THIRD = (MachineKey.from_seed(bytes([n]) * 32).identity for n in (0, 1))
+PLAN = ["--setup", "spacejustin", "--no-page", "--plan", "plan.toml"]
+GROUND = ["--setup", "spacejustin", "--end", "ground"]
+SPACE = ["--setup", "spacejustin", "--end", "space", "--peer", "127.0.0.1:27000", "--insecure"]
+#: Words that stand for several, or for one that is known only later.
+SHORT = {
+    "TASKBOARD": ["--setup", "taskboard"],
+    "GROUND": GROUND,
+    "LISTEN": [*GROUND, "--listen", "0.0.0.0:27000", "--insecure"],
+    "SPACE": SPACE,
+    "PLAN": PLAN,
+    "HEAD": ["--setup", "spacejustin", "--no-page", "--source"],
+    "TONE": ["--audio", "tone.wav", "--to", "127.0.0.1:5004", "--cap-kbps", "64"],
+    "FILM": ["--video", "x.mp4", "--to", "127.0.0.1:5004", "--cap-kbps", "64"],
+    "OTHER": [str(OTHER)],
+    "MISTYPED": [str(OTHER)[:-1] + "A"],
+}
+
+REFUSALS = {
+    "": {
+        "": "COMMAND",
+        "nonsense": "nonsense",
+        "--nonsense": "--help",
+        "select": "CAMERA",
+        "select static": "no session is running here",
+        "select static --session mine": "no session mine",
+        "select static --session ../../etc": "session",
+        "topology": "--setup",
+        "topology --setup nothing": "spacejustin or taskboard, or a file",
+    },
+    "stream": {
+        "": "--setup",
+        "--setup spacejustine": "spacejustin or taskboard, or a file",
+        "--setup missing.toml": "missing.toml: No such file",
+        "--setup .": "or a file NAME.toml",
+        "TASKBOARD --sources left=x": "--help",
+        "TASKBOARD --source head=scene:head": "left, right, static",
+        "TASKBOARD --source left": "NAME=SPEC",
+        "TASKBOARD --source =x": "NAME=SPEC",
+        "TASKBOARD --source left=missing.mp4": "missing.mp4",
+        "TASKBOARD --source left=notes.txt": "notes.txt",
+        "TASKBOARD --source left=/proc/self": "/proc/self",
+        "TASKBOARD --source left=scene:nosuch": "choose one of",
+        "TASKBOARD --source left=pipe:missing": "mkfifo",
+        "TASKBOARD --source left=v4l2:/dev/missing": "/dev/missing",
+        "TASKBOARD --source left=v4l2:/dev/null": "'/dev/null' cannot be opened",
+        "TASKBOARD --source left=v4l2:/dev/video0 --source right=v4l2:/dev/../dev/video0": (
+            "is that of input left"
+        ),
+        "TASKBOARD --source left=alsa:hw": "this input wants pictures",
+        "--setup mic.toml --source a_mic=alsa:hw": "this input wants pictures",
+        "--setup spacejustin --source iss_mic=v4l2:/dev/video0": "wants sound",
+        "TASKBOARD --source static=page --no-page": (
+            "input static: source page needs the pages: leave --no-page out"
+        ),
+        "--setup spacejustin --source wrist=scene:head": (
+            "another camera needs a setup file of your own that names it in cameras"
+        ),
+        "HEAD head=mcap:alien.mcap#/uplink_video/sent": "'alien.mcap' is no whole MCAP file",
+        "HEAD head=mcap:foreign.mcap#/uplink_video/sent": "no channel with pictures: it has /x",
+        "HEAD head=mcap:newer.mcap#/uplink_video/sent": f"reads up to format {FORMAT}: install",
+        "HEAD head=mcap:a.mcap#/uplink_video/none": "no channel '/uplink_video/none'",
+        "TASKBOARD --telemetry nowhere:Battery": "there is no module 'nowhere'",
+        "TASKBOARD --joystick usb": "write sim, sim:FAULT, page, ros2, evdev",
+        "TASKBOARD --joystick page --no-page": "--joystick page needs the pages",
+        "TASKBOARD --second-robot arm:Left": "has no partner's arm",
+        "TASKBOARD --seconds 0": "--seconds 0",
+        "TASKBOARD --seconds -3": "--seconds",
+        "TASKBOARD --seconds nan": "--seconds nan",
+        "TASKBOARD --seconds soon": "--seconds",
+        "TASKBOARD --seed x": "--seed",
+        "TASKBOARD -v -q": "-q",
+        "TASKBOARD --report missing/r.json": "--report missing/r.json",
+        "TASKBOARD --report .": "--report",
+        "TASKBOARD --report notes.txt/inside": "--report",
+        "TASKBOARD --snapshots notes.txt/inside": "--snapshots",
+        # A refused option leaves no directory behind.
+        "TASKBOARD --snapshots shots --packets x": "--packets",
+        "TASKBOARD --snapshots shots --frames x": "--frames",
+        "TASKBOARD --snapshots shots --ros2 x": "--ros2",
+        "TASKBOARD --snapshots shots --files-rate x": "--files-rate",
+        "TASKBOARD --base-port 80": "1024",
+        "TASKBOARD --base-port 65535": "1024",
+        "TASKBOARD --radio nosuch": (
+            "take cable, clean, iss-pass, iss-overhead, geo, or a file NAME.toml"
+        ),
+        "TASKBOARD --radio missing.toml": "missing.toml: No such file",
+        "TASKBOARD --radio-delay-ms -1": "take 0 to 10000",
+        "TASKBOARD --radio-delay-ms nan": "take 0 to 10000",
+        "TASKBOARD --radio geo --radio-delay-ms 3": "give one of them",
+        "TASKBOARD --radio-start 10": (
+            "radio cable has no pass to begin in; take radio iss-pass or iss-overhead, or leave"
+        ),
+        "TASKBOARD --radio iss-pass --radio-start 600": "radio iss-pass lasts 593 s; take less",
+        "TASKBOARD --radio iss-pass --radio-start nan": "take less",
+        "TASKBOARD --radio-delay-ms 9 --radio-start 1": "leave the start out",
+        "TASKBOARD --listen 0.0.0.0:27000": "add --end ground or --end space",
+        "LISTEN --joystick page": "the joystick is in space; give it at --end space",
+        "LISTEN --source iss_camera=page": "iss_camera is captured at --end space; this",
+        "SPACE --source left=page": "left is captured at --end ground; this end has iss_",
+        "SPACE --rtc": "--rtc: a partner joins the ground; give it at --end ground",
+        "SPACE --ice-server turn:192.0.2.1": "give it at --end ground",
+        "LISTEN --radio iss-pass --trainer": "give it at --end space with --trainer",
+        "SPACE --radio iss-pass": "give it at --end space with --trainer, and none at",
+        "TASKBOARD --page 0": "port from 1 to 65534",
+        "TASKBOARD --page 65535": "port from 1 to 65534",
+        "TASKBOARD --page localhost": "[HOST:]PORT",
+        "TASKBOARD --page 192.0.2.1:8270": "no address of this machine",
+        "TASKBOARD --page no.such.invalid:8270": "no.such.invalid",
+        "TASKBOARD --page 8270 --no-page": "--no-page",
+        "TASKBOARD --no-page --open": "--open needs the pages",
+        "TASKBOARD --no-page --page-cert x": "--page-cert needs the pages",
+        "TASKBOARD --page-cert missing.pem": "missing.pem: cannot be read",
+        "TASKBOARD --files-rate 8,8": "--files-rate is for --files",
+        "TASKBOARD --files . --files-rate 8": "give two rates",
+        "TASKBOARD --files /proc/none": "--files /proc/none",
+        "TASKBOARD --service ssh=2222": "give --files DIR, too",
+        "TASKBOARD --service ssh": "NAME=PORT",
+        "TASKBOARD --service ssh=70000": "NAME=PORT",
+        "TASKBOARD --service ssh=2222 --service ssh=2223": "ssh is given twice",
+        "TASKBOARD --service-allow ../a=127.0.0.1:22": "NAME=HOST:PORT",
+        "TASKBOARD --files . --service ssh=2222": "give --service-allow ssh=HOST:PORT, too",
+        "TASKBOARD --leds panel:5000": "give --tasks or --plan, too",
+        "TASKBOARD --tasks --leds panel": "write HOST:PORT",
+        "TASKBOARD --tasks missing.xml": "missing.xml",
+        "TASKBOARD --plan missing.toml": "missing.toml",
+        "TASKBOARD --runs runs": "--runs is for tasks",
+        "TASKBOARD --tasks --runs runs --record all.mcap": "want the same recorder",
+        "PLAN --tasks own.xml": "--plan names its files itself",
+        "PLAN --leds 127.0.0.1:5000": "sees only the built-in LED panel",
+        "LISTEN --no-page --plan plan.toml": "on one machine only",
+        "PLAN --plan two_hands.toml": "task handshake needs two hands",
+    },
+    "simulate": {
+        "--setup spacejustin --seconds 1 --plan two_hands.toml": "handshake needs two hands",
+        "--replay alien.mcap": "alien.mcap: it is not an MCAP file",
+        "--replay foreign.mcap": "was written by other 1.0",
+        "--replay newer.mcap": f"reads up to format {FORMAT}: install a newer one",
+    },
+    "link": {
+        "": "--setup",
+        "--setup nosuch": "spacejustin or taskboard, or a file",
+        "TASKBOARD --radio nosuch": "clean, iss-pass, iss-overhead, geo",
+        "TASKBOARD --seconds 0": "above 0",
+        "TASKBOARD --report missing/r.json": "--report missing/r.json",
+        "TASKBOARD --base-port 80": "1024",
+        "TASKBOARD --end moon": "--end",
+        "TASKBOARD --peer 192.0.2.7:27001": "add --end ground or --end space",
+        "TASKBOARD --listen 0.0.0.0:1": "add --end ground or --end space",
+        "TASKBOARD --insecure": "--insecure is for one end alone",
+        "TASKBOARD --key k": "--key is for one end alone",
+        "TASKBOARD --apps-bind 127.0.0.1": "--apps HOST",
+        "TASKBOARD --apps no_host": "no_host",
+        "TASKBOARD --apps 192.0.2.7": "--apps-bind",
+        "TASKBOARD --apps 0.0.0.0": "--apps 0.0.0.0: give the address of one",
+        "GROUND": "needs --listen ADDR:PORT to wait for the other end, or --peer HOST:PORT",
+        "GROUND --peer 127.0.0.1": "--peer '127.0.0.1': write HOST:PORT",
+        "GROUND --peer ::1:27001": "--peer '::1:27001': write HOST:PORT",
+        "GROUND --peer [::1]:27001": "no IPv4 host",
+        "GROUND --peer 0.0.0.0:27001": "--peer 0.0.0.0:27001: give the address of one",
+        "GROUND --peer 224.0.0.1:27001": "give the address of one machine",
+        "GROUND --peer 255.255.255.255:27001": "cannot be reached",
+        "GROUND --peer 127.0.0.1:1 --listen 127.0.0.1:2": "give one of them",
+        "GROUND --listen 27000": "--listen '27000': write HOST:PORT",
+        "GROUND --listen 224.0.0.1:27000": "give the address of one machine",
+        "GROUND --listen 0.0.0.0:27010": "this end uses the ports 27000 to 27039 itself",
+        "GROUND --listen 192.0.2.77:9000 --insecure": "no address of this machine",
+        "GROUND --listen 0.0.0.0:27000": "there is no key",
+        "GROUND --listen 0.0.0.0:27000 --key mine": "`kontur-av keys new` makes one",
+        "LISTEN --key k": "leave --key out",
+        "GROUND --listen 127.0.0.1:27000 --key key.pem": "trusts nobody: `kontur-av keys trust",
+        "GROUND --listen 127.0.0.1:27000 --key two.pem": "name the peer's by --identity",
+        "GROUND --listen 127.0.0.1:27000 --key two.pem --identity nobody": "characters instead of",
+    },
+    "keys": {
+        "new --key key.pem": "exists: a new key is a new identity",
+        "new --key key.pem/x": "cannot be written",
+        "show --key none.pem": "`kontur-av keys new` makes one",
+        "show --key .": "is no file",
+        "show --key fifo": "is no file",
+        "show --key group.pem": "chmod 600 group.pem",
+        "show --key world.pem": "chmod 600 world.pem",
+        "show --key writable.pem": "chmod 600 writable.pem",
+        "show --key damaged.pem": "no private key",
+        "trust OTHER --key world.pem": "chmod 600",
+        "trust OTHER --key none.pem": "keys new",
+        "trust OWN --key key.pem": "that of the other one",
+        "trust MISTYPED --key key.pem": "mistyped",
+        "forget OTHER --key key.pem": "is not trusted",
+        "list --key noted.pem": "noted.pem.trusted, line 3: identity 'nonsense'",
+        "list --key lax.pem": "chmod go-w",
+    },
+    "send": {
+        "TONE --audio missing.wav": "missing.wav",
+        "TONE --audio page": "only a session has the source page",
+        "TONE --to 127.0.0.1": "HOST:PORT",
+        "TONE --to 127.0.0.1:99999": "65534",
+        "TONE --to no.such.host.invalid:5004": "no.such.host",
+        "TONE --cap-kbps -3": "above 0",
+        "TONE --cap-kbps 6": "a cap of 6 kbit/s: ",
+        "TONE --channel-kbps 60": "lower the cap",
+        "TONE --seconds 0": "above 0",
+        "TONE --sdp /nowhere/x.sdp": "--sdp",
+        "TONE --report /nowhere/x.json": "--report",
+        "FILM --size 640": "WIDTHxHEIGHT",
+        "FILM --size axb": "WIDTHxHEIGHT",
+        "FILM --size 641x480": "even",
+    },
+    "receive": {
+        "--sdp -s.sdp": "--sdp=VALUE",
+        "--sdp none.sdp": "cannot be read",
+        "--sdp notes.txt": "no SDP",
+        "--sdp good.sdp --seconds 1 --save /nowhere/x.mkv": "--save",
+    },
+    "joystick": {
+        "test --device usb": "write sim, sim:FAULT, page, ros2, evdev",
+        "test --device page": "stream --joystick page`; its mechanics",
+        "test --device sim:tired": "the faults are stuck-x",
+        "test --report /nowhere/r.json": "cannot be written",
+    },
+    "info": {
+        "-a.mcap": "./NAME",
+        "none.mcap": "cannot be read: No such file",
+        ".": "is no file",
+        "empty.mcap": "it is not an MCAP file",
+        "alien.mcap": "it is not an MCAP file",
+    },
+    "recover": {
+        "none.mcap": "cannot be read: No such file",
+        ".": "is no file",
+        "empty.mcap": "it is not an MCAP file",
+        "alien.mcap": "it is not an MCAP file",
+        "foreign.mcap": "written by other 1.0, not by kontur-av",
+        "torn.mcap --out notes.txt": "exists: give another name, or --overwrite",
+        "torn.mcap --out torn.mcap --overwrite": "is the torn recording itself",
+        "torn.mcap --out none/b.mcap": "none/b.mcap cannot be written: No such file",
+        "torn.mcap --out .": "is a directory",
+    },
+    "replay": {
+        "alien.mcap": "alien.mcap: it is not an MCAP file",
+        "foreign.mcap": "was written by other 1.0",
+        "newer.mcap": f"reads up to format {FORMAT}: install a newer one",
+        "a.mcap --speed 9": "--speed 9: take 0.1 to 4",
+        "a.mcap --seconds 0": "--seconds 0: give a number above 0",
+        "a.mcap --cap-kbps uplink_video=20": "uplink_video needs a cap of ",
+        "a.mcap --speed 4 --cap-kbps uplink_voice=8": "STREAM=KBPS with one of uplink_video",
+        "a.mcap --report /none/r.json": "--report /none/r.json",
+    },
+    "export": {
+        "a.mcap": "give at least one of",
+        "a.mcap --csv x --mat73": "give --mat OUT.mat, too",
+        "a.mcap --mat /nowhere/out.mat": "cannot be written",
+        "a.mcap --mat /proc/out.mat": "cannot be written",
+        "a.mcap --mat .": "is a directory",
+        "a.mcap --mat a.mcap --overwrite": "is the recording itself",
+        "a.mcap --csv a.mcap": "is no directory",
+        "a.mcap --csv /proc/nowhere": "cannot be made",
+        "a.mcap --mat out.mat --csv kept": "events.csv exists: give another name, or --overwrite",
+        "none.mcap --mat out.mat": "cannot be read",
+        "alien.mcap --mat out.mat": "is not an MCAP file",
+        "foreign.mcap --mat out.mat": "written by other 1.0, not by kontur-av",
+        "newer.mcap --mat out.mat": "install a newer one",
+    },
+}
+ROWS = [
+    (f"{command} {words}".strip(), says)
+    for command, rows in REFUSALS.items()
+    for words, says in rows.items()
+]
+
+
+def _write_recordings(folder):
+    write_recording(folder / "a.mcap", seconds=2.0)
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("channels", "facts"):
+            patch.setattr(f"pipelines.recording.{module}.FORMAT", FORMAT + 1)
+        write_recording(folder / "newer.mcap", seconds=0.5)
+    steps = [Step(100_000_000, count % 2, 0, b"12345") for count in range(20)]
+    (folder / "torn.mcap").write_bytes(write(steps).octets[:-500])
+    (folder / "empty.mcap").touch()
+    (folder / "alien.mcap").write_bytes(b"RIFF and more")
+    with (folder / "foreign.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start(library="other 1.0")
+        schema = writer.register_schema("x.Y", "jsonschema", b"{}")
+        writer.add_message(writer.register_channel("/x", "json", schema), 1, b"{}", 1)
+        writer.finish()
+
+
+def _write_keys(folder):
+    modes = {"group.pem": 0o640, "world.pem": 0o604, "writable.pem": 0o620}
+    for name in ("key.pem", "two.pem", "noted.pem", "lax.pem", "damaged.pem", *modes):
+        make_key(folder / name)
+        (folder / name).chmod(modes.get(name, 0o600))
+    text = (folder / "damaged.pem").read_bytes()
+    (folder / "damaged.pem").write_bytes(text.replace(b"BEGIN PRIVATE", b"BEGIN PIRATE"))
+    for name, lines in {
+        "two.pem": f"{OTHER}\n{THIRD}\n",
+        "noted.pem": "# a note\n\nnonsense\n",
+        "lax.pem": f"{OTHER}\n",
+    }.items():
+        trusted_path(folder / name).write_text(lines)
+        trusted_path(folder / name).chmod(0o620 if name == "lax.pem" else 0o600)
+    os.mkfifo(folder / "fifo", 0o600)
+
+
+@pytest.fixture(scope="module")
+def folder():
+    """A directory with what the rows name; also that of the sessions, of which none runs."""
+    # Not tmp_path, because the path of a socket must be short.
+    with tempfile.TemporaryDirectory(prefix="kav") as name, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", f"{name}/temporary")
+        patch.setenv("XDG_CONFIG_HOME", f"{name}/none")
+        patch.chdir(name)
+        here = Path(name)
+        (here / "temporary").mkdir()
+        (here / "notes.txt").write_text("no film at all")
+        (here / "plan.toml").write_text('[[task]]\nname = "line"\n')
+        (here / "two_hands.toml").write_text('[[task]]\nname = "handshake"\n')
+        (here / "mic.toml").write_text(
+            "cameras = ['stereo', 'a_mic']\n[uplink_video]\ncap_kbps = 85\n"
+            "[sources]\na_mic = 'scene:static'\n"
+        )
+        (here / "good.sdp").write_text(
+            "v=0\nc=IN IP4 127.0.0.1\nm=audio 5010 RTP/AVP 97\na=rtpmap:97 opus/48000/2\n"
+        )
+        (here / "kept").mkdir()
+        (here / "kept" / "events.csv").write_text("precious")
+        with wave.open("tone.wav", "wb") as file:
+            file.setparams((1, 2, 48_000, 0, "NONE", ""))
+            file.writeframes(bytes(96_000))
+        _write_recordings(here)
+        _write_keys(here)
+        yield here
+
+
+@pytest.fixture(autouse=True)
+def nothing_starts(monkeypatch):
+    def start(*_, **__):
+        pytest.fail("something was started")
+
+    for module in (stream, link):
+        monkeypatch.setattr(module, "Launcher", start)
+
+
+def state_of(folder):
+    found = {}
+    for path in folder.rglob("*"):
+        status = path.lstat()
+        found[path] = (status.st_size, status.st_mtime_ns if path.is_file() else 0)
+    return found
+
+
+def refused(capsys, *words):
+    """The one line with which a command is refused."""
+    assert main([str(word) for word in words]) == MISTAKE == 2
+    out, error = capsys.readouterr()
+    (line,) = error.splitlines()
+    assert out == "" and line.startswith("kontur-av: ")
+    return line
+
+
+@pytest.mark.rule("7")
+@pytest.mark.parametrize(("words", "says"), ROWS, ids=[words[:60] for words, _ in ROWS])
+def test_a_mistake_is_one_line_that_names_the_mend(folder, capsys, words, says):
+    capsys.readouterr()
+    before = state_of(folder)
+    known = SHORT
+    if "OWN" in words:
+        main(["keys", "show", "--key", "key.pem"])
+        known = SHORT | {"OWN": capsys.readouterr().out.split()}
+    assert says in refused(capsys, *(w for word in words.split() for w in known.get(word, [word])))
+    assert state_of(folder) == before
+
+
+@pytest.mark.parametrize("name", ["a\nb", "a\x1b[31m", "a\u2028b", "a\r"])
+def test_what_was_written_wrong_stands_in_one_line(name, capsys):
+    line = refused(capsys, "topology", "--setup", f"{name}.toml")
+    assert line.isprintable() and line.startswith("kontur-av: cannot read setup a\\")
+
+
+def test_another_machine_s_programs_need_an_address_of_this_one(capsys, monkeypatch):
+    for near, says in (
+        ("198.51.100.4", "add --apps-bind 198.51.100.4"),
+        (None, "cannot be reached from here"),
+    ):
+        monkeypatch.setattr(own_ends, "reaches", lambda peer, near=near: near)
+        assert says in refused(capsys, "link", "--setup", "taskboard", "--apps", "192.0.2.7")
+
+
+@pytest.mark.parametrize("command", ["stream", "simulate", "devices", "bench"])
+def test_a_command_on_another_system_is_refused(command, monkeypatch, capsys):
+    monkeypatch.setattr(platform, "system", lambda: "Darwin")
+    assert "Darwin is not supported: " in refused(capsys, command)
+
+
+def test_version_is_printed(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out.startswith("kontur-av 0.")
