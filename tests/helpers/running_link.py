@@ -7,11 +7,11 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from common import eventually
 from running_session import end_with_the_tests
 
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -39,16 +39,6 @@ def free_base_port(hosts=("127.0.0.1",)):
                 continue
             return base
     pytest.skip("no block of free UDP ports")
-
-
-def eventually(ask, what, pause_s=0.02):
-    """Call `ask()` until its result is true; return the result."""
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not (answer := ask()):
-        if time.monotonic() > deadline_s:
-            pytest.fail(f"{what} did not happen in {PATIENCE_S:g} s")
-        time.sleep(pause_s)
-    return answer
 
 
 def listening(port, host="127.0.0.1"):

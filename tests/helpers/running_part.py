@@ -5,7 +5,9 @@ import threading
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
+from common import eventually
+
+from kontur_av.clock import MonotonicClock
 from pipelines.session.probe import Message
 from pipelines.session.process import Context
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -37,7 +39,7 @@ def running(session, part, *, setup=SETUP, pages=False, **arguments):
     thread.start()
     try:
         # The first report comes when its sockets and topics are open.
-        eventually(lambda: listen().figures or None)
+        eventually(lambda: listen().figures)
         yield listen
     finally:
         context.stopping = True
@@ -54,13 +56,3 @@ def stream_gateway(session, stream):
     return [
         context.sender(topology.exit_port(name)) for name in (stream.name, f"{stream.name}_rtcp")
     ]
-
-
-def eventually(look):
-    end_ns = CLOCK.now_ns() + 10 * NS_PER_S
-    while CLOCK.now_ns() < end_ns:
-        found = look()
-        if found is not None:
-            return found
-        CLOCK.sleep_until_ns(CLOCK.now_ns() + 5 * NS_PER_MS)
-    raise AssertionError("it never came")

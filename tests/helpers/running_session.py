@@ -11,10 +11,10 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import pytest
+from common import PATIENCE_S, eventually, free_port
 
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import shared_memory
@@ -32,8 +32,6 @@ from pipelines.cli import main
 sys.exit(main())
 """
 SESSION_COMMAND = (sys.executable, "-c", _SESSION)
-#: Protects against a hang; no test result depends on it.
-PATIENCE_S = 90.0
 _LIVE_STREAM = re.compile(r"(\w+) [\d.]+/[\d.]+ kbit/s (\d+) shown")
 _LIVE_HAPTIC = re.compile(r"(haptic_\w+) (\d+) received")
 
@@ -65,6 +63,10 @@ def free_base_port():
     pytest.skip("no block of free UDP ports")
 
 
+def tcp_port():
+    return free_port(socket.SOCK_STREAM)
+
+
 def free_pair():
     """Return a free UDP port, such that the one after it is free, too."""
     for _ in range(100):
@@ -78,16 +80,6 @@ def free_pair():
             second.bind(("127.0.0.1", port + 1))
             return port
     pytest.skip("no two free UDP ports beside each other")
-
-
-def eventually(ask, what, patience_s=PATIENCE_S):
-    """Call `ask()` until its result is true; return the result."""
-    deadline_s = time.monotonic() + patience_s
-    while not (answer := ask()):
-        if time.monotonic() > deadline_s:
-            pytest.fail(f"{what} did not happen in {patience_s:g} s")
-        time.sleep(0.02)
-    return answer
 
 
 def alive(pid):
@@ -128,6 +120,7 @@ class RunningSession:
             metrics="--metrics" in options,
             foxglove="--foxglove" in options,
             packets="--packets" in options,
+            frames="--frames" in options,
             ros2="--ros2" in options,
             files="--files" in options,
             trainer="--trainer" in options,
