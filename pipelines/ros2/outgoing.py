@@ -96,6 +96,8 @@ class JoinedStream:
         (self._held if waits else self._ready).append(DatedUnit(data, at_ns, unit.codec))
         late = now_ns - self._since_ns > _PATIENCE_NS
         if waits and (late or sum(len(one.data) for one in self._held) > MOST_HELD_OCTETS):
+            # Who joined still has no picture.
+            self._again_ns = now_ns + _AGAIN_NS
             self._release()
 
     def next_event(self) -> KeyPictureWanted | None:

@@ -49,7 +49,11 @@ def test_a_key_picture_that_is_late_or_cannot_be_made_holds_nothing_up():
     wanted = stream.next_event()
     assert wanted is None or stream.handle_key_picture(wanted.number, b"own") is None
     assert list(stream.poll_transmit()) == []
-    stream.handle_subscriber(2 * NS_PER_S)
-    assert fed(stream, (40,)) == []
+    # Who joined has no picture yet: it is tried again, without being asked for.
+    fed(stream, range(40, 90))
+    stream.handle_key_picture(stream.next_event().number, b"own")
+    assert next(stream.poll_transmit()).data == b"own"
+    stream.handle_subscriber(5 * NS_PER_S)
+    assert fed(stream, (140,)) == []
     stream.handle_key_picture(stream.next_event().number, None)
     assert len(list(stream.poll_transmit())) == 1
