@@ -2,17 +2,62 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from random import Random
 
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from telepresence.link.clock_estimator import ClockEstimate, ClockEstimator
-from telepresence.link.clock_exchange import ClockExchange
+from kontur_av.clock import NS_PER_MS
+from telepresence.link.clock_estimator import ClockEstimate
+from telepresence.link.clock_exchange import (
+    ClockExchange,
+    ClockMessage,
+    ReportClock,
+    earlier,
+    is_clock,
+    message_mark,
+    pack_clock,
+    parse_clock,
+)
+from telepresence.link.flows import Level, PacketReceived, packet_flow, rtcp_flow
+from telepresence.link.gateway import Gateway
+from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.radio import RadioPath
+
+MS, S, US = 1_000_000, 1_000_000_000, 1000
+
 
 SLOT_NS = 10 * NS_PER_MS
+
+
+@given(
+    st.builds(
+        ClockMessage,
+        version=st.integers(1, 15),
+        master=st.booleans(),
+        life=st.integers(1, 65535),
+        stamp_us=st.integers(0, (1 << 32) - 1),
+        mark=st.integers(0, 255),
+        age_us=st.integers(0, (1 << 24) - 1),
+        part=st.integers(0, 3),
+        piece=st.integers(0, 31),
+    )
+)
+def test_a_message_is_read_as_it_was_written(message):
+    data = pack_clock(message)
+    assert len(data) == 12 and is_clock(data) and parse_clock(data) == message
+    assert parse_clock(data[:-1]) is None and parse_clock(data + b"\0") is None
+    # No version, no life, another kind.
+    for at, octets in ((0, b"\x05"), (2, b"\0\0"), (0, bytes([data[0] & 0xF0 | 4]))):
+        assert parse_clock(data[:at] + octets + data[at + len(octets) :]) is None
+
+
+def test_bits_are_where_the_table_says():
+    message = ClockMessage(3, True, 0x0102, 0xA1B2C3D4, 0xE5, 0x00F6F7, part=2, piece=0b10110)
+    assert pack_clock(message) == bytes.fromhex("35 b6 0102 a1b2c3d4 e5 00f6f7")
+    assert message_mark(0xA1B2C3D4) == 0xB2
 
 
 @dataclass
@@ -69,7 +114,7 @@ class Ends:
         for number, end in enumerate(ends):
             end.handle_peer(2 - number, clocks[number](self.start_ns))
         under_way: list[tuple[int, int, bytes]] = []
-        for slot in range(round(seconds * NS_PER_S / SLOT_NS)):
+        for slot in range(round(seconds * S / SLOT_NS)):
             true_ns = self.start_ns + slot * SLOT_NS
             for one in sorted(one for one in under_way if one[0] <= true_ns):
                 under_way.remove(one)
@@ -88,35 +133,28 @@ class Ends:
 
 
 def ms(most: int) -> st.SearchStrategy[int]:
-    return st.integers(0, most * NS_PER_MS)
+    return st.integers(0, most * MS)
 
 
 @settings(deadline=None, max_examples=40)
 # Messages overtake each other while the stamp begins anew.
-@example(0, 0, 300 * NS_PER_MS, 0.0, 32_180_001_697, -1, 34, 371)
+@example(0, 0, 300 * MS, 0.0, 32_180_001_697, -1, 34, 371)
 @given(
     there_ns=ms(300),
     back_ns=ms(300),
-    jitter_ns=st.sampled_from([0, 100 * NS_PER_US, 20 * NS_PER_MS, 300 * NS_PER_MS]),
+    jitter_ns=st.sampled_from([0, 100 * US, 20 * MS, 300 * MS]),
     loss=st.sampled_from([0.0, 0.3]),
     # As far apart as clocks that nobody set: 30 years, in both directions.
-    offset_ns=st.integers(-1800 * NS_PER_S, 1800 * NS_PER_S) | st.integers(-(10**18), 10**18),
+    offset_ns=st.integers(-1800 * S, 1800 * S) | st.integers(-(10**18), 10**18),
     ppm=st.integers(-50, 50),
     wraps_in_s=st.integers(0, 60),
     seed=st.integers(0, 1000),
 )
 def test_the_stated_error_holds_the_truth(
-    there_ns: int,
-    back_ns: int,
-    jitter_ns: int,
-    loss: float,
-    offset_ns: int,
-    ppm: int,
-    wraps_in_s: int,
-    seed: int,
-) -> None:
+    there_ns, back_ns, jitter_ns, loss, offset_ns, ppm, wraps_in_s, seed
+):
     # Stamps repeat every 2**32 µs, for one of the ends while this runs.
-    start_ns = ((1 << 32) * 1000) * 400_000 - wraps_in_s * NS_PER_S + 123
+    start_ns = ((1 << 32) * 1000) * 400_000 - wraps_in_s * S + 123
     path = Path(there_ns, back_ns, jitter_ns, loss, seed)
     ends = Ends(path, offset_ns, ppm * 1e-6, start_ns)
     known = 0
@@ -131,64 +169,315 @@ def test_the_stated_error_holds_the_truth(
     assert known > 100
 
 
-def test_without_jitter_the_error_is_about_half_the_round_trip() -> None:
-    path = Path(2 * NS_PER_MS, 2 * NS_PER_MS)
-    ends = Ends(path, 12 * NS_PER_S, 50e-6)
+@pytest.mark.parametrize(("each_ns", "jitter_ns"), [(2 * MS, 0), (MS, 2 * MS)])
+def test_the_error_is_about_half_the_round_trip_and_jitter_costs_little(each_ns, jitter_ns):
+    ends = Ends(Path(each_ns, each_ns, jitter_ns, seed=1), 12 * S, 50e-6)
     *_, (true_ns, estimate, _) = ends.run(60)
-    assert estimate is not None
+    assert estimate.error_ns < each_ns + 0.5 * MS
     # The delays are equal, so the middle is near the truth: within what drifted since they came.
-    assert abs(ends.peer_ns(true_ns) - true_ns - estimate.offset_ns) < 120 * NS_PER_US
-    assert estimate.error_ns < 2.4 * NS_PER_MS
+    assert abs(ends.peer_ns(true_ns) - true_ns - estimate.offset_ns) < 120 * US + jitter_ns
     assert estimate.drift_error_ppb < 200_000
 
 
-def test_jitter_costs_little() -> None:
-    path = Path(NS_PER_MS, NS_PER_MS, jitter_ns=2 * NS_PER_MS, seed=1)
-    *_, (_, estimate, _) = Ends(path, 0, 50e-6).run(60)
-    assert estimate is not None
-    assert estimate.error_ns < 1.5 * NS_PER_MS
-
-
-@pytest.mark.parametrize("step_ns", [5 * NS_PER_S, -5 * NS_PER_S, 3 * NS_PER_MS])
-def test_a_step_begins_the_estimate_anew(step_ns: int) -> None:
-    ends = Ends(Path(NS_PER_MS, NS_PER_MS), NS_PER_S, step=(20 * NS_PER_S, step_ns))
+@pytest.mark.parametrize("step_ns", [5 * S, -5 * S, 3 * MS])
+def test_a_step_and_a_new_life_of_the_peer_begin_the_estimate_anew(step_ns):
+    ends = Ends(Path(MS, MS), S, step=(20 * S, step_ns))
     *_, (true_ns, estimate, end) = ends.run(40)
     assert end.report(true_ns).restarts == 1
-    assert estimate is not None
     assert abs(ends.peer_ns(true_ns) - true_ns - estimate.offset_ns) <= estimate.error_ns
-
-
-def test_the_error_grows_while_nothing_comes() -> None:
-    estimator = ClockEstimator()
-    for second in range(20):
-        estimator.handle_least(second * NS_PER_S, -NS_PER_MS)
-        estimator.handle_largest(second * NS_PER_S, NS_PER_MS)
-    errors = [
-        found.error_ns
-        for second in (20, 40, 60)
-        if (found := estimator.estimate(second * NS_PER_S)) is not None
-    ]
-    assert len(errors) == 3
-    assert errors == sorted(set(errors))
-    assert estimator.estimate(100 * NS_PER_S) is None
-
-
-def test_a_new_life_of_the_peer_begins_anew() -> None:
-    *_, (true_ns, estimate, end) = Ends(Path(NS_PER_MS, NS_PER_MS), NS_PER_S).run(5)
-    assert estimate is not None
     end.handle_peer(7, true_ns)
     assert end.estimate(true_ns) is None
     assert end.next_ns == true_ns
 
 
-def test_what_is_not_the_peers_is_refused() -> None:
-    def end(life: int, *, master: bool, version: int = 2) -> ClockExchange:
-        made = ClockExchange(version=version, master=master, life=life, told_offset_ns=0, now_ns=0)
-        made.handle_peer(3 - life, 0)
-        return made
+def clock(*, master=True, life=1, now_ns=0, told_offset_ns=0, version=3):
+    end = ClockExchange(
+        version=version, master=master, life=life, told_offset_ns=told_offset_ns, now_ns=now_ns
+    )
+    end.handle_peer(3 - life, now_ns)
+    return end
 
-    data = end(2, master=False).poll_transmit(0, 0)
-    assert end(1, master=True).handle_message(data, 0, heard=True)
-    assert not end(1, master=False).handle_message(data, 0, heard=True)
-    assert not end(2, master=True).handle_message(data, 0, heard=True)
-    assert not end(1, master=True, version=3).handle_message(data, 0, heard=True)
+
+def test_what_is_not_the_peers_is_refused():
+    data = clock(master=False, life=2).poll_transmit(0, 0)
+    assert clock().handle_message(data, 0, heard=True)
+    for other in (clock(master=False), clock(life=2), clock(version=2)):
+        assert not other.handle_message(data, 0, heard=True)
+
+
+def test_a_clock_that_was_just_met_is_told_more_often():
+    end, sent = clock(now_ns=S), []
+    for ms in range(1000, 15_000, 10):
+        if ms * MS >= end.next_ns:
+            end.poll_transmit(ms * MS, ms * MS)
+            sent.append(ms)
+        if ms == 12_000:
+            end.handle_peer(2, ms * MS)  # the same one
+    steps = [b - a for a, b in pairwise(sent)]
+    # Twenty at 250 ms, later every 2 s: what docs/link-format.md says.
+    assert sent[0] == 1000 and steps == [250] * 20 + [2000] * (len(steps) - 20)
+    assert end.report(15 * S).messages_sent == len(sent)
+    end.handle_peer(9, 15 * S)
+    assert end.next_ns == 15 * S
+    end.poll_transmit(15 * S, 15 * S)
+    assert end.next_ns == 15_250 * MS
+
+
+def test_a_message_says_when_it_leaves_and_how_old_the_peers_newest_is():
+    end = clock(told_offset_ns=7 * S)
+    first = parse_clock(end.poll_transmit(0, 2 * MS))
+    assert (first.stamp_us, first.age_us, first.mark, first.part) == (7_002_000, 0xFFFFFF, 0, 0)
+    peer = pack_clock(ClockMessage(3, False, 2, 0x00AB_0000))
+    assert end.handle_message(peer, 10 * MS + 1, heard=True)
+    second = parse_clock(end.poll_transmit(30 * MS, 31 * MS))
+    # It came within a microsecond that is counted whole.
+    assert (second.mark, second.age_us, second.part) == (0xAB, 31_000 - 10_001, 1)
+    ages = [parse_clock(end.poll_transmit(ns, ns)).age_us for ns in (16_787 * MS, 16_788 * MS)]
+    assert ages == [16_787_000 - 10_001, 0xFFFFFF]
+    # One that leaves before the peer's came is told nothing of it.
+    assert end.handle_message(peer, 40 * S, heard=True)
+    assert parse_clock(end.poll_transmit(39 * S, 39 * S)).age_us == 0xFFFFFF
+    parts = [parse_clock(end.poll_transmit(ns, ns)).part for ns in range(5)]
+    assert [(b - a) % 4 for a, b in pairwise(parts)] == [1] * 4
+
+
+@pytest.mark.parametrize(("heard", "known"), [(True, True), (False, False)])
+def test_both_ways_make_an_offset_and_an_end_that_is_not_heard_has_none(heard, known):
+    one, other = clock(), clock(master=False, life=2)
+    for number in range(12):
+        now_ns = number * 250 * MS
+        # The other clock is 5 s ahead; 3 ms there, 1 ms back.
+        there = one.poll_transmit(now_ns, now_ns)
+        assert other.handle_message(there, now_ns + 5 * S + 3 * MS, heard=True)
+        back = other.poll_transmit(now_ns + 5 * S + 3 * MS, now_ns + 5 * S + 3 * MS)
+        assert one.handle_message(back, now_ns + 4 * MS, heard=heard)
+    estimate = one.estimate(3 * S)
+    assert (estimate is not None) is known
+    if known:
+        assert estimate.offset_ns == pytest.approx(5 * S + MS, abs=0.2 * MS)
+        assert 2 * MS <= estimate.error_ns < 2.3 * MS
+    assert (one.report(3 * S).offset_ns is not None) is known
+    assert one.report(3 * S).messages_received == 12
+
+
+def report_of(seconds, fraction=0):
+    """A sender report (RFC 3550, 6.4.1) with this NTP timestamp."""
+    ntp = (seconds << 32 | fraction).to_bytes(8, "big")
+    return bytes.fromhex("80c80006 11223344") + ntp + bytes(range(12))
+
+
+def test_a_sender_report_is_made_earlier_and_nothing_else():
+    moved = earlier(report_of(3_000_000_000, 1 << 31), 1_250_000_000)
+    assert moved == report_of(2_999_999_999, 1 << 30)
+    assert earlier(report_of(5), -2 * S) == report_of(7)
+    # Before the epoch of NTP it wraps.
+    assert earlier(report_of(0), S) == report_of((1 << 32) - 1)
+    receiver_report = b"\x80\xc9" + report_of(5)[2:]
+    for packet in (receiver_report, report_of(5)[:15], b""):
+        assert earlier(packet, S) == packet
+    assert earlier(report_of(5)[:16], S) == report_of(4)[:16]
+    assert earlier(report_of(5), 0) == report_of(5)
+
+
+class Peer:
+    """In the place of a `ClockExchange`."""
+
+    def __init__(self):
+        self.offset_ns = None
+
+    def estimate(self, now_ns):
+        return None if self.offset_ns is None else self
+
+
+def packets(reports):
+    found = []
+    while (event := reports.next_event()) is not None:
+        found.append((event.flow.name, event.data, event.now_ns))
+    return found
+
+
+def test_a_report_waits_three_seconds_for_the_peers_clock():
+    peer = Peer()
+    reports = ReportClock(peer)
+    reports.handle_time(0)
+    reports.handle_report(PacketReceived(rtcp_flow("a"), report_of(9), S))
+    reports.handle_report(PacketReceived(rtcp_flow("a"), report_of(10), 2 * S))
+    reports.handle_report(PacketReceived(rtcp_flow("b"), report_of(20), 2 * S))
+    reports.handle_time(4 * S - 1)
+    assert packets(reports) == []
+    # Then the newest of each flow comes as it is.
+    reports.handle_time(4 * S)
+    assert packets(reports) == [("a", report_of(10), 4 * S), ("b", report_of(20), 4 * S)]
+    reports.handle_report(PacketReceived(rtcp_flow("a"), report_of(11), 9 * S))
+    assert packets(reports) == []
+    peer.offset_ns = 2 * S
+    reports.handle_time(9 * S + 1)
+    assert packets(reports) == [("a", report_of(9), 9 * S + 1)]
+    reports.handle_report(PacketReceived(rtcp_flow("a"), report_of(12), 10 * S))
+    assert packets(reports) == [("a", report_of(10), 10 * S)]
+
+
+def test_at_most_eight_reports_are_held():
+    reports = ReportClock(Peer())
+    for number in range(10):
+        reports.handle_report(PacketReceived(rtcp_flow(str(number)), report_of(number), 0))
+    reports.handle_time(3 * S)
+    assert [name for name, *_ in packets(reports)] == list("01234567")
+
+
+UP = [packet_flow("tc", Level.TMTC)]
+
+
+DOWN = [packet_flow("tm", Level.TMTC), rtcp_flow("rtcp")]
+
+
+#: Of the network, besides what the radio paths of both ends add.
+NETWORK_NS = 300_000
+
+
+class Gateways:
+    """Ground, whose clock is right, and space, whose clock is ahead and drifts."""
+
+    def __init__(self, ahead_ns=0, drift=0.0, radio_ns=(0, 0), *, compare=True):
+        self.ahead_ns, self.drift, self.radio_ns = ahead_ns, drift, radio_ns
+        self.compare = compare
+        self.true_ns = 0
+        self.way_in = None
+        #: Packets that came out on the ground.
+        self.on_ground = []
+        self.space, self.ground = self.gateway(1), self.gateway(2)
+
+    def gateway(self, life):
+        ground = life > 1
+        ways = ((UPLINK, UP), (DOWNLINK, DOWN))
+        (transmit, sent), (receive, received) = ways if ground else ways[::-1]
+        return Gateway(
+            transmit=transmit,
+            transmit_flows=sent,
+            receive=receive,
+            receive_flows=received,
+            master=ground,
+            life=life,
+            now_ns=0 if ground else self.space_ns(0),
+            radio=RadioPath(delay_ns=self.radio_ns[not ground]),
+            told_offset_ns=0 if self.compare else None,
+            secret=life,
+        )
+
+    def space_ns(self, true_ns):
+        return true_ns + self.ahead_ns + round(true_ns * self.drift)
+
+    def clock_of(self, end):
+        """Its figures, and by how much its offset is wrong."""
+        away_ns = self.space_ns(self.true_ns) - self.true_ns
+        if end is self.ground:
+            figures = end.report(self.true_ns).clock
+            return figures, abs(figures.offset_ns - away_ns)
+        figures = end.report(self.space_ns(self.true_ns)).clock
+        return figures, abs(figures.offset_ns + away_ns)
+
+    def take(self, end, frame, now_ns):
+        end.handle_radio(frame, now_ns)
+        events = list(iter(end.next_event, None))
+        if end is self.ground:
+            self.on_ground += [one for one in events if isinstance(one, PacketReceived)]
+
+    def run(self, seconds):
+        end_ns = self.true_ns + round(seconds * S)
+        on_the_way = []
+        while self.true_ns < end_ns:
+            self.ground.handle_slot(self.true_ns)
+            self.space.handle_slot(self.space_ns(self.true_ns))
+            # The radio's frames leave at the next tenth of a slot.
+            for at_ns in range(self.true_ns, self.true_ns + MS, MS // 10):
+                now_ns = self.space_ns(at_ns)
+                for near, far, near_ns in (
+                    (self.ground, self.space, at_ns),
+                    (self.space, self.ground, now_ns),
+                ):
+                    while (frame := near.poll_transmit(near_ns)) is not None:
+                        on_the_way.append((at_ns + NETWORK_NS, far, frame))
+                while on_the_way and on_the_way[0][0] <= at_ns:
+                    came_ns, far, frame = on_the_way.pop(0)
+                    if far is self.ground:
+                        self.take(far, frame, came_ns)
+                    elif self.way_in is None:
+                        self.take(far, frame, self.space_ns(came_ns))
+                    else:
+                        self.way_in.handle_frame(frame, self.space_ns(came_ns))
+                while self.way_in is not None and (frame := self.way_in.poll_transmit(now_ns)):
+                    self.take(self.space, frame, now_ns)
+            self.true_ns += MS
+
+
+@pytest.mark.rule("5")
+@pytest.mark.parametrize("radio_ns", [(0, 0), (250 * MS, 10 * MS)])
+def test_both_ends_find_the_offset_whatever_the_radio_delays(radio_ns):
+    pair = Gateways(12 * S, 50e-6, radio_ns)
+    pair.run(12)
+    for end in (pair.ground, pair.space):
+        figures, wrong_ns = pair.clock_of(end)
+        assert wrong_ns <= figures.error_ns < 2 * NETWORK_NS
+    ground, space = (pair.clock_of(end)[0] for end in (pair.ground, pair.space))
+    # 20 at first, then one every two seconds.
+    assert 20 < ground.messages_sent < 26
+    assert ground.messages_received in (space.messages_sent, space.messages_sent - 1)
+
+
+def test_a_radio_on_the_way_in_is_no_part_of_the_network():
+    pair = Gateways(12 * S)
+    pair.way_in = pair.space.radio_in = RadioPath(delay_ns=10 * MS)
+    pair.run(6)
+    figures, wrong_ns = pair.clock_of(pair.space)
+    assert wrong_ns <= figures.error_ns < 2 * NETWORK_NS
+
+
+def test_a_restarted_peer_is_measured_anew():
+    pair = Gateways(S)
+    pair.run(3)
+    pair.ground = pair.gateway(3)
+    pair.run(3)
+    figures, wrong_ns = pair.clock_of(pair.space)
+    assert wrong_ns <= figures.error_ns < MS
+    assert figures.restarts == 0
+
+
+def test_ends_of_one_machine_send_no_clock_and_an_end_that_compares_none_drops_it():
+    pair, silent = Gateways(), Gateways(compare=False)
+    pair.run(3)
+    silent.run(3)
+    assert silent.ground.report(silent.true_ns).clock is None
+    counts = [one.ground.report(one.true_ns).supervision.counts for one in (pair, silent)]
+    assert counts[0] == counts[1]
+    octets = [one.ground.sender.octets()["supervision"] for one in (pair, silent)]
+    assert octets[0] > octets[1]
+    pair.space.clock = None
+    pair.run(2)
+    supervision = pair.space.report(pair.true_ns).supervision
+    assert supervision.counts["messages_malformed"] > 3
+    assert pair.ground.report(pair.true_ns).clock is not None
+    assert supervision.state == "approve"
+
+
+def test_sender_reports_come_out_in_the_own_wall_time_and_wait_for_the_clock_not_for_ever():
+    pair = Gateways(12 * S, 50e-6)
+    pair.run(2)
+
+    def put():
+        now_ns = pair.space_ns(pair.true_ns)
+        packet = report_of(now_ns // S, (now_ns % S << 32) // S)
+        assert pair.space.handle_datagram("rtcp", packet, now_ns)
+        return pair.true_ns, packet
+
+    sent_ns, packet = put()
+    pair.run(0.1)
+    (event,) = pair.on_ground
+    told_ns = int.from_bytes(event.data[8:16], "big") * S >> 32
+    assert abs(told_ns - sent_ns) < MS
+    assert event.data[16:] == packet[16:]
+    pair.ground.clock.handle_peer(9, pair.true_ns)  # as if another life had come
+    _, packet = put()
+    pair.run(1)
+    assert len(pair.on_ground) == 1
+    pair.run(4)
+    assert pair.on_ground[1].data == packet

@@ -12,11 +12,13 @@ from telepresence.link.radio import RadioPath
 from telepresence.link.slots import FIGURES_NS, MOST_DATAGRAMS, GatewaySlots, WakeMargin
 
 MS = 1_000_000
+
+
 US = 1000
 
 
-def make_gateway(delay_ns=0):
-    return Gateway(
+def make_slots(first_ns=0, delay_ns=0):
+    gateway = Gateway(
         transmit=UPLINK,
         transmit_flows=[packet_flow("picture", Level.VIDEO)],
         receive=DOWNLINK,
@@ -26,10 +28,6 @@ def make_gateway(delay_ns=0):
         now_ns=0,
         radio=RadioPath(delay_ns=delay_ns),
     )
-
-
-def make_slots(first_ns=0, delay_ns=0):
-    gateway = make_gateway(delay_ns)
     return gateway, GatewaySlots(gateway, first_ns=first_ns)
 
 

@@ -2,8 +2,11 @@
 
 import pytest
 
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
+from telepresence.link.flows import Level
 from telepresence.link.queues import (
+    DEFAULT_LIMITS,
     LEAST_CHARGE_OCTETS,
     MOST_EXPIRED,
     DropPolicy,
@@ -20,6 +23,12 @@ def queue(policy, depth_octets=100, max_age_ns=50 * MS, **limits):
     )
 
 
+def put(packets, *octets, now_ns=0, **options):
+    """Put a packet of each of these octets or numbers of zeros; return whether each was taken."""
+    data = [one if isinstance(one, bytes) else bytes(one) for one in octets]
+    return [packets.handle_packet(0, one, now_ns, **options) for one in data]
+
+
 def taken(packets, now_ns=0):
     out = []
     while packets.waiting(now_ns):
@@ -28,28 +37,23 @@ def taken(packets, now_ns=0):
     return out
 
 
-def test_reject_newest():
+@pytest.mark.rule("4")
+def test_a_full_queue_drops_by_its_policy():
     packets = queue(DropPolicy.REJECT_NEWEST)
-    assert packets.handle_packet(0, b"a" * 60, 0)
-    assert not packets.handle_packet(0, b"b" * 60, 0)
-    assert packets.handle_packet(0, b"c" * 40, 0)
+    assert put(packets, b"a" * 60, b"b" * 60, b"c" * 40) == [True, False, True]
     assert packets.report(0).drops == {"full": 1, "expired": 0, "signal_lost": 0}
     assert taken(packets) == [b"a" * 60, b"c" * 40]
-
-
-def test_drop_oldest():
     packets = queue(DropPolicy.DROP_OLDEST)
-    for octet in b"abc":
-        assert packets.handle_packet(0, bytes([octet]) * 40, 0)
+    assert put(packets, b"a" * 40, b"b" * 40, b"c" * 40) == [True] * 3
     assert taken(packets) == [b"b" * 40, b"c" * 40]
-    assert not packets.handle_packet(0, b"x" * 101, 0)
+    assert put(packets, 101) == [False]
     assert packets.report(0).drops == {"full": 2, "expired": 0, "signal_lost": 0}
 
 
 def test_too_old_is_dropped_and_counted():
     packets = queue(DropPolicy.DROP_OLDEST)
-    packets.handle_packet(0, b"quite old", 0)
-    packets.handle_packet(0, b"still young", 10 * MS)
+    put(packets, b"quite old")
+    put(packets, b"still young", now_ns=10 * MS)
     assert packets.waiting(50 * MS)
     report = packets.report(55 * MS)
     assert report.drops == {"full": 0, "expired": 1, "signal_lost": 0}
@@ -61,39 +65,45 @@ def test_too_old_is_dropped_and_counted():
 def test_patience_applies_only_if_shorter_than_the_limit():
     packets = queue(DropPolicy.REJECT_NEWEST)
     packets.set_patience(20 * MS)
-    packets.handle_packet(0, b"old", 0)
-    packets.handle_packet(0, b"young", 10 * MS)
+    put(packets, b"old")
+    put(packets, b"young", now_ns=10 * MS)
     assert taken(packets, 25 * MS) == [b"young"]
-    packets.set_patience(None)
-    packets.handle_packet(0, b"patient", 30 * MS)
-    assert taken(packets, 70 * MS) == [b"patient"]
-    packets.set_patience(1000 * MS)
-    packets.handle_packet(0, b"expired", 100 * MS)
-    assert taken(packets, 151 * MS) == []
+    for patience_ns, came_ms, waits_ms in ((None, 30, 40), (1000 * MS, 100, 51)):
+        packets.set_patience(patience_ns)
+        put(packets, b"patient", now_ns=came_ms * MS)
+        left = taken(packets, (came_ms + waits_ms) * MS)
+        assert left == ([b"patient"] if waits_ms <= 50 else [])
     assert packets.report(0).drops == {"full": 0, "expired": 1, "signal_lost": 1}
 
 
-def test_flush():
+def test_a_flush_drops_what_waits_and_what_was_begun():
     packets = queue(DropPolicy.REJECT_NEWEST)
-    packets.handle_packet(0, b"begun", 0)
+    put(packets, b"begun")
     assert packets.waiting(0)
     packets.take(0)
-    packets.handle_packet(0, b"too old", 0)
-    packets.handle_packet(0, b"waiting", 40 * MS)
+    put(packets, b"too old")
+    put(packets, b"waiting", now_ns=40 * MS)
     packets.flush(50 * MS)
     report = packets.report(50 * MS)
     assert report.drops == {"full": 0, "expired": 0, "signal_lost": 3}
     assert (report.packets, report.octets, report.max_age_ns) == (0, 0, 50 * MS)
     assert not packets.continues(50 * MS)
-    packets.handle_packet(0, b"too old", 60 * MS)
-    packets.handle_packet(0, b"waiting", 100 * MS)
+    put(packets, b"too old", now_ns=60 * MS)
+    put(packets, b"waiting", now_ns=100 * MS)
     packets.flush(120 * MS)
     assert packets.report(120 * MS).drops == {"full": 0, "expired": 1, "signal_lost": 4}
 
 
-def test_a_packet_that_was_begun_ages_from_its_arrival():
+def test_a_packet_that_was_begun_ages_from_its_arrival_to_its_last_octet():
     packets = queue(DropPolicy.DROP_OLDEST)
-    packets.handle_packet(0, b"trickling", 0)
+    put(packets, b"in parts")
+    assert packets.waiting(10 * MS)
+    packets.take(10 * MS)
+    assert packets.continues(35 * MS)
+    packets.finish(35 * MS)
+    assert packets.report(40 * MS).max_age_ns == 35 * MS
+    packets = queue(DropPolicy.DROP_OLDEST)
+    put(packets, b"trickling")
     assert packets.waiting(30 * MS)
     packets.take(30 * MS)
     assert packets.report(45 * MS).oldest_age_ns == 45 * MS
@@ -104,37 +114,24 @@ def test_a_packet_that_was_begun_ages_from_its_arrival():
     assert (report.oldest_age_ns, report.max_age_ns) == (0, 50 * MS)
 
 
-def test_the_largest_age_is_that_of_the_last_octet():
-    packets = queue(DropPolicy.DROP_OLDEST)
-    packets.handle_packet(0, b"in parts", 0)
-    assert packets.waiting(10 * MS)
-    packets.take(10 * MS)
-    assert packets.continues(35 * MS)
-    packets.finish(35 * MS)
-    assert packets.report(40 * MS).max_age_ns == 35 * MS
-
-
 def test_a_packet_that_cannot_end_in_time_is_not_begun():
     """The packet before took 20 ms, so one that is 40 of at most 50 ms old would be dropped."""
     packets = queue(DropPolicy.DROP_OLDEST)
-    for begun_ms in (0, 30):
-        packets.handle_packet(0, bytes(40), begun_ms * MS)
-    packets.handle_packet(0, bytes(20), 30 * MS)
+    put(packets, 40)
+    put(packets, 40, 20, now_ns=30 * MS)
     assert packets.waiting(0)
     packets.take(0)
     packets.finish(20 * MS)
     assert packets.waiting(70 * MS)
     assert len(packets.take(70 * MS)[1]) == 20
     assert packets.report(70 * MS).drops["expired"] == 1
-
-
-def test_a_fresh_packet_is_begun_however_slow_the_level_was():
+    # A fresh one is begun, however slow the level was.
     packets = queue(DropPolicy.DROP_OLDEST)
-    packets.handle_packet(0, bytes(10), 0)
+    put(packets, 10)
     assert packets.waiting(0)
     packets.take(0)
     assert not packets.continues(1000 * MS)
-    packets.handle_packet(0, bytes(100), 1000 * MS)
+    put(packets, 100, now_ns=1000 * MS)
     assert packets.waiting(1025 * MS)
     assert not packets.waiting(1026 * MS)
 
@@ -171,10 +168,8 @@ def test_a_slot_drops_a_limited_number_of_old_packets():
 
 def test_rtcp_goes_before_media_but_not_twice_in_a_row():
     packets = queue(DropPolicy.DROP_OLDEST)
-    for data in (b"media 1", b"media 2"):
-        packets.handle_packet(0, data, 0)
-    for data in (b"rtcp 1", b"rtcp 2", b"rtcp 3", b"rtcp 4"):
-        packets.handle_packet(1, data, 0, rtcp=True)
+    put(packets, b"media 1", b"media 2")
+    put(packets, b"rtcp 1", b"rtcp 2", b"rtcp 3", b"rtcp 4", rtcp=True)
     order = [b"rtcp 1", b"media 1", b"rtcp 2", b"media 2", b"rtcp 3", b"rtcp 4"]
     assert taken(packets) == order
 
@@ -240,3 +235,17 @@ def test_limits_that_cannot_work_are_refused():
     ):
         with pytest.raises(ConfigError):
             queue(DropPolicy.DROP_OLDEST, **wrong)
+
+
+def test_queues_hold_what_the_documents_say():
+    limits = {
+        level: (one.depth_octets, one.max_age_ns, one.policy, one.rate_bps, one.burst_octets)
+        for level, one in DEFAULT_LIMITS.items()
+    }
+    oldest, newest = DropPolicy.DROP_OLDEST, DropPolicy.REJECT_NEWEST
+    assert limits == {
+        Level.TMTC: (8_192, 10 * NS_PER_S, newest, 8_000, 512),
+        Level.VOICE: (4_096, 100 * NS_PER_MS, oldest, None, None),
+        Level.VIDEO: (65_536, 500 * NS_PER_MS, oldest, None, None),
+        Level.MAINTENANCE: (65_536, 60 * NS_PER_S, newest, None, None),
+    }

@@ -5,9 +5,11 @@ from fractions import Fraction
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telepresence.link.bucket import TokenBucket
+from telepresence.link.bucket import Allowance, TokenBucket
 
 MS = 1_000_000
+
+
 BURST = 100
 
 
@@ -40,3 +42,23 @@ def test_what_exceeds_the_burst_needs_a_full_bucket():
     assert not bucket.holds(50, 254 * MS)
     assert bucket.holds(50, 255 * MS)
     assert bucket.holds(101, 305 * MS)
+
+
+def test_an_allowance_says_when_it_holds_so_many():
+    """Four at once, then one every 10 ms, by a count of tokens beside it."""
+    allowance, tokens, now_ms = Allowance(4, 10 * MS), 4.0, 0
+    assert allowance.holds_ns(9, 5 * MS) == 5 * MS
+    for pause_ms, count in ((0, 1), (3, 3), (12, 1), (0, 2), (55, 4), (1, 4), (200, 4), (7, 9)):
+        now_ms += pause_ms
+        tokens = min(4.0, tokens + pause_ms / 10)
+        # What exceeds the burst needs a full bucket.
+        wait_ms = max(0.0, (min(count, 4) - tokens) * 10)
+        due_ns = round((now_ms + wait_ms) * MS)
+        assert allowance.holds_ns(count, now_ms * MS) == due_ns
+        assert allowance.holds(count, now_ms * MS) is (wait_ms == 0.0)
+        assert allowance.holds(count, due_ns) and not (
+            wait_ms and allowance.holds(count, due_ns - 1)
+        )
+        now_ms, tokens = due_ns / MS, tokens + wait_ms / 10
+        allowance.take(count, due_ns)
+        tokens -= count
