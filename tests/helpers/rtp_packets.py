@@ -1,5 +1,9 @@
 """Packets as an RtpReceiver hands them on, and both ends of a stream of pictures."""
 
+import struct
+from dataclasses import asdict
+
+from kontur_av.clock import NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.receiver import RtpReceived, RtpReceiver
 from kontur_av.rtp.sender import RtpSender
@@ -82,6 +86,27 @@ def drain(receiver: RtpReceiver) -> list:
     while (event := receiver.next_event()) is not None:
         events.append(event)
     return events
+
+
+def feed(receiver: RtpReceiver, packets, every_ns=1, since_ns=0, source=None) -> list:
+    """Hand packets to a receiver, one every `every_ns`; return what comes out."""
+    for index, packet in enumerate(packets):
+        receiver.handle_packet(packet, since_ns + index * every_ns, source)
+    return drain(receiver)
+
+
+def counted(receiver: RtpReceiver) -> dict[str, int]:
+    """Return the counts that are not 0, but for octets, without `rtp_` in their names."""
+    figures = asdict(receiver.counts)
+    del figures["rtp_payload_octets"]
+    return {name.removeprefix("rtp_"): count for name, count in figures.items() if count}
+
+
+def report_at(unix_ns: int, timestamp: int) -> bytes:
+    """Return a sender report of the source 1 that dates this timestamp so."""
+    seconds, rest_ns = divmod(unix_ns, NS_PER_S)
+    ntp = (seconds + 2_208_988_800 << 32) + (rest_ns << 32) // NS_PER_S
+    return struct.pack("!BBHIQIII", 0x80, 200, 6, 1, ntp, timestamp, 1, 1)
 
 
 def reported(ssrc=1):

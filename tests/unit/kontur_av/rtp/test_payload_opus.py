@@ -10,29 +10,31 @@ from kontur_av.rtp.payload_opus import SlowClock, holds_copy, is_pause, opus_sam
 FRAMES = (*[480, 960, 1920, 2880] * 3, *[480, 960] * 2, *[120, 240, 480, 960] * 4)
 
 
-@pytest.mark.parametrize(("config", "samples"), list(enumerate(FRAMES)))
-def test_every_configuration_has_its_length(config, samples):
-    for code, frames in ((0, 1), (1, 2), (2, 2)):
-        assert opus_samples(bytes((config << 3 | code, 9))) == frames * samples
-    most = 5760 // samples
-    # The two highest bits of the count mean padding and a variable rate.
-    assert opus_samples(bytes((config << 3 | 3, 0xC0 | most))) == most * samples
-    for count in (0, most + 1):
-        with pytest.raises(ProtocolError, match="120 ms is the most"):
-            opus_samples(bytes((config << 3 | 3, count)))
-
-
-@pytest.mark.parametrize("octets", ["", "03"])
-def test_octets_without_a_length_are_no_opus(octets):
-    with pytest.raises(ProtocolError, match="Opus packet"):
-        opus_samples(bytes.fromhex(octets))
+def test_every_configuration_has_its_length():
+    for config, samples in enumerate(FRAMES):
+        for code, frames in ((0, 1), (1, 2), (2, 2)):
+            assert opus_samples(bytes((config << 3 | code, 9))) == frames * samples
+        most = 5760 // samples
+        # The two highest bits of the count mean padding and a variable rate.
+        assert opus_samples(bytes((config << 3 | 3, 0xC0 | most))) == most * samples
+        for count in (0, most + 1):
+            with pytest.raises(ProtocolError, match="120 ms is the most"):
+                opus_samples(bytes((config << 3 | 3, count)))
+    for octets in (b"", b"\3"):
+        with pytest.raises(ProtocolError, match="Opus packet"):
+            opus_samples(octets)
 
 
 @pytest.mark.parametrize(
     ("octets", "pause", "copy"),
     [
+        # One flag of a pause and one of a copy for each 20 ms, at 20, 10, 40 and 60 ms
+        # (RFC 6716 sections 4.2.3 and 4.2.4).
         ("08 40", True, True),
         ("08 80", False, False),
+        *(("00 c0", False, True), ("00 00", True, False)),
+        *(("10 a0", False, True), ("10 40", False, False), ("10 20", True, True)),
+        *(("18 90", False, True), ("18 20", False, False), ("18 10", True, True)),
         # One frame at a constant rate, with padding: 2 octets, or 254 and 3.
         ("0b 01 c0", False, True),
         ("0b 41 02 40 0000", True, True),
@@ -58,34 +60,28 @@ def test_the_flags_of_a_packet_of_one_frame(octets, pause, copy):
     assert (is_pause(payload), holds_copy(payload)) == (pause, copy)
 
 
-def scales(clock, steps, *, first=0, payload=b"\x08\x80", missing=(), restart=()):
-    """What a clock finds in packets whose timestamps advance by `steps`."""
-    found, timestamp = [], 2**32 - 700
-    for number, step in enumerate(steps, first):
+@pytest.mark.parametrize(
+    ("steps", "changes", "found"),
+    [
+        # RFC 7587 section 4.1: timestamps count 48 kHz. Three steps in a row show a slow clock.
+        *(([5760 // n] * 5, {}, [1, 1, 1, n // 6, 1]) for n in (12, 18, 36)),
+        *(([step] * 8, {}, [1] * 8) for step in (960, 1920, 0, 500, 2**32 - 480)),
+        # In a row, and all the same.
+        ([480] * 9, {"missing": {3, 6}}, [1] * 7),
+        ([480] * 9, {"restart": {3, 6}}, [1] * 9),
+        ([0, 480, 480, 320, 320, 480, 480], {}, [1] * 7),
+        ([0, 480, 480, 960, 480, 480, 480], {}, [1] * 6 + [2]),
+        # A malformed packet is not counted, and interrupts the row.
+        ([480] * 4, {"payload": b""}, [1] * 4),
+    ],
+)
+def test_three_steps_in_a_row_show_a_slow_clock(steps, changes, found):
+    """changes: payload, and the numbers of packets that are missing or follow a restart."""
+    clock, timestamp, scales = SlowClock(), 2**32 - 700, []
+    for number, step in enumerate(steps):
         timestamp = (timestamp + step) & 0xFFFF_FFFF
-        if number not in missing:
+        if number not in changes.get("missing", ()):
+            payload, restart = changes.get("payload", b"\x08\x80"), changes.get("restart", ())
             packet = received(payload, number, timestamp=timestamp, restart=number in restart)
-            found.append(clock.handle_packet(packet))
-    return found
-
-
-@pytest.mark.parametrize(("slow", "step"), [(2, 480), (3, 320), (6, 160)])
-def test_three_steps_in_a_row_show_a_slow_clock(slow, step):
-    # RFC 7587 section 4.1: timestamps count 48 kHz.
-    assert scales(SlowClock(), [step] * 5) == [1, 1, 1, slow, 1]
-
-
-@pytest.mark.parametrize("step", [960, 1920, 0, 500, 2**32 - 480])
-def test_other_steps_are_no_slow_clock(step):
-    assert scales(SlowClock(), [step] * 8) == [1] * 8
-
-
-def test_what_is_not_in_a_row_shows_no_slow_clock():
-    clock = SlowClock()
-    assert scales(clock, [480] * 9, missing={3, 6}) == [1] * 7
-    assert scales(SlowClock(), [480] * 9, restart={3, 6}) == [1] * 9
-    # Nor do steps that differ.
-    assert scales(SlowClock(), [0, 480, 480, 320, 320, 480, 480]) == [1] * 7
-    assert scales(SlowClock(), [0, 480, 480, 960, 480, 480, 480]) == [1] * 6 + [2]
-    # A malformed packet is not counted, and interrupts the row.
-    assert scales(SlowClock(), [480] * 4, payload=b"") == [1] * 4
+            scales.append(clock.handle_packet(packet))
+    assert scales == found
