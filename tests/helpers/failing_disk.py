@@ -1,5 +1,21 @@
 """A disk whose power fails at any octet: what was not safe by then may be lost."""
 
+from random import Random
+
+from telepresence.upkeep.file_store import StoredFile
+
+
+def software(random: Random, edition: str) -> dict[str, StoredFile]:
+    """The files of an edition; some are equal in all, as libraries are."""
+    files = {
+        "run": StoredFile(f"#!/bin/sh\n# {edition}\n".encode(), executable=True),
+        "lib/same.so": StoredFile(bytes(range(200))),
+    }
+    for number in range(random.randint(0, 3)):
+        octets = random.randbytes(random.randint(0, 300))
+        files[f"lib/{random.choice('abc')}{number}"] = StoredFile(octets)
+    return files
+
 
 class PowerFailedError(Exception):
     """Power has failed; `FailingDisk.powered_again` has what is left."""
@@ -15,11 +31,9 @@ class FailingDisk:
     def __init__(self, fuse: int | None = None) -> None:
         self.content: dict[str, tuple[bytes, bool]] = {}
         self.fuse = fuse
-        self.cost = 0
 
     def _burn(self, size: int) -> int:
         """How much of a change of this size is done before power fails."""
-        self.cost += size
         if self.fuse is None:
             return size
         done = min(size, self.fuse)

@@ -6,22 +6,9 @@ import pytest
 
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.board import LIGHTS_M
+from telepresence.tasks import kernel
 from telepresence.tasks.definitions import Pattern, Pursue
-from telepresence.tasks.kernel import (
-    TICK_NS,
-    ChooseCamera,
-    ControlRobot,
-    ElemopBegun,
-    ElemopEnded,
-    MoveRobot,
-    OperationEnded,
-    OtherHand,
-    PowerRobot,
-    Record,
-    ShowPicture,
-    TopKernel,
-    View,
-)
+from telepresence.tasks.kernel import ChooseCamera, ElemopBegun, Record, ShowPicture, View
 from telepresence.tasks.panel_picture import DARK
 from telepresence.tasks.places import curve_points
 from telepresence.tasks.task_files import built_in_tasks
@@ -33,8 +20,9 @@ CATALOGUE = built_in_tasks()
 class Obedient:
     """Does each order at once, and puts the tip where `tip` says."""
 
-    def __init__(self, kernel):
-        self.kernel, self.view, self.now_ns = kernel, View(), 0
+    def __init__(self, operation, **view):
+        self.kernel, self.view, self.now_ns = kernel.TopKernel(), View(**view), 0
+        self.kernel.start(CATALOGUE.operations[operation], 0)
         self.orders, self.events = [], []
         self.deaf_to = ()
         self.tip = lambda elemop, now_ns: None
@@ -45,9 +33,8 @@ class Obedient:
             while (order := self.kernel.poll_transmit(self.now_ns)) is not None:
                 self.orders.append(order)
                 if not isinstance(order, self.deaf_to):
-                    self.obey(order)
-            while (event := self.kernel.next_event()) is not None:
-                self.events.append(event)
+                    self.change(**self.obeyed(order))
+            self.events += iter(self.kernel.next_event, None)
             due_ns = self.kernel.poll_timeout()
             if due_ns is None or due_ns >= until_ns:
                 self.now_ns = until_ns
@@ -55,23 +42,26 @@ class Obedient:
             self.now_ns = due_ns
             place = self.tip(self.kernel.elemop, due_ns)
             if place is not None:
-                self.view = replace(self.view, x_m=place[0], y_m=place[1])
+                self.change(x_m=place[0], y_m=place[1])
             self.kernel.handle_view(self.view, due_ns)
 
-    def obey(self, order):
+    def change(self, **changes):
+        self.view = replace(self.view, **changes)
+
+    def obeyed(self, order):
+        """What an order changes."""
         match order:
-            case PowerRobot(on):
-                self.view = replace(self.view, powered=on)
-            case ControlRobot(mode):
-                self.view = replace(self.view, mode=mode)
-            case MoveRobot(x_m, y_m):
-                self.view = replace(self.view, goal_m=(x_m, y_m), x_m=x_m, y_m=y_m)
+            case kernel.PowerRobot(on):
+                return {"powered": on}
+            case kernel.ControlRobot(mode):
+                return {"mode": mode}
+            case kernel.MoveRobot(x_m, y_m):
+                return {"goal_m": (x_m, y_m), "x_m": x_m, "y_m": y_m}
             case ChooseCamera(name):
-                self.view = replace(self.view, camera=name)
+                return {"camera": name}
             case Record(on):
-                self.view = replace(self.view, recording=on)
-            case ShowPicture():
-                self.view = replace(self.view, shown=True)
+                return {"recording": on}
+        return {"shown": True}
 
     @property
     def begun(self):
@@ -79,7 +69,7 @@ class Obedient:
 
     @property
     def end(self):
-        (end,) = [event for event in self.events if isinstance(event, OperationEnded)]
+        (end,) = [event for event in self.events if isinstance(event, kernel.OperationEnded)]
         return end
 
 
@@ -88,30 +78,22 @@ def aim(elemop, now_ns):
     return None if led is None else LIGHTS_M[led]
 
 
-def started(operation):
-    robot = Obedient(TopKernel())
-    robot.kernel.start(CATALOGUE.operations[operation], 0)
-    return robot
-
-
 @pytest.mark.parametrize("operation", ["startAiming", "execAiming"])
 def test_elemops_run_in_their_order_one_at_a_time(operation):
-    robot = started(operation)
+    robot = Obedient(operation)
     robot.tip = aim
     robot.run()
     names = [elemop.name for elemop in CATALOGUE.operations[operation].elemops]
     assert robot.begun == names
-    pairs = [
-        (type(event), event.elemop, getattr(event, "done", True)) for event in robot.events[:-1]
-    ]
-    assert pairs == [(kind, name, True) for name in names for kind in (ElemopBegun, ElemopEnded)]
+    for event, name in zip(robot.events[:-1], (name for name in names for _ in "ab"), strict=True):
+        assert event.elemop == name and getattr(event, "done", True)
     assert robot.end.result is TaskResult.FINISHED
     assert robot.kernel.poll_timeout() is None
     assert Record(operation == "startAiming") in robot.orders
 
 
 def test_a_place_is_reached_after_it_was_held_for_half_a_second():
-    robot = started("execAiming")
+    robot = Obedient("execAiming")
     away = (LIGHTS_M[7][0] + 0.006, LIGHTS_M[7][1])
     since = []
 
@@ -128,8 +110,8 @@ def test_a_place_is_reached_after_it_was_held_for_half_a_second():
 
 
 def test_a_run_that_takes_too_long_ends_with_the_robot_off_and_the_record_stopped():
-    robot = started("execAiming")
-    robot.view = replace(robot.view, recording=True)
+    robot = Obedient("execAiming")
+    robot.change(recording=True)
     robot.run()
     assert robot.begun[-4:] == ["checkPos7", "powerOff", "darkLeds", "stopLogging"]
     assert robot.end.result is TaskResult.TIMED_OUT and "checkPos7" in robot.end.reason
@@ -151,14 +133,14 @@ def test_whatever_goes_wrong_at_any_elemop_ends_the_run_with_the_robot_off(
     operation, change, result
 ):
     for begun in range(1, len(CATALOGUE.operations[operation].elemops)):
-        robot = started(operation)
+        robot = Obedient(operation)
         robot.tip = aim
         while len(robot.begun) < begun:
             robot.run(0.1)
         if change is None:
             robot.kernel.abort("the experimenter aborts", robot.now_ns)
         else:
-            robot.view = replace(robot.view, **change)
+            robot.change(**change)
         robot.run(1)
         assert robot.end.result is result and robot.end.reason
         assert not robot.view.powered and not robot.view.recording
@@ -167,7 +149,7 @@ def test_whatever_goes_wrong_at_any_elemop_ends_the_run_with_the_robot_off(
 
 
 def test_orders_that_nobody_carries_out_are_repeated_and_end_as_timed_out():
-    robot = started("startAiming")
+    robot = Obedient("startAiming")
     robot.deaf_to = (ChooseCamera,)
     robot.run(30)
     assert robot.orders.count(ChooseCamera("stereo")) == 10
@@ -175,10 +157,10 @@ def test_orders_that_nobody_carries_out_are_repeated_and_end_as_timed_out():
 
 
 def test_a_kernel_that_was_stopped_ends_the_run():
-    robot = started("execAiming")
+    robot = Obedient("execAiming")
     robot.run(2)
-    robot.kernel.handle_view(robot.view, robot.now_ns + 5 * NS_PER_S)
     robot.now_ns += 5 * NS_PER_S
+    robot.kernel.handle_view(robot.view, robot.now_ns)
     robot.run(1)
     assert robot.end.result is TaskResult.ABORTED
 
@@ -187,7 +169,7 @@ def test_a_curve_is_followed_when_nearly_all_of_it_was_visited():
     points = curve_points(CATALOGUE.elemops["followContour"].curve)
     results = []
     for share in (0.9, 1.0):
-        robot = started("execContour")
+        robot = Obedient("execContour")
         way = iter(points[: round(len(points) * share)])
         robot.tip = lambda elemop, now_ns, way=way: (
             next(way, None) if elemop.name == "followContour" else None
@@ -198,61 +180,55 @@ def test_a_curve_is_followed_when_nearly_all_of_it_was_visited():
 
 
 def test_the_spot_moves_at_each_tick():
-    robot = started("execPursuit")
+    robot = Obedient("execPursuit")
     robot.run(60)
     pursue = CATALOGUE.elemops["pursueSpot"]
     assert isinstance(pursue, Pursue)
-    spots = [
-        order.picture.spot_m
-        for order in robot.orders
-        if isinstance(order, ShowPicture) and order.picture.pattern is Pattern.SPOT
-    ]
-    assert len(set(spots)) > pursue.turn_s * NS_PER_S / TICK_NS * 0.9
+    pictures = [order.picture for order in robot.orders if isinstance(order, ShowPicture)]
+    spots = {one.spot_m for one in pictures if one.pattern is Pattern.SPOT}
+    assert len(spots) > pursue.turn_s * NS_PER_S / kernel.TICK_NS * 0.9
     assert robot.end.result is TaskResult.FINISHED
 
 
 def test_a_spring_is_to_be_held_at_its_force():
-    robot = started("execSpring")
-    robot.view = replace(robot.view, push_n=5.0)
+    robot = Obedient("execSpring")
+    robot.change(push_n=5.0)
     robot.run(5)
     assert robot.kernel.elemop is CATALOGUE.elemops["pullSpring"]
-    robot.view = replace(robot.view, push_n=3.2)
+    robot.change(push_n=3.2)
     robot.run(5)
     assert robot.end.result is TaskResult.FINISHED
 
 
 def hand(x_m=0.0, push_n=0.0, holds=False):
-    return OtherHand(x_m=x_m, y_m=0.0, push_n=push_n, holds=holds)
+    return kernel.OtherHand(x_m=x_m, y_m=0.0, push_n=push_n, holds=holds)
 
 
 @pytest.mark.parametrize(
-    ("view", "meets"),
+    ("push_n", "other", "meets"),
     [
-        (View(push_n=2.0, other=hand(0.01, 2.0)), True),
-        (View(push_n=2.0, other=hand(0.01, 0.5)), False),
-        (View(push_n=0.5, other=hand(0.01, 2.0)), False),
-        (View(push_n=2.0, other=hand(0.2, 2.0)), False),
-        (View(push_n=2.0), False),
+        (2.0, hand(0.01, 2.0), True),
+        (2.0, hand(0.01, 0.5), False),
+        (0.5, hand(0.01, 2.0), False),
+        (2.0, hand(0.2, 2.0), False),
+        (2.0, None, False),
     ],
 )
-def test_hands_meet_while_both_are_pushed_near_each_other(view, meets):
-    obedient = Obedient(TopKernel())
-    obedient.view = view
-    obedient.kernel.start(CATALOGUE.operations["execHandshake"], 0)
-    obedient.run(20.0)
-    assert ("darkLeds" in obedient.begun) is meets
+def test_hands_meet_while_both_are_pushed_near_each_other(push_n, other, meets):
+    robot = Obedient("execHandshake", push_n=push_n, other=other)
+    robot.run(20.0)
+    assert ("darkLeds" in robot.begun) is meets
 
 
 def test_the_ball_is_passed_once_the_partners_hand_alone_holds_it():
-    obedient = Obedient(TopKernel())
-    obedient.kernel.start(CATALOGUE.operations["execBall"], 0)
+    robot = Obedient("execBall")
     for holds, other, begun in (
         (False, False, "takeBall"),
         (True, False, "passBall"),
         (True, True, "passBall"),
         (False, True, "powerOff"),
     ):
-        obedient.view = replace(obedient.view, holds=holds, other=hand(holds=other))
-        obedient.run(5.0)
-        assert obedient.begun[-1] == begun
-    assert obedient.end.result is TaskResult.FINISHED
+        robot.change(holds=holds, other=hand(holds=other))
+        robot.run(5.0)
+        assert robot.begun[-1] == begun
+    assert robot.end.result is TaskResult.FINISHED

@@ -30,12 +30,8 @@ def test_the_aiming_operations_are_those_of_the_mission():
     )
     assert task.exec.elemops[4] == Reach(name="checkPos7", led=7, within_mm=5.0, hold_s=0.5)
     assert task.cameras == ("stereo",)
-
-
-def test_the_catalogue_has_the_missions_tasks():
-    assert " ".join(built_in_tasks().tasks) == (
-        "aiming pursuit contour line spring free handshake ball"
-    )
+    tasks = "aiming pursuit contour line spring free handshake ball"
+    assert " ".join(built_in_tasks().tasks) == tasks
 
 
 def test_a_users_file_adds_to_the_catalogue(tmp_path):
@@ -98,16 +94,13 @@ def test_nothing_outside_of_the_file_is_read(tmp_path):
             read_tasks(document.encode())
 
 
-@pytest.mark.parametrize(
-    ("octets", "message"),
-    [
+def test_what_is_no_file_of_tasks_is_refused():
+    for octets, message in (
         (b"", "no well-formed XML"),
         (b"<Tasks>", "no well-formed XML"),
         (b"<Other/>", "the outermost element is <Tasks>"),
         (b"<?xml version='1.0' encoding='none'?><Tasks/>", "unknown encoding"),
         (b" " * (MAX_FILE_OCTETS + 1), "at most"),
-    ],
-)
-def test_what_is_no_file_of_tasks_is_refused(octets, message):
-    with pytest.raises(ConfigError, match=message):
-        read_tasks(octets)
+    ):
+        with pytest.raises(ConfigError, match=message):
+            read_tasks(octets)

@@ -8,14 +8,9 @@ import pytest
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from telepresence.upkeep import inbox as inboxes
 from telepresence.upkeep.file_store import StoredFile
-from telepresence.upkeep.inbox import (
-    MOST_ARCHIVE_OCTETS,
-    REST_NS,
-    FileStamp,
-    UpdateInbox,
-    read_archive,
-)
+from telepresence.upkeep.inbox import REST_NS, UpdateInbox, read_archive
 
 RUN = StoredFile(b"#!/bin/sh\n", executable=True)
 
@@ -56,7 +51,7 @@ def test_an_archive_is_read_plain_and_compressed():
         archive(("a", b""), kind=tarfile.FIFOTYPE),
         archive(*((str(number), b"") for number in range(1001))),
         gzip.compress(bytes(65 << 20), 1),
-        bytes(MOST_ARCHIVE_OCTETS + 1),
+        bytes(inboxes.MOST_ARCHIVE_OCTETS + 1),
     ],
     ids=range(15),
 )
@@ -66,7 +61,7 @@ def test_what_is_no_sound_archive_is_refused(octets):
 
 
 def stamp(written_ns=1, octets=10):
-    return FileStamp(written_ns, 1, octets)
+    return inboxes.FileStamp(written_ns, 1, octets)
 
 
 def test_a_file_is_taken_once_it_has_lain_still_the_oldest_first():
