@@ -1,0 +1,36 @@
+"""Each rule has a test, each option of each command too; the two tables say which."""
+
+import pytest
+from places import ROOT
+
+from tests import tables
+
+
+@pytest.mark.parametrize("path", tables.TABLES, ids=lambda path: path.name)
+def test_a_table_is_current(path):
+    assert path.read_text(encoding="utf-8") == tables.TABLES[path](), "python tests/tables.py"
+
+
+def test_each_rule_has_a_test_and_each_marker_a_rule():
+    assert set(tables.rules()) == set(tables.tests_of_rules())
+
+
+def test_each_command_has_a_test():
+    assert [command for command, files in tables.tests_of_commands().items() if not files] == []
+
+
+def test_each_option_has_a_test():
+    assert [option for option, (_, files) in tables.tests_of_options().items() if not files] == []
+
+
+@pytest.mark.parametrize("package", ["kontur_av", "telepresence", "pipelines", "benchmarks"])
+def test_a_unit_test_lies_where_its_module_lies(package):
+    """tests/unit/pkg/room/test_x.py tests pkg/room/x.py, or the package x."""
+    room = ROOT / "tests" / "unit"
+    tested = {
+        file: ROOT / file.relative_to(room).with_name(file.name.removeprefix("test_"))
+        for file in (room / package).rglob("test_*.py")
+    }
+    assert [
+        str(file) for file, of in tested.items() if not of.exists() or of.with_suffix("").is_dir()
+    ] == []
