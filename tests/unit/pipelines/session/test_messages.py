@@ -26,9 +26,18 @@ from pipelines.session.messages import (
 from telepresence.haptics.device.page import PageInput
 
 SIZES = {0: (32, 16), 1: None}
-PICTURE = struct.pack("<BBHHxxd", 0x83, 0, 32, 16, 5.5) + bytes(32 * 16 * 3 // 2)
-BLOCK = struct.pack("<BBHId", 0x84, 1, 960, 7, 5.5) + bytes(2 * 960)
-HAND = struct.pack("<BBHIffd", 0x82, 1, 3, 9, 0.5, -1.0, 5.5)
+
+
+def picture(index=0, width=32, height=16, octets=32 * 16 * 3 // 2):
+    return struct.pack("<BBHHxxd", 0x83, index, width, height, 5.5) + bytes(octets)
+
+
+def block(index=1, samples=960, page_ms=5.5, octets=2 * 960):
+    return struct.pack("<BBHId", 0x84, index, samples, 7, page_ms) + bytes(octets)
+
+
+def hand(dead_man=1, x=0.5, y=-1.0, page_ms=5.5):
+    return struct.pack("<BBHIffd", 0x82, dead_man, 3, 9, x, y, page_ms)
 
 
 def test_what_pages_are_sent():
@@ -39,64 +48,45 @@ def test_what_pages_are_sent():
         b"\x02\x01\x01\x00\x03\x00\x00\x00\xe8\x03\x00\x00\x00\x00\x00\x00\x01\x02"
     )
     assert pack_pong(1.0, 5) == struct.pack("<B7xdq", 5, 1.0, 5)
-    picture = empty_picture(16, 16)
-    picture[:] = 9
-    assert pack_preview(3, 4, picture) == struct.pack("<BBHHxxq", 4, 3, 16, 16, 4) + b"\t" * 384
-
-
-def test_a_row_of_haptics_has_its_instant_in_microseconds():
+    nines = empty_picture(16, 16)
+    nines[:] = 9
+    assert pack_preview(3, 4, nines) == struct.pack("<BBHHxxq", 4, 3, 16, 16, 4) + b"\t" * 384
     rows = np.array([(1_500, 1, 2, 3, 4, 5, 0x30201, -1, -1)] * 2, ROW)
-    message = pack_haptic(1, rows)
-    assert message[:8] == struct.pack("<BBHI", 3, 1, 2, 0)
-    assert message[8:40] == struct.pack("<d5fI", 1.5, 1, 2, 3, 4, 5, 0x30201)
-    assert len(message) == 8 + 2 * 32
+    row = struct.pack("<d5fI", 1.5, 1, 2, 3, 4, 5, 0x30201)  # its instant in microseconds
+    assert pack_haptic(1, rows) == struct.pack("<BBHI", 3, 1, 2, 0) + 2 * row
 
 
 def test_what_pages_send():
     assert parse_seat_message(struct.pack("<B7xd", 0x81, 2.5), 1) == Ping(2.5)
-    assert parse_seat_message(HAND, 42) == PageInput(True, 0.5, -1.0, 3, 9, 42)
-    assert parse_media_message(PICTURE, SIZES) == OwnPicture(0, 5.5, memoryview(PICTURE)[16:])
-    assert parse_media_message(BLOCK, SIZES) == OwnSound(1, 7, 5.5, memoryview(BLOCK)[16:])
+    assert parse_seat_message(hand(), 42) == PageInput(True, 0.5, -1.0, 3, 9, 42)
+    shown, heard = picture(), block()
+    assert parse_media_message(shown, SIZES) == OwnPicture(0, 5.5, memoryview(shown)[16:])
+    assert parse_media_message(heard, SIZES) == OwnSound(1, 7, 5.5, memoryview(heard)[16:])
     assert most_media_octets({0: (640, 480)}) == 16 + 640 * 480 * 3 // 2
 
 
-@pytest.mark.parametrize(
-    "hand",
-    [
-        HAND[:-1],
-        HAND + b"\0",
-        struct.pack("<BBHIffd", 0x82, 2, 0, 0, 0.0, 0.0, 0.0),
-        struct.pack("<BBHIffd", 0x82, 1, 0, 0, 1.01, 0.0, 0.0),
-        struct.pack("<BBHIffd", 0x82, 1, 0, 0, 0.0, float("nan"), 0.0),
-        struct.pack("<BBHIffd", 0x82, 1, 0, 0, 0.0, 0.0, float("inf")),
-        PICTURE,
-        b"",
-    ],
-)
-def test_no_hand_that_is_out_of_its_range_or_size(hand):
-    with pytest.raises(ProtocolError):
-        parse_seat_message(hand, 0)
+NO_HANDS = [
+    *(hand()[:-1], hand() + b"\0", picture(), b"", hand(dead_man=2)),
+    *(hand(x=1.01), hand(y=float("nan")), hand(page_ms=float("inf"))),
+]
+NO_MEDIA = [
+    *(picture()[:-1], picture() + b"\0", picture()[:15], picture(width=16, height=32)),
+    *(picture(index=1), picture(index=2), block()[:-2], block(index=0), block(samples=480)),
+    *(block(page_ms=float("nan")), hand()),
+]
 
 
+@pytest.mark.rule("10")
 @pytest.mark.parametrize(
-    "data",
+    ("parse", "data"),
     [
-        PICTURE[:-1],
-        PICTURE + b"\0",
-        PICTURE[:15],
-        struct.pack("<BBHHxxd", 0x83, 0, 16, 32, 5.5) + bytes(32 * 16 * 3 // 2),
-        PICTURE[:1] + b"\x01" + PICTURE[2:],
-        PICTURE[:1] + b"\x02" + PICTURE[2:],
-        BLOCK[:-2],
-        BLOCK[:1] + b"\x00" + BLOCK[2:],
-        struct.pack("<BBHId", 0x84, 1, 480, 7, 5.5) + bytes(2 * 960),
-        struct.pack("<BBHId", 0x84, 1, 960, 7, float("nan")) + bytes(2 * 960),
-        HAND,
+        *((lambda data: parse_seat_message(data, 0), data) for data in NO_HANDS),
+        *((lambda data: parse_media_message(data, SIZES), data) for data in NO_MEDIA),
     ],
 )
-def test_no_picture_or_sound_of_another_size_or_input(data):
+def test_what_is_out_of_its_range_size_or_input_is_refused(parse, data):
     with pytest.raises(ProtocolError):
-        parse_media_message(data, SIZES)
+        parse(data)
 
 
 @given(st.binary(max_size=64) | st.builds(bytes.__add__, st.just(b"\x82"), st.binary(max_size=30)))

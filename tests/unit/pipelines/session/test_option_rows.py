@@ -7,7 +7,7 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.cli import CommandParser
-from pipelines.session.options import add_options
+from pipelines.session.option_rows import add_options
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,53 +1,49 @@
-"""Pages listen on the next free ports, and know the names that a browser may ask for."""
+"""Pages listen on the next free ports, know their names, and have a certificate of their own."""
 
 import contextlib
 import socket
+import ssl
+import stat
+from datetime import datetime, timedelta
+from ipaddress import ip_address
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from kontur_av.errors import ConfigError
 from pipelines.session import page_sockets
-from pipelines.session.page_sockets import PageHost, bind_pages, listeners
+from pipelines.session.page_sockets import (
+    PageHost,
+    bind_pages,
+    check_certificate,
+    fingerprint,
+    listeners,
+    make_certificate,
+)
 
 SEATS = ("space", "ground")
 LOOPBACK = PageHost()
 
 
-def taken():
-    """A listening socket, below a port that is likely to be free."""
-    held = socket.create_server(("127.0.0.1", 0))
-    return held, held.getsockname()[1]
-
-
-def close(sockets):
-    for listener in sockets.values():
-        listener.close()
-
-
-def test_a_busy_port_gives_way_to_the_next():
-    with contextlib.closing(taken()[0]) as held:
+def test_a_busy_port_gives_way_to_the_next_until_there_is_none(monkeypatch):
+    with contextlib.ExitStack() as opened:
+        held = opened.enter_context(socket.create_server(("127.0.0.1", 0)))
         port = held.getsockname()[1]
         if port > 65_000:
             pytest.skip("the system gave one of the last ports")
-        sockets = bind_pages(LOOPBACK, port, SEATS)
-        space, ground = (sockets[seat].getsockname()[1] for seat in SEATS)
         # A second session takes ports behind those of the first.
-        others = bind_pages(LOOPBACK, port, SEATS)
-        assert port < space < ground < others["space"].getsockname()[1]
+        found = [port]
+        for _ in range(2):
+            sockets = bind_pages(LOOPBACK, port, SEATS)
+            found += [opened.enter_context(sockets[seat]).getsockname()[1] for seat in SEATS]
+        assert found == sorted(set(found))
         # A browser may connect before the process serves it.
-        socket.create_connection(("127.0.0.1", space)).close()
-        close(sockets)
-        close(others)
-
-
-def test_no_free_port_and_foreign_addresses_are_named(monkeypatch):
-    monkeypatch.setattr(page_sockets, "_MOST_PORTS", 1)
-    held, port = taken()
-    busy = f"TCP ports {port} to {port} are busy"
-    with contextlib.closing(held), pytest.raises(ConfigError, match=busy):
-        bind_pages(LOOPBACK, port, SEATS)
-    with pytest.raises(ConfigError, match="no address of this machine"):
-        bind_pages(PageHost(host="far", address="192.0.2.1"), 8270, SEATS)
+        socket.create_connection(("127.0.0.1", found[1])).close()
+        monkeypatch.setattr(page_sockets, "_MOST_PORTS", 1)
+        with pytest.raises(ConfigError, match=f"TCP ports {port} to {port} are busy"):
+            bind_pages(LOOPBACK, port, SEATS)
 
 
 def test_both_pages_have_the_same_two_tokens():
@@ -64,29 +60,87 @@ def test_both_pages_have_the_same_two_tokens():
     assert {*space.role_tokens} == {"cosmonaut"} and space.ports == ground.ports
     again = listeners(sockets, LOOPBACK, None)
     assert again["space"].operator_token != space.operator_token
-    close(sockets)
+    for listener in sockets.values():
+        listener.close()
 
 
 def test_a_browser_may_ask_only_for_names_of_the_bound_address():
     assert LOOPBACK.names() == ("127.0.0.1", "localhost")
-    assert PageHost(host="Lab.Example", address="192.0.2.7").names() == ("lab.example", "192.0.2.7")
-    assert (
-        PageHost(host="bücher.example", address="192.0.2.7").names()[0] == "xn--bcher-kva.example"
-    )
-    own_name = PageHost(host="lab", address="127.0.1.1")
-    assert own_name.names() == ("127.0.1.1", "lab", "localhost")
-    assert PageHost(host="::1", address="::1").names() == ("::1", "localhost")
+    for host, address, names in (
+        ("Lab.Example", "192.0.2.7", ("lab.example", "192.0.2.7")),
+        ("bücher.example", "192.0.2.7", ("xn--bcher-kva.example", "192.0.2.7")),
+        ("lab", "127.0.1.1", ("127.0.1.1", "lab", "localhost")),
+        ("::1", "::1", ("::1", "localhost")),
+    ):
+        assert PageHost(host=host, address=address).names() == names
     every = PageHost(host="0.0.0.0", address="0.0.0.0").names()
     assert {"127.0.0.1", "localhost", socket.gethostname().lower()} <= set(every)
     assert "0.0.0.0" not in every
 
 
 def test_only_loopback_needs_no_tls():
-    hosts = {
-        "127.0.0.1": True,
-        "127.3.2.1": True,
-        "::1": True,
-        "0.0.0.0": False,
-        "192.0.2.7": False,
-    }
-    assert {at: PageHost(host=at, address=at).is_loopback for at in hosts} == hosts
+    places = ("127.0.0.1", "127.3.2.1", "::1", "0.0.0.0", "192.0.2.7")
+    found = [PageHost(host=at, address=at).is_loopback for at in places]
+    assert found == [True, True, True, False, False]
+
+
+@pytest.fixture
+def made(tmp_path):
+    path = tmp_path / "page.pem"
+    make_certificate(path, ["192.0.2.7", "lab.example", "2001:db8::1"])
+    return path
+
+
+def test_a_made_certificate_is_valid_for_its_names_and_its_owners_alone(made):
+    check_certificate(made)
+    assert stat.S_IMODE(made.stat().st_mode) == 0o600
+    read = x509.load_pem_x509_certificate(made.read_bytes())
+    names = read.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert names.get_values_for_type(x509.DNSName) == ["lab.example"]
+    addresses = [ip_address("192.0.2.7"), ip_address("2001:db8::1")]
+    assert names.get_values_for_type(x509.IPAddress) == addresses
+    assert isinstance(read.public_key().curve, ec.SECP256R1)
+    shown = ssl.PEM_cert_to_DER_cert(made.read_text().partition("-----BEGIN PRIVATE")[0])
+    digest = hashes.Hash(hashes.SHA256())
+    digest.update(shown)
+    assert fingerprint(made).replace(":", "") == digest.finalize().hex().upper()
+    with pytest.raises(FileExistsError):
+        make_certificate(made, ["localhost"])
+
+
+def test_what_is_no_certificate_with_its_key_is_refused(made, tmp_path):
+    def parts(path):
+        """The PEM texts of certificate and key."""
+        text = path.read_text()
+        begin = text.index("-----BEGIN PRIVATE")
+        return text[:begin], text[begin:]
+
+    make_certificate(tmp_path / "other.pem", ["localhost"])
+    (certificate, key), (_, other) = parts(made), parts(tmp_path / "other.pem")
+    locked = key.replace("PRIVATE KEY", "ENCRYPTED PRIVATE KEY")
+    wrong = tmp_path / "wrong.pem"
+    for text, says in (
+        ("no PEM at all", "no certificate in PEM form"),
+        (key, "no certificate in PEM form"),
+        (certificate, "no private key"),
+        (certificate + other, "does not belong"),
+        (certificate + locked, "a key with a password"),
+    ):
+        wrong.write_text(text)
+        with pytest.raises(ConfigError, match=f"--page-cert .*wrong.pem.*{says}"):
+            check_certificate(wrong)
+
+
+@pytest.mark.parametrize(("days", "says"), [(400, "expired on"), (-9, "only from"), (300, None)])
+def test_a_certificate_out_of_its_time_is_refused(made, monkeypatch, days, says):
+    class Clock(datetime):
+        @classmethod
+        def now(cls, zone):
+            return datetime.now(zone) + timedelta(days=days)
+
+    monkeypatch.setattr(page_sockets, "datetime", Clock)
+    if says is None:
+        check_certificate(made)
+        return
+    with pytest.raises(ConfigError, match=says):
+        check_certificate(made)

@@ -3,6 +3,7 @@
 import json
 import stat
 import webbrowser
+from contextlib import contextmanager
 
 import pytest
 
@@ -12,8 +13,11 @@ from pipelines.session import served_pages
 from pipelines.session.served_pages import announced_pages, bound_pages, parse_page
 
 
-def options(*words):
-    return make_parser("stream").parse_args(["stream", "--setup", "taskboard", *words])
+@contextmanager
+def announced(*words, quiet=False):
+    args = make_parser("stream").parse_args(["stream", "--setup", "taskboard", *words])
+    with announced_pages(bound_pages(args), "taskboard-1", quiet=quiet) as pages:
+        yield pages
 
 
 @pytest.fixture
@@ -27,57 +31,39 @@ def test_an_address_has_a_host_or_only_a_port():
     assert parse_page(None)[0].is_loopback
     host, port = parse_page("[::1]:9000")
     assert (host.host, host.address, port) == ("::1", "::1", 9000)
-    for wrong in (
-        "",
-        ":8270",
-        "1.2.3.4:",
-        "127.0.0.1:0",
-        "8270:127.0.0.1",
-        "-1",
-        "127.0.0.1:99999",
-    ):
+    for wrong in ("", ":8270", "1.2.3.4:", "127.0.0.1:0", "8270:127.0.0.1", "-1", "[::1]:99999"):
         with pytest.raises(ConfigError, match="--page"):
             parse_page(wrong)
 
 
 def test_one_address_is_printed_and_all_are_kept_for_the_user_alone(capsys, root):
-    wish = bound_pages(options())
-    with announced_pages(wish, "taskboard-1", quiet=False) as pages:
+    with announced() as pages:
         kept = json.loads((root / "pages.json").read_text())
         assert stat.S_IMODE((root / "pages.json").stat().st_mode) == 0o600
-        assert kept["pages"] == pages["page_space"].url("")
-        assert kept["space"] == pages["page_space"].url("space")
-        assert kept["ground"] == pages["page_ground"].url("ground")
-        assert kept["k2sv"] == pages["page_ground"].url("k2sv", role="supervisor")
-    printed = capsys.readouterr().out.splitlines()
+        space, ground = pages["page_space"], pages["page_ground"]
+        assert kept["pages"] == space.url("")
+        assert (kept["space"], kept["ground"]) == (space.url("space"), ground.url("ground"))
+        assert kept["k2sv"] == ground.url("k2sv", role="supervisor")
     watch = kept["pages"].partition("token=")[0] + f"token={kept['viewer_token']}"
-    assert printed == [f"pages: {kept['pages']}", f"to watch only: {watch}"]
+    printed = [f"pages: {kept['pages']}", f"to watch only: {watch}"]
+    assert capsys.readouterr().out.splitlines() == printed
     assert all(page.socket.fileno() == -1 for page in pages.values())
-
-
-def test_quiet_keeps_the_addresses_without_a_word(capsys, root):
-    with announced_pages(bound_pages(options("-q")), "taskboard-1", quiet=True):
+    with announced("-q", quiet=True):
         assert (root / "pages.json").exists()
     assert capsys.readouterr() == ("", "")
 
 
 def test_beyond_loopback_a_certificate_is_made_and_its_fingerprint_shown(capsys, root):
-    wish = bound_pages(options("--page", "0.0.0.0:8270"))
-    with announced_pages(wish, "taskboard-1", quiet=False) as pages:
+    with announced("--page", "0.0.0.0:8270") as pages:
         assert pages["page_space"].url("space").startswith("https://")
         assert pages["page_space"].certificate == root / "page.pem"
     assert "SHA-256 " in capsys.readouterr().out
 
 
 def test_without_pages_nothing_is_bound_or_said(capsys, root):
-    with announced_pages(bound_pages(options("--no-page")), "taskboard-1", quiet=False) as pages:
+    with announced("--no-page") as pages:
         assert not pages
     assert capsys.readouterr().out == "" and list(root.iterdir()) == []
-
-
-def test_a_hand_on_the_page_needs_the_page():
-    with pytest.raises(ConfigError, match="--joystick page needs the pages"):
-        bound_pages(options("--no-page", "--joystick", "page"))
 
 
 def test_without_a_browser_there_is_one_line(capsys, monkeypatch, root):
@@ -85,17 +71,18 @@ def test_without_a_browser_there_is_one_line(capsys, monkeypatch, root):
         raise webbrowser.Error
 
     monkeypatch.setattr(webbrowser, "get", none)
-    with announced_pages(bound_pages(options("--open", "-q")), "taskboard-1", quiet=True):
+    with announced("--open", "-q", quiet=True):
         pass
     (line,) = capsys.readouterr().err.splitlines()
     assert "no browser" in line
 
 
+@pytest.mark.rule("10")
 def test_no_token_is_an_argument_of_the_browser(monkeypatch, root):
     started = []
     monkeypatch.setattr(webbrowser, "get", lambda: None)
     monkeypatch.setattr(served_pages.subprocess, "Popen", lambda words, **_: started.append(words))
-    with announced_pages(bound_pages(options("--open", "-q")), "taskboard-1", quiet=True) as pages:
+    with announced("--open", "-q", quiet=True) as pages:
         token = pages["page_space"].operator_token
     assert len(started) == 1 and token not in str(started)
     leads = root / "open.html"

@@ -10,10 +10,8 @@ from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 
-PATIENCE_S = 20
 
-
-def run(begin, ticks=3):
+def run(begin=lambda serving: None, ticks=3):
     """Run until that many ticks were handled; `begin` is given the loop. Return the ticks."""
 
     async def serve():
@@ -26,24 +24,27 @@ def run(begin, ticks=3):
 
         serving = ServingLoop(context, handle)
         begin(serving)
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(20):
             await serving.run()
         return instants
 
     return asyncio.run(serve())
 
 
-async def fail(error):
-    raise error
+def failing(error):
+    def fail():
+        raise error
+
+    async def fail_later():
+        raise error
+
+    return {
+        "task": lambda serving: serving.begin(fail_later()),
+        "callback": lambda serving: serving.loop.call_soon(fail),
+    }
 
 
-def test_it_ticks_until_the_process_shall_stop():
-    instants = run(lambda serving: None)
-    assert instants == sorted(instants)
-    assert len(instants) == 3
-
-
-def test_a_task_that_does_not_end_is_cancelled_in_the_end():
+def test_it_ticks_until_the_process_shall_stop_and_then_cancels_its_tasks():
     ended = []
 
     async def wait():
@@ -52,23 +53,17 @@ def test_a_task_that_does_not_end_is_cancelled_in_the_end():
         finally:
             ended.append(True)
 
-    run(lambda serving: serving.begin(wait()))
+    instants = run(lambda serving: serving.begin(wait()))
+    assert len(instants) == 3 and instants == sorted(instants)
     assert ended == [True]
 
 
-def test_a_mistake_of_a_task_or_of_a_callback_ends_it():
-    with pytest.raises(ValueError, match="a task"):
-        run(lambda serving: serving.begin(fail(ValueError("a task"))), ticks=100)
-
-    def call():
-        raise ValueError("a callback")
-
-    with pytest.raises(ValueError, match="a callback"):
-        run(lambda serving: serving.loop.call_soon(call), ticks=100)
+@pytest.mark.rule("7")
+@pytest.mark.parametrize("where", ["task", "callback"])
+def test_a_mistake_of_its_own_ends_it(where):
+    with pytest.raises(ValueError, match="a bug"):
+        run(failing(ValueError("a bug"))[where], ticks=100)
 
 
 def test_no_fault_of_a_peer_or_its_network_ends_it():
-    def call():
-        raise ConnectionResetError
-
-    assert len(run(lambda serving: serving.loop.call_soon(call))) == 3
+    assert len(run(failing(ConnectionResetError())["callback"])) == 3

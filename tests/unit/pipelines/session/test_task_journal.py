@@ -17,18 +17,21 @@ def begin(journal, run):
         journal.handle_event(Logged(run * 100, run, "line", step), LINK)
 
 
-def end(journal, run):
-    over = TaskRun(
+def end(journal, run, result=TaskResult.FINISHED):
+    ended = TaskRun(
         task="line",
         run=run,
-        result=TaskResult.FINISHED,
+        result=result,
         reason="",
         selected_ns=run * 100,
         started_ns=run * 100,
         ended_ns=run * 100 + 50,
     )
-    journal.handle_event(over, LINK)
-    journal.handle_event(Logged(run * 100 + 60, run, "line", RunStep.SEEN), LINK)
+    journal.handle_event(ended, LINK)
+
+
+def told_of(journal):
+    return TaskFigures(runs={row.run: row for row in journal.newest(KEPT)})
 
 
 def test_a_row_has_the_step_that_comes_after_its_end():
@@ -36,47 +39,29 @@ def test_a_row_has_the_step_that_comes_after_its_end():
     begin(journal, 1)
     assert [row.result for row in journal.report()] == [OPEN]
     end(journal, 1)
+    journal.handle_event(Logged(160, 1, "line", RunStep.SEEN), LINK)
     (row,) = journal.report()
     assert [one.step for one in row.steps] == [step.value for step in RunStep]
     assert TaskJournal(journal.closed).report() == [row]
 
 
-def told_of(journal):
-    return TaskFigures(runs={row.run: row for row in journal.newest(KEPT)})
-
-
 def test_what_is_told_and_kept_does_not_grow_and_the_collector_has_all():
-    journal, told, sizes = TaskJournal(), None, []
+    journal, told, sizes = TaskJournal(), TaskFigures(runs={}), []
     for run in range(1, 200):
         begin(journal, run)
         if run % 3:
-            gauges = told_of(journal)
-            told = gauges if told is None else over(gauges, told)
+            told = over(told_of(journal), told)
         end(journal, run)
-        gauges = told_of(journal)
-        told = gauges if told is None else over(gauges, told)
-        sizes.append(len(pickle.dumps(gauges)))
+        told = over(told_of(journal), told)
+        sizes.append(len(pickle.dumps(told_of(journal))))
     assert [row.run for row in told.runs.values()] == list(range(1, 200))
     assert {row.result for row in told.runs.values()} == {"finished"}
     assert len(journal.closed) == KEPT and max(sizes) < 60_000
 
 
 def test_a_run_that_a_killed_process_did_keeps_the_steps_that_were_told():
-    before = TaskJournal()
+    before, after = TaskJournal(), TaskJournal()
     begin(before, 1)
-    told = told_of(before)
-    after = TaskJournal()
-    after.handle_event(
-        TaskRun(
-            task="line",
-            run=1,
-            result=TaskResult.ABORTED,
-            reason="killed",
-            selected_ns=100,
-            started_ns=None,
-            ended_ns=200,
-        ),
-        LINK,
-    )
-    (row,) = plus(told, told_of(after)).runs.values()
+    end(after, 1, TaskResult.ABORTED)
+    (row,) = plus(told_of(before), told_of(after)).runs.values()
     assert row.result == "aborted" and len(row.steps) == len(RunStep) - 1

@@ -13,20 +13,14 @@ from pipelines.session.training import Exercises, Trainer, TrainerReach
 S = NS_PER_S
 
 
-@pytest.fixture
-def probe():
-    return Probe()
+def trainer_of(probe=None, *, here=True, cameras=("iss_camera", "head")):
+    reach = TrainerReach(radio=here, joystick=here, robot=here, tasks=here, cameras=cameras)
+    return Trainer(probe or Probe(), reach)
 
 
-@pytest.fixture
-def trainer(probe):
-    cameras = ("iss_camera", "head")
-    reach = TrainerReach(radio=True, joystick=True, robot=True, tasks=True, cameras=cameras)
-    return Trainer(probe, reach)
-
-
-def ask(trainer, now_ns=0, **request):
+def ask(trainer, exercise, seconds=1, now_ns=0, **more):
     """The answer to a request of a new terminal."""
+    request = {"exercise": exercise, "seconds": seconds} | more
     trainer.desk.handle_terminal(1)
     trainer.desk.handle_octets(1, json.dumps(request).encode() + b"\n", now_ns)
     reply = trainer.desk.next_event()
@@ -35,22 +29,23 @@ def ask(trainer, now_ns=0, **request):
     return json.loads(reply.octets) if reply.octets else None
 
 
-def test_each_exercise_lasts_until_its_own_end_and_all_can_be_ended(trainer, probe):
-    assert ask(trainer, 5 * S, exercise="los", seconds=20)["text"] == "no signal for 20 s"
-    assert ask(trainer, 6 * S, exercise="joystick-error", seconds=2.5)["ok"]
-    assert ask(trainer, 6 * S, exercise="robot-fault", seconds=4)["text"] == "robot fault for 4 s"
-    assert ask(trainer, 6 * S, exercise="task-failed", seconds=1)["text"] == "tasks fail for 1 s"
+def test_each_exercise_lasts_until_its_own_end_and_all_can_be_ended():
+    probe = Probe()
+    trainer = trainer_of(probe)
+    assert ask(trainer, "los", 20, 5 * S)["text"] == "no signal for 20 s"
+    assert ask(trainer, "joystick-error", 2.5, 6 * S)["ok"]
+    assert ask(trainer, "robot-fault", 4, 6 * S)["text"] == "robot fault for 4 s"
+    assert ask(trainer, "task-failed", 1, 6 * S)["text"] == "tasks fail for 1 s"
     for camera in ("head", "iss_camera"):
-        assert ask(trainer, 7 * S, exercise="camera-lost", seconds=3, camera=camera)["ok"]
-    exercises = Exercises.unpack(trainer.exercises.pack())
-    assert exercises == Exercises(
+        assert ask(trainer, "camera-lost", 3, 7 * S, camera=camera)["ok"]
+    assert Exercises.unpack(trainer.exercises.pack()) == Exercises(
         los_ns=25 * S,
         joystick_ns=round(8.5 * S),
         robot_ns=10 * S,
         tasks_ns=7 * S,
         cameras_ns={"head": 10 * S, "iss_camera": 10 * S},
     )
-    assert ask(trainer, 9 * S, exercise="end")["ok"]
+    assert ask(trainer, "end", now_ns=9 * S)["ok"]
     assert trainer.exercises == Exercises()
     trainer.tell()
     gauges = probe.message.figures[TrainerFigures, ""]
@@ -60,48 +55,49 @@ def test_each_exercise_lasts_until_its_own_end_and_all_can_be_ended(trainer, pro
 @pytest.mark.parametrize(
     ("request_", "says"),
     [
-        ({"exercise": "fire", "seconds": 1}, "no exercise fire: take los, joystick-error"),
+        ({"exercise": "fire"}, "no exercise fire: take los, joystick-error"),
         ({"exercise": "los", "seconds": 0}, "0 s: take more than 0"),
         ({"exercise": "los", "seconds": -1}, "-1 s: take more than 0"),
         ({"exercise": "los", "seconds": 1e9}, "at most 3600"),
-        ({"exercise": "camera-lost", "seconds": 1, "camera": "left"}, "here are iss_camera, head"),
+        ({"exercise": "camera-lost", "camera": "left"}, "here are iss_camera, head"),
     ],
 )
-def test_what_cannot_be_is_refused_and_changes_nothing(trainer, request_, says):
+def test_what_cannot_be_is_refused_and_changes_nothing(request_, says):
+    trainer = trainer_of()
     before = trainer.exercises
     answer = ask(trainer, **request_)
     assert says in answer["text"]
-    assert answer["mistake"]
-    assert not answer["ok"]
+    assert answer["mistake"] and not answer["ok"]
     assert trainer.exercises is before
 
 
-def test_what_is_at_the_other_end_is_asked_for_there(probe):
-    reach = TrainerReach(radio=False, joystick=False, robot=False, cameras=("head",))
-    ground = Trainer(probe, reach)
-    assert "at the ground's end" in ask(ground, exercise="task-failed", seconds=1)["text"]
+def test_what_is_at_the_other_end_is_asked_for_there():
+    ground = trainer_of(here=False, cameras=("head",))
+    assert "at the ground's end" in ask(ground, "task-failed")["text"]
     for exercise in ("los", "joystick-error", "robot-fault"):
-        assert "ask there" in ask(ground, exercise=exercise, seconds=1)["text"]
-    assert ask(ground, exercise="camera-lost", seconds=1, camera="head")["ok"]
+        assert "ask there" in ask(ground, exercise)["text"]
+    assert ask(ground, "camera-lost", camera="head")["ok"]
 
 
-def test_what_lasts_is_published_again_for_a_process_that_began_since(trainer):
+def test_what_lasts_is_published_again_for_a_process_that_began_since():
+    trainer = trainer_of()
     trainer.poll_exercises(0)
-    ask(trainer, exercise="robot-fault", seconds=20)
+    ask(trainer, "robot-fault", 20)
     told = trainer.poll_exercises(1)
     assert told.robot_ns > 0
-    asked_ns = range(1, 3 * NS_PER_S, NS_PER_S // 10)
+    asked_ns = range(1, 3 * S, S // 10)
     again = [now_ns for now_ns in asked_ns if trainer.poll_exercises(now_ns) == told]
-    assert again == [1 + NS_PER_S, 1 + 2 * NS_PER_S]
+    assert again == [1 + S, 1 + 2 * S]
 
 
 @pytest.mark.parametrize("line", [b"\n", b"[[[[\n", b'{"exercise": 7}\n', b"x" * 9000, b""])
-def test_garbage_closes_the_connection(trainer, line):
-    trainer.desk.handle_terminal(1)
-    trainer.desk.handle_octets(1, line, 0)
-    assert trainer.desk.next_event() == (1, b"", True)
-    assert trainer.desk.asking == []
+def test_garbage_and_too_many_terminals_close_the_connection(line):
+    desk = trainer_of().desk
+    desk.handle_terminal(1)
+    desk.handle_octets(1, line, 0)
+    assert desk.next_event() == (1, b"", True)
+    assert desk.asking == []
     for terminal in range(MOST_TERMINALS):
-        trainer.desk.handle_terminal(terminal)
-    trainer.desk.handle_terminal(99)
-    assert trainer.desk.next_event() == (99, b"", True)
+        desk.handle_terminal(terminal)
+    desk.handle_terminal(99)
+    assert desk.next_event() == (99, b"", True)

@@ -3,10 +3,18 @@
 import re
 
 import pytest
+from places import ROOT
 
 from pipelines.cli import main
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology.tables import dot, processes_table, streams_table, topics_table
+from pipelines.session.topology.tables import (
+    dot,
+    ports_table,
+    processes_table,
+    streams_table,
+    topics_table,
+)
 from pipelines.table import topology_of
 
 SESSION = topology_of(BUILT_IN["spacejustin"], snapshots=True, pages=True)
@@ -73,6 +81,33 @@ def test_the_command_prints_tables_or_a_graph(capsys, monkeypatch):
     assert "uplink_video_send" in told and "robot/state" in told and "downlink_voice" not in told
     assert main(["topology", "--setup", "taskboard", "--dot", "--base-port", "28000"]) == 0
     assert capsys.readouterr().out.startswith("digraph")
-    assert main(["topology"]) == 2
-    assert main(["topology", "--setup", "nothing"]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 2
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_channel_of_a_setup_has_a_line_with_its_documented_ports(name):
+    session = topology_of(BUILT_IN[name])
+    table = ports_table(session, list(Segment), "127.0.0.1", "127.0.0.1")
+    rows = {row[0]: row[1:3] for row in table.rows}
+    known = [(row.name, row.entry_port, row.exit_port) for row in session.streams]
+    for stream, *ports in known:
+        assert rows[stream] == tuple(f"127.0.0.1:{port}" for port in ports)
+    text = (ROOT / "docs" / "gateways.md").read_text(encoding="utf-8")
+    written = [line.split("|") for line in text.splitlines() if line.startswith("| `")]
+    column = {"spacejustin": 6, "taskboard": 7}[name]
+    documented = [
+        (row[1].strip(" `"), int(row[3]), int(row[4])) for row in written if row[column].strip()
+    ]
+    assert documented == known
+
+
+def test_one_end_shows_and_binds_its_own_ports_only():
+    lines = ports_table(SESSION, [Segment.GROUND], "198.51.100.1", "198.51.100.2").lines(200)
+    video = next(line for line in lines if line.startswith("uplink_video "))
+    assert "198.51.100.1:27010" in video and "the other end" in video
+    down = next(line for line in lines if line.startswith("downlink_video "))
+    assert "198.51.100.2:27020" in down
+    both = [set(SESSION.ports_of(SESSION.gateway(end).name)) for end in Segment]
+    assert both[0] & both[1] == set()
+    for end, bound in zip(Segment, both, strict=True):
+        shown = {row.entry_port for row in SESSION.streams if row.direction.sender is end}
+        assert len(bound - shown) == 1  # the radio's

@@ -13,7 +13,13 @@ PICTURES = ("uplink_video", "downlink_video")
 CAPTURES = {row.process for row in SESSION.inputs}
 
 
-def replay(*, recoded=()) -> Topology:
+@pytest.fixture(params=[(), PICTURES], ids=["as-recorded", "recoded"])
+def recoded(request):
+    return request.param
+
+
+@pytest.fixture
+def table(recoded):
     senders = {row.sender for row in SESSION.media_streams if row.name not in recoded}
     scripts = dict.fromkeys(senders | {"robot", "joystick", "console", "selector"}, SCRIPT)
     return replay_topology(
@@ -21,9 +27,7 @@ def replay(*, recoded=()) -> Topology:
     )
 
 
-@pytest.mark.parametrize("recoded", [(), PICTURES])
-def test_every_topic_has_a_writer_and_the_readers_that_read_it(recoded):
-    table = replay(recoded=recoded)
+def test_every_topic_has_a_writer_and_the_readers_that_read_it(table):
     for topic in table.topics:
         assert topic.name in table.process(topic.writer).writes
         readers = [row.name for row in table.processes if topic.name in table.reads(row.name)]
@@ -33,31 +37,27 @@ def test_every_topic_has_a_writer_and_the_readers_that_read_it(recoded):
     for row in table.processes:
         for look in (Topology.ports_of, Topology.sends, Topology.receives):
             assert look(table, row.name) == look(SESSION, row.name)
-
-
-def test_nothing_is_captured_and_scripts_replace_what_sends():
-    table = replay()
-    names = {row.name for row in table.processes}
-    assert names == {row.name for row in SESSION.processes} - CAPTURES - {"stereo"}
-    for name in PICTURES:
-        sender = table.process(table.media(name).sender)
-        assert (sender.run, sender.arguments) == SCRIPT
-        assert sender.reads == (SESSION.video(name).backlog_topic,)
-        assert sender.writes == (SESSION.video(name).sent_topic,)
-    assert table.process("robot").writes == ()
     for link in table.links:
-        gateway = table.process(link.sender)
-        before = SESSION.process(link.sender)
+        gateway, before = table.process(link.sender), SESSION.process(link.sender)
         assert gateway.run == before.run
         assert gateway.arguments == {**before.arguments, "radio_after_ns": 2_000_000}
 
 
-def test_recoded_pictures_come_from_one_camera_and_are_coded_by_the_stream_s_own_sender():
-    table = replay(recoded=PICTURES)
+def test_scripts_replace_what_sends_and_recoded_pictures_are_coded_by_the_streams_own_sender(
+    table, recoded
+):
     cameras = {row.name for row in table.processes} & CAPTURES
-    assert cameras == {SESSION.input("left").process, SESSION.input("iss_camera").process}
+    kept = {SESSION.input(name).process for name in ("left", "iss_camera")} if recoded else set()
+    assert cameras == kept
+    names = {row.name for row in table.processes}
+    assert names - kept == {row.name for row in SESSION.processes} - CAPTURES - {"stereo"}
+    assert table.process("robot").writes == ()
     for name in PICTURES:
         media, sender = SESSION.video(name), table.process(table.media(name).sender)
+        if not recoded:
+            assert (sender.run, sender.arguments) == SCRIPT
+            assert (sender.reads, sender.writes) == ((media.backlog_topic,), (media.sent_topic,))
+            continue
         topic = SESSION.input(media.inputs[0]).topic
         assert sender.run == SESSION.process(SESSION.media("downlink_video").sender).run
         assert sender.arguments == {"stream": media.stream, "topic": topic}

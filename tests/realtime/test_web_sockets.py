@@ -1,18 +1,88 @@
-"""A web socket is written as fast as its page reads, and closed after garbage or a long stall."""
+"""A site serves those who have a token; a web socket is written as fast as its page reads."""
 
 import asyncio
+import socket
 from contextlib import asynccontextmanager
 
 import aiohttp
+import pytest
 from aiohttp import web
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.seats.seat_sockets import SeatSockets
 from pipelines.session.access import AccessError
+from pipelines.session.page_sockets import PageListener
+from pipelines.session.web_site import WebSite
 
 PATIENCE_S = 20
 GARBAGE = b"garbage"
+
+
+def asked(*paths, host=None, words=None):
+    """Status, header fields and text of each answer, and what was counted."""
+
+    async def run():
+        bound = socket.create_server(("127.0.0.1", 0))
+        listener = PageListener(
+            socket=bound,
+            scheme="http",
+            host="127.0.0.1",
+            port=bound.getsockname()[1],
+            operator_token="operator",
+            viewer_token="viewer",
+        )
+        site = WebSite(listener, seat="space", others=["panel"])
+
+        async def handle(request, found):
+            return site.file(request, found, words or {})
+
+        async def close():
+            pass
+
+        fields = {} if host is None else {"Host": host}
+        found = []
+        async with (
+            asyncio.timeout(PATIENCE_S),
+            site.served("test", handle, close),
+            aiohttp.ClientSession() as client,
+        ):
+            for path in paths:
+                url = f"http://127.0.0.1:{listener.port}{path}"
+                async with client.get(url, headers=fields) as answer:
+                    found.append((answer.status, dict(answer.headers), await answer.text()))
+        return found, site.refused
+
+    return asyncio.run(run())
+
+
+def test_a_page_names_its_files_by_its_own_token_and_they_are_served():
+    found, refused = asked("/space?token=viewer", "/viewer/static/space.css", words={"<body": "<B"})
+    (status, fields, page), (css_status, css_fields, _) = found
+    assert (status, css_status, refused) == (200, 200, {})
+    for part in ('<base href="/viewer/static/" />', "<B", '<dialog id="keys"'):
+        assert part in page
+    assert page.startswith("<!doctype html>")
+    assert "__BASE__" not in page and "#include" not in page
+    assert fields["Content-Type"] == "text/html; charset=utf-8"
+    assert css_fields["Content-Type"] == "text/css; charset=utf-8"
+    assert "default-src 'none'" in fields["Content-Security-Policy"]
+
+
+@pytest.mark.parametrize(
+    ("paths", "host", "status", "counted"),
+    [
+        (["/space", "/space?token=x", "/x/static/space.css"], None, 403, {"token": 3}),
+        (["/space?token=viewer"], "elsewhere.example", 403, {"host": 1}),
+        ([f"/viewer/{name}" for name in ("static/none.js", "static/a.json", "ws2")], None, 404, {}),
+    ],
+)
+def test_strangers_are_refused_and_counted_and_what_is_no_file_is_not_found(
+    paths, host, status, counted
+):
+    found, refused = asked(*paths, host=host)
+    assert [each for each, _, _ in found] == [status] * len(paths)
+    assert refused == counted
 
 
 class Server:
@@ -50,13 +120,9 @@ async def serving(message=None):
     server = Server(message)
     runner = web.ServerRunner(web.Server(server.handle), shutdown_timeout=0.1)
     await runner.setup()
-    site = web.TCPSite(runner, "127.0.0.1", 0)
-    await site.start()
+    await web.TCPSite(runner, "127.0.0.1", 0).start()
     try:
-        async with (
-            aiohttp.ClientSession() as client,
-            asyncio.timeout(PATIENCE_S),
-        ):
+        async with aiohttp.ClientSession() as client, asyncio.timeout(PATIENCE_S):
             yield server, client, f"http://127.0.0.1:{runner.addresses[0][1]}/"
     finally:
         await runner.cleanup()
@@ -67,9 +133,13 @@ async def until(condition):
         await asyncio.sleep(0.01)
 
 
+@pytest.mark.rule("10")
 def test_texts_and_octets_are_taken_and_garbage_closes_the_socket():
     async def run():
         async with serving() as (server, client, url), client.ws_connect(url) as ws:
+            # No handshake.
+            async with client.get(url) as answer:
+                assert answer.status == 400
             await ws.send_str("a text")
             await ws.send_bytes(b"octets")
             await ws.send_bytes(GARBAGE)
@@ -79,15 +149,6 @@ def test_texts_and_octets_are_taken_and_garbage_closes_the_socket():
             assert server.taken == ["a text", b"octets"]
             sockets = server.sockets
             assert (sockets.connections, sockets.garbage, sockets.closed) == (1, 1, 1)
-
-    asyncio.run(run())
-
-
-def test_a_request_that_is_no_handshake_is_refused():
-    async def run():
-        async with serving() as (server, client, url), client.get(url) as answer:
-            assert answer.status == 400
-            assert server.sockets.connections == 0
 
     asyncio.run(run())
 

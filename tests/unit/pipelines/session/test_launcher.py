@@ -28,19 +28,14 @@ def session():
     return pytest.skip("no block of free UDP ports")
 
 
-def test_of_two_sessions_started_at_once_one_is_refused(session):
+def test_a_session_is_refused_whichever_port_is_busy_and_keeps_none(session):
     # The first session has bound only the launcher's port so far.
     with hold_ports(session), pytest.raises(ConfigError, match=r"busy.*--base-port"):
         hold_ports(session)
-    hold_ports(session).close()
-
-
-@pytest.mark.parametrize("offset", [0, 5, 17, 38])
-def test_any_port_of_the_block_may_be_the_busy_one(session, offset):
-    port = session.ports[offset]
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind(("127.0.0.1", port))
-        with pytest.raises(ConfigError, match=f"UDP port {port} is busy"):
-            hold_ports(session)
-    # The refused session keeps no port.
-    hold_ports(session).close()
+    for offset in (0, 5, 17, 38):
+        port = session.ports[offset]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            udp.bind(("127.0.0.1", port))
+            with pytest.raises(ConfigError, match=f"UDP port {port} is busy"):
+                hold_ports(session)
+        hold_ports(session).close()

@@ -10,19 +10,19 @@ from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.transport import RtcTransport
 
 
-def test_a_way_that_is_found_after_the_end_is_not_taken():
-    def ignore(packet):
-        pass
+def transport(*, controlling):
+    return RtcTransport(
+        controlling=controlling,
+        servers=IceServers(),
+        handle_rtp=lambda packet: None,
+        handle_rtcp=lambda packet: None,
+    )
 
+
+def test_a_way_that_is_found_after_the_end_is_not_taken():
     async def run():
-        ends = [
-            RtcTransport(
-                controlling=controlling, servers=IceServers(), handle_rtp=ignore, handle_rtcp=ignore
-            )
-            for controlling in (True, False)
-        ]
-        one, other = ends
-        first, second = [await end.gather() for end in ends]
+        one, other = transport(controlling=True), transport(controlling=False)
+        first, second = await one.gather(), await other.gather()
         find_way = one._find_way
 
         async def find_it_late(connection, peer):
@@ -46,9 +46,7 @@ def test_a_host_with_loopback_only_is_told_so(monkeypatch):
     monkeypatch.setattr(aioice.ice, "get_host_addresses", lambda **_: [])
 
     async def run():
-        end = RtcTransport(
-            controlling=True, servers=IceServers(), handle_rtp=print, handle_rtcp=print
-        )
+        end = transport(controlling=True)
         try:
             with pytest.raises(ConfigError, match="this host has loopback only"):
                 await end.gather()

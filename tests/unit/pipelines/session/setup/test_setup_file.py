@@ -1,0 +1,226 @@
+"""Setups of files: every field, and one line for each value that cannot work."""
+
+from dataclasses import asdict, fields
+
+import pytest
+
+from kontur_av.errors import ConfigError
+from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.table import RtcLeg, Setup
+from telepresence.haptics.envelope import SafetyLimits
+
+EVERY_FIELD = """
+name = "wrist"
+cameras = ["wrist", "stereo"]
+radio = "cable"
+radio_delay_ms = 12.5
+deadband = "latency"
+hand = "mediated"
+axes = 2
+gripper = false
+partner_arm = "second"
+tasks = true
+recorded_cameras = "all"
+region = "stylus"
+base_port = 21000
+
+[uplink_video]
+cap_kbps = 62.5
+size = "320x240"
+fps = 25
+prefer = "latency"
+stale_after_ms = 250.5
+coded = "160x120"
+codec = "h265"
+
+[uplink_voice]
+cap_kbps = 6.4
+stale_after_ms = 90
+
+[downlink_video]
+cap_kbps = 300
+size = "800x600"
+fps = 15
+codec = "h264"
+
+[downlink_voice]
+cap_kbps = 24
+
+[region_points]
+wrist = [[40, 30], [280, 33.5], [300, 210], [25, 205]]
+
+[sources]
+wrist = "pipe:/tmp/wrist.y4m"
+left = "left.mp4"
+
+[rtc]
+video_kbps = 900
+voice_kbps = 24
+taken_kbps = 700
+
+[uplink]
+frame_octets = 40
+
+[downlink]
+frame_octets = 250
+
+[safety]
+resume_within_s = 0.2
+slow_m_s = 0.05
+"""
+PLAIN = {
+    "name": "wrist",
+    "cameras": ("wrist", "stereo"),
+    "radio": "cable",
+    "radio_delay_ms": 12.5,
+    "base_port": 21_000,
+    "deadband": "latency",
+    "axes": 2,
+    "gripper": False,
+    "hand": "mediated",
+    "partner_arm": "second",
+    "tasks": True,
+    "recorded_cameras": "all",
+    "region": "stylus",
+    "region_points": {"wrist": ((40, 30), (280, 33.5), (300, 210), (25, 205))},
+    "rtc": RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000),
+    "safety": SafetyLimits(resume_within_s=0.2, slow_m_s=0.05),
+    "inputs": ("wrist", "left", "right", "ground_mic", "iss_camera", "iss_mic"),
+}
+STREAMS = {
+    "uplink_video": {
+        "cap_bps": 62_500,
+        "width": 320,
+        "height": 240,
+        "fps": 25,
+        "prefer": "latency",
+        "stale_after_ms": 250.5,
+        "coded": (160, 120),
+        "codec": "h265",
+    },
+    "uplink_voice": {"cap_bps": 6_400, "stale_after_ms": 90},
+    "downlink_video": {
+        "cap_bps": 300_000,
+        "width": 800,
+        "height": 600,
+        "fps": 15,
+        "prefer": "quality",
+        "stale_after_ms": None,
+        "coded": None,
+        "codec": "h264",
+    },
+    "downlink_voice": {"cap_bps": 24_000, "stale_after_ms": None},
+}
+
+
+def load(tmp_path, text, name="mine.toml"):
+    (tmp_path / name).write_text(text)
+    return load_setup(str(tmp_path / name))
+
+
+def test_every_field_of_a_file_reaches_the_setup(tmp_path):
+    setup = load(tmp_path, EVERY_FIELD)
+    for entry in fields(Setup):
+        assert f"{entry.name}" in EVERY_FIELD, f"{entry.name} is not in the file of this test"
+    assert {name: getattr(setup, name) for name in PLAIN} == PLAIN
+    assert {one.name: asdict(one) for one in setup.streams} == {
+        name: {"name": name, **values} for name, values in STREAMS.items()
+    }
+    # Without a value in the file: the radio's delay, 100 ms and four periods.
+    ages_ms = {stream.name: setup.stale_after_ns(stream) / 1e6 for stream in setup.streams}
+    assert ages_ms == pytest.approx(
+        {
+            "uplink_video": 250.5,
+            "uplink_voice": 90,
+            "downlink_video": 12.5 + 100 + 4000 / 15,
+            "downlink_voice": 12.5 + 100 + 80,
+        }
+    )
+    assert setup.source("wrist") == "pipe:/tmp/wrist.y4m"
+    assert setup.source("left") == "left.mp4"
+    assert setup.source("right").startswith("scene:")
+    assert (setup.uplink.frame_octets, setup.downlink.frame_octets) == (40, 250)
+    assert setup.stream_of("iss_camera") is setup.downlink_video
+    assert setup.stream_of("wrist") is setup.uplink_video
+    kinds = [setup.kind_of(name) for name in setup.inputs]
+    assert kinds == ["video", "video", "video", "audio", "video", "audio"]
+
+
+def test_a_setup_without_a_name_takes_that_of_its_file(tmp_path):
+    text = 'cameras = ["static"]\nuplink_video = {cap_kbps = 50}\n'
+    setup = load(tmp_path, text, "arm.toml")
+    assert setup.name == "arm"
+    assert [stream.name for stream in setup.streams] == ["uplink_video"]
+    assert setup.inputs == ("static",)
+
+
+#: Before, in and after the table of the uplink's video.
+TOML = 'cameras = ["stereo", "static"]\n[uplink_video]\ncap_kbps = 85\n'
+STATIC = '"static"'
+
+
+@pytest.mark.rule("6")
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("cameras = [", "not TOML"),
+        ("", "uplink_video and cameras"),
+        (TOML.replace("cameras", "camera"), "unknown field camera"),
+        (TOML.replace("85", '"85"'), "uplink_video.cap_kbps must be a number"),
+        (TOML.replace("85", "true"), "uplink_video.cap_kbps must be a number"),
+        (TOML.replace("85", "inf"), "uplink_video.cap_kbps is inf: .* finite"),
+        (TOML.replace("85", "nan"), "uplink_video.cap_kbps is nan: .* finite"),
+        (TOML.replace("cap_kbps = 85", "fps = 30"), "needs cap_kbps"),
+        (TOML + "colour = 3", "unknown field uplink_video.colour"),
+        (TOML + 'size = "640"', "mine.toml: uplink_video.size '640': write WIDTHxHEIGHT"),
+        (TOML + 'size = "641x480"', "641"),
+        (TOML + 'size = "0x0"', "0"),
+        (TOML + "fps = 0", "take 1 to 120"),
+        (TOML + "coded = '800x600'", "coded as 800x600: take no larger size"),
+        (TOML + "stale_after_ms = 2", "uplink_video: stale after 2 ms; take 10 to"),
+        (TOML + "stale_after_ms = '1 s'", "uplink_video.stale_after_ms must be a number"),
+        (
+            'radio = "geo"\n' + TOML + "stale_after_ms = 200",
+            "uplink_video: stale after 200 ms, but the radio takes",
+        ),
+        (TOML + 'codec = "av1"', "uplink_video: codec 'av1': take one of h264, h265"),
+        (
+            TOML + '[rtc]\n[downlink_video]\ncap_kbps = 300\ncodec = "h265"',
+            'downlink_video: .* take codec = "h264"',
+        ),
+        (TOML + "[uplink_voice]\ncap_kbps = 6", "uplink_voice: a cap of 6 kbit/s: .* 6.24"),
+        (TOML + "[downlink_voice]\ncap_kbps = 129", "downlink_voice: .* 129 .* most 128"),
+        (TOML + "[rtc]\nvideo_kbps = 50", "rtc: video_kbps of 50; take 100 to 20000"),
+        (TOML + "[rtc]\nvoice_kbps = 600", "rtc: voice_kbps of 600; take 6 to 128"),
+        (TOML.replace(STATIC, '"a_camera_with_a_long_name"'), "a_camera_with_a_long_name"),
+        (TOML.replace(STATIC, '"static", "static"'), "twice"),
+        (TOML.replace(STATIC, '"wrist"'), "--source wrist=SPEC"),
+        (TOML.replace('["stereo", "static"]', "[]"), "name at least one"),
+        (TOML.replace('["stereo", "static"]', STATIC), "list of names"),
+        ("base_port = true\n" + TOML, "base_port must be a whole number"),
+        ("sources = 3\n" + TOML, "sources must be a table"),
+        ('sources = {head = "x.mp4"}\n' + TOML, "left, right, static"),
+        ("uplink_voice = 8\n" + TOML, r"table \[uplink_voice\]"),
+        ("uplink = {frame_octets = 20}\n" + TOML, "frame"),
+        ("downlink = {frame_octets = 100000}\n" + TOML, "frame"),
+    ],
+)
+def test_an_impossible_value_is_named_with_its_field(tmp_path, text, says):
+    with pytest.raises(ConfigError, match=says) as error:
+        load(tmp_path, text)
+    assert "\n" not in str(error.value)
+
+
+def test_a_cap_that_does_not_fit_is_refused_with_one_that_does(tmp_path):
+    def capped(kbps):
+        return load(tmp_path, f"uplink_voice = {{cap_kbps = 8}}\n{TOML.replace('85', f'{kbps:g}')}")
+
+    with pytest.raises(ConfigError, match=r"uplink_video.* 95 ") as error:
+        capped(95)
+    words = [word.strip(",.;") for word in str(error.value).split()]
+    fitting = [float(word) for word in words if word.replace(".", "").isdigit()]
+    # The number that it names works, and hardly more would.
+    most = max(number for number in fitting if 80 <= number < 95)
+    assert capped(most).uplink_video.cap_bps == round(most * 1000)
+    with pytest.raises(ConfigError):
+        capped(most + 1.5)

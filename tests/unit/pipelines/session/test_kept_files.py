@@ -1,0 +1,121 @@
+"""Orders that outlive the processes that took them, and what a session and `maintain` tell."""
+
+import errno
+from pathlib import Path
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+
+from kontur_av.topics import session_files
+from kontur_av.topics.session_files import make_session_root, session_root
+from pipelines.hand.safety_ends import follow_stop
+from pipelines.session.figures import Event
+from pipelines.session.kept_files import (
+    KeptOrders,
+    Note,
+    NotesReader,
+    SessionNow,
+    add_note,
+    read_now,
+    write_now,
+)
+
+SESSION = "lab-1"
+
+
+class Orders(msgspec.Struct):
+    on: bool
+
+
+def full(*_, **__):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(session_files, "user_root", lambda: tmp_path)
+    make_session_root(SESSION)
+    return KeptOrders(SESSION)
+
+
+@pytest.mark.rule("S6")
+@pytest.mark.parametrize(
+    ("disk", "by"), [((), "a test"), (["write_bytes"], ""), (["write_bytes", "touch"], "")]
+)
+def test_an_emergency_stop_holds_until_it_is_released_also_on_a_full_disk(
+    kept, monkeypatch, disk, by
+):
+    if "touch" in disk:
+        # Without room for a file it takes one that is there.
+        (session_root(SESSION) / "stop.new").touch()
+    for what in disk:
+        monkeypatch.setattr(Path, what, full)
+    assert not kept.stopped
+    kept.stop("a test")
+    assert (kept.stopped, kept.stopped_by) == (True, by)
+    kept.release()
+    assert not kept.stopped
+
+
+def test_orders_without_room_are_unknown_and_older_ones_do_not_come_back(kept, monkeypatch):
+    first, unknown = Orders(on=True), Orders(on=False)
+    kept.keep("robot", Orders(on=True))
+    memory = session_root(SESSION) / "owner"
+    session_files.remember(memory, b"partner")
+    monkeypatch.setattr(Path, "replace", full)
+    kept.keep("robot", Orders(on=False))
+    assert kept.recall("robot", first, unknown) is unknown
+    session_files.remember(memory, b"iss")
+    assert memory.read_bytes() == b""
+    # Not even that: the process goes on.
+    monkeypatch.setattr(Path, "write_bytes", full)
+    kept.keep("robot", Orders(on=False))
+    session_files.remember(memory, b"iss")
+
+
+def test_a_stop_that_cannot_be_kept_holds_the_robot_and_is_tried_again(kept, monkeypatch):
+    envelope = SimpleNamespace(stopped=True)
+    follow = follow_stop(kept, SimpleNamespace(envelope=envelope))
+    with monkeypatch.context() as disk:
+        disk.setattr(kept, "stop", full)
+        for now_ns in range(3):
+            follow(now_ns)
+    assert envelope.stopped and not kept.stopped
+    follow(3)
+    assert kept.stopped
+
+
+@pytest.mark.parametrize("left", ["nothing", "file"])
+def test_without_its_directory_a_session_counts_as_stopped(kept, left):
+    root = session_root(SESSION)
+    root.rmdir()
+    if left == "file":
+        root.touch()
+    assert kept.stopped
+
+
+@pytest.mark.usefixtures("kept")
+def test_what_a_session_tells_is_read():
+    assert read_now(SESSION) is None
+    event = Event(number=3, at_us=1, what="upkeep", text="loss of signal in 60 s")
+    now = SessionNow(experiment="aiming, run 1", events=[event])
+    write_now(SESSION, now)
+    assert read_now(SESSION) == now
+
+
+@pytest.mark.usefixtures("kept")
+def test_each_note_comes_once_and_malformed_ones_are_left_out():
+    reader, notes = NotesReader(SESSION), session_root(SESSION) / "notes"
+    assert reader.read() == []
+    add_note(SESSION, Note("milestone", "x" * 500))
+    assert reader.read() == [Note("milestone", "x" * 200)]
+    with notes.open("ab") as file:
+        file.write(b'{"what": "session", "text": "no kind of a note"}\n')
+        file.write(b'{"what": "upkeep", "text": "\xff"}\n{"what": "upkeep", ')
+    assert reader.read() == []
+    with notes.open("ab") as file:
+        file.write(b'"text": "whole now"}\n')
+    assert reader.read() == [Note("upkeep", "whole now")]
+    with pytest.raises(OSError):
+        add_note("none", Note("upkeep", "nobody is there"))
