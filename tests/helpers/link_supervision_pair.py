@@ -33,13 +33,13 @@ class End:
         self.sends = True
         #: Interval of the slots with application data.
         self.period = 1
-        self.events = []
-        self.sent = []
+        #: Since it was started.
+        self.events, self.sent = [], []
         self.delivered = []
 
     def start(self, life, slot):
         self.life = life
-        self.followed = None
+        self.followed, self.events, self.sent = None, [], []
         self.supervisor = Supervisor(
             master=self.master,
             configuration=self.configuration,

@@ -35,20 +35,21 @@ def test_what_is_broken_is_named(part, name, broken, words, monkeypatch):
     assert words in self_test(link.profile, topology.flows(Direction.UPLINK))
 
 
-def test_frames_that_the_system_refuses_are_a_fault_until_one_leaves():
-    check = LocalCheck(None, 0)
-    check.handle_frames(100, 40, "full", 100 * MS)
-    check.handle_frames(200, 140, "Network is unreachable", 200 * MS)
-    assert check.fault is None
-    check.handle_frames(300, 240, "Network is unreachable", 300 * MS)
-    assert check.fault == "this machine does not send the frames: Network is unreachable"
-    check.handle_frames(300, 240, "Network is unreachable", 400 * MS)
-    assert check.fault
-    check.handle_frames(400, 339, "Network is unreachable", 500 * MS)
-    assert check.fault is None
-
-
-def test_a_failed_self_test_stays():
-    check = LocalCheck("self-test: voice", 0)
-    check.handle_frames(100, 0, "", 100 * MS)
-    assert check.fault == "self-test: voice"
+@pytest.mark.parametrize("known", [None, "self-test: broken"])
+def test_frames_that_the_system_refuses_for_200_ms_are_a_fault(known):
+    check = LocalCheck(known, 0)
+    for ms in range(1, 200):
+        check.handle_frames(ms, ms, "no route", ms * MS)
+        assert check.fault == known
+    check.handle_frames(200, 200, "no route", 200 * MS)
+    fault = known or "this machine does not send the frames: no route"
+    assert check.fault == fault
+    # Without frames nothing is known anew; one that leaves ends it, and the time begins again.
+    check.handle_frames(200, 200, "no route", 900 * MS)
+    assert check.fault == fault
+    check.handle_frames(202, 201, "no route", 901 * MS)
+    assert check.fault == known
+    check.handle_frames(203, 202, "no route", 1100 * MS)
+    assert check.fault == known
+    check.handle_frames(204, 203, "again", 1101 * MS)
+    assert check.fault == (known or "this machine does not send the frames: again")
