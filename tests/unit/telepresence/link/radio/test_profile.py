@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from kontur_av.errors import ConfigError
-from telepresence.link.radio import RadioProfile
+from telepresence.link.radio import RadioProfile, load_radio
 from telepresence.link.radio.contact import Contact
 from telepresence.link.radio.profile import (
     BUILT_IN,
@@ -17,10 +17,15 @@ from telepresence.link.radio.profile import (
 )
 
 PROFILE = RadioProfile(name="mine", delay_ms=10.0)
+
+
 BURSTS = Bursts(gap_s=1.0, mean_ms=5.0)
+
+
 RANDOM = RandomBlackouts(gap_s=9.0, shortest_s=1.0, longest_s=2.0)
 
 
+@pytest.mark.rule("6")
 @pytest.mark.parametrize(
     ("table", "field", "least", "most"),
     [
@@ -92,36 +97,42 @@ def test_what_has_events_at_certain_times():
         assert replace(PROFILE, **more).timed
 
 
-def test_a_pass_can_have_another_delay_or_start():
+def test_the_built_in_ones():
+    assert list(BUILT_IN) == ["cable", "clean", "iss-pass", "iss-overhead", "geo"]
+    cable = load_radio("cable")
+    assert cable.longest_delay_ns == 0
+    assert cable.contact_windows() is cable.overflight() is None
+    for name in ("cable", "clean"):
+        profile = load_radio(name)
+        assert profile.bit_error_rate == profile.frame_loss == 0
+        assert profile.bursts is profile.contact is profile.random_blackouts is None
+    geo = load_radio("geo")
+    # 600 to 800 ms round trip.
+    assert geo.longest_delay_ns == 400_000_000
+    assert geo.delay_ms - geo.delay_swing_ms == 300
+
+
+def test_iss_overhead_begins_at_the_best_part_of_iss_pass():
+    whole, middle = BUILT_IN["iss-pass"], BUILT_IN["iss-overhead"]
+    windows = middle.contact_windows()
+    assert middle.start_s == pytest.approx(windows.loss_s / 2, abs=1)
+    # Minutes without drop-outs come first.
+    assert windows.usable_from_s < middle.start_s < windows.usable_to_s - 230
+    assert (middle.contact, middle.bursts) == (whole.contact, whole.bursts)
+
+
+def test_a_pass_can_have_another_delay_and_begin_at_any_time_of_it():
     iss = BUILT_IN["iss-pass"]
     other = delayed(iss, 5)
     # A fixed one: no light time, no swing.
     assert other.longest_delay_ns == 5_000_000 < iss.longest_delay_ns
+    assert other.contact is not None and delayed(PROFILE, 3).contact is None
     assert delayed(BUILT_IN["geo"], 100).longest_delay_ns == 100_000_000
-    assert delayed(PROFILE, 3).contact is None
-    flight = iss.overflight()
-    assert started(iss, flight.visible_s - 0.1).start_s == flight.visible_s - 0.1
-    with pytest.raises(ConfigError, match="take less"):
-        started(iss, flight.visible_s)
-
-
-def test_an_arrival_is_told_before_the_frame_is_sent():
-    """With a delay that swings, and through an outage: as `handle_frame` then has it."""
-    profile = replace(PROFILE, delay_ms=50.0, delay_swing_ms=20.0, delay_period_s=4.0)
-    path = profile.path("downlink", seed=1, epoch_ns=7)
-    delays = []
-    for ms in range(0, 4001, 25):
-        due_ns = path.arrival_ns(ms * 1_000_000 + 7)
-        path.handle_frame(b"frame", ms * 1_000_000 + 7)
-        assert path.poll_transmit(due_ns - 1) is None and path.poll_transmit(due_ns) == b"frame"
-        delays.append((due_ns - 7) / 1e6 - ms)
-    # A sine: its mean, its ends after a quarter and three quarters of the period.
-    assert delays[0] == pytest.approx(50.0) and delays[40] == pytest.approx(70.0, abs=0.1)
-    assert delays[80] == pytest.approx(50.0, abs=0.1)
-    assert delays[120] == pytest.approx(30.0, abs=0.1)
-    report = path.report()
-    assert report.delay_min_ns == pytest.approx(30e6, abs=1e5)
-    assert report.delay_max_ns == pytest.approx(70e6, abs=1e5)
-    # A frame never overtakes one before it.
-    steady = replace(PROFILE, delay_ms=10.0).path("uplink", seed=1, epoch_ns=0)
-    assert [steady.arrival_ns(now_ns) for now_ns in (0, 5)] == [10_000_000, 10_000_005]
+    visible_s = iss.overflight().visible_s
+    for start_s in (100, -5, visible_s - 0.1):
+        assert started(iss, start_s).start_s == start_s
+    for start_s in (visible_s, 593):
+        with pytest.raises(ConfigError, match="the pass of radio iss-pass lasts 593 s; take less"):
+            started(iss, start_s)
+    with pytest.raises(ConfigError, match=r"geo has no pass .* take radio iss-pass or iss-ov"):
+        started(BUILT_IN["geo"], 10)

@@ -8,7 +8,7 @@ import pytest
 from places import ROOT
 
 from kontur_av.errors import ConfigError
-from telepresence.link.radio import RadioProfile, load_radio, started
+from telepresence.link.radio import RadioProfile, load_radio
 from telepresence.link.radio.contact import STORED_ELEMENTS, Contact
 from telepresence.link.radio.profile import BUILT_IN, Blackout, Bursts, RandomBlackouts
 from telepresence.link.radio.profile_file import radio_from_table
@@ -24,21 +24,6 @@ def load(tmp_path):
         return load_radio(str(path))
 
     return load
-
-
-def test_the_built_in_ones():
-    assert list(BUILT_IN) == ["cable", "clean", "iss-pass", "iss-overhead", "geo"]
-    cable = load_radio("cable")
-    assert cable.longest_delay_ns == 0
-    assert cable.contact_windows() is cable.overflight() is None
-    for name in ("cable", "clean"):
-        profile = load_radio(name)
-        assert profile.bit_error_rate == profile.frame_loss == 0
-        assert profile.bursts is profile.contact is profile.random_blackouts is None
-    geo = load_radio("geo")
-    # 600 to 800 ms round trip.
-    assert geo.longest_delay_ns == 400_000_000
-    assert geo.delay_ms - geo.delay_swing_ms == 300
 
 
 def test_a_file_without_a_base_begins_with_a_cable(load):
@@ -78,6 +63,7 @@ def test_own_elements_are_found_beside_the_file(load, tmp_path):
     assert profile.contact_windows().acquisition.startswith("2015-08-19T")
 
 
+@pytest.mark.rule("7")
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -140,24 +126,6 @@ def test_missing_or_wrong_elements_are_refused_when_the_file_is_read(load, tmp_p
         load('[contact]\nelements = "bad.tle"')
     with pytest.raises(ConfigError, match=r"contact\.elements must be a text in quotes, not 3"):
         load("[contact]\nelements = 3")
-
-
-def test_iss_overhead_begins_at_the_best_part_of_iss_pass():
-    whole, middle = BUILT_IN["iss-pass"], BUILT_IN["iss-overhead"]
-    windows = middle.contact_windows()
-    assert middle.start_s == pytest.approx(windows.loss_s / 2, abs=1)
-    # Minutes without drop-outs come first.
-    assert windows.usable_from_s < middle.start_s < windows.usable_to_s - 230
-    assert (middle.contact, middle.bursts) == (whole.contact, whole.bursts)
-
-
-def test_a_radio_with_a_pass_can_begin_at_any_time_of_it():
-    assert started(BUILT_IN["iss-pass"], 100).start_s == 100
-    assert started(BUILT_IN["iss-pass"], -5).start_s == -5
-    with pytest.raises(ConfigError, match="the pass of radio iss-pass lasts 593 s; take less"):
-        started(BUILT_IN["iss-pass"], 593)
-    with pytest.raises(ConfigError, match=r"geo has no pass .* take radio iss-pass or iss-ov"):
-        started(BUILT_IN["geo"], 10)
 
 
 def test_the_annotated_profile_of_the_document_has_every_field(tmp_path):

@@ -1,0 +1,787 @@
+"""How two ends find each other, what they send, and what losses, restarts and strangers change."""
+
+from itertools import pairwise
+from random import Random
+
+import pytest
+from link_supervision_pair import CONNECTED, DOWN, GROUND, MS, SPACE, UP, Pair, S, connected
+
+from kontur_av.clock import NS_PER_S
+from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.supervision.message import (
+    Configuration,
+    LinkState,
+    MessageKind,
+    SupervisionTiming,
+    pack_message,
+    parse_message,
+)
+from telepresence.link.supervision.record import (
+    ApplicationReset,
+    ContextsHeld,
+    PeerDeaf,
+    PeerDoubted,
+    PeerHears,
+    PeerMet,
+    SignalAcquired,
+    SignalLost,
+    StateChanged,
+)
+from telepresence.link.supervision.supervisor import ApplicationWatch, Encounter, Supervisor
+
+
+def figures(pair, end):
+    return end.supervisor.report(pair.slot * MS)
+
+
+def assert_counted(pair, end):
+    """The counts of an end are those of its events, since it was started."""
+    report = figures(pair, end)
+    counts = dict(report.counts)
+    causes = [event.why for event in end.of(StateChanged)]
+    assert counts.pop("messages_sent") == len(end.sent)
+    assert counts.pop("signals_acquired") == len(end.of(SignalAcquired))
+    assert counts.pop("signals_lost") == len(end.of(SignalLost))
+    assert counts.pop("peer_restarts") == sum(event.restarted for event in end.of(PeerMet))
+    assert counts.pop("peer_deaf") == len(end.of(PeerDeaf))
+    for why in ("idle", "broken"):
+        resets = [event for event in end.of(ApplicationReset) if event.why == why]
+        assert counts.pop(f"resets_{why}") == len(resets)
+    assert counts.pop("timeouts_answer") == sum(
+        why.startswith("time-out: the slave") for why in causes
+    )
+    assert counts.pop("timeouts_silence") == sum(
+        why.startswith("time-out: frames") for why in causes
+    )
+    assert set(counts) == {"messages_received", "messages_malformed", "messages_mismatched"}
+    assert len(report.contacts) == len(end.of(SignalAcquired))
+    assert sum(report.in_state_ns.values()) == pair.slot * MS - report.begun_ns
+
+
+SIDES = pytest.mark.parametrize("who", ["ground", "space"])
+
+
+def ends(pair, who):
+    """The end of this name, and the other one."""
+    return pair.ends if who == "ground" else pair.ends[::-1]
+
+
+def counts_of(pair, kind):
+    return [len(end.of(kind)) for end in pair.ends]
+
+
+@pytest.mark.parametrize("delay_slots", [0, 5, 15, 400])
+def test_connects_in_two_round_trips_and_a_few_messages(delay_slots):
+    pair = Pair(delay_slots=delay_slots)
+    pair.start()
+    while pair.states != CONNECTED:
+        pair.step()
+    assert pair.slot <= 5 * delay_slots + 100
+    for end in pair.ends:
+        states = pair.history(end)
+        assert states[:3] == ["check", "search", "configure"]
+        # Data that arrived before the two had agreed approves the link at once.
+        assert states[3:] in (["connected"], ["approve", "connected"])
+        assert len(end.of(SignalAcquired)) == len(end.of(PeerMet)) == len(end.of(PeerHears)) == 1
+        assert not end.of(SignalLost) + end.of(PeerDeaf) + end.of(ApplicationReset)
+
+
+@pytest.mark.parametrize("late", [30, 10_000])
+@SIDES
+def test_connects_for_any_start_delay(late, who):
+    pair = Pair(delay_slots=12)
+    one, other = ends(pair, who)
+    one.start(7, 0)
+    pair.run(late)
+    assert one.supervisor.state is LinkState.SEARCH
+    other.start(8, pair.slot)
+    pair.run(200)
+    assert pair.states == CONNECTED
+
+
+def test_the_first_message_asks_with_a_fresh_number():
+    supervisor = Supervisor(master=True, configuration=GROUND, life=0x1234, now_ns=0)
+    supervisor.handle_local_check(None, 0)
+    hello = parse_message(supervisor.poll_transmit(0))
+    assert (hello.version, hello.kind, hello.life) == (3, MessageKind.HELLO, 0x1234)
+    assert hello.digest == GROUND.digest(master=True)
+    assert hello.number and not hello.echo
+
+
+def test_when_settled_messages_are_rare():
+    pair = connected()
+    # Each knows that the other is connected, so frequent messages end.
+    assert max(len(end.sent) for end in pair.ends) <= 8
+    pair.run(3 * S)
+    assert max(len(end.sent) for end in pair.ends) <= 8 + 7
+    before = [len(end.sent) for end in pair.ends]
+    events = [len(end.events) for end in pair.ends]
+    pair.run(20 * S)
+    for end, sent, seen in zip(pair.ends, before, events, strict=True):
+        assert len(end.sent) - sent <= 40
+        assert all(isinstance(event, ContextsHeld) for event in end.events[seen:])
+
+
+@SIDES
+@pytest.mark.parametrize("delay_slots", [0, 5, 400])
+def test_a_new_life_of_either_side(who, delay_slots):
+    pair = connected(delay_slots=delay_slots)
+    one, other = ends(pair, who)
+    other.supervisor.handle_contexts((9, 8), pair.slot * MS)
+    pair.run(2 * S)
+    assert one.of(ContextsHeld)[-1].ids == (9, 8, 0, 0)
+    for end in pair.ends:
+        end.events.clear()
+    one.start(0x7777, pair.slot)
+    pair.run(6 * delay_slots + 100)
+    assert pair.states == CONNECTED
+    (met,) = other.of(PeerMet)
+    assert met[1:] == (0x7777, True)
+    # Contexts of the former life are never acknowledged to the new one.
+    assert {event.ids for event in one.of(ContextsHeld)} == {(0, 0, 0, 0)}
+    assert not one.of(ApplicationReset) + other.of(ApplicationReset)
+
+
+def test_another_life_in_the_peers_stream_must_prove_itself():
+    """A single message may be a bit error that the FECF did not detect; the second ends it."""
+    pair = connected()
+    pair.run(1 * S)
+    supervisor, other = pair.ground.supervisor, pair.space.supervisor
+    stranger = Supervisor(
+        master=False, configuration=other.configuration, life=0x5555, now_ns=0, secret=1
+    )
+    stranger.handle_local_check(None, 0)
+    now_ns = pair.slot * MS
+    supervisor.handle_message(stranger.poll_transmit(0), now_ns)
+    pair.drain(pair.ground)
+    assert pair.ground.followed == 0x2222
+    supervisor.handle_message(stranger.poll_transmit(20 * MS), now_ns)
+    pair.drain(pair.ground)
+    assert (pair.ground.followed, supervisor.signal) == (None, False)
+    assert len(pair.ground.of(PeerDoubted)) == len(pair.ground.of(SignalLost)) == 1
+    # The peer answers, and nothing of its life has changed.
+    pair.run(60)
+    assert pair.states == CONNECTED
+    assert len(pair.ground.of(PeerMet)) == 1
+
+
+def test_frames_without_messages_time_out():
+    pair = connected()
+    for slot in range(pair.slot, pair.slot + 10 * S):
+        pair.ground.supervisor.handle_frame(slot * MS)
+        pair.ground.supervisor.poll_transmit(slot * MS)
+        pair.drain(pair.ground)
+    assert pair.ground.supervisor.state is LinkState.SEARCH
+    assert pair.ground.of(PeerDeaf)
+    assert pair.ground.supervisor.delivering
+
+
+def test_contexts_are_reported_at_once_and_again():
+    pair = connected()
+    pair.run(3 * S)
+    pair.space.supervisor.handle_contexts((3, 0), pair.slot * MS)
+    pair.run(7)
+    assert pair.ground.of(ContextsHeld)[-1].ids == (3, 0, 0, 0)
+    pair.ground.events.clear()
+    pair.run(2 * S)
+    assert {event.ids for event in pair.ground.of(ContextsHeld)} == {(3, 0, 0, 0)}
+    # Contexts that change all the time do not use up the channel.
+    sent = len(pair.space.sent)
+    for number in range(S):
+        pair.space.supervisor.handle_contexts((1 + number % 255,), pair.slot * MS)
+        pair.step()
+    assert len(pair.space.sent) - sent <= 51
+
+
+@pytest.mark.parametrize(
+    ("silent_ms", "frames", "lasts_ms", "hears", "followed"),
+    [
+        (None, 8, 20, False, True),
+        (None, 7, 20, False, False),
+        (None, 8, 19, False, False),
+        (None, 5000, 5000, True, False),
+        (2000, 8, 1000, False, True),
+        (1999, 8, 1000, False, False),
+        (2000, 8, 999, False, False),
+        (2000, 7, 1000, False, False),
+        (60_000, 5000, 5000, True, False),
+    ],
+)
+def test_when_a_stranger_that_hears_nobody_is_followed(
+    silent_ms, frames, lasts_ms, hears, followed
+):
+    """silent_ms: how long the peer has been silent; None: no peer was ever met."""
+    pair = Pair()
+    pair.start()
+    if silent_ms is None:
+        now_ns = 0
+    else:
+        pair.run(200)
+        now_ns = pair.ground.supervisor._frame_ns + silent_ms * MS
+        pair.ground.supervisor.poll_transmit(now_ns)
+    stranger = Supervisor(master=False, configuration=SPACE, life=0x5555, now_ns=now_ns, secret=1)
+    stranger.handle_local_check(None, now_ns)
+    if hears:
+        stranger.handle_frame(now_ns)
+    message = stranger.poll_transmit(now_ns)
+    supervisor = pair.ground.supervisor
+    found = supervisor.handle_stranger(message, now_ns, frames=frames, lasts_ns=lasts_ms * MS)
+    assert found is (Encounter.RESTART if followed else Encounter.IGNORE)
+
+
+def test_a_stranger_beside_a_live_peer_is_asked_ten_times_a_second():
+    """Also one without any message: it may be the peer, whose delay has fallen."""
+    pair = connected()
+    pair.run(3 * S)
+    supervisor, asked = pair.ground.supervisor, []
+    for slot in range(2000):
+        lasts_ns = (slot + 1) * MS if slot < 1000 else 4 * MS
+        supervisor.handle_stranger(None, pair.slot * MS, frames=slot + 1, lasts_ns=lasts_ns)
+        sent = len(pair.ground.sent)
+        pair.step()
+        for at, message in pair.ground.sent[sent:]:
+            told = parse_message(message)
+            if told.kind is MessageKind.HELLO:
+                asked.append(at)
+                assert told.number
+    assert len(asked) in (10, 11)
+    assert min(b - a for a, b in pairwise(asked)) == 100
+    # The peer's answers change nothing.
+    assert pair.states == CONNECTED
+    assert not pair.ground.of(PeerDoubted) + pair.ground.of(SignalLost)
+    # Afterwards nobody asks and answers any more.
+    sent = [len(end.sent) for end in pair.ends]
+    pair.run(10 * S)
+    assert max(len(end.sent) - n for end, n in zip(pair.ends, sent, strict=True)) <= 21
+
+
+def test_a_refusal_ends_with_the_frames_that_caused_it():
+    pair = Pair(masters=(True, True))
+    pair.start()
+    pair.run(500)
+    assert pair.states == ("REFUSED", "REFUSED")
+    pair.blocked = dict.fromkeys(pair.blocked, True)
+    pair.run(200)
+    assert pair.states == ("SEARCH", "SEARCH")
+
+
+@pytest.mark.parametrize("blackout", [100, 1_000, 6_000])
+@pytest.mark.parametrize("delay_slots", [0, 12, 400])
+def test_blackout_both_ways(blackout, delay_slots):
+    pair = connected(delay_slots=delay_slots)
+    pair.run(7)
+    pair.blocked = dict.fromkeys(pair.blocked, True)
+    pair.run(blackout)
+    pair.blocked = dict.fromkeys(pair.blocked, False)
+    back = (pair.slot + delay_slots) * MS
+    for end in pair.ends:
+        end.events.clear()
+        end.delivered.clear()
+    pair.run(3 * delay_slots + 100)
+    for end in pair.ends:
+        # A loss is noticed at the receiver, up to a delay after it began.
+        record = end.supervisor.report(pair.slot * MS).contacts
+        assert len(record) == 2
+        assert record[1].acquired_ns - back <= MS
+        assert record[1].acquired_ns - record[0].lost_ns == (blackout + 1) * MS
+        if blackout > 50 + delay_slots:
+            # The very first frame is delivered, because this life was checked before.
+            assert end.delivered[0][0] == record[1].acquired_ns
+    if delay_slots <= 12:
+        assert pair.states == CONNECTED
+    pair.run(1 * S)
+    assert pair.states == CONNECTED
+    for end in pair.ends:
+        assert not end.of(PeerMet)
+
+
+def test_loss_is_noticed_within_50_ms_of_the_last_frame():
+    for slot in range(10):
+        pair = connected(delay_slots=slot)
+        pair.run(slot)
+        pair.blocked["ground"] = True
+        pair.run(60 + slot)
+        (lost,) = pair.space.of(SignalLost)
+        assert 0 < lost.now_ns - lost.last_ns <= 50 * MS
+        assert not pair.ground.of(SignalLost)
+
+
+@pytest.mark.parametrize("gap", [1, 20, 47])
+def test_a_gap_below_the_limit_is_no_loss_of_signal(gap):
+    pair = connected()
+    pair.blocked = dict.fromkeys(pair.blocked, True)
+    pair.run(gap)
+    pair.blocked = dict.fromkeys(pair.blocked, False)
+    pair.run(100)
+    assert pair.states == CONNECTED
+    assert not pair.ground.of(SignalLost) + pair.space.of(SignalLost)
+
+
+@pytest.mark.parametrize("deaf", ["ground", "space"])
+def test_one_working_direction_keeps_carrying(deaf):
+    pair = connected(delay_slots=12)
+    hearing, lost = pair.ends if deaf == "space" else pair.ends[::-1]
+    # Frames of `hearing` no longer reach `lost`, but those of `lost` still arrive.
+    pair.blocked[hearing.name] = True
+    pair.run(200)
+    assert lost.supervisor.state is LinkState.SEARCH
+    assert hearing.supervisor.state is LinkState.CONFIGURE
+    assert "does not hear" in hearing.supervisor.why
+    assert not hearing.supervisor.peer_hears
+    assert [type(event) for event in hearing.events if not isinstance(event, ContextsHeld)][
+        -2:
+    ] == [PeerDeaf, StateChanged]
+    count = len(hearing.delivered)
+    sent = len(lost.sent)
+    pair.run(10 * S)
+    assert len(hearing.delivered) - count == 10 * S
+    # Messages to a peer that may not hear are limited, because media share the capacity.
+    assert len(lost.sent) - sent <= 10 * 20 + 100
+    pair.blocked[hearing.name] = False
+    pair.run(100 + 3 * 12)
+    assert pair.states == CONNECTED
+    assert lost.of(PeerHears)
+    assert hearing.of(PeerHears)
+
+
+def test_single_wrong_messages_break_nothing():
+    pair = connected()
+    pair.garble = 0.5
+    events = len(pair.ground.events)
+    pair.run(40 * S)
+    assert pair.states == CONNECTED
+    for end in pair.ends:
+        counts = end.supervisor.report(pair.slot * MS).counts
+        assert counts["messages_malformed"] + counts["messages_mismatched"] > 20
+        assert not end.of(PeerDeaf) + end.of(SignalLost) + end.of(ApplicationReset)
+        assert len(end.of(PeerMet)) == 1
+    assert len(pair.ground.events) > events
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_it_ends_connected_after_any_disturbances(seed):
+    """Blackouts, lost and corrupted messages, restarts, faults; then no more disturbances."""
+    random = Random(seed)
+    pair = Pair(delay_slots=random.choice((0, 1, 7, 40, 130, 400)))
+    pair.message_loss, pair.garble = random.choice((0.0, 0.3)), random.choice((0.0, 0.1))
+    pair.random = Random(seed + 1000)
+    pair.start()
+    for step in range(30):
+        end = random.choice(pair.ends)
+        match random.randrange(6):
+            case 0 | 1:
+                pair.blocked[end.name] = not pair.blocked[end.name]
+            case 2:
+                pair.blocked = dict.fromkeys(pair.blocked, random.random() < 0.5)
+            case 3:
+                end.start(step + 1, pair.slot)
+            case 4:
+                fault = random.choice((None, "a fault"))
+                end.supervisor.handle_local_check(fault, pair.slot * MS)
+            case 5:
+                end.sends = not end.sends
+        for _ in range(random.choice((1, 30, 60, 300, 2000))):
+            pair.step()
+            for one in pair.ends:
+                if one.supervisor.state is LinkState.CONNECTED:
+                    assert one.supervisor.signal
+                    assert one.supervisor.peer_hears
+                    assert one.supervisor.delivering
+    pair.blocked = dict.fromkeys(pair.blocked, False)
+    for end in pair.ends:
+        end.supervisor.handle_local_check(None, pair.slot * MS)
+        end.sends = True
+    pair.run(4 * pair.delay_slots + 1500)
+    assert pair.states == CONNECTED
+    before = counts_of(pair, StateChanged), counts_of(pair, ApplicationReset)
+    pair.run(10 * S)
+    assert before == (counts_of(pair, StateChanged), counts_of(pair, ApplicationReset))
+    for end in pair.ends:
+        pair.drain(end)
+        assert_counted(pair, end)
+
+
+def talk(pair, *names):
+    """Only these ends send data."""
+    for end in pair.ends:
+        end.sends = end.name in names
+
+
+def test_a_link_without_programs_idles_for_minutes_and_then_works_at_once():
+    pair = Pair()
+    talk(pair)
+    pair.start()
+    pair.run(5 * S)
+    sent, changes = [len(end.sent) for end in pair.ends], counts_of(pair, StateChanged)
+    pair.run(60 * S)
+    assert pair.states == ("APPROVE", "APPROVE")
+    assert counts_of(pair, StateChanged) == changes
+    assert counts_of(pair, ApplicationReset) == [0, 0]
+    assert max(len(end.sent) - n for end, n in zip(pair.ends, sent, strict=True)) <= 2 * 60
+    talk(pair, "ground", "space")
+    pair.run(40)
+    assert pair.states == CONNECTED
+
+
+@SIDES
+def test_one_way_data_is_no_fault(who):
+    pair = Pair()
+    talk(pair, who)
+    pair.start()
+    pair.run(20 * S)
+    assert pair.states == ("APPROVE", "APPROVE")
+    assert counts_of(pair, ApplicationReset) == [0, 0]
+    # A packet in the other direction every five seconds, as with RTCP, keeps it connected.
+    other = ends(pair, who)[1]
+    other.sends, other.period = True, 5 * S
+    pair.run(6 * S)
+    assert pair.states == CONNECTED
+    changes = counts_of(pair, StateChanged)
+    pair.run(20 * S)
+    assert changes == counts_of(pair, StateChanged)
+
+
+@SIDES
+def test_an_idle_link_is_reset_once_and_approved_again_by_data_both_ways(who):
+    pair = connected()
+    talk(pair)
+    pair.run(20 * S)
+    assert pair.states == ("APPROVE", "APPROVE")
+    resets = pair.ground.of(ApplicationReset) + pair.space.of(ApplicationReset)
+    assert {reset.why for reset in resets} == {"idle"}
+    assert max(counts_of(pair, ApplicationReset)) == 1
+    talk(pair, who)
+    pair.run(3 * S)
+    assert pair.states == ("APPROVE", "APPROVE")
+    talk(pair, "ground", "space")
+    pair.run(50)
+    assert pair.states == CONNECTED
+    for end in pair.ends:
+        assert_counted(pair, end)
+
+
+def test_a_broken_application_link_is_reset_at_growing_intervals():
+    pair = connected()
+
+    # The ground's data is lost between the receiver and the applications in space.
+    def arrive(end, life, message, data, now_ns):
+        Pair.arrive(pair, end, life, message, None if end is pair.space else data, now_ns)
+
+    pair.arrive = arrive
+    pair.run(100 * S)
+    assert pair.states == ("APPROVE", "APPROVE")
+    resets = [event.now_ns for event in pair.space.of(ApplicationReset)]
+    assert {event.why for event in pair.space.of(ApplicationReset)} == {"broken"}
+    assert 3 <= len(resets) <= 6
+    assert 2 * S * MS <= resets[1] - resets[0] < resets[-1] - resets[-2]
+    assert not pair.ground.of(ApplicationReset)
+    for end in pair.ends:
+        assert_counted(pair, end)
+    del pair.arrive
+    pair.run(50)
+    assert pair.states == CONNECTED
+
+
+def test_an_unconfirming_slave_is_configured_again_at_growing_intervals():
+    supervisor = Supervisor(master=True, configuration=GROUND, life=5, now_ns=0)
+    supervisor.handle_local_check(None, 0)
+    slave = Supervisor(master=False, configuration=SPACE, life=6, now_ns=0)
+    slave.handle_local_check(None, 0)
+    slave.handle_message(supervisor.poll_transmit(0), 0)
+    # The slave hears its master, and has not been configured yet.
+    assert slave.poll_transmit(10 * MS)[0] & 0xF == MessageKind.HELLO
+    stuck = slave.poll_transmit(20 * MS)
+    for slot in range(1, 100 * S):
+        supervisor.handle_frame(slot * MS)
+        if slot % 20 == 0:
+            supervisor.handle_message(stuck, slot * MS)
+        supervisor.poll_transmit(slot * MS)
+    report = supervisor.report(100 * S * MS)
+    assert report.state == "configure"
+    assert 3 <= report.counts["timeouts_answer"] <= 6
+    assert any("time-out" in entry["why"] for entry in report.history)
+
+
+def varied(**changes):
+    table = {
+        "transmit": DOWNLINK,
+        "transmit_flows": DOWN,
+        "receive": UPLINK,
+        "receive_flows": UP,
+        **changes,
+    }
+    return Configuration(**table)
+
+
+@pytest.mark.parametrize(
+    ("space", "why"),
+    [
+        (varied(version=4), "version"),
+        (varied(receive_flows=UP[:2]), "frames or flows differ"),
+        (
+            varied(transmit=type(DOWNLINK)(name="downlink", frame_octets=400, scid=0x4C)),
+            "downlink has",
+        ),
+    ],
+)
+@pytest.mark.parametrize("late", [0, 100])
+def test_a_mismatch_is_refused_and_named(space, why, late):
+    pair = Pair(space=space)
+    pair.never_connected = True
+    pair.ground.start(1, 0)
+    pair.run(late)
+    pair.space.start(2, late)
+    pair.run(20 * S)
+    for end in pair.ends:
+        assert end.supervisor.state is LinkState.REFUSED
+        assert why in end.supervisor.why
+        assert not end.delivered
+        assert not end.supervisor.delivering
+        assert len(end.sent) < 20 * 20 + 100
+        assert "refused" in pair.history(end)
+    # Restarted with the right configuration, it is accepted at once.
+    pair.never_connected = False
+    pair.space.configuration = SPACE
+    pair.space.start(3, pair.slot)
+    pair.run(100)
+    assert pair.states == CONNECTED
+
+
+def test_a_mismatching_new_life_stops_delivery():
+    pair = connected()
+    pair.space.configuration = varied(receive_flows=UP[:2])
+    pair.space.start(0x3333, pair.slot)
+    # Until the loss of the old life's signal is noticed: a stranger cannot end a live connection.
+    pair.run(50 + pair.delay_slots)
+    pair.never_connected = True
+    count = len(pair.ground.delivered)
+    pair.run(2 * S)
+    assert pair.states == ("REFUSED", "REFUSED")
+    assert len(pair.ground.delivered) == count
+
+
+@pytest.mark.parametrize("masters", [(True, True), (False, False)])
+def test_two_ends_with_the_same_role_refuse_each_other(masters):
+    pair = Pair(masters=masters)
+    pair.never_connected = True
+    pair.start()
+    pair.run(5 * S)
+    assert pair.states == ("REFUSED", "REFUSED")
+    assert f"both ends are {'master' if masters[0] else 'slave'}" in pair.ground.supervisor.why
+    assert not pair.ground.delivered + pair.space.delivered
+
+
+def test_the_local_check_comes_first():
+    pair = connected()
+    pair.space.supervisor.handle_local_check("no robot", pair.slot * MS)
+    pair.run(50)
+    assert pair.states == ("CONFIGURE", "CHECK")
+    assert "local check" in pair.ground.supervisor.why
+    count = len(pair.space.delivered)
+    pair.never_connected = True
+    pair.run(20 * S)
+    assert pair.states == ("CONFIGURE", "CHECK")
+    assert len(pair.space.delivered) == count
+    assert len(pair.ground.of(StateChanged)) < 10
+    pair.never_connected = False
+    pair.space.supervisor.handle_local_check(None, pair.slot * MS)
+    pair.run(50)
+    assert pair.states == CONNECTED
+
+
+class Near:
+    """The ground's end, which follows a stream that could not prove itself: it hears nobody."""
+
+    def __init__(self):
+        options = {"now_ns": 0, "secret": 5}
+        self.supervisor = Supervisor(master=True, configuration=GROUND, life=1, **options)
+        far = Supervisor(master=False, configuration=SPACE, life=2, **options)
+        self.supervisor.handle_local_check(None, 0)
+        far.handle_local_check(None, 0)
+        sent = (far.poll_transmit(slot * MS) for slot in range(100))
+        self.template = parse_message(next(message for message in sent if message is not None))
+        assert self.template.kind is MessageKind.HELLO
+        self.now_ns = 0
+        frames = 0
+        found = Encounter.IGNORE
+        while found is Encounter.IGNORE:
+            self.run(1)
+            frames += 1
+            found = self.supervisor.handle_stranger(
+                self.hello(), self.now_ns, frames=frames, lasts_ns=self.now_ns
+            )
+        assert frames > 1
+        self.receive()
+
+    def hello(self, **fields):
+        return pack_message(self.template._replace(**{"number": 0, "echo": 0} | fields))
+
+    def receive(self, **fields):
+        self.supervisor.handle_message(self.hello(**fields), self.now_ns)
+
+    def run(self, slots):
+        """Return the HELLOs that go out; frames of the far end keep the signal."""
+        sent = []
+        for _ in range(slots):
+            self.now_ns += MS
+            if self.supervisor.signal:
+                self.supervisor.handle_frame(self.now_ns)
+            message = self.supervisor.poll_transmit(self.now_ns)
+            if message is not None:
+                sent.append(parse_message(message))
+        return [message for message in sent if message.kind is MessageKind.HELLO]
+
+    def asked(self):
+        """Ask it something; return the HELLO that answers."""
+        self.receive(number=77)
+        return self.run(30)[0]
+
+    def hears(self):
+        events = iter(self.supervisor.next_event, None)
+        return any(isinstance(event, PeerHears) for event in events)
+
+
+def test_a_question_is_answered_with_its_number():
+    near = Near()
+    for number in (78, 79):
+        near.receive(number=number)
+        assert near.run(30)[0].echo == number
+
+
+@pytest.mark.parametrize(("error", "proven"), [(0, True), (1, False)])
+def test_an_echo_of_the_own_number_proves_the_peer_and_that_it_hears(error, proven):
+    near = Near()
+    number = near.asked().number
+    assert number, "it asks, because the peer is not proven"
+    near.hears()
+    near.receive(echo=number ^ error, signal=True)
+    assert near.hears() == proven
+    assert (near.asked().number == 0) == proven
+
+
+def test_an_echo_counts_only_as_long_as_a_round_trip_takes():
+    near = Near()
+    number = near.asked().number
+    near.run(2 * near.supervisor.timing.round_trip_ns // MS + 1)
+    near.receive(echo=number, signal=True)
+    assert near.asked().number
+
+
+def test_questions_without_end_are_answered_a_hundred_times_a_second():
+    near, sent = Near(), []
+    for number in range(1, 201):
+        near.receive(number=number)
+        sent += near.run(1)
+    assert len(sent) in (20, 21)
+
+
+def test_messages_are_counted_at_both_ends_and_garbled_ones_as_such():
+    pair = connected().run(5 * S)
+    for end, other in (pair.ends, pair.ends[::-1]):
+        assert_counted(pair, end)
+        on_the_way = sum(message is not None for _, _, message, _ in pair.paths[other.name])
+        counts = figures(pair, end).counts
+        assert counts["messages_received"] == len(other.sent) - on_the_way
+        assert counts["messages_malformed"] == counts["messages_mismatched"] == 0
+        for _ in range(3):
+            end.supervisor.handle_message(bytes(12), pair.slot * MS)
+        assert figures(pair, end).counts == {**counts, "messages_malformed": 3}
+
+
+@SIDES
+def test_each_restart_of_the_peer_is_counted(who):
+    pair = connected()
+    one, other = ends(pair, who)
+    for number in (1, 2, 3):
+        one.start(0x7000 + number, pair.slot)
+        pair.run(3 * S)
+        assert pair.states == CONNECTED
+        assert figures(pair, other).counts["peer_restarts"] == number
+        assert figures(pair, one).counts["peer_restarts"] == 0
+        for end in pair.ends:
+            assert_counted(pair, end)
+
+
+def test_each_time_without_hearing_is_counted_at_both_ends():
+    pair = connected()
+    for number in (1, 2, 3):
+        begun_ns = pair.slot * MS
+        pair.blocked["ground"] = True
+        pair.run(number * S)
+        pair.blocked["ground"] = False
+        pair.run(2 * S)
+        assert pair.states == CONNECTED
+        # Space lost the signal, and the ground heard that space does not hear it.
+        space, ground = figures(pair, pair.space), figures(pair, pair.ground)
+        assert (space.counts["signals_lost"], space.counts["signals_acquired"]) == (
+            number,
+            number + 1,
+        )
+        assert (ground.counts["peer_deaf"], ground.counts["signals_lost"]) == (number, 0)
+        assert len(pair.ground.of(PeerHears)) == number + 1
+        assert (pair.space.of(SignalLost)[-1].now_ns - begun_ns) // MS in range(40, 60)
+        assert number * S - 5 <= space.longest_gap_ns // MS <= number * S + 5
+        for end in pair.ends:
+            assert_counted(pair, end)
+    gaps_ns = sum(
+        again.acquired_ns - lost.lost_ns
+        for lost, again in zip(space.contacts, space.contacts[1:], strict=False)
+    )
+    begun_ns = space.contacts[0].acquired_ns
+    assert space.contact_ns == pair.slot * MS - space.begun_ns - begun_ns - gaps_ns
+
+
+TIMING = SupervisionTiming()
+
+
+def test_an_application_link_is_reset_when_idle_and_when_broken():
+    """2 s without data; a broken one after a round trip more, then twice as long each time."""
+    watch = ApplicationWatch(TIMING, 0)
+    assert not watch.fresh(0) and not watch.sending(0)
+    watch.arrived_ns = watch.sent_ns = 10 * NS_PER_S
+    watch.handle_first()
+    assert watch.arrived and watch.fresh(12 * NS_PER_S - 1) and not watch.fresh(12 * NS_PER_S)
+    assert watch.sending(12 * NS_PER_S - 1) and not watch.sending(12 * NS_PER_S)
+
+    def due(now_ns, *, peer_fresh=False, approved=True):
+        return watch.reset_due(peer_fresh=peer_fresh, approved=approved, now_ns=now_ns)
+
+    assert due(12 * NS_PER_S - 1) is None
+    assert (
+        due(12 * NS_PER_S, peer_fresh=True) is None and due(12 * NS_PER_S, approved=False) is None
+    )
+    watch.sent_ns = 11 * NS_PER_S
+    assert due(12 * NS_PER_S) is None and watch.arrived
+    assert due(13 * NS_PER_S) == "idle" and not watch.arrived
+    # The peer sends, and nothing comes.
+    watch.handle_first()
+    watch.handle_peer(was_reset=False, sends=True, now_ns=20 * NS_PER_S)
+    watch.handle_peer(was_reset=False, sends=True, now_ns=21 * NS_PER_S)
+    found = []
+    for ms in range(20_000, 250_000, 100):
+        if due(ms * MS, approved=False) == "broken":
+            found.append(ms)
+            assert not watch.arrived
+    steps = [b - a for a, b in zip([20_000, *found], found, strict=False)]
+    assert steps == [3_100, 5_100, 9_100, 17_100, 33_100, 65_100, 65_100]
+    # Data at last: the waits are short again.
+    watch.handle_first()
+    watch.handle_contact(300 * NS_PER_S)
+    assert not watch.arrived and due(303 * NS_PER_S, approved=False) is None
+    watch.handle_peer(was_reset=False, sends=True, now_ns=301 * NS_PER_S)
+    assert due(304 * NS_PER_S, approved=False) is None
+    assert due(304 * NS_PER_S + 1, approved=False) == "broken"
+    watch.handle_peer(was_reset=False, sends=False, now_ns=400 * NS_PER_S)
+    assert due(500 * NS_PER_S, approved=False) is None
+
+
+def test_a_reset_of_the_peer_is_followed_unless_data_comes():
+    watch = ApplicationWatch(TIMING, 0)
+    watch.handle_first()
+    watch.arrived_ns = 5 * NS_PER_S
+    watch.handle_peer(was_reset=True, sends=False, now_ns=7 * NS_PER_S - 1)
+    assert watch.arrived
+    watch.handle_peer(was_reset=False, sends=False, now_ns=8 * NS_PER_S)
+    assert watch.arrived
+    watch.handle_peer(was_reset=True, sends=False, now_ns=8 * NS_PER_S)
+    assert not watch.arrived
