@@ -51,20 +51,18 @@ def test_existing_runs_are_kept_and_missing_ones_are_made(bench, tmp_path, capsy
     assert bench() == 2 * LIVE_RUNS + 3
     assert main([*words, "--again"]) == 0
     assert bench() == 3 * LIVE_RUNS + 4
+    # Without measuring.
+    write_record(tmp_path, RECORD)
+    assert main(["all", "--render", "--out", str(tmp_path)]) == 0
+    assert "# Measurements" in capsys.readouterr().out
+    assert main(["all", "--render", "--out", str(tmp_path / "nowhere")]) == 2
+    assert bench() == 3 * LIVE_RUNS + 4
 
 
 def test_a_bench_that_fails_is_an_exit_code_and_on_the_page(bench, tmp_path):
     write = tmp_path / "page.md"
     assert main(["all", "--only", "tasks", "--write", str(write)]) == 1
     assert "**Run 1 failed: the last words**" in write.read_text()
-
-
-def test_the_page_is_rendered_without_measuring(bench, tmp_path, capsys):
-    write_record(tmp_path, RECORD)
-    assert main(["all", "--render", "--out", str(tmp_path)]) == 0
-    assert "# Measurements" in capsys.readouterr().out
-    assert main(["all", "--render", "--out", str(tmp_path / "nowhere")]) == 2
-    assert bench() == 0
 
 
 def test_an_interrupted_measurement_still_writes_its_page(bench, tmp_path, monkeypatch):

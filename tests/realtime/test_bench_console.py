@@ -5,33 +5,25 @@ import os
 import subprocess
 import sys
 
-import pytest
-
 BENCH = """
 import argparse, json, sys
 from pipelines.report.report_file import open_console
-console = open_console(argparse.Namespace(report=sys.argv[1] or None, plot=None))
+console = open_console(argparse.Namespace(report=sys.argv[1], plot=None))
 for number in range(100):
     console.print("ten letters " * 100, highlight=False)
-if sys.argv[1]:
-    open(sys.argv[1], "w").write(json.dumps({"printed": number}))
+open(sys.argv[1], "w").write(json.dumps({"printed": number}))
 """
 
 
-@pytest.mark.parametrize("report", [False, True])
-def test_a_closed_pipe_is_no_failure_and_wanted_figures_are_kept(tmp_path, report):
+def test_a_closed_pipe_is_no_failure_and_wanted_figures_are_kept(tmp_path):
     path = tmp_path / "report.json"
     away, end = os.pipe()
     with subprocess.Popen(
-        [sys.executable, "-c", BENCH, str(path) if report else ""],
-        stdout=end,
-        stderr=subprocess.PIPE,
+        [sys.executable, "-c", BENCH, str(path)], stdout=end, stderr=subprocess.PIPE
     ) as process:
         os.close(end)
         os.read(away, 1)
         os.close(away)
         _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0, b"")
-    assert path.exists() == report
-    if report:
-        assert json.loads(path.read_text()) == {"printed": 99}
+    assert json.loads(path.read_text()) == {"printed": 99}

@@ -4,13 +4,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from common import eventually
 from synthetic_recording import write_recording
 
-COMMANDS = [("devices",), ("topology", "--setup", "taskboard"), ("doctor",), ("stream", "--help")]
+COMMANDS = [("topology", "--setup", "taskboard"), ("doctor",)]
 
 
 def start(*words, **options):
@@ -22,18 +22,20 @@ def start(*words, **options):
 def ended(process) -> tuple[int, str]:
     said = process.stderr.read().decode()
     process.stderr.close()
-    return process.wait(30), said
+    return process.wait(90), said
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words[0])
-def test_a_closed_output_or_a_reader_that_ends_is_no_failure(words):
+def test_a_closed_output_or_a_reader_that_ends_is_no_failure_and_a_full_one_is(words):
     closed = start(*words, preexec_fn=lambda: os.close(1))
-    assert ended(closed) == (0, "")
     ours, theirs = os.pipe()
     gone = start(*words, stdout=theirs)
     os.close(theirs)
     os.close(ours)
-    assert ended(gone) == (0, "")
+    with Path("/dev/full").open("wb") as output:
+        full = start(*words, stdout=output)
+    assert ended(closed) == ended(gone) == (0, "")
+    assert ended(full) == (1, "kontur-av: No space left on device: free some room\n")
 
 
 def test_a_sender_whose_reader_has_gone_ends_quietly():
@@ -45,21 +47,11 @@ def test_a_sender_whose_reader_has_gone_ends_quietly():
     assert ended(process) == (0, "")
 
 
-@pytest.mark.parametrize("words", COMMANDS[:3], ids=lambda words: words[0])
-def test_a_full_output_is_a_failure_with_one_line(words):
-    with Path("/dev/full").open("wb") as full:
-        assert ended(start(*words, stdout=full)) == (
-            1,
-            "kontur-av: No space left on device: free some room\n",
-        )
-
-
-@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words[0])
 @pytest.mark.parametrize("charset", ["latin-1", "ascii"])
-def test_any_charset_takes_the_words(words, charset):
+def test_any_charset_takes_the_words(charset):
     environment = os.environ | {"PYTHONIOENCODING": f"{charset}:strict"}
-    process = start(*words, stdout=subprocess.DEVNULL, env=environment)
-    assert ended(process) == (0, "")
+    each = [start(*words, stdout=subprocess.DEVNULL, env=environment) for words in COMMANDS]
+    assert [ended(process) for process in each] == [(0, "")] * len(COMMANDS)
 
 
 def test_a_report_on_standard_output_has_no_words_in_it(tmp_path):
@@ -85,7 +77,7 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("words", [["info"], ["recover"], ["export", "--csv", "out"]])
+@pytest.mark.parametrize("words", [["info"], ["export", "--csv", "out"]])
 def test_a_recording_that_becomes_shorter_is_a_failure_with_one_line(words, tmp_path):
     write_recording(tmp_path / "a.mcap")
     command = [sys.executable, "-c", SHRINKS, words[0], "a.mcap", *words[1:]]
@@ -95,14 +87,12 @@ def test_a_recording_that_becomes_shorter_is_a_failure_with_one_line(words, tmp_
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_an_export_that_is_ended_leaves_nothing(number, tmp_path):
     write_recording(tmp_path / "a.mcap")
     words = ["export", "a.mcap", "--csv", "out", "--lerobot", "set"]
     process = start(*words, stdout=subprocess.DEVNULL, cwd=tmp_path)
-    until_s = time.monotonic() + 60
-    while not [*tmp_path.glob("out/*.unfinished")] and time.monotonic() < until_s:
-        time.sleep(0.001)
+    eventually(lambda: [*tmp_path.glob("out/*.unfinished")], "a table", pause_s=0.001)
     child = children_of(process.pid)
     process.send_signal(number)
     assert ended(process) == (130, "")

@@ -7,6 +7,8 @@ import sys
 import pytest
 
 from kontur_av.codecs import libopus
+from pipelines.commands.doctor import doctor
+from pipelines.session import machine_checks
 
 
 def test_the_installed_command_gives_the_same_message(tmp_path):
@@ -30,25 +32,24 @@ def test_later_output_follows_a_report_on_stdout(tmp_path):
     assert (tmp_path / "out").read_text().endswith("}\n7\n")
 
 
-def test_commands_at_a_running_session_load_no_codec():
+@pytest.mark.parametrize(
+    ("commands", "absent"),
+    [
+        ("select record tc task owner trainer stop info", "aiortc av opuslib"),
+        # They must outlive broken software.
+        (
+            "apploader versions file keys owner stop",
+            "aiortc av cv2 opuslib pipelines.session.setup.table",
+        ),
+    ],
+)
+def test_commands_at_a_running_session_and_of_upkeep_load_little(commands, absent):
     code = (
         "import sys\n"
         "from importlib import import_module\n"
-        "for name in 'select record tc task owner trainer stop info'.split():\n"
+        f"for name in {commands.split()}:\n"
         "    import_module(f'pipelines.commands.{name}')\n"
-        "assert not {'aiortc', 'av', 'opuslib'} & sys.modules.keys()\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
-
-
-def test_commands_that_must_outlive_broken_software_load_little():
-    code = (
-        "import sys\n"
-        "from importlib import import_module\n"
-        "for name in 'apploader versions file keys owner stop'.split():\n"
-        "    import_module(f'pipelines.commands.{name}')\n"
-        "assert not {'aiortc', 'av', 'cv2', 'opuslib'} & sys.modules.keys()\n"
-        "assert 'pipelines.session.setup.table' not in sys.modules\n"
+        f"assert not {{*{absent.split()}}} & sys.modules.keys()\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
@@ -72,6 +73,8 @@ find = ctypes.util.find_library
 ctypes.util.find_library = lambda name: {found} if name == "opus" else find(name)
 import numpy as np
 from kontur_av.codecs import libopus
+from pipelines.commands.doctor import doctor
+from pipelines.session import machine_checks
 from kontur_av.codecs.opus import OpusDecoder, OpusEncoder
 encoder, decoder = OpusEncoder(bitrate_bps=8000), OpusDecoder()
 packet = encoder.encode(np.zeros(960, np.int16))
@@ -80,22 +83,29 @@ print(libopus.load().origin, libopus.load().version)
 """
 
 
-def run(found):
+@pytest.mark.parametrize(("found", "origin"), [("None", "PyAV"), ("find(name)", "system")])
+def test_the_systems_libopus_comes_first_and_else_that_in_pyavs_wheel_is_used(found, origin):
+    if origin == "PyAV" and libopus.carried_by_pyav() is None:
+        pytest.skip("libopus: this PyAV carries none")
+    if origin == "system" and libopus.load().origin != "system":
+        pytest.skip("libopus: apt-get install libopus0")
     code = ROUND_TRIP.format(found=found)
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-
-
-def test_the_libopus_in_pyavs_wheel_is_used_if_the_system_has_none():
-    if libopus.carried_by_pyav() is None:
-        pytest.skip("this PyAV carries no libopus")
-    done = run("None")
-    assert done.stdout.startswith("PyAV libopus "), done.stderr
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout.startswith(f"{origin} libopus "), done.stderr
     assert done.stderr == ""
 
 
-def test_the_systems_libopus_comes_first():
-    if libopus.load().origin != "system":
-        pytest.skip("this system has no libopus")
-    done = run("find(name)")
-    assert done.stdout.startswith("system libopus "), done.stderr
-    assert done.stderr == ""
+def test_the_doctor_says_that_a_machine_that_runs_the_tests_can_run_a_session():
+    lines = []
+    assert doctor(lines.append) == 0
+    assert len(lines) == len(machine_checks.CHECKS) + 1
+    assert all("\n" not in line for line in lines)
+    assert lines[-1] == "a session can run"
+    assert any("libx264" in line and line.startswith("ok") for line in lines)
+
+
+def test_refused_real_time_names_the_limits_to_set(monkeypatch):
+    monkeypatch.setattr(machine_checks, "_RT_PRIORITY", 1000)
+    verdict = machine_checks.check_real_time()
+    assert verdict.state == "advice"
+    assert "rtprio 1000" in verdict.mend and "/etc/security/limits.d" in verdict.mend

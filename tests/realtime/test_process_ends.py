@@ -28,7 +28,7 @@ def received(link):
     return Message.unpack(link.recv(1 << 22))
 
 
-def test_figures_are_filled_in_and_sent_when_they_are_due(link):
+def test_figures_are_filled_in_and_sent_when_they_are_due_also_after_a_full_socket(link):
     ours, theirs = link
     context = context_of(theirs)
     context.on_flush(lambda: context.probe.series(LatenessRow).add(LatenessRow(7)))
@@ -38,28 +38,18 @@ def test_figures_are_filled_in_and_sent_when_they_are_due(link):
     assert series.rows() == [LatenessRow(7)]
     with pytest.raises(BlockingIOError):
         received(ours)
-    context.tick(FLUSH_NS)
-    assert received(ours).series[0].rows() == [LatenessRow(7)]
-
-
-def test_rows_that_a_full_socket_refuses_are_sent_later(link):
-    ours, theirs = link
-    context = context_of(theirs)
     theirs.setblocking(False)
     with pytest.raises(BlockingIOError):
         while True:
             theirs.send(b"full")
-    lateness = context.probe.series(LatenessRow)
-    lateness.add(LatenessRow(7))
     context.probe.tell(PortFigures(credit_uj=1, least_uj=0))
-    context.send_figures(0)
+    context.tick(FLUSH_NS)
     with pytest.raises(BlockingIOError):
         while True:
             ours.recv(1 << 20)
-    lateness.add(LatenessRow(8))
-    context.send_figures(1)
+    context.tick(2 * FLUSH_NS)
     message = received(ours)
-    assert message.series[0].rows() == [LatenessRow(7), LatenessRow(8)]
+    assert message.series[0].rows() == [LatenessRow(7)] * 2
     assert message.figures[PortFigures, ""].credit_uj == 1
 
 

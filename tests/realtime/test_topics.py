@@ -18,6 +18,8 @@ from kontur_av.topics.session_files import remove_session, session_root, shared_
 from pipelines.cli import exit_code
 
 PICTURE_OCTETS = 64 * 48 * 3 // 2
+PICTURE = np.zeros((72, 64), np.uint8)
+LONG_NS = 20_000_000_000
 
 
 @pytest.fixture(params=["iceoryx2", "files"])
@@ -30,150 +32,128 @@ def session(request, monkeypatch):
     assert not shared_memory(name)
 
 
+@pytest.fixture
+def bus(session):
+    with TopicBus(session) as bus:
+        yield bus
+
+
 def stamp(sequence):
     return CaptureStamp(1_000 + sequence, sequence, "left")
 
 
-def test_latest_returns_the_newest_and_next_each_in_turn(session):
-    with TopicBus(session) as bus:
-        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
-        newest, each = bus.reader("pictures"), bus.reader("pictures", depth=4)
-        for sequence in range(3):
-            before_ns = MonotonicClock().now_ns()
-            loan = writer.loan_picture(64, 48)
-            loan.picture[:] = sequence
-            loan.publish(stamp(sequence))
-        assert newest.wait(0)
-        with newest.latest() as lease:
-            frame = lease.video()
-            assert frame.stamp == stamp(2)
-            assert before_ns <= lease.published_ns <= MonotonicClock().now_ns()
-            assert (frame.width, frame.height) == (64, 48)
-            assert (frame.data == 2).all()
-        seen = []
-        while (lease := each.next()) is not None:
-            with lease:
-                seen.append((lease.stamp.sequence, int(lease.video().data[0, 0])))
-        assert seen == [(0, 0), (1, 1), (2, 2)]
+def numbers(reader):
+    """The sequence of each sample that is to be read, in turn."""
+    seen = []
+    while (lease := reader.next()) is not None:
+        with lease:
+            seen.append(lease.stamp.sequence)
+    return seen
 
 
-def test_a_guest_joins_existing_topics_and_creates_none(session):
-    with TopicBus(session) as bus:
-        writer = bus.writer("pictures", max_octets=16)
-        setup = session.rpartition("-")[0]
-        with TopicBus.join(setup) as guest:
-            assert guest.topics() == ["pictures"]
-            reader = guest.reader("pictures")
-            writer.publish_octets(b"there", stamp(0))
-            assert reader.next().octets() == b"there"
-            before = sorted(shared_memory(session))
-            with pytest.raises(ConfigError, match="no topic sounds: it has pictures"):
-                guest.reader("sounds")
-            assert sorted(shared_memory(session)) == before
+def test_latest_returns_the_newest_and_next_each_in_turn(bus):
+    writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+    newest, each = bus.reader("pictures"), bus.reader("pictures", depth=4)
+    for sequence in range(3):
+        before_ns = MonotonicClock().now_ns()
+        loan = writer.loan_picture(64, 48)
+        loan.picture[:] = sequence
+        loan.publish(stamp(sequence))
+    assert newest.wait(0)
+    with newest.latest() as lease:
+        frame = lease.video()
+        assert frame.stamp == stamp(2)
+        assert before_ns <= lease.published_ns <= MonotonicClock().now_ns()
+        assert (frame.width, frame.height) == (64, 48)
+        assert (frame.data == 2).all()
+    for sequence in range(3):
+        with each.next() as lease:
+            assert (lease.stamp.sequence, lease.video().data[0, 0]) == (sequence, sequence)
+    assert each.next() is None
+
+
+def test_sound_is_read_as_it_was_published(bus):
+    writer, reader = bus.writer("voice", max_octets=1920), bus.reader("voice", depth=8)
+    samples = np.arange(-480, 480, dtype=np.int16)
+    writer.publish_audio(AudioFrame(samples, stamp(7)))
+    with reader.next() as lease:
+        assert (lease.audio().samples == samples).all()
+        assert lease.audio().stamp == stamp(7)
+
+
+def test_a_guest_joins_existing_topics_and_creates_none(session, bus):
+    writer = bus.writer("pictures", max_octets=16)
+    with TopicBus.join(session.rpartition("-")[0]) as guest:
+        assert guest.topics() == ["pictures"]
+        reader = guest.reader("pictures")
+        writer.publish_octets(b"there", stamp(0))
+        assert reader.next().octets() == b"there"
+        before = sorted(shared_memory(session))
+        with pytest.raises(ConfigError, match="no topic sounds: it has pictures"):
+            guest.reader("sounds")
+        assert sorted(shared_memory(session)) == before
     absent = f"{session}-not"
     with pytest.raises(ConfigError, match=f"no session {absent} is running"):
         TopicBus.join(absent)
     assert not shared_memory(absent) and not session_root(absent).exists()
 
 
-def test_sound_is_read_as_it_was_published(session):
-    with TopicBus(session) as bus:
-        writer = bus.writer("voice", max_octets=1920)
-        reader = bus.reader("voice", depth=8)
-        samples = np.arange(-480, 480, dtype=np.int16)
-        writer.publish_audio(AudioFrame(samples, stamp(7)))
-        with reader.next() as lease:
-            assert (lease.audio().samples == samples).all()
-            assert lease.audio().stamp == stamp(7)
+def test_a_slow_reader_loses_the_oldest_and_never_blocks_the_writer(bus):
+    writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+    slow = bus.reader("pictures", depth=2)
+    for sequence in range(100):
+        writer.publish_video(VideoFrame(PICTURE, stamp(sequence)))
+    assert numbers(slow) == [98, 99]
 
 
-def test_a_slow_reader_loses_the_oldest_and_never_blocks_the_writer(session):
-    with TopicBus(session) as bus:
-        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
-        slow = bus.reader("pictures", depth=2)
-        data = np.zeros((72, 64), np.uint8)
-        for sequence in range(100):
-            writer.publish_video(VideoFrame(data, stamp(sequence)))
-        seen = []
-        while (lease := slow.next()) is not None:
-            with lease:
-                seen.append(lease.stamp.sequence)
-        assert seen == [98, 99]
-
-
-def test_a_reader_that_holds_two_samples_may_still_look_for_the_newest(session):
+def test_a_reader_that_holds_two_samples_may_still_look_for_the_newest(bus):
     """The stereo merge does so when it shows a camera's last picture again.
 
     A deeper queue stands for publications between the steps of `latest`.
     """
-    with TopicBus(session) as bus:
-        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
-        reader = bus.reader("pictures", depth=4)
-        data = np.zeros((72, 64), np.uint8)
-        writer.publish_video(VideoFrame(data, stamp(0)))
-        held = [reader.latest()]
-        for sequence in (1, 2, 3):
-            writer.publish_video(VideoFrame(data, stamp(sequence)))
+    writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+    reader, held = bus.reader("pictures", depth=4), []
+    for first, last in ((0, 0), (1, 3)):
+        for sequence in range(first, last + 1):
+            writer.publish_video(VideoFrame(PICTURE, stamp(sequence)))
         held.append(reader.latest())
-        assert [lease.stamp.sequence for lease in held] == [0, 3]
-        for sequence in (4, 5, 6):
-            writer.publish_video(VideoFrame(data, stamp(sequence)))
-        held[0].release()
-        assert reader.latest().stamp.sequence == 6
+    assert [lease.stamp.sequence for lease in held] == [0, 3]
+    for sequence in (4, 5, 6):
+        writer.publish_video(VideoFrame(PICTURE, stamp(sequence)))
+    held[0].release()
+    assert reader.latest().stamp.sequence == 6
 
 
-def test_a_reader_that_joins_late_begins_with_the_next_sample(session):
-    with TopicBus(session) as bus:
-        writer = bus.writer("state", max_octets=8, wake=False)
-        writer.publish_octets(b"12345678", stamp(0))
-        reader = bus.reader("state")
-        assert reader.latest() is None
-        writer.publish_octets(b"87654321", stamp(1))
-        with reader.latest() as lease:
-            assert lease.payload.tobytes() == b"87654321"
-
-
-def test_a_reader_of_a_resumed_topic_begins_with_a_fresh_sample(session):
+def test_a_reader_that_joins_late_begins_with_the_next_sample_and_is_counted(bus):
     """A camera that is drawn only while somebody reads it is such a topic."""
-    with TopicBus(session) as bus:
-        writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
-        assert not writer.has_readers()
-        data = np.zeros((72, 64), np.uint8)
-        writer.publish_video(VideoFrame(data, stamp(0)))
-        loan = writer.loan_picture(64, 48)
-        reader = bus.reader("pictures")
-        assert writer.has_readers()
-        assert reader.latest() is None
-        loan.publish(stamp(1))
-        with reader.next() as lease:
-            assert lease.stamp == stamp(1)
-        assert reader.next() is None
-        reader.close()
-        assert not writer.has_readers()
+    writer = bus.writer("pictures", max_octets=PICTURE_OCTETS)
+    assert not writer.has_readers() and writer.joins() == 0
+    writer.publish_video(VideoFrame(PICTURE, stamp(0)))
+    loan = writer.loan_picture(64, 48)
+    reader = bus.reader("pictures")
+    assert writer.has_readers()
+    assert reader.latest() is None
+    loan.publish(stamp(1))
+    assert numbers(reader) == [1]
+    reader.close()
+    assert not writer.has_readers()
+    # Who takes the place of a reader has joined.
+    bus.reader("pictures")
+    assert writer.joins() == 2
 
 
-def test_who_takes_the_place_of_a_reader_has_joined(session):
-    with TopicBus(session) as bus:
-        writer = bus.writer("a", max_octets=8)
-        assert writer.joins() == 0
-        bus.reader("a").close()
-        bus.reader("a")
-        assert writer.joins() == 2
-
-
-def test_a_waiter_wakes_for_a_socket_and_for_a_topic(session):
+def test_a_waiter_wakes_for_a_socket_and_for_a_topic(bus):
     read_fd, write_fd = os.pipe()
-    with TopicBus(session) as bus:
-        writer = bus.writer("a", max_octets=8)
-        readers = [bus.reader("a"), bus.reader("b")]
-        waiter = bus.waiter(readers, [read_fd])
-        writer.publish_octets(b"x", stamp(0))
-        waiter.wait(20_000_000_000)  # returns at once, or the test hangs
-        assert readers[0].latest() is not None
-        os.write(write_fd, b"!")
-        waiter.wait(20_000_000_000)
-        assert os.read(read_fd, 1) == b"!"
-        del waiter
+    writer = bus.writer("a", max_octets=8)
+    readers = [bus.reader("a"), bus.reader("b")]
+    waiter = bus.waiter(readers, [read_fd])
+    writer.publish_octets(b"x", stamp(0))
+    waiter.wait(LONG_NS)  # returns at once, or the test hangs
+    assert readers[0].latest() is not None
+    os.write(write_fd, b"!")
+    waiter.wait(LONG_NS)
+    assert os.read(read_fd, 1) == b"!"
+    del waiter
     os.close(read_fd)
     os.close(write_fd)
 
@@ -181,21 +161,20 @@ def test_a_waiter_wakes_for_a_socket_and_for_a_topic(session):
 def _publish_for_ever(session):
     writer = TopicBus(session).writer("pictures", max_octets=PICTURE_OCTETS)
     for sequence in range(1_000_000):
-        writer.publish_video(VideoFrame(np.zeros((72, 64), np.uint8), stamp(sequence)))
+        writer.publish_video(VideoFrame(PICTURE, stamp(sequence)))
         time.sleep(0.002)
 
 
 def _hold_for_ever(session):
-    reader = TopicBus(session).reader("pictures")
-    held = []
-    while reader.wait(20_000_000_000):
+    reader, held = TopicBus(session).reader("pictures"), []
+    while reader.wait(LONG_NS):
         if len(held) < 2:
             held.append(reader.latest())
 
 
 def _tell_what_arrives(session, tell):
     reader = TopicBus(session).reader("pictures")
-    while reader.wait(20_000_000_000):
+    while reader.wait(LONG_NS):
         if lease := reader.latest():
             with lease:
                 tell.send(lease.stamp.sequence)
@@ -233,10 +212,10 @@ def test_a_killed_writer_and_a_killed_reader_leave_the_others_running(session):
             process.join()
 
 
-def test_an_invalid_session_name_or_size_is_refused(session):
+def test_an_invalid_session_name_or_size_is_refused(bus):
     with pytest.raises(ConfigError, match="session name"):
         TopicBus("../etc")
-    with TopicBus(session) as bus, pytest.raises(ConfigError, match="size 63x48"):
+    with pytest.raises(ConfigError, match="size 63x48"):
         bus.writer("x", max_octets=10).loan_picture(63, 48)
 
 
