@@ -5,12 +5,11 @@ import hashlib
 import hmac
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from kontur_av.errors import ConfigError
 from pipelines.partner.ice_servers import IceServer, IceServers, servers_of_links, timed_credentials
 
+STUN = IceServer(url="stun:stun.example")
 TURN = IceServer(url="turn:turn.example:3478?transport=tcp", username="u", credential="p+/=")
 
 
@@ -19,21 +18,15 @@ def test_credentials_end_and_carry_the_code_that_coturn_computes():
     assert username == "1000003600:kontur"
     code = hmac.new(b"a secret word", username.encode(), hashlib.sha1).digest()
     assert base64.b64decode(credential) == code
-    with pytest.raises(ConfigError, match="too short"):
-        timed_credentials("short", name="kontur", now_s=0)
 
 
 def test_servers_go_through_a_link_header_and_back():
-    servers = (IceServer(url="stun:stun.example"), TURN)
-    assert servers_of_links(IceServers(servers=servers).link_headers()) == servers
+    # Nonsense in one: tests/fuzz/test_strangers_fuzz.py.
+    servers = (STUN, TURN)
+    links = IceServers(servers=servers).link_headers()
+    assert servers_of_links(links) == servers
     # Several in one line, other relations in between.
-    line = '<https://x/>; rel="next", ' + ", ".join(IceServers(servers=servers).link_headers())
-    assert servers_of_links([line]) == servers
-
-
-@given(st.lists(st.text(alphabet='<>;="turn:,relic-sv ', max_size=80), max_size=4))
-def test_nonsense_in_a_link_header_names_no_server(values):
-    assert all(isinstance(one, IceServer) for one in servers_of_links(values))
+    assert servers_of_links(['<https://x/>; rel="next", ' + ", ".join(links)]) == servers
 
 
 @pytest.mark.parametrize("url", ["http://x", "turn:", "turn:a b", "stun:x?transport=sctp"])
@@ -43,8 +36,10 @@ def test_an_address_that_is_none_is_refused(url):
 
 
 def test_turn_needs_credentials_and_relay_only_needs_turn():
+    with pytest.raises(ConfigError, match="too short"):
+        timed_credentials("short", name="kontur", now_s=0)
     with pytest.raises(ConfigError, match="credentials"):
         IceServer(url="turn:turn.example")
     with pytest.raises(ConfigError, match="relay-only"):
-        IceServers(servers=(IceServer(url="stun:stun.example"),), relay_only=True).check()
+        IceServers(servers=(STUN,), relay_only=True).check()
     IceServers(servers=(TURN,), relay_only=True).check()

@@ -97,10 +97,7 @@ def test_the_handle_is_handed_over_by_its_holder_or_free_when_that_is_gone():
     assert ownership.state == HandleState(2)
     assert ownership.handle_give(2) == ""
     assert ownership.state == HandleState()
-
-
-def test_a_page_that_may_only_watch_is_refused():
-    ownership = joined(1)
+    # A page that may only watch is refused.
     for deed in (ownership.handle_take, ownership.handle_ask):
         assert deed(VIEWER) == "take: this page may watch only"
     assert ownership.handle_give(VIEWER) and ownership.handle_refuse(VIEWER)
@@ -110,12 +107,16 @@ def test_a_page_that_may_only_watch_is_refused():
 def test_replayed_and_impossible_inputs_are_refused():
     ownership = joined(1)
     ownership.handle_take(1)
-    gate = HandGate(ownership)
-    assert gate.handle_input(1, PageInput(True, 0.0, 0.0, 0, 2**32 - 1)) is not None
-    assert gate.handle_input(1, PageInput(True, 0.0, 0.0, 0, 2**32 - 1)) is None
-    assert gate.handle_input(1, PageInput(True, float("nan"), 0.0, 0, 0)) is None
-    assert gate.handle_input(1, PageInput(True, 0.0, 1.01, 0, 0)) is None
-    assert gate.handle_input(1, PageInput(True, 0.0, 1.0, 0, 0)) is not None
+    gate, last = HandGate(ownership), 2**32 - 1
+    for x, y, sequence, passes in (
+        (0.0, 0.0, last, True),
+        (0.0, 0.0, last, False),
+        (float("nan"), 0.0, 0, False),
+        (0.0, 1.01, 0, False),
+        (0.0, 1.0, 0, True),
+    ):
+        passed = gate.handle_input(1, PageInput(True, x, y, 0, sequence))
+        assert (passed is not None) is passes
 
 
 PLAN = seat_plan(
@@ -162,9 +163,7 @@ def test_an_input_belongs_to_one_page_until_it_is_given_back_or_gone():
     assert ask(inputs, 1, "iss_camera") == ""
     inputs.handle_closed(1)
     assert inputs.owners == {"iss_camera": None, "iss_mic": None}
-
-
-def test_only_inputs_of_this_seat_and_no_viewer():
+    # Only inputs of this seat, and no viewer.
     inputs = opened(Role.OPERATOR, Role.VIEWER)
     assert ask(inputs, 0, "head") == "head: no page can give this input here"
     assert ask(inputs, 1, "iss_camera") == "a viewer may watch only"

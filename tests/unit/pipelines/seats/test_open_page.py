@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -41,6 +42,9 @@ def test_live_units_follow_the_replay():
     queue.lanes[0].put_unit(b"2", key=False)
     assert drained(queue) == [b"0", b"1", b"2"]
     assert queue.units_left_out == 0
+    # One of any size fits alone.
+    queue.lanes[0].put_unit(bytes(MOST_UNIT_OCTETS + 1), key=True)
+    assert queue.lanes[0].open and len(queue.lanes[0]) == 1
 
 
 def test_units_that_do_not_fit_all_go_until_a_replay():
@@ -56,23 +60,12 @@ def test_units_that_do_not_fit_all_go_until_a_replay():
     lane.put_replay([b"again"])
     lane.put_unit(b"next", key=False)
     assert drained(queue) == [b"again", b"next"]
-
-
-def test_a_key_unit_opens_the_gate():
-    lane = ClientQueue([0]).lanes[0]
-    lane.put_replay([])
-    for _ in range(MOST_UNITS + 1):
-        lane.put_unit(b"unit", key=False)
+    # So does a key unit.
+    for number in range(MOST_UNITS + 1):
+        lane.put_unit(b"%d" % number, key=False)
     lane.put_unit(b"key", key=True)
     lane.put_unit(b"next", key=False)
-    assert (lane.pop(), lane.pop(), lane.pop()) == (b"key", b"next", None)
-
-
-def test_a_unit_of_any_size_fits_alone():
-    lane = ClientQueue([0]).lanes[0]
-    lane.put_replay([])
-    lane.put_unit(bytes(MOST_UNIT_OCTETS + 1), key=True)
-    assert lane.open and len(lane) == 1
+    assert drained(queue) == [b"key", b"next"]
 
 
 def test_sound_loses_the_oldest_and_counts_it():
@@ -96,6 +89,7 @@ INPUTS = st.sampled_from(
 )
 
 
+@pytest.mark.rule("4")
 @settings(max_examples=50)
 @given(st.lists(st.tuples(INPUTS, st.integers(0, 40_000)) | st.just("pop"), max_size=400))
 def test_bounded_whatever_comes_and_complete_whatever_goes(steps):
@@ -130,16 +124,12 @@ def test_bounded_whatever_comes_and_complete_whatever_goes(steps):
         assert key or after == before + 1
 
 
-def test_a_burst_then_the_rate():
+@given(st.lists(st.integers(0, NS_PER_S), max_size=200))
+def test_a_burst_then_never_more_than_the_rate(gaps_ns):
     bucket = MessageRate(20, 5)
     assert [bucket.handle_message(0) for _ in range(6)] == [True] * 5 + [False]
     assert not bucket.handle_message(NS_PER_S // 20 - 1)
     assert bucket.handle_message(NS_PER_S // 20)
-    assert not bucket.handle_message(NS_PER_S // 20)
-
-
-@given(st.lists(st.integers(0, NS_PER_S), max_size=200))
-def test_never_more_than_burst_and_rate(gaps_ns):
     bucket, now_ns, passed = MessageRate(20, 5), 0, 0
     for gap_ns in gaps_ns:
         now_ns += gap_ns

@@ -27,217 +27,220 @@ from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 DICTIONARY = built_in_dictionary()
 SELECT_HEAD = {"application": "camera", "name": "select", "arguments": ["head"]}
-NO_ANSWER = "select head: no acknowledgement came"
+WATCH_ONLY = "a viewer may watch only"
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"], pages=True)
 KEY, DELTA = b"\0\0\0\1\x67s\0\0\0\1\x68p\0\0\0\1\x65i", b"\0\0\0\1\x41d"
+FREE = {"holder": None, "you": False, "wanted_by": None, "who": "", "asks": ""}
+HAPTICS = np.zeros(BLOCK_ROWS, ROW).tobytes()
 
 
-def seat_of(segment=Segment.SPACE, topology=TOPOLOGY):
-    return Seat(seat_plan(topology, segment, "spacejustin-1", DICTIONARY), first_command=100)
+class Page:
+    """An open page: what it is sent, and what it sends."""
+
+    def __init__(self, seat, role, now_ns, **options):
+        self.seat = seat
+        self.number = seat.handle_opened(role, now_ns, **options)
+
+    def sent(self):
+        return list(iter(lambda: self.seat.poll_transmit(self.number), None))
+
+    def texts(self, kind):
+        found = [json.loads(text) for text in self.sent() if isinstance(text, str)]
+        return [text for text in found if text["kind"] == kind]
+
+    def errors(self):
+        return [text["error"] for text in self.texts("answer")]
+
+    def units(self):
+        """(flags, number) of each unit."""
+        return [units_of(one) for one in self.sent() if one[0] == 1]
+
+    def ask(self, do, **fields):
+        self.seat.handle_text(self.number, json.dumps({"request": 7, "do": do} | fields), 0)
+
+    def send(self, octets, now_ns=0):
+        self.seat.handle_message(self.number, octets, now_ns)
+
+    def close(self, now_ns):
+        self.seat.handle_closed(self.number, now_ns)
 
 
-def sent(seat, page):
-    found = []
-    while (message := seat.poll_transmit(page)) is not None:
-        found.append(message)
-    return found
+def units_of(message):
+    return message[2], struct.unpack_from("<I", message, 4)[0]
 
 
-def texts(seat, page, kind):
-    found = [json.loads(text) for text in sent(seat, page) if isinstance(text, str)]
-    return [text for text in found if text["kind"] == kind]
+class Room:
+    """A seat with its pages, and what comes of them."""
+
+    def __init__(self, segment=Segment.SPACE, topology=TOPOLOGY):
+        plan = seat_plan(topology, segment, "spacejustin-1", DICTIONARY)
+        self.seat = Seat(plan, first_command=100)
+
+    def open(self, role=Role.OPERATOR, now_ns=0, *, unread=True, **options):
+        page = Page(self.seat, role, now_ns, **options)
+        if not unread:
+            page.sent()
+        return page
+
+    def events(self):
+        return list(iter(self.seat.next_event, None))
+
+    def give_unit(self, number, *, key=False, damaged=False, stream=0):
+        unit = CodedUnit(data=KEY if key else DELTA, key=key, damaged=damaged, width=64, height=48)
+        stamp = CaptureStamp(number * NS_PER_MS, number, "uplink_video", rtp_timestamp=number)
+        self.seat.media.handle_unit(stream, unit, stamp, number)
 
 
-def events(seat):
-    found = []
-    while (event := seat.next_event()) is not None:
-        found.append(event)
-    return found
+@pytest.fixture
+def space():
+    return Room()
 
 
-def ask(seat, page, do, now_ns=0, **fields):
-    seat.handle_text(page, json.dumps({"request": 7, "do": do} | fields), now_ns)
+@pytest.fixture
+def ground():
+    return Room(Segment.GROUND)
 
 
 def hand(sequence, *, dead_man=True, x=0.0):
     return struct.pack("<BBHIffd", 0x82, dead_man, 0, sequence, x, 0.0, 1.0)
 
 
-def give_unit(seat, number, *, key=False, damaged=False, stream=0):
-    unit = CodedUnit(data=KEY if key else DELTA, key=key, damaged=damaged, width=64, height=48)
-    stamp = CaptureStamp(number * NS_PER_MS, number, "uplink_video", rtp_timestamp=number)
-    seat.media.handle_unit(stream, unit, stamp, number)
-
-
-def units(messages):
-    """(flags, number) of each unit."""
-    return [(one[2], struct.unpack_from("<I", one, 4)[0]) for one in messages if one[0] == 1]
-
-
-def test_a_page_is_told_first_where_it_is():
-    seat = seat_of()
-    page = seat.handle_opened(Role.OPERATOR, 5 * NS_PER_MS)
-    first, *_ = sent(seat, page)
-    hello = json.loads(first)
+def test_a_page_is_told_first_where_it_is_and_what_it_sees(space, ground):
+    page = space.open(now_ns=5 * NS_PER_MS)
+    hello = json.loads(page.sent()[0])
     assert (hello["kind"], hello["seat"], hello["role"]) == ("hello", "space", "operator")
-    assert (hello["page"], hello["now_us"]) == (page, 5000)
+    assert (hello["page"], hello["now_us"]) == (page.number, 5000)
     streams = [(each["index"], each["name"], each["via"]) for each in hello["streams"]]
     assert streams == [(0, "uplink_video", "coded"), (1, "uplink_voice", "sound")]
     assert [each["name"] for each in hello["inputs"]] == ["iss_camera", "iss_mic"]
     assert hello["cameras"][0] == {"name": "stereo", "inputs": ["left", "right"]}
-
-
-def test_ground_control_sees_what_comes_what_it_sends_and_all_cameras():
-    seat = seat_of(Segment.GROUND)
-    hello = json.loads(sent(seat, seat.handle_opened(Role.OPERATOR, 0))[0])
-    streams = {(each["name"], each["via"]) for each in hello["streams"]}
-    assert streams == {
-        ("uplink_video", "sent"),
-        ("downlink_video", "coded"),
-        ("downlink_voice", "sound"),
+    # Ground control sees what comes, what it sends, and all cameras.
+    (hello,) = ground.open().texts("hello")
+    assert {each["name"]: each["via"] for each in hello["streams"]} == {
+        "uplink_video": "sent",
+        "downlink_video": "coded",
+        "downlink_voice": "sound",
     }
     assert [each["input"] for each in hello["previews"]] == ["left", "right", "static", "head"]
     assert [each["name"] for each in hello["inputs"]] == ["ground_mic"]
 
 
-def test_who_joins_is_sent_the_units_since_the_key_and_draws_only_the_newest():
-    seat = seat_of()
+def test_who_joins_is_sent_the_units_since_the_key_and_draws_only_the_newest(space):
     for number in range(4):
-        give_unit(seat, number, key=number == 0)
-    page = seat.handle_opened(Role.VIEWER, 0)
-    assert units(sent(seat, page)) == [(5, 0), (4, 1), (4, 2), (0, 3)]
-    give_unit(seat, 4, damaged=True)
-    assert units(sent(seat, page)) == [(2, 4)]
-    give_unit(seat, 5, key=True)
-    assert units(sent(seat, page)) == [(1, 5)]
+        space.give_unit(number, key=number == 0)
+    page = space.open(Role.VIEWER)
+    assert page.units() == [(5, 0), (4, 1), (4, 2), (0, 3)]
+    space.give_unit(4, damaged=True)
+    assert page.units() == [(2, 4)]
+    space.give_unit(5, key=True)
+    assert page.units() == [(1, 5)]
 
 
-def test_a_page_that_stalls_is_sent_a_replay_when_it_takes_again():
-    seat = seat_of()
-    give_unit(seat, 0, key=True)
-    slow, quick = (seat.handle_opened(Role.VIEWER, 0) for _ in range(2))
-    sent(seat, slow)
-    sent(seat, quick)
+@pytest.mark.rule("4")
+def test_a_page_that_stalls_is_sent_a_replay_when_it_takes_again(space):
+    space.give_unit(0, key=True)
+    slow, quick = (space.open(Role.VIEWER, unread=False) for _ in range(2))
     for number in range(1, 61):
-        give_unit(seat, number)
+        space.give_unit(number)
         if number == 1:
             # It takes a message, and then no other.
-            assert units([seat.poll_transmit(slow)]) == [(0, 1)]
-        assert units(sent(seat, quick)) == [(0, number)]
-    replay = units(sent(seat, slow))
-    assert replay == [(5, 0), *((4, number) for number in range(1, 60)), (0, 60)]
-    assert seat.left_out == 59
-    give_unit(seat, 61)
-    assert units(sent(seat, slow)) == [(0, 61)]
+            assert units_of(space.seat.poll_transmit(slow.number)) == (0, 1)
+        assert quick.units() == [(0, number)]
+    assert slow.units() == [(5, 0), *((4, number) for number in range(1, 60)), (0, 60)]
+    assert space.seat.left_out == 59
+    space.give_unit(61)
+    assert slow.units() == [(0, 61)]
 
 
-def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits():
-    seat = seat_of()
-    give_unit(seat, 0, key=True)
-    give_unit(seat, 5)
-    assert seat.media.wanted_pictures() == []
-    page = seat.handle_opened(Role.VIEWER, 0)
-    assert units(sent(seat, page)) == []
-    assert seat.media.wanted_pictures() == [0]
-    assert not seat.media.handle_decoded(0, KEY, 4)
-    give_unit(seat, 6)
-    assert seat.media.handle_decoded(0, KEY, 5)
-    assert seat.media.wanted_pictures() == []
-    assert units(sent(seat, page)) == [(5, 5), (0, 6)]
+def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits(space):
+    media = space.seat.media
+    space.give_unit(0, key=True)
+    space.give_unit(5)
+    assert media.wanted_pictures() == []
+    page = space.open(Role.VIEWER)
+    assert page.units() == []
+    assert media.wanted_pictures() == [0]
+    assert not media.handle_decoded(0, KEY, 4)
+    space.give_unit(6)
+    assert media.handle_decoded(0, KEY, 5)
+    assert media.wanted_pictures() == []
+    assert page.units() == [(5, 5), (0, 6)]
 
 
-def test_what_the_selected_camera_films_is_wanted_only_while_a_page_waits_for_it():
-    seat = seat_of(Segment.GROUND)
+def test_what_the_selected_camera_films_is_wanted_only_while_a_page_waits_for_it(ground):
+    seat = ground.seat
     (stream,) = [each.index for each in seat.plan.streams if each.filmed_topics]
-    give_unit(seat, 0, key=True, stream=stream)
-    give_unit(seat, 5, stream=stream)
+    ground.give_unit(0, key=True, stream=stream)
+    ground.give_unit(5, stream=stream)
     seat.handle_camera("static", 0)
     assert seat.media.wanted_filmed(seat.camera) == {}
-    page = seat.handle_opened(Role.VIEWER, 0)
-    assert units(sent(seat, page)) == []
+    page = ground.open(Role.VIEWER)
+    assert page.units() == []
     assert seat.media.wanted_filmed(seat.camera) == {stream: TOPOLOGY.camera("static").topic}
     assert not seat.media.handle_filmed(stream, KEY, 4)
     assert seat.media.handle_filmed(stream, KEY, 5)
     assert seat.media.wanted_filmed(seat.camera) == {}
-    give_unit(seat, 6, stream=stream)
-    assert units(sent(seat, page))[-1] == (0, 6)
+    ground.give_unit(6, stream=stream)
+    assert page.units()[-1] == (0, 6)
 
 
-def test_every_page_gets_sound_haptics_and_previews():
-    seat = seat_of(Segment.GROUND)
-    pages = [seat.handle_opened(Role.VIEWER, 0) for _ in range(2)]
+def test_every_page_gets_sound_haptics_and_previews(ground):
+    pages = [ground.open(Role.VIEWER, unread=False) for _ in range(2)]
+    media = ground.seat.media
+    media.handle_sound(2, b"\1\0" * 960, CaptureStamp(5, 1, "x", Quality.CONCEALED))
+    media.handle_haptics(1, HAPTICS)
+    media.handle_preview(3, empty_picture(160, 120), CaptureStamp(5, 1, "head"))
     for page in pages:
-        sent(seat, page)
-    seat.media.handle_sound(2, b"\1\0" * 960, CaptureStamp(5, 1, "x", Quality.CONCEALED))
-    seat.media.handle_haptics(1, np.zeros(BLOCK_ROWS, ROW).tobytes())
-    seat.media.handle_preview(3, empty_picture(160, 120), CaptureStamp(5, 1, "head"))
-    for page in pages:
-        assert [message[:3] for message in sent(seat, page)] == [
-            *(b"\2\2\1", b"\3\1\x14", b"\4\3\xa0")
-        ]
+        assert [one[:3] for one in page.sent()] == [b"\2\2\1", b"\3\1\x14", b"\4\3\xa0"]
 
 
-def test_the_hand_of_the_holder_alone_moves_and_lets_go_when_its_page_is_gone():
-    seat = seat_of()
-    one, other = (seat.handle_opened(Role.OPERATOR, 0) for _ in range(2))
-    seat.handle_message(one, hand(1), 0)
-    assert events(seat) == []
-    ask(seat, one, "hand", action="take")
-    seat.handle_message(one, hand(2, x=0.5), 10)
-    seat.handle_message(other, hand(3, x=-0.5), 11)
-    (moved,) = events(seat)
+@pytest.mark.rule("10")
+def test_the_hand_of_the_holder_alone_moves_and_lets_go_when_its_page_is_gone(space):
+    one, other = space.open(), space.open()
+    one.send(hand(1))
+    assert space.events() == []
+    one.ask("hand", action="take")
+    one.send(hand(2, x=0.5), 10)
+    other.send(hand(3, x=-0.5), 11)
+    (moved,) = space.events()
     assert (moved.dead_man, moved.x, moved.received_ns) == (True, 0.5, 10)
-    seat.handle_closed(one, 12)
-    (released,) = events(seat)
+    one.close(12)
+    (released,) = space.events()
     assert (released.dead_man, released.received_ns) == (False, 12)
-    (state,) = texts(seat, other, "state")
-    free = {"holder": None, "you": False, "wanted_by": None, "who": "", "asks": ""}
-    assert state["hand"] == free
+    (state,) = other.texts("state")
+    assert state["hand"] == FREE
 
 
-def test_people_know_who_has_the_handle_and_who_asks_for_it():
-    seat = seat_of()
-    one, cosmonaut, other = map(
-        seat.handle_opened, (Role.OPERATOR, Role.COSMONAUT, Role.OPERATOR), (0, 0, 0)
-    )
-    names = [texts(seat, page, "hello")[0]["name"] for page in (one, cosmonaut, other)]
+def test_people_know_who_has_the_handle_and_who_asks_for_it(space):
+    people = [space.open(role) for role in (Role.OPERATOR, Role.COSMONAUT, Role.OPERATOR)]
+    one, cosmonaut, other = people
+    names = [page.texts("hello")[0]["name"] for page in people]
     assert names == ["operator", "cosmonaut", "operator 2"]
-    ask(seat, other, "hand", action="take")
-    ask(seat, cosmonaut, "hand", action="ask")
-    hand = texts(seat, other, "state")[-1]["hand"]
-    assert (hand["who"], hand["asks"]) == ("operator 2", "cosmonaut")
-    ask(seat, one, "hand", action="ask")
-    assert texts(seat, one, "answer")[0]["error"] == "ask: cosmonaut has asked before"
+    other.ask("hand", action="take")
+    cosmonaut.ask("hand", action="ask")
+    shown = other.texts("state")[-1]["hand"]
+    assert (shown["who"], shown["asks"]) == ("operator 2", "cosmonaut")
+    one.ask("hand", action="ask")
+    assert one.errors() == ["ask: cosmonaut has asked before"]
     # A name is free again when its page is gone.
-    seat.handle_closed(one, 1)
-    again = seat.handle_opened(Role.OPERATOR, 2)
-    assert texts(seat, again, "hello")[0]["name"] == "operator"
+    one.close(1)
+    assert space.open(now_ns=2).texts("hello")[0]["name"] == "operator"
 
 
-def test_a_viewer_watches_only():
-    seat = seat_of()
-    viewer = seat.handle_opened(Role.VIEWER, 0)
-    sent(seat, viewer)
-    ask(seat, viewer, "hand", action="take")
-    ask(seat, viewer, "command", **SELECT_HEAD)
-    ask(seat, viewer, "joystick", event="halt")
-    seat.handle_message(viewer, hand(1), 0)
-    assert events(seat) == []
-    answers = texts(seat, viewer, "answer")
-    assert {(each["ok"], each["error"]) for each in answers} == {(False, "a viewer may watch only")}
-    seat.handle_message(viewer, struct.pack("<B7xd", 0x81, 2.5), 3000)
-    assert sent(seat, viewer) == [struct.pack("<B7xdq", 5, 2.5, 3)]
+@pytest.mark.rule("10")
+def test_a_viewer_watches_only(space):
+    viewer = space.open(Role.VIEWER, unread=False)
+    viewer.ask("hand", action="take")
+    viewer.ask("command", **SELECT_HEAD)
+    viewer.ask("joystick", event="halt")
+    viewer.send(hand(1))
+    assert space.events() == []
+    assert viewer.errors() == [WATCH_ONLY] * 3
+    viewer.send(struct.pack("<B7xd", 0x81, 2.5), 3000)
+    assert viewer.sent() == [struct.pack("<B7xdq", 5, 2.5, 3)]
 
 
-def test_a_command_is_answered_when_the_joystick_has_carried_it_out():
-    seat = seat_of()
-    page = seat.handle_opened(Role.OPERATOR, 0)
-    ask(seat, page, "joystick", event="calibrate")
-    ask(seat, page, "joystick", event="start")
-    (first,) = events(seat)
-    assert first == (101, JoystickEvent.CALIBRATE)
-    assert texts(seat, page, "answer") == []
-
+def test_a_command_is_answered_when_the_joystick_has_carried_it_out(space):
     def tell(answered, refusal):
         status = JoystickStatus(
             state=JoystickState.STANDBY,
@@ -250,172 +253,146 @@ def test_a_command_is_answered_when_the_joystick_has_carried_it_out():
             answered=answered,
             refusal=refusal,
         )
-        seat.handle_status(status, 0)
+        space.seat.handle_status(status, 0)
 
+    page = space.open()
+    page.ask("joystick", event="calibrate")
+    page.ask("joystick", event="start")
+    assert space.events() == [(101, JoystickEvent.CALIBRATE)]
+    assert page.texts("answer") == []
     tell(101, "not now")
-    (answer,) = texts(seat, page, "answer")
+    (answer,) = page.texts("answer")
     assert (answer["request"], answer["ok"], answer["error"]) == (7, False, "not now")
-    (second,) = events(seat)
-    assert second == (102, JoystickEvent.START)
-    seat.handle_time(NS_PER_S)
-    (answer,) = texts(seat, page, "answer")
-    assert answer["error"] == "the joystick does not answer"
+    assert space.events() == [(102, JoystickEvent.START)]
+    space.seat.handle_time(NS_PER_S)
+    assert page.errors() == ["the joystick does not answer"]
     tell(102, "")
-    assert texts(seat, page, "answer") == []
+    assert page.errors() == []
 
 
-def test_the_operator_selects_the_camera():
-    seat = seat_of()
-    page = seat.handle_opened(Role.OPERATOR, 0)
-    ask(seat, page, "command", **SELECT_HEAD)
-    (command,) = events(seat)
-    assert (command.application, command.name, command.arguments) == ("camera", "select", ("head",))
-    sent(seat, page)
-    end = {"done": True, "ok": True, "verified": True, "round_trip_ms": 12.5}
-    seat.handle_news(CommandUpdate(command.client, command.id, "camera", "completed", **end), 0)
-    found = [json.loads(text) for text in sent(seat, page)]
-    assert found[0]["round_trip_ms"] == 12.5
-    assert found[1]["camera"] == "head"
-
-
-def test_an_argument_that_does_not_fit_is_answered_and_the_page_stays_open():
-    seat = seat_of()
-    page = seat.handle_opened(Role.OPERATOR, 0)
-    ask(seat, page, "command", application="camera", name="select", arguments=[""])
-    (answer,) = texts(seat, page, "answer")
-    assert (answer["ok"], answer["error"]) == (
-        False,
-        "select: argument 1 is empty: write a value into each field",
-    )
-    assert events(seat) == []
-    # What is typed goes to the end, which knows what fits.
-    for typed in (1 << 40, -(1 << 40), 1e300, "x" * 64):
-        ask(seat, page, "command", application="camera", name="select", arguments=[typed])
-        (command,) = events(seat)
-        assert command.arguments == (typed,)
+NO_ANSWER, LATER = "select head: no acknowledgement came", "a later request came"
 
 
 @pytest.mark.parametrize(
     ("update", "error"),
     [
+        ({"stage": "completed", "ok": True, "verified": True, "round_trip_ms": 12.5}, ""),
         ({"stage": "failed", "reason": "no verification came"}, NO_ANSWER),
         ({"stage": "failed", "reason": "its end was not verified"}, NO_ANSWER),
-        (
-            {"stage": "failed", "reason": "a later request came"},
-            "select head: a later request came",
-        ),
+        ({"stage": "failed", "reason": LATER}, f"select head: {LATER}"),
         ({"stage": "failed", "reason": "too late", "verified": True}, "too late"),
-        (
-            {"stage": "refused", "reason": "unknown camera head", "mistake": True},
-            "unknown camera head",
-        ),
+        ({"stage": "refused", "reason": "unknown camera", "mistake": True}, "unknown camera"),
     ],
 )
-def test_a_camera_that_is_not_selected(update, error):
-    seat = seat_of()
-    page = seat.handle_opened(Role.OPERATOR, 0)
-    ask(seat, page, "command", **SELECT_HEAD)
-    (command,) = events(seat)
-    sent(seat, page)
-    seat.handle_news(CommandUpdate(command.client, command.id, "camera", done=True, **update), 0)
-    (answer,) = texts(seat, page, "answer")
-    assert not answer["ok"]
-    assert answer["error"] == error
+def test_the_operator_selects_the_camera_or_is_told_why_not(space, update, error):
+    page = space.open()
+    page.ask("command", **SELECT_HEAD)
+    (command,) = space.events()
+    assert (command.application, command.name, command.arguments) == ("camera", "select", ("head",))
+    page.sent()
+    space.seat.handle_news(
+        CommandUpdate(command.client, command.id, "camera", done=True, **update), 0
+    )
+    found = [json.loads(text) for text in page.sent()]
+    (answer,) = [text for text in found if text["kind"] == "answer"]
+    assert (answer["ok"], answer["error"]) == (not error, error)
+    if not error:
+        assert answer["round_trip_ms"] == 12.5
+        assert [text["camera"] for text in found if text["kind"] == "state"] == ["head"]
 
 
-def test_each_seat_does_its_own():
-    ground, space = seat_of(Segment.GROUND), seat_of()
-    for seat in (ground, space):
-        page = seat.handle_opened(Role.OPERATOR, 0)
-        ask(seat, page, "session", action="stop")
-        ask(seat, page, "command", **SELECT_HEAD)
-        ask(seat, page, "hand", action="take")
-        ask(seat, page, "record", action="start")
-    assert events(ground) == [Order.STOP, PageRequest(1, RecordingRequest(7, "start"))]
-    assert [type(event) for event in events(space)] == [Order, SendCommand]
+def test_an_argument_that_does_not_fit_is_answered_and_the_page_stays_open(space):
+    page = space.open()
+    page.ask("command", **SELECT_HEAD | {"arguments": [""]})
+    assert page.errors() == ["select: argument 1 is empty: write a value into each field"]
+    assert space.events() == []
+    # What is typed goes to the end, which knows what fits.
+    for typed in (1 << 40, -(1 << 40), 1e300, "x" * 64):
+        page.ask("command", **SELECT_HEAD | {"arguments": [typed]})
+        (command,) = space.events()
+        assert command.arguments == (typed,)
 
 
-def test_in_space_a_session_at_two_machines_is_not_stopped():
-    seat = seat_of(topology=replace(TOPOLOGY, segments=(Segment.SPACE,)))
-    page = seat.handle_opened(Role.OPERATOR, 0)
-    ask(seat, page, "session", action="stop")
-    assert events(seat) == []
+def test_each_seat_does_its_own_and_one_of_two_machines_stops_no_session(ground, space):
+    alone = Room(topology=replace(TOPOLOGY, segments=(Segment.SPACE,)))
+    for room in (ground, space, alone):
+        page = room.open()
+        page.ask("session", action="stop")
+        if room is not alone:
+            page.ask("command", **SELECT_HEAD)
+            page.ask("hand", action="take")
+            page.ask("record", action="start")
+    assert ground.events() == [Order.STOP, PageRequest(1, RecordingRequest(7, "start"))]
+    assert [type(event) for event in space.events()] == [Order, SendCommand]
+    assert alone.events() == []
 
 
 @pytest.mark.parametrize("segment", list(Segment))
 def test_only_the_trainer_gives_exercises_at_either_end(segment):
-    seat = seat_of(segment, topology_of(BUILT_IN["spacejustin"], pages=True, trainer=True))
+    room = Room(segment, topology_of(BUILT_IN["spacejustin"], pages=True, trainer=True))
     for role in Role:
-        page = seat.handle_opened(role, 0)
+        page = room.open(role)
+        (hello,) = page.texts("hello")
+        page.ask("exercise", exercise="camera-lost", seconds=2, camera="head")
+        found = room.events()
         if role is Role.TRAINER:
-            (hello,) = texts(seat, page, "hello")
-        ask(seat, page, "exercise", exercise="camera-lost", seconds=2, camera="head")
-        found = events(seat)
-        if role is Role.TRAINER:
-            assert found == [PageRequest(page, ExerciseRequest(7, "camera-lost", 2.0, "head"))]
-            seat.handle_answered(found[0], "no camera head is here")
-        answers = [text["error"] for text in texts(seat, page, "answer")]
-        assert found if role is Role.TRAINER else not found
-        assert len(answers) == 1 and answers[0] != ""
+            exercise = ExerciseRequest(7, "camera-lost", 2.0, "head")
+            assert found == [PageRequest(page.number, exercise)]
+            room.seat.handle_answered(found[0], "no camera head is here")
+            offered = [(one["name"], one["camera"]) for one in hello["exercises"]]
+            assert ("los", "") in offered and ("camera-lost", "static") in offered
+        else:
+            assert not found
+        (error,) = page.errors()
+        assert error
         # Nor may a trainer do what other people do.
-        ask(seat, page, "stop", action="stop")
-        assert (events(seat) == []) is (role in (Role.TRAINER, Role.VIEWER))
-    offered = [(one["name"], one["camera"]) for one in hello["exercises"]]
-    assert ("los", "") in offered and ("camera-lost", "static") in offered
+        page.ask("stop", action="stop")
+        assert (room.events() == []) is (role in (Role.TRAINER, Role.VIEWER))
 
 
-def test_a_role_does_what_is_its_own_and_is_told_who_may_the_rest():
-    seat = seat_of(Segment.GROUND)
-    page = seat.handle_opened(Role.SYSTEMS, 0)
-    ask(seat, page, "session", action="stop")
-    ask(seat, page, "command", application="tasks", name="abort")
-    answers = [text["error"] for text in texts(seat, page, "answer")]
-    assert answers == [
+def test_a_role_does_what_is_its_own_and_is_told_who_may_the_rest(ground):
+    page = ground.open(Role.SYSTEMS)
+    page.ask("session", action="stop")
+    page.ask("command", application="tasks", name="abort")
+    assert page.errors() == [
         "session: the cosmonaut or the supervisor may, not the systems operator",
         "tasks abort: the experimenter or the supervisor may, not the systems operator",
     ]
-    ask(seat, page, "record", action="start")
-    ask(seat, page, "fetch", inbox="joystick")
-    ask(seat, page, "command", application="joystick", verb="ping")
-    recording, fetched, asked = events(seat)
-    assert recording == PageRequest(page, RecordingRequest(7, "start"))
-    assert fetched == PageRequest(page, FetchRequest(7, "joystick"))
+    page.ask("record", action="start")
+    page.ask("fetch", inbox="joystick")
+    page.ask("command", application="joystick", verb="ping")
+    recording, fetched, asked = ground.events()
+    assert recording == PageRequest(page.number, RecordingRequest(7, "start"))
+    assert fetched == PageRequest(page.number, FetchRequest(7, "joystick"))
     assert (asked.application, asked.verb) == ("joystick", "ping")
 
 
-def test_all_pages_of_a_seat_see_one_chat_and_a_plain_one_sees_nothing_else():
-    seat = seat_of()
-    page, plain = (
-        seat.handle_opened(Role.COSMONAUT, 0),
-        seat.handle_opened(Role.VIEWER, 0, plain=True),
-    )
-    hello = json.loads(sent(seat, plain)[0])
+def test_all_pages_of_a_seat_see_one_chat_and_a_plain_one_sees_nothing_else(space):
+    page = space.open(Role.COSMONAUT, unread=False)
+    plain = space.open(Role.VIEWER, plain=True)
+    hello = json.loads(plain.sent()[0])
     assert hello["streams"] == [] and hello["applications"]
-    sent(seat, page)
-    ask(seat, page, "chat", text="hello")
-    give_unit(seat, 0, key=True)
-    seat.media.handle_haptics(0, np.zeros(BLOCK_ROWS, ROW).tobytes())
-    seat.handle_time(NS_PER_S)
-    seen, watched = sent(seat, page), sent(seat, plain)
-    chats = [one for one in watched if '"chat"' in one]
-    assert len(chats) == 1 and chats[0] in seen
+    page.ask("chat", text="hello")
+    space.give_unit(0, key=True)
+    space.seat.media.handle_haptics(0, HAPTICS)
+    space.seat.handle_time(NS_PER_S)
+    watched = plain.sent()
+    (chat,) = [one for one in watched if '"chat"' in one]
+    assert chat in page.sent()
     assert all(isinstance(one, str) for one in watched)
-    late = seat.handle_opened(Role.VIEWER, NS_PER_S, plain=True)
-    assert chats[0] in sent(seat, late)
+    assert chat in space.open(Role.VIEWER, NS_PER_S, plain=True).sent()
 
 
-def test_the_heartbeat_comes_ten_times_a_second_and_at_each_change():
-    seat = seat_of()
-    page = seat.handle_opened(Role.OPERATOR, 0)
-    sent(seat, page)
+def test_the_heartbeat_comes_ten_times_a_second_and_at_each_change(space):
+    page = space.open(unread=False)
     for instant_ms, due in ((0, 1), (99, 0), (100, 1), (199, 0), (200, 1)):
-        seat.handle_time(instant_ms * NS_PER_MS)
-        assert len(texts(seat, page, "state")) == due, instant_ms
-    seat.handle_signal(True, 201 * NS_PER_MS)
-    (state,) = texts(seat, page, "state")
+        space.seat.handle_time(instant_ms * NS_PER_MS)
+        assert len(page.texts("state")) == due, instant_ms
+    space.seat.handle_signal(True, 201 * NS_PER_MS)
+    (state,) = page.texts("state")
     assert (state["signal"], state["link"]) == (True, "connected")
-    seat.handle_signal(False, 202 * NS_PER_MS)
-    assert texts(seat, page, "state")[0]["link"] == "lost"
+    space.seat.handle_signal(False, 202 * NS_PER_MS)
+    assert page.texts("state")[0]["link"] == "lost"
 
 
 def figures(number, state="running", **values):
@@ -424,66 +401,56 @@ def figures(number, state="running", **values):
     return json.dumps(told).encode()
 
 
-def test_figures_pass_unchanged_and_who_joins_gets_all_events():
-    seat = seat_of()
-    page = seat.handle_opened(Role.VIEWER, 0)
-    assert texts(seat, page, "figures") == []
+def test_figures_pass_unchanged_and_who_joins_gets_all_events(space):
+    page = space.open(Role.VIEWER)
+    assert page.texts("figures") == []
     for number in range(1, 251):
-        seat.handle_figures(figures(number, **{"processes.selector.selected": "head"}), 0)
-    assert [each["events"][0]["number"] for each in texts(seat, page, "figures")] == [
-        *range(243, 251)
-    ]
-    late = seat.handle_opened(Role.VIEWER, 0)
-    found = {text["kind"]: text for text in map(json.loads, sent(seat, late))}
-    assert [each["number"] for each in found["figures"]["events"]] == [*range(51, 251)]
+        space.seat.handle_figures(figures(number, **{"processes.selector.selected": "head"}), 0)
+    newest = [each["events"][0]["number"] for each in page.texts("figures")]
+    assert newest == list(range(243, 251))
+    found = {text["kind"]: text for text in map(json.loads, space.open(Role.VIEWER).sent())}
+    assert [each["number"] for each in found["figures"]["events"]] == list(range(51, 251))
     assert (found["state"]["camera"], found["figures"]["more"]) == ("head", 1)
     with pytest.raises(ProtocolError):
-        seat.handle_figures(b"{}", 0)
+        space.seat.handle_figures(b"{}", 0)
 
 
-def test_ground_control_sees_who_holds_the_handle_in_space():
-    seat = seat_of(Segment.GROUND)
-    page = seat.handle_opened(Role.OPERATOR, 0)
-    sent(seat, page)
+def test_ground_control_sees_who_holds_the_handle_in_space(ground):
+    page = ground.open(unread=False)
     for number, holder in enumerate((None, 4), 1):
-        seat.handle_figures(figures(number, **{"hand.holder": holder}), 0)
-        seat.handle_time(number * NS_PER_S)
-        assert texts(seat, page, "state")[-1]["hand"] == {
-            "holder": holder,
-            "you": False,
-            "wanted_by": None,
-            "who": "",
-            "asks": "",
-        }
+        ground.seat.handle_figures(figures(number, **{"hand.holder": holder}), 0)
+        ground.seat.handle_time(number * NS_PER_S)
+        assert page.texts("state")[-1]["hand"] == FREE | {"holder": holder}
 
 
-def test_a_stopped_session_and_a_link_that_is_refused_are_lost():
-    seat = seat_of()
-    page = seat.handle_opened(Role.VIEWER, 0)
-    seat.handle_signal(True, 0)
-    link = "gateways.space.supervision.state"
-    for second, (told, expected) in enumerate(
+def test_a_stopped_session_and_a_link_that_is_refused_are_lost(space):
+    page = space.open(Role.VIEWER)
+    space.seat.handle_signal(True, 0)
+    for second, (state, told, shown) in enumerate(
         (
-            (figures(1, **{link: "connected"}), "connected"),
-            (figures(2, **{link: "refused"}), "lost"),
-            (figures(3, "stopped", **{link: "connected"}), "lost"),
+            ("running", "connected", "connected"),
+            ("running", "refused", "lost"),
+            ("stopped", "connected", "lost"),
         )
     ):
-        seat.handle_figures(told, 0)
-        seat.handle_time(second * NS_PER_S)
-        assert texts(seat, page, "state")[-1]["link"] == expected
+        link = {"gateways.space.supervision.state": told}
+        space.seat.handle_figures(figures(second + 1, state, **link), 0)
+        space.seat.handle_time(second * NS_PER_S)
+        assert page.texts("state")[-1]["link"] == shown
 
 
-def test_too_much_of_anything_closes_the_page():
-    seat = seat_of()
-    page = seat.handle_opened(Role.OPERATOR, 0)
-    cases = (
-        (20, lambda: ask(seat, page, "hand", action="give")),
-        (20, lambda: seat.handle_message(page, struct.pack("<B7xd", 0x81, 1.0), 0)),
-        (1200, lambda: seat.handle_message(page, hand(1), 0)),
-    )
-    for most, send in cases:
-        for _ in range(most):
-            send()
-        with pytest.raises(ProtocolError, match="too many"):
-            send()
+@pytest.mark.rule("10")
+@pytest.mark.parametrize(
+    ("most", "send"),
+    [
+        (20, lambda page: page.ask("hand", action="give")),
+        (20, lambda page: page.send(struct.pack("<B7xd", 0x81, 1.0))),
+        (1200, lambda page: page.send(hand(1))),
+    ],
+)
+def test_too_much_of_anything_closes_the_page(space, most, send):
+    page = space.open()
+    for _ in range(most):
+        send(page)
+    with pytest.raises(ProtocolError, match="too many"):
+        send(page)

@@ -1,10 +1,8 @@
-"""What a page asks for in words."""
+"""What a page asks for in words, and the words that it has for what it is told."""
 
-import json
+import re
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from kontur_av.errors import ProtocolError
 from pipelines.seats.texts import (
@@ -14,6 +12,10 @@ from pipelines.seats.texts import (
     parse_media_request,
     parse_seat_request,
 )
+from pipelines.session.web_site import STATIC
+from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.experiment import Phase, RunStep
+from telepresence.tmtc.k2aci import PanelMode, TaskResult
 
 
 def test_requests_of_a_seat():
@@ -25,6 +27,7 @@ def test_requests_of_a_seat():
     assert on == InputRequest(request=5, name="iss_mic", on=True)
 
 
+@pytest.mark.rule("10")
 @pytest.mark.parametrize(
     "text",
     [
@@ -43,21 +46,23 @@ def test_requests_of_a_seat():
     ],
 )
 def test_anything_else_is_refused(text):
+    # tests/fuzz/test_page_fuzz.py has the rest.
     with pytest.raises(ProtocolError):
         parse_seat_request(text)
 
 
-@given(
-    st.text(max_size=100)
-    | st.recursive(
-        st.none() | st.integers() | st.text(max_size=9),
-        lambda inner: st.lists(inner) | st.dictionaries(st.sampled_from(("request", "do")), inner),
-        max_leaves=5,
-    ).map(json.dumps)
-)
-def test_any_text_is_a_request_or_refused(text):
-    for parse in (parse_seat_request, parse_media_request):
-        try:
-            parse(text)
-        except ProtocolError:
-            continue
+def test_the_pages_have_words_for_each_state_and_the_steps_in_their_order():
+    words = (STATIC / "mission_words.js").read_text(encoding="utf-8")
+
+    def found(name, what):
+        table = re.search(rf"export const {name} = [\[{{](.*?)[\]}}];", words, re.DOTALL)[1]
+        return re.findall(what, table, re.MULTILINE)
+
+    assert found("STEPS", '"(.*?)",') == [one.value for one in RunStep]
+    for name, known in {
+        "PANEL_WORDS": PanelMode,
+        "PHASE_WORDS": Phase,
+        "MODE_WORDS": ControlMode,
+        "RESULT_WORDS": TaskResult,
+    }.items():
+        assert found(name, r"^\s*(\w+):") == [one.value for one in known]

@@ -24,9 +24,11 @@ def test_the_list_of_files_is_that_of_the_file_transfer():
     entity = FileEntity(entity=1, peer=2, first_number=7, rate_bps=64_000, now_ns=0)
     desk, transfers = FileDesk(entity), Transfers()
 
+    def answered(now_ns):
+        return desk.handle_request(FileRequest(file=STATUS), b"", "", now_ns)
+
     def status(now_ns):
-        answer = desk.handle_request(FileRequest(file=STATUS), b"", "", now_ns)
-        said = parse_line(pack_line(answer), FileAnswer)
+        said = parse_line(pack_line(answered(now_ns)), FileAnswer)
         return transfers.handle_list(GROUND, said.transfers, now_ns)
 
     assert status(0) == []
@@ -47,15 +49,13 @@ def test_the_list_of_files_is_that_of_the_file_transfer():
     assert put.state == "running"
     assert 0 < put.octets < put.size
     assert 50_000 < put.rate_bps < 70_000
-
-
-def test_a_list_of_many_files_fits_into_one_answer():
-    entity = FileEntity(entity=1, peer=2, first_number=7, rate_bps=64_000, now_ns=0)
+    # A list of many files fits into one answer.
+    entity.transfers.clear()
     for number in range(1 << 31, (1 << 31) + 40):
         # Where JSON needs the most octets for a name that is allowed.
         transfer = Transfer(number=number, kind="rename", first='"' * 200, second="")
         entity.transfers[number] = transfer
-    answer = FileDesk(entity).handle_request(FileRequest(file=STATUS), b"", "", 0)
+    answer = answered(2 * NS_PER_S)
     assert len(answer.transfers) + answer.more == 40
     assert len(pack_line(answer)) < MAX_LINE_OCTETS
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from pipelines.session import access
 from pipelines.session.access import (
     MOST_CONNECTIONS,
     MOST_OF_ADDRESS,
@@ -19,6 +20,7 @@ from pipelines.session.access import (
 )
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.k2aci import ChatRole
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 OPERATOR, VIEWER = "operator-token", "viewer-token"
 HOST = "127.0.0.1:8270"
@@ -29,8 +31,8 @@ FAR = {"scheme": "https", "names": ("10.0.0.7", "console")}
 
 def found(target=PAGE, *, host=HOST, origin=f"http://{HOST}", method="GET", **changes):
     known = {"seat": "space", "scheme": "http", "port": 8270, "names": ("127.0.0.1", "localhost")}
-    access = Access(**known | changes, operator_token=OPERATOR, viewer_token=VIEWER)
-    return access.find(method, target, host, origin)[:2]
+    gate = Access(**known | changes, operator_token=OPERATOR, viewer_token=VIEWER)
+    return gate.find(method, target, host, origin)[:2]
 
 
 def test_the_token_says_what_its_owner_may():
@@ -116,6 +118,13 @@ def test_each_of_the_people_does_what_is_theirs(role, deeds):
         assert refusal(role, segment, deed) == ""
         assert refusal(Role.OPERATOR, segment, deed) == ""
         assert refusal(Role.VIEWER, segment, deed) == "a viewer may watch only"
+
+
+@pytest.mark.parametrize("deed", [one for one in access._MAY if "." in one])
+def test_each_telecommand_that_a_role_may_give_exists(deed):
+    application, _, function = deed.partition(".")
+    known = built_in_dictionary().application(application).functions
+    assert function in {one.name for one in known}
 
 
 def test_a_refusal_names_who_may():

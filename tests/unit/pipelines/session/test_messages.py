@@ -4,8 +4,6 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from kontur_av.errors import ProtocolError
 from kontur_av.media import empty_picture
@@ -85,16 +83,6 @@ NO_MEDIA = [
     ],
 )
 def test_what_is_out_of_its_range_size_or_input_is_refused(parse, data):
+    # tests/fuzz/test_page_fuzz.py has the rest.
     with pytest.raises(ProtocolError):
         parse(data)
-
-
-@given(st.binary(max_size=64) | st.builds(bytes.__add__, st.just(b"\x82"), st.binary(max_size=30)))
-def test_any_octets_are_a_message_or_refused(data):
-    for parse in (lambda: parse_seat_message(data, 0), lambda: parse_media_message(data, SIZES)):
-        try:
-            message = parse()
-        except ProtocolError:
-            continue
-        if isinstance(message, PageInput):
-            assert abs(message.x) <= 1 and abs(message.y) <= 1
