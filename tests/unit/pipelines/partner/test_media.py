@@ -12,7 +12,7 @@ from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.feedback import rate_message
 from kontur_av.rtp.header_extensions import elements_of
 from kontur_av.rtp.wire import is_rtcp
-from pipelines.partner.description import common_line, wanted_line
+from pipelines.partner.description import wanted_line
 from pipelines.partner.media import PictureCame, RtcMedia, SoundCame
 
 DELAY_NS = 15 * NS_PER_MS
@@ -62,6 +62,14 @@ class Pair:
         lines = [replace(line, ssrc=line.ssrc + 100) for line in self._lines]
         self.sender = RtcMedia(lines, bps=BPS, **self._options)
 
+    def played(self):
+        """(number, event) of each block of sound that was not concealed."""
+        return [
+            (int.from_bytes(event.block.payload[1:], "big"), event)
+            for event, _ in self.events
+            if isinstance(event, SoundCame) and event.block.payload is not None
+        ]
+
     def run(self, begin_ns, end_ns):
         for now_ns in range(begin_ns, end_ns, NS_PER_MS):
             self._step(self.sender, now_ns, 0, 0)
@@ -98,30 +106,21 @@ def test_units_and_packets_arrive_as_they_were_coded_and_dated():
     pair = Pair()
     pictures = drive(pair, 3)
     assert len(pictures) >= 73
+    # One clock for picture and voice: the sender's, moved by what both call Unix time.
+    dated = [(event, 40 * number) for number, event in enumerate(pictures)]
     for number, event in enumerate(pictures):
         assert split_annex_b(event.unit.data) == split_annex_b(unit(number))
-        # One clock for picture and voice: the sender's, moved by what both call Unix time.
+    assert len(pair.played()) > 140
+    dated += [(event, 20 * number) for number, event in pair.played()]
+    for event, capture_ms in dated:
         if event.capture_ns is not None:
-            assert abs(event.capture_ns - number * 40 * NS_PER_MS - AHEAD_NS) < 20_000
-    sounds = [event for event, _ in pair.events if isinstance(event, SoundCame)]
-    played = [event for event in sounds if event.block.payload is not None]
-    assert len(played) > 140
-    for event in played:
-        number = int.from_bytes(event.block.payload[1:], "big")
-        if event.capture_ns is not None:
-            assert abs(event.capture_ns - number * 20 * NS_PER_MS - AHEAD_NS) < 20_000
+            assert abs(event.capture_ns - capture_ms * NS_PER_MS - AHEAD_NS) < 20_000
+    # Every picture carries a playout delay of zero.
+    sent = [one for one in pair.sent if not is_rtcp(one) and one[1] & 0x7F == 96]
+    assert {elements_of(one)[3] for one in sent} == {bytes(3)}
     figures = pair.sender.figures.sent["video"]
-    assert figures.reception is not None
     assert figures.reception.lost == 0
     assert abs(figures.reception.round_trip_ns - 2 * DELAY_NS) < 3 * NS_PER_MS
-
-
-def test_every_picture_carries_a_playout_delay_of_zero():
-    pair = Pair()
-    drive(pair, 1)
-    pictures = [one for one in pair.sent if not is_rtcp(one) and one[1] & 0x7F == 96]
-    assert pictures
-    assert {elements_of(one)[3] for one in pictures} == {bytes(3)}
 
 
 def test_lost_packets_are_mended_before_a_picture_is_given_up():
@@ -175,36 +174,31 @@ def test_other_devices_of_the_partner_go_on_at_once(key):
     pair.run(now_ns, now_ns + 20 * NS_PER_MS)
     pictures = drive(pair, 2, begin=2)
     assert len(pictures) >= 98
-    played = [
-        int.from_bytes(event.block.payload[1:], "big")
-        for event, _ in pair.events
-        if isinstance(event, SoundCame) and event.block.payload is not None
-    ]
     # What waits for its time when the new voice begins is dropped.
-    assert len(set(range(200)) - set(played)) <= 4
+    assert len(set(range(200)) - {number for number, _ in pair.played()}) <= 4
     # Pictures of another camera are not predicted from those before.
     assert (pair.receiver.figures.received["video"].keys_asked > 0) == (not key)
 
 
 def test_the_partners_wish_for_a_rate_is_read_only_for_its_own_stream():
     pair = Pair()
-    pair.sender.handle_rtcp(rate_message(300_000, ssrc=5, media_ssrcs=[999]), 0)
-    assert pair.sender.wish_bps is None
-    pair.sender.handle_rtcp(rate_message(300_000, ssrc=5, media_ssrcs=[102]), 0)
-    assert pair.sender.wish_bps == 300_000
+    for ssrc, wish_bps in ((999, None), (102, 300_000)):
+        pair.sender.handle_rtcp(rate_message(300_000, ssrc=5, media_ssrcs=[ssrc]), 0)
+        assert pair.sender.wish_bps == wish_bps
 
 
+@pytest.mark.rule("7")
 def test_garbage_is_counted_and_ends_nothing():
     pair = Pair()
     generator = random.Random(4)
-    for _ in range(2000):
+    for _ in range(200):
         octets = generator.randbytes(generator.randrange(60))
-        pair.receiver.handle_rtp(octets, 0)
-        pair.receiver.handle_rtcp(octets, 0)
+        for handle in (pair.receiver.handle_rtp, pair.receiver.handle_rtcp):
+            handle(octets, 0)
         pair.sender.handle_rtcp(octets, 0)
         pair.receiver.handle_rtp(bytes([0x90, 96]) + octets, 0)
-    assert pair.receiver.figures.garbage > 1000
-    assert pair.sender.figures.garbage > 1000
+    assert pair.receiver.figures.garbage > 100
+    assert pair.sender.figures.garbage > 100
     pair.events.clear()
     assert len(drive(pair, 2)) >= 40
 
@@ -216,8 +210,3 @@ def test_a_stalled_sender_drops_what_is_too_old_and_wants_a_key_picture():
     pair.sender.send_unit(AccessUnit(unit(1), CaptureStamp(now_ns, 1, "camera"), False), now_ns)
     assert pair.sender.figures.sent["video"].dropped == 1
     assert pair.sender.take_key_request(now_ns)
-
-
-def test_what_the_partner_does_not_take_is_not_sent():
-    line = wanted_line("video", mid="1", ssrc=1, receives=True)
-    assert common_line(line, sends=True, receives=False) is None
