@@ -14,6 +14,22 @@ from kontur_av.streams.budget import EncodeScheduler, Pacer
 
 NS_PER_S = 1_000_000_000
 MS = 1_000_000
+PERIOD = NS_PER_S // 30
+
+
+def put(pacer, *sizes, at_ns=0):
+    pacer.handle_access_unit([bytes(size) for size in sizes], sizes, at_ns)
+
+
+def release(pacer, now_ns=0, until_ns=10**18):
+    """Take what leaves at each timeout; return (instant, packet) of each."""
+    released = []
+    while (due_ns := pacer.poll_timeout()) is not None and due_ns < until_ns:
+        now_ns = max(now_ns, due_ns)
+        packet = pacer.poll_transmit(now_ns)
+        assert packet is not None, "poll_timeout promised a packet"
+        released.append((now_ns, packet))
+    return released
 
 
 def largest(releases, window_ns):
@@ -38,43 +54,32 @@ steps = st.lists(
 @given(steps, st.sampled_from([85_000, 85_001, 512_000]), st.sampled_from([None, 2_000_000]))
 def test_no_window_exceeds_the_cap(script, cap_bps, channel_bps):
     pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps, window_ns=NS_PER_S)
-    now, serial, put, got, releases = 0, 0, [], [], []
+    now, given, got = 0, [], []
     for step, sizes, exactly in script:
         due = pacer.poll_timeout()
         now = max(now, due) if exactly and due is not None else now + step
-        packets = []
-        for size in sizes:
-            packets.append(serial.to_bytes(4, "big") + bytes(size))
-            serial += 1
-        put += packets
+        first = len(given)
+        packets = [(first + n).to_bytes(4, "big") + bytes(size) for n, size in enumerate(sizes)]
+        given += packets
         pacer.handle_access_unit(packets, sizes, now)
         while (packet := pacer.poll_transmit(now)) is not None:
-            got.append(packet)
-            releases.append((now, len(packet) - 4))
-    while (due := pacer.poll_timeout()) is not None:
-        now = max(now, due)
-        packet = pacer.poll_transmit(now)
-        assert packet is not None, "poll_timeout promised a packet"
-        got.append(packet)
-        releases.append((now, len(packet) - 4))
-    assert got == put
+            got.append((now, packet))
+    got += release(pacer, now)
+    assert [packet for _, packet in got] == given
     assert pacer.backlog_octets == pacer.depth == 0
-    if releases:
+    if got:
+        releases = [(at_ns, len(packet) - 4) for at_ns, packet in got]
         assert largest(releases, NS_PER_S) * 8 <= cap_bps
         assert largest(releases, 100 * MS) * 80 <= cap_bps * 1.5
 
 
 @given(steps, st.integers(0, 2**32))
 def test_the_cap_holds_for_an_observer_whose_clock_jitters(script, seed):
-    pacer, random = Pacer(cap_bps=85_000), Random(seed)
-    now, seen = 0, []
+    pacer, random, now = Pacer(cap_bps=85_000), Random(seed), 0
     for step, sizes, _ in script:
         now += step
-        pacer.handle_access_unit([bytes(size) for size in sizes], sizes, now)
-    while (due := pacer.poll_timeout()) is not None:
-        now = max(now, due)
-        packet = pacer.poll_transmit(now)
-        seen.append((now + random.randrange(10 * MS), len(packet)))
+        put(pacer, *sizes, at_ns=now)
+    seen = [(at + random.randrange(10 * MS), len(packet)) for at, packet in release(pacer, now)]
     if seen:
         assert largest(seen, NS_PER_S) * 8 <= 85_000
 
@@ -93,25 +98,20 @@ def test_packets_leave_exactly_when_due():
 
 
 def test_packets_after_an_idle_time_are_spaced_as_the_channel_carries_them():
-    pacer = Pacer(cap_bps=80_000, channel_bps=100_000)
-    now_ns, left = 10 * NS_PER_S, []
-    pacer.handle_access_unit([bytes(100)] * 5, [100] * 5, now_ns)
-    while (due_ns := pacer.poll_timeout()) is not None:
-        now_ns = max(now_ns, due_ns)
-        assert pacer.poll_transmit(now_ns) is not None
-        left.append(now_ns - 10 * NS_PER_S)
-        assert pacer.poll_transmit(now_ns) is None
+    pacer, idle_ns = Pacer(cap_bps=80_000, channel_bps=100_000), 10 * NS_PER_S
+    put(pacer, *[100] * 5, at_ns=idle_ns)
+    left = [at_ns - idle_ns for at_ns, _ in release(pacer, idle_ns)]
     # 100 octets take 8 ms of the channel.
     assert left == [0, 8 * MS, 16 * MS, 24 * MS, 32 * MS]
     assert (pacer.released.events, pacer.longest_wait_ns) == (5, 32 * MS)
-    assert pacer.released.last_ns == now_ns
+    assert pacer.released.last_ns == idle_ns + left[-1]
 
 
 def test_the_queue_tells_its_depth_and_its_oldest_age():
     pacer = Pacer(cap_bps=80_000)
     assert pacer.oldest_age_ns(7 * MS) == 0
-    pacer.handle_access_unit([bytes(100)] * 2, [100] * 2, 5 * MS)
-    pacer.handle_access_unit([bytes(50)], [50], 6 * MS)
+    put(pacer, 100, 100, at_ns=5 * MS)
+    put(pacer, 50, at_ns=6 * MS)
     assert (pacer.depth, pacer.backlog_octets) == (3, 250)
     assert pacer.poll_transmit(5 * MS) is not None
     assert (pacer.depth, pacer.backlog_octets) == (2, 150)
@@ -122,11 +122,9 @@ def test_room_is_back_exactly_when_the_window_has_passed():
     # 1500 octets in 100 ms: 15 packets of 100, and each is free again 110 ms after it left.
     pacer = Pacer(cap_bps=80_000, channel_bps=80_000_000)
     assert pacer.max_payload_octets == 1500
-    pacer.handle_access_unit([bytes(100)] * 16, [100] * 16, 0)
-    step_ns = 10_000
-    for number in range(15):
-        assert pacer.poll_timeout() == number * step_ns
-        assert pacer.poll_transmit(number * step_ns) is not None
+    put(pacer, *[100] * 16)
+    left = release(pacer, until_ns=100 * MS)
+    assert [at_ns for at_ns, _ in left] == [number * 10_000 for number in range(15)]
     assert pacer.poll_timeout() == 110 * MS
     assert pacer.poll_transmit(110 * MS - 1) is None
     assert pacer.poll_transmit(110 * MS) is not None
@@ -139,10 +137,8 @@ def test_another_cap_counts_from_now_on():
     assert (pacer.cap_bps, pacer.channel_bps, pacer.picture_octets) == (160_000, 320_000, 2000)
     # Packets stay small, 1500 octets of payload; two of them take 75 ms of the new channel.
     assert pacer.max_payload_octets == 1500
-    pacer.handle_access_unit([bytes(1500)] * 2, [1500] * 2, 0)
-    assert pacer.poll_transmit(0) is not None
-    assert pacer.poll_timeout() == 37_500_000
-    assert pacer.poll_transmit(37_500_000) is not None
+    put(pacer, 1500, 1500)
+    assert [at_ns for at_ns, _ in release(pacer)] == [0, 37_500_000]
     pacer.follow(cap_bps=80_000, channel_bps=80_000)
     for cap_bps, channel_bps in ((79_999, 80_000), (80_001, 80_000)):
         with pytest.raises(ValueError, match="at least 80000"):
@@ -152,7 +148,7 @@ def test_another_cap_counts_from_now_on():
 def test_the_next_picture_starts_when_the_channel_has_taken_those_before_it():
     pacer = Pacer(cap_bps=80_000, picture_ns=33 * MS)
     assert pacer.start_ns(0) == 0
-    pacer.handle_access_unit([bytes(500)] * 2, [500] * 2, 0)
+    put(pacer, 500, 500)
     pacer.poll_transmit(0)
     assert pacer.start_ns(0) == 100 * MS
     pacer.poll_transmit(50 * MS)
@@ -165,55 +161,47 @@ def test_a_full_second_delays_the_next_picture_although_the_channel_is_free():
     assert pacer.picture_octets == 1100
     now = 0
     for _ in range(6):
-        pacer.handle_access_unit([bytes(1500)], [1500], now)
-        now = pacer.poll_timeout()
-        assert pacer.poll_transmit(now) is not None
+        put(pacer, 1500, at_ns=now)
+        ((now, _),) = release(pacer)
     assert now == 550 * MS
     assert pacer.start_ns(now + 200 * MS) > now + 200 * MS + 33 * MS
     assert pacer.start_ns(1_000 * MS) <= 1_000 * MS + 33 * MS
 
 
-def test_a_packet_that_can_never_leave_is_refused_at_once():
-    pacer = Pacer(cap_bps=10_000)
-    assert pacer.max_payload_octets == 187
-    with pytest.raises(ValueError, match="at most 187"):
-        pacer.handle_access_unit([bytes(188)], [188], 0)
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "text"),
-    [({"cap_bps": 0}, "at least 1000"), ({"cap_bps": 90_000, "channel_bps": 80_000}, "80000")],
-)
-def test_invalid_budgets_are_refused(kwargs, text):
-    with pytest.raises(ConfigError, match=text):
-        Pacer(**kwargs)
-
-
 def test_a_picture_behind_more_than_a_window_holds_starts_when_the_window_is_empty():
     pacer = Pacer(cap_bps=85_000, channel_bps=2_000_000)
-    pacer.handle_access_unit([bytes(500)] * 10, [500] * 10, 0)
-    while (due_ns := pacer.poll_timeout()) is not None and due_ns < 50 * MS:
-        assert pacer.poll_transmit(due_ns) is not None
-        last_ns = due_ns
+    put(pacer, *[500] * 10)
+    last_ns, _ = release(pacer, until_ns=50 * MS)[-1]
     assert pacer.depth == 7
     # 100 ms, and the guard of 10 ms.
     assert pacer.start_ns(60 * MS) == last_ns + 110 * MS
 
 
-PERIOD = 1_000_000_000 // 30
+def test_what_can_never_leave_is_refused_at_once():
+    pacer = Pacer(cap_bps=10_000)
+    assert pacer.max_payload_octets == 187
+    with pytest.raises(ValueError, match="at most 187"):
+        put(pacer, 188)
+    with pytest.raises(ConfigError, match="at least 1000"):
+        Pacer(cap_bps=0)
+    with pytest.raises(ConfigError, match="80000"):
+        Pacer(cap_bps=90_000, channel_bps=80_000)
 
 
-def clock_with(octets_at_start=0):
+def scheduler(busy_octets=0, *, fps=30, **options):
+    """Return a scheduler and its pacer, of whose channel some octets are just taken."""
     pacer = Pacer(cap_bps=80_000)
-    if octets_at_start:
-        pacer.handle_access_unit([bytes(octets_at_start)], [octets_at_start], 0)
+    if busy_octets:
+        put(pacer, busy_octets)
         assert pacer.poll_transmit(0)
-    return EncodeScheduler(pacer, fps=30)
+    return EncodeScheduler(pacer, fps=fps, **options), pacer
 
 
 def test_a_dry_channel_takes_a_picture_at_once():
-    clock = clock_with()
+    clock, _ = scheduler()
     assert not clock.poll_encode(0)
+    with pytest.raises(ValueError, match="no picture"):
+        clock.handle_encoded(0)
     clock.handle_picture(0, 5 * MS)
     assert clock.poll_timeout() == 5 * MS
     assert clock.poll_encode(5 * MS)
@@ -222,28 +210,25 @@ def test_a_dry_channel_takes_a_picture_at_once():
 
 
 def test_a_picture_is_encoded_when_the_channel_will_be_dry_by_then():
-    clock = clock_with(300)  # 30 ms of the channel
+    clock, _ = scheduler(300)  # 30 ms of the channel
     clock.handle_picture(20 * MS, 24 * MS)
     assert not clock.poll_encode(24 * MS)
-    due_ns = clock.poll_timeout()
     # The coding time is assumed to be 3 ms until one was measured.
-    assert due_ns == 27 * MS
-    assert clock.poll_encode(due_ns)
+    assert clock.poll_timeout() == 27 * MS
+    assert clock.poll_encode(27 * MS)
 
 
 def test_waiting_packets_do_not_delay_the_next_coding():
-    pacer = Pacer(cap_bps=80_000)
-    clock = EncodeScheduler(pacer, fps=30)
-    pacer.handle_access_unit([bytes(270), bytes(20)], [270, 20], 0)  # 27 and 2 ms of the channel
+    clock, pacer = scheduler()
+    put(pacer, 270, 20)  # 27 and 2 ms of the channel
     assert pacer.poll_transmit(0)
     clock.handle_picture(0, 20 * MS)
-    due_ns = clock.poll_timeout()
-    assert due_ns == 26 * MS < pacer.poll_timeout()
-    assert clock.poll_encode(due_ns)
+    assert clock.poll_timeout() == 26 * MS < pacer.poll_timeout()
+    assert clock.poll_encode(26 * MS)
 
 
 def test_one_picture_is_encoded_at_a_time():
-    clock = clock_with()
+    clock, _ = scheduler()
     clock.handle_picture(0, 0)
     assert clock.poll_encode(0)
     clock.handle_picture(PERIOD, PERIOD)
@@ -254,22 +239,28 @@ def test_one_picture_is_encoded_at_a_time():
     assert clock.refused == 0
 
 
-def test_an_old_picture_is_replaced_but_not_for_ever():
-    clock = clock_with(300)
+def test_an_old_picture_is_replaced():
+    clock, _ = scheduler(300)
     clock.handle_picture(0, 10 * MS)
     assert not clock.poll_encode(27 * MS)
     clock.handle_picture(PERIOD, 10 * MS + PERIOD)
     assert clock.poll_encode(10 * MS + PERIOD)
     assert (clock.captured, clock.refused) == (2, 1)
-    alone = clock_with(300)
-    alone.handle_picture(0, 10 * MS)
-    due_ns = alone.poll_timeout()
-    assert 10 * MS + PERIOD < due_ns < 10 * MS + 2 * PERIOD
-    assert alone.poll_encode(due_ns)
+
+
+@pytest.mark.parametrize(("age_ms", "waits"), [(7, False), (8, True)])
+def test_a_picture_may_be_22_parts_of_a_hundred_of_a_period_old(age_ms, waits):
+    clock, _ = scheduler(300)
+    came_ns = 27 * MS - age_ms * MS
+    clock.handle_picture(0, came_ns)
+    # An older one waits for the next picture, and an eighth of a period more.
+    due_ns = came_ns + PERIOD + PERIOD // 8 if waits else 27 * MS
+    assert clock.poll_timeout() == due_ns
+    assert clock.poll_encode(due_ns)
 
 
 def test_nothing_is_encoded_while_the_link_is_behind_its_cap():
-    clock = clock_with()
+    clock, _ = scheduler()
     clock.handle_channel(10_000, 96_000, 0)
     clock.handle_picture(0, 0)
     for now_ns in range(0, 30 * MS, MS):
@@ -280,27 +271,29 @@ def test_nothing_is_encoded_while_the_link_is_behind_its_cap():
     assert clock.poll_encode(31 * MS)
 
 
+def test_a_channel_that_is_behind_is_looked_at_again_after_2_ms():
+    clock, _ = scheduler()
+    share = 80_000 // 8 // 30
+    for octets, due_ms in ((share, 0), (share + 1, 2)):
+        clock.handle_channel(octets, 80_000_000, 0)
+        clock.handle_picture(0, 10 * MS)
+        assert clock.poll_timeout() == (10 + due_ms) * MS
+
+
 def test_the_coding_time_is_measured():
-    pacer = Pacer(cap_bps=80_000)
-    clock = EncodeScheduler(pacer, fps=30)
+    clock, pacer = scheduler()
     clock.handle_picture(0, 0)
     assert clock.poll_encode(0)
     clock.handle_encoded(11 * MS)
-    pacer.handle_access_unit([bytes(300)], [300], 40 * MS)  # 30 ms of the channel
+    put(pacer, 300, at_ns=40 * MS)  # 30 ms of the channel
     assert pacer.poll_transmit(40 * MS)
     clock.handle_picture(60 * MS, 65 * MS)
     # 3 ms were assumed; one part in eight of the difference counts.
     assert clock.poll_timeout() == 66 * MS
 
 
-def test_a_picture_that_is_not_to_be_encoded_cannot_be_encoded():
-    clock = clock_with()
-    with pytest.raises(ValueError, match="no picture"):
-        clock.handle_encoded(0)
-
-
 def test_pictures_left_out_and_the_last_one_are_refused():
-    clock = clock_with()
+    clock, _ = scheduler()
     clock.handle_picture(0, 0, skipped=2)
     assert (clock.captured, clock.refused) == (3, 2)
     clock.handle_picture(PERIOD, PERIOD)
@@ -311,19 +304,8 @@ def test_pictures_left_out_and_the_last_one_are_refused():
     assert clock.poll_timeout() is None
 
 
-def test_a_picture_may_be_22_parts_of_a_hundred_of_a_period_old():
-    for age_ms, waits in ((7, False), (8, True)):
-        clock = clock_with(300)
-        came_ns = 27 * MS - age_ms * MS
-        clock.handle_picture(0, came_ns)
-        # An older one waits for the next picture, and an eighth of a period more.
-        give_up_ns = came_ns + PERIOD + PERIOD // 8
-        assert clock.poll_timeout() == (give_up_ns if waits else 27 * MS)
-
-
 def test_of_a_faster_camera_only_fresh_pictures_are_encoded():
-    pacer = Pacer(cap_bps=80_000)
-    clock = EncodeScheduler(pacer, fps=30, camera_hz=60)
+    clock, pacer = scheduler(camera_hz=60)
     ages_ms = []
     for now_ns in range(0, 3_000 * MS, MS // 4):
         if now_ns % (16 * MS) == 0:
@@ -332,7 +314,7 @@ def test_of_a_faster_camera_only_fresh_pictures_are_encoded():
         if clock.poll_encode(now_ns):
             ages_ms.append((now_ns - came_ns) / MS)
             clock.handle_encoded(now_ns)
-            pacer.handle_access_unit([bytes(300)], [300], now_ns)
+            put(pacer, 300, at_ns=now_ns)
         while pacer.poll_transmit(now_ns):
             pass
     assert 85 <= len(ages_ms) <= 94
@@ -342,7 +324,7 @@ def test_of_a_faster_camera_only_fresh_pictures_are_encoded():
 
 
 def test_a_faster_camera_that_slows_down_is_awaited_for_its_new_period():
-    clock = EncodeScheduler(Pacer(cap_bps=80_000), fps=30, camera_hz=60)
+    clock, _ = scheduler(camera_hz=60)
     for came_ns in range(0, 50 * 25 * MS, 25 * MS):
         clock.handle_picture(came_ns, came_ns)
     assert clock.next_rate_hz() is None
@@ -351,53 +333,39 @@ def test_a_faster_camera_that_slows_down_is_awaited_for_its_new_period():
     assert clock.poll_timeout() == came_ns + 25 * MS + 25 * MS // 8
 
 
-def test_a_channel_that_is_behind_is_looked_at_again_after_2_ms():
-    clock = clock_with()
-    share = 80_000 // 8 // 30
-    for octets, due_ms in ((share, 0), (share + 1, 2)):
-        clock.handle_channel(octets, 80_000_000, 0)
-        clock.handle_picture(0, 10 * MS)
-        assert clock.poll_timeout() == (10 + due_ms) * MS
-
-
-def test_a_slower_camera_is_told_after_45_pictures_and_a_faster_one_after_15():
-    clock, now_ns = EncodeScheduler(Pacer(cap_bps=80_000), fps=60), 0
-    clock.handle_picture(0, 0)
-    for hz, pictures in ((15, 45), (60, 15)):
-        for _ in range(pictures):
-            assert clock.next_rate_hz() is None
-            now_ns += 1_000_000_000 // hz
-            clock.handle_picture(now_ns, now_ns)
-        assert clock.next_rate_hz() == pytest.approx(hz, rel=0.01)
-        assert clock.next_rate_hz() is None
+def rates(clock, *periods_ns):
+    """Return the rates that are told, by the number of the picture."""
+    now_ns, found = 0, {}
+    for number, period_ns in enumerate(periods_ns):
+        now_ns += period_ns
+        clock.handle_picture(now_ns, now_ns)
+        if (hz := clock.next_rate_hz()) is not None:
+            found[number] = float(hz)
+    return found
 
 
 @pytest.mark.parametrize("hz", [25, 15, 7])
-def test_a_regular_camera_that_is_slower_is_followed_and_back_again(hz):
-    clock, now_ns, rates = clock_with(), 0, []
-    for rate in [hz] * 100 + [30] * 40:
-        now_ns += 1_000_000_000 // rate
-        clock.handle_picture(now_ns, now_ns)
-        rates += [found for found in (clock.next_rate_hz(),) if found is not None]
-    assert rates[0] == pytest.approx(hz, rel=0.02)
-    assert rates[-1] == pytest.approx(30, rel=0.15)
-    assert len(rates) <= 3
+def test_a_slower_camera_is_followed_after_45_pictures_and_a_faster_one_after_15(hz):
+    clock, _ = scheduler(fps=60)
+    periods = [NS_PER_S // hz] * 46 + [NS_PER_S // 60] * 15
+    assert rates(clock, *periods) == pytest.approx({45: hz, 60: 60}, rel=0.01)
+    # A slow camera at a usual rate, and back again.
+    clock, _ = scheduler()
+    first, *_, last = found = [*rates(clock, *[NS_PER_S // hz] * 100, *[PERIOD] * 40).values()]
+    assert (first, last) == (pytest.approx(hz, rel=0.02), pytest.approx(30, rel=0.15))
+    assert len(found) <= 3
 
 
 def test_single_delays_are_no_new_rate():
-    clock, now_ns = clock_with(), 0
-    for i in range(300):
-        now_ns += PERIOD * (5 if i % 4 == 0 else 1)
-        clock.handle_picture(now_ns, now_ns)
-        assert clock.next_rate_hz() is None
+    assert rates(scheduler()[0], *[5 * PERIOD, PERIOD, PERIOD, PERIOD] * 75) == {}
 
 
 @given(
     st.lists(st.tuples(st.integers(0, 80 * MS), st.booleans(), st.integers(1, 900)), max_size=80)
 )
 def test_every_picture_is_encoded_or_refused(script):
-    pacer = Pacer(cap_bps=80_000)
-    clock, now_ns, encoded = EncodeScheduler(pacer, fps=30), 0, 0
+    clock, pacer = scheduler()
+    now_ns, encoded = 0, 0
     for step_ns, comes, octets in script:
         now_ns += step_ns
         while pacer.poll_transmit(now_ns) is not None:
@@ -408,6 +376,6 @@ def test_every_picture_is_encoded_or_refused(script):
         if clock.poll_encode(now_ns):
             encoded += 1
             waits = False
-            pacer.handle_access_unit([bytes(octets)], [octets], now_ns)
+            put(pacer, octets, at_ns=now_ns)
             clock.handle_encoded(now_ns)
         assert clock.captured == encoded + clock.refused + waits

@@ -18,8 +18,12 @@ LIKE_BEFORE = Coding()
 CLOCK = ManualClock(7)
 
 
-def frame(number=0):
-    picture = empty_picture(WIDTH, HEIGHT)
+def encoder():
+    return H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=85_000)
+
+
+def frame(number=0, width=WIDTH, height=HEIGHT):
+    picture = empty_picture(width, height)
     picture[:] = 16 + number
     return VideoFrame(picture, CaptureStamp(1000 + number, number, "test"))
 
@@ -41,20 +45,16 @@ class Slow:
 
 
 def test_the_thread_encodes_like_the_encoder():
-    def encoder():
-        return H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=85_000)
-
-    alone, units = encoder(), []
+    alone = encoder()
     with EncodingThread(encoder(), CLOCK) as encoding:
         for number in range(5):
-            encoding.submit(frame(number), LIKE_BEFORE._replace(keyframe=number == 3))
+            coding = LIKE_BEFORE._replace(keyframe=number == 3)
+            encoding.submit(frame(number), coding)
             assert readable(encoding)
             unit, encoded_ns = encoding.poll()
-            units.append(unit)
-            assert encoded_ns == 7
+            assert encoded_ns == 7 and unit.keyframe == (number in (0, 3))
             assert not readable(encoding, 0)
-            assert unit == alone.encode(frame(number), Coding(keyframe=number == 3))
-    assert [unit.keyframe for unit in units] == [True, False, False, True, False]
+            assert unit == alone.encode(frame(number), coding)
 
 
 def test_the_loop_continues_while_the_thread_encodes():
@@ -75,10 +75,8 @@ def test_the_loop_continues_while_the_thread_encodes():
 
 
 def test_an_error_in_the_thread_ends_the_loop():
-    encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=85_000)
-    with EncodingThread(encoder, CLOCK) as encoding:
-        other = VideoFrame(empty_picture(32, 32), CaptureStamp(0, 0, "test"))
-        encoding.submit(other, LIKE_BEFORE)
+    with EncodingThread(encoder(), CLOCK) as encoding:
+        encoding.submit(frame(width=32, height=32), LIKE_BEFORE)
         assert readable(encoding)
         with pytest.raises(ValueError, match="picture of 32x32"):
             encoding.poll()

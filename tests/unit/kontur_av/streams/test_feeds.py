@@ -48,7 +48,7 @@ def test_pictures_come_out_as_they_went_in(codec):
         for number in range(10):
             feed.step(0)
             assert source.number == number + 1
-            while not list(waits(feed)):
+            while not feed.sender.backlog_octets:
                 # In the meantime no picture is taken.
                 feed.step(NS_PER_S)
                 assert source.number == number + 1
@@ -78,12 +78,6 @@ def test_pictures_come_out_as_they_went_in(codec):
             assert stamp.quality is Quality.FRESH
         else:
             assert stamp.quality is Quality.DAMAGED
-
-
-def waits(feed):
-    """Whether packets of a picture wait."""
-    if feed.sender.backlog_octets:
-        yield feed.sender.backlog_octets
 
 
 def test_a_stream_of_pictures_is_described_before_its_first_packet():

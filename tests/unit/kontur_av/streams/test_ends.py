@@ -1,0 +1,94 @@
+"""Whole ends of a stream: bad input is refused, and errors reach the caller."""
+
+import socket
+
+import numpy as np
+import pytest
+from common import free_port
+
+import kontur_av as av
+from kontur_av.streams import ends
+
+GREY = np.full((96, 128, 3), 90, np.uint8)
+HERE = "127.0.0.1:9"
+
+
+def pictures(to=HERE, **options):
+    return av.PictureSender(to, **{"cap_bps": 85_000} | options)
+
+
+@pytest.mark.parametrize(
+    "to",
+    [
+        *("127.0.0.1", "127.0.0.1:x", ":5004", "127.0.0.1:65535", "127.0.0.1:0"),
+        *("localhost:5004", "192.0.2.256:5004", "127.0.0.1:\u00b2"),
+    ],
+)
+def test_a_wrong_address_is_refused(to):
+    for sender in (av.PictureSender, av.SoundSender):
+        with pytest.raises(av.ConfigError, match="HOST:PORT"):
+            sender(to, cap_bps=85_000)
+
+
+def test_what_is_no_picture_or_no_block_is_refused():
+    with pictures() as end:
+        for wrong in (GREY[:, :, 0], GREY.astype(np.float32)):
+            with pytest.raises(av.ConfigError, match="uint8, RGB"):
+                end.send(wrong)
+        with pytest.raises(av.ConfigError, match="multiple of 4"):
+            end.send(GREY[:95])
+        end.send(GREY)
+        with pytest.raises(av.ConfigError, match="after one of"):
+            end.send(GREY[:64])
+    with pytest.raises(av.ConfigError, match="closed"):
+        end.send(GREY)
+    with (
+        av.SoundSender(HERE, cap_bps=24_000) as end,
+        pytest.raises(av.ConfigError, match="int16"),
+    ):
+        end.send(np.zeros(480, np.int16))
+
+
+def test_what_cannot_work_is_refused_in_one_line(tmp_path):
+    for options, reason in (
+        ({"fps": 0}, "fps 0"),
+        ({"fps": 121}, "fps 121"),
+        ({"codec": "hevc"}, "codec 'hevc'"),
+        ({"sdp": tmp_path / "none" / "s.sdp"}, "cannot be written"),
+    ):
+        with pytest.raises(av.ConfigError, match=reason), pictures(**options) as end:
+            end.send(GREY)
+    with pytest.raises(av.ConfigError, match="cannot be written"):
+        av.SoundSender(HERE, cap_bps=24_000, sdp=tmp_path / "none" / "s.sdp")
+    # A cap that cannot be kept.
+    with pictures(cap_bps=100) as end, pytest.raises(av.ConfigError):
+        end.send(GREY)
+
+
+def test_an_end_that_has_sent_nothing_says_so_and_takes_any_port():
+    for to in ("127.0.0.1:1", "[::1]:65534"):
+        with pictures(to) as end:
+            assert (end.counts.frames_captured, end.largest_bps) == (0, 0)
+        end.close()
+
+
+def test_what_ends_the_thread_reaches_the_caller(monkeypatch):
+    def fail(*_):
+        raise RuntimeError("out of order")
+
+    monkeypatch.setattr(ends.UdpSender, "exchange", fail)
+    with pytest.raises(RuntimeError, match="out of order"), pictures() as end:
+        for _ in range(100):
+            end.send(GREY)
+
+
+def test_an_sdp_that_is_absent_or_whose_port_is_taken_is_refused(tmp_path):
+    with pytest.raises(av.ConfigError, match="cannot be read"):
+        av.StreamReceiver(tmp_path / "none.sdp")
+    port, sdp = free_port(), tmp_path / "s.sdp"
+    stream = av.StreamDescription(kind="video", host="127.0.0.1", port=port, payload_type=96)
+    sdp.write_text(av.write_sdp(stream))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", port))
+        with pytest.raises(av.ConfigError, match="cannot be opened"):
+            av.StreamReceiver(sdp)
