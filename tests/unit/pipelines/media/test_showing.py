@@ -1,12 +1,15 @@
 """What a display draws: each picture at once, a stale one again and again; and what it keeps."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.media import CaptureStamp
+from kontur_av.media import CaptureStamp, Quality
+from kontur_av.streams.staleness import State
+from pipelines.media.figures import DisplayFigures
 from pipelines.media.process_display import _write
 from pipelines.media.showing import Showing, SnapshotSchedule
 from pipelines.session.probe import Probe
@@ -149,3 +152,26 @@ def test_a_failed_write_is_no_snapshot(tmp_path):
     assert _write(tmp_path, "ground-stereo-0001s", picture, halves=True) == [True] * 3
     assert len(list(tmp_path.glob("*.png"))) == 3
     assert _write(tmp_path / "missing", "space-0001s", picture, halves=False) == [False]
+
+
+def test_concealed_sound_does_not_reduce_the_age_and_is_not_counted():
+    probe = Probe()
+    showing = Showing(SETUP, [VIDEO, VOICE], probe)
+    showing.tell(0)
+    assert all(told.age_ns is None for told in probe.message.figures.values())
+    for number in range(100):
+        now_ns = 20 * number * NS_PER_MS
+        captured = CaptureStamp(now_ns - 40 * NS_PER_MS, number, "test", rtp_timestamp=number)
+        for stream, quality in (
+            (VOICE, Quality.FRESH if number < 10 else Quality.CONCEALED),
+            (VIDEO, Quality.FRESH if number < 50 else Quality.DAMAGED),
+        ):
+            showing.handle_shown(stream.name, replace(captured, quality=quality), now_ns)
+    showing.tell(2 * NS_PER_S)
+    voice = probe.message.figures[DisplayFigures, VOICE.name]
+    assert (voice.frames_displayed, voice.stale_episodes) == (10, 1)
+    stale_from_ms = 180 - 40 + 20 + SETUP.stale_after_ns(VOICE) // NS_PER_MS
+    assert (voice.stale_ns, voice.state) == ((2000 - stale_from_ms) * NS_PER_MS, State.STALE)
+    video = probe.message.figures[DisplayFigures, VIDEO.name]
+    assert (video.damaged_ns, video.age_ns) == (1000 * NS_PER_MS, 60 * NS_PER_MS)
+    assert video.state is State.DAMAGED
