@@ -3,9 +3,10 @@
 import hmac
 import struct
 
-from telepresence.haptics.udp_protocol import UdpSession
+from telepresence.haptics.udp_protocol import UdpRole, UdpSession
 
 MS = 1_000_000
+KEY = bytes(range(32))
 
 
 def code(body, key):
@@ -116,3 +117,10 @@ class MemoryLine:
     def close(self):
         self.send()
         self.closed = True
+
+
+def connected():
+    """A line to a robot's controller with a key, after their handshake."""
+    line = MemoryLine(UdpRole.ROBOT, PythonController(KEY), key=KEY)
+    assert line.connect() is not None
+    return line

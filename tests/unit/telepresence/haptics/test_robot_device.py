@@ -1,22 +1,20 @@
 """A user's robot: it is driven as the simulated one is, within its limits, and switched off."""
 
-import sys
-from pathlib import Path
-
 import pytest
 
 from kontur_av.clock import NS_PER_MS as MS
-from kontur_av.errors import ConfigError
+from telepresence.haptics.axes import AxisFacts, AxisReading
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
-from telepresence.haptics.robot import JointReading, Robot, RobotFacts
+from telepresence.haptics.loop import robot_link
+from telepresence.haptics.robot import JointReading, RobotFacts
 from telepresence.haptics.robot_device import DrivenRobot, RobotReading
 from telepresence.haptics.sample import Command
-from telepresence.haptics.specs import facts_of, open_device, open_robot
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
 
-SAMPLES = Path(__file__).resolve().parents[4] / "samples"
+Z = AxisFacts(name="z", half_range=0.1, force_limit=10.0, speed=0.5)
+YAW = AxisFacts(name="yaw", half_range=1.0, force_limit=0.5, speed=3.0)
 
 
 class Arm:
@@ -54,6 +52,32 @@ class Arm:
             self.reading = RobotReading(x + vx * dt, y + vy * dt, vx, vy, *rest)
 
 
+class Guide(Arm):
+    """With z and yaw, which move without mass where they are pushed."""
+
+    def __init__(self, takes="force"):
+        super().__init__(takes)
+        self.facts = RobotFacts(name="guide", takes=takes, more=(Z, YAW))
+        self.more = [AxisReading(0.0, 0.0)] * 2
+
+    def write_more_forces(self, forces):
+        self.more_forces = forces
+
+    def write_more_positions(self, places, speeds):
+        self.more = [AxisReading(place, 0.0) for place in places]
+
+    def advance(self, dt_ns):
+        super().advance(dt_ns)
+        if self.facts.takes == "force":
+            self.more = [
+                AxisReading(axis.place + force * gain * dt_ns / 1e9, 0.0)
+                for axis, force, gain in zip(self.more, self.more_forces, (0.01, 20.0), strict=True)
+            ]
+
+    def read_more(self):
+        return self.more
+
+
 @pytest.fixture(params=["force", "position"])
 def arm(request):
     return Arm(request.param)
@@ -71,28 +95,14 @@ def follow(side, hand_x_m, seconds, *, begin_ms=0):
 def test_it_follows_the_hand_from_where_it_stands_and_within_its_force(arm):
     robot = DrivenRobot(arm)
     side = RobotSide(robot=robot, envelope=SafetyEnvelope())
-    assert (robot.x_m, robot.y_m) == (0.01, 0.02)
+    assert (robot.x_m, robot.y_m, robot.joints) == (0.01, 0.02, ())
     follow(side, -0.05, 1.0)
     assert arm.reading.x_m == pytest.approx(-0.04, abs=0.005)
     assert arm.reading.y_m == pytest.approx(0.02, abs=0.002)
     assert arm.most_n <= 5.0
-
-
-def test_it_says_what_its_joints_measure_or_nothing(arm):
-    robot = DrivenRobot(arm)
-    assert robot.joints == ()
     arm.reading = arm.reading._replace(joints=(JointReading(0.5, 2.0),))
     robot.step(0.0, 0.0, MS)
     assert robot.joints == (JointReading(0.5, 2.0),)
-
-
-def test_the_simulated_robot_has_an_angle_and_a_torque_of_each_joint():
-    robot = Robot(x_m=0.02, y_m=-0.04)
-    robot.set_torque(1.5, -0.5)
-    robot.drive(MS)
-    first, second = robot.joints
-    assert first == pytest.approx((0.02 / robot.model.lever_m, 1.5), rel=1e-2)
-    assert second == pytest.approx((-0.04 / robot.model.lever_m, -0.5), rel=1e-2)
 
 
 def test_its_lifecycle_follows_power_and_mode(arm):
@@ -149,25 +159,39 @@ def test_a_robot_that_takes_places_and_does_not_follow_is_switched_off():
     assert "does not follow" in control.fault
 
 
-def test_it_is_named_by_module_and_class(monkeypatch):
-    monkeypatch.chdir(SAMPLES)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    robot = open_robot("own_robot:Mass")
-    assert robot.facts.name == "a mass before a wall"
-    assert facts_of("own_robot:Mass").force_limit_n == 25.0
+@pytest.mark.parametrize("takes", ["force", "position"])
+def test_a_users_axes_are_driven(takes):
+    device = Guide(takes)
+    side = RobotSide(robot=DrivenRobot(device), link=robot_link(more=2))
+    most = [0.0, 0.0]
+    for cycle in range(2_000):
+        share = min(1.0, cycle / 1000)
+        command = Command(
+            0.0,
+            0.0,
+            0,
+            more=((0.03 * share, 100 * cycle, False), (0.05 * share, 100 * cycle, False)),
+        )
+        side.link.latest = lambda now_ns, command=command: command
+        side.handle_cycle(cycle * MS, MS)
+        most = [max(old, abs(new.place)) for old, new in zip(most, device.more, strict=True)]
+    assert side.robot.error == ""
+    # m and rad, as the facts have them: yaw's lever has 0.1 m.
+    assert most == pytest.approx([0.03, 0.5], rel=0.05)
 
 
 @pytest.mark.parametrize(
-    ("spec", "words"),
+    ("reading", "words"),
     [
-        ("nothing_here:Arm", "no module 'nothing_here'"),
-        ("math:Arm", "has no class 'Arm'"),
-        ("math:sqrt", "cannot be made: TypeError"),
-        ("arm", "module:Class"),
+        (AxisReading(float("nan"), 0.0), "z is not a number"),
+        (AxisReading(0.2, 0.0), "outside of its range"),
+        (AxisReading(0.0, 5.0), "beyond twice its speed"),
     ],
 )
-def test_a_robot_or_joystick_that_is_not_there_is_one_line(spec, words):
-    for opened in (facts_of, open_device):
-        with pytest.raises(ConfigError, match=words) as refused:
-            opened(spec)
-        assert "\n" not in str(refused.value)
+def test_an_axis_that_measures_what_cannot_be_is_an_error(reading, words):
+    device = Guide("position")
+    robot = DrivenRobot(device)
+    device.more = [reading, AxisReading(0.0, 0.0)]
+    device.write_more_positions = lambda places, speeds: None
+    robot.step(0.0, 0.0, MS)
+    assert words in robot.error

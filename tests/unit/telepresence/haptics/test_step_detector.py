@@ -16,13 +16,6 @@ def steps(samples):
     return [(step.instant_ns // NS_PER_MS, step.rise_n) for step in iter(detector.next_event, None)]
 
 
-def test_only_the_newest_256_steps_wait_to_be_fetched():
-    pushes = [*free(150), *press(hold=20)] * 260
-    found = steps(pushes)
-    assert len(found) == 256
-    assert found[-1][0] > len(pushes) - 100
-
-
 def press(contact=True, force=3.0, rise=5, hold=300):
     ramp = [(-force * (k + 1) / rise, 0.0, contact) for k in range(rise)]
     return ramp + [(-force, 0.0, contact)] * hold
@@ -30,6 +23,13 @@ def press(contact=True, force=3.0, rise=5, hold=300):
 
 def free(count=200, contact=False):
     return [(0.0, 0.0, contact)] * count
+
+
+def test_only_the_newest_256_steps_wait_to_be_fetched():
+    pushes = [*free(150), *press(hold=20)] * 260
+    found = steps(pushes)
+    assert len(found) == 256
+    assert found[-1][0] > len(pushes) - 100
 
 
 @given(
@@ -43,21 +43,21 @@ def test_a_step_is_dated_at_its_first_sample(rise, force, hold, flag):
     assert 200 <= found[0][0] <= 200 + 0.02 / force * rise + 1
 
 
-def test_each_press_is_one_step():
-    found = steps((free() + press()) * 4)
-    assert [index for index, _ in found] == [200, 705, 1210, 1715]
-
-
-def test_a_bounce_is_no_second_step():
-    assert len(steps(free() + press(hold=10) + free(30) + press())) == 1
-
-
-def test_a_release_is_no_step():
-    assert len(steps(free(contact=None) + press(None, hold=800) + free(400, None))) == 1
-
-
-def test_without_contact_no_change_of_force_is_a_step():
-    assert steps(free() + press(False) + free()) == []
+@pytest.mark.parametrize(
+    ("samples", "found"),
+    [
+        ((free() + press()) * 4, [200, 705, 1210, 1715]),
+        # A bounce is no second step, a release none, and without contact no change of force.
+        (free() + press(hold=10) + free(30) + press(), [200]),
+        (free(contact=None) + press(None, hold=800) + free(400, None), [200]),
+        (free() + press(False) + free(), []),
+        # Slow drift and rounding.
+        ([(0.0005 * k, 0.0, None) for k in range(4000)], []),
+        ([(0.002 * (k % 2), 0.0, True) for k in range(1000)], []),
+    ],
+)
+def test_each_press_is_one_step_and_nothing_else_is(samples, found):
+    assert [index for index, _ in steps(samples)] == found
 
 
 def test_a_constant_force_before_the_contact_hides_no_step():
@@ -65,11 +65,6 @@ def test_a_constant_force_before_the_contact_hides_no_step():
     ((index, rise),) = steps(moving + [(0.5 - 0.1 * k, 0.1, True) for k in range(1, 30)])
     assert index == 200
     assert rise >= 0.2
-
-
-def test_slow_drift_and_rounding_are_no_steps():
-    assert steps([(0.0005 * k, 0.0, None) for k in range(4000)]) == []
-    assert steps([(0.002 * (k % 2), 0.0, True) for k in range(1000)]) == []
 
 
 @pytest.mark.parametrize("rate_hz", [10, 50, 80, 200, 1000, 4000])

@@ -6,14 +6,11 @@ from math import isnan
 import pytest
 from udp_controller import MemoryLine, PythonController
 
-from kontur_av.errors import ConfigError
 from telepresence.haptics import udp_devices
 from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.robot_device import DrivenRobot
-from telepresence.haptics.specs import check_robot, open_device
-from telepresence.haptics.udp_line import UdpLine, unprotected
-from telepresence.haptics.udp_protocol import MOST_UNANSWERED, UdpRole
+from telepresence.haptics.udp_protocol import MOST_UNANSWERED
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
 
@@ -28,18 +25,23 @@ def controller(monkeypatch):
     return controller
 
 
-def drive(control, robot, count, force=2.0):
+def driven():
+    """A robot by UDP, switched on, and its control."""
+    robot = DrivenRobot(udp_devices.UdpRobot("127.0.0.1:9"))
+    return robot, RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
+
+
+def drive(control, robot, count):
     for cycle in range(count):
         control.step(cycle * MS)
         if robot.mode == 0:
             robot.drive(MS)
         else:
-            robot.step(force, 0.0, MS)
+            robot.step(2.0, 0.0, MS)
 
 
 def test_a_robot_is_moved_and_switched_off_for_good(controller):
-    robot = DrivenRobot(udp_devices.UdpRobot("127.0.0.1:9"))
-    control = RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
+    robot, control = driven()
     assert robot.facts.force_limit_n == 25.0
     drive(control, robot, 200)
     assert controller.state == ACTIVE and robot.x_m > 0.01
@@ -48,8 +50,7 @@ def test_a_robot_is_moved_and_switched_off_for_good(controller):
 
 
 def test_a_controller_that_dies_switches_the_robot_off_until_it_is_reset(controller):
-    robot = DrivenRobot(udp_devices.UdpRobot("127.0.0.1:9"))
-    control = RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
+    robot, control = driven()
     drive(control, robot, 100)
     controller.answers = False
     drive(control, robot, MOST_UNANSWERED + 5)
@@ -62,6 +63,10 @@ def test_a_controller_that_dies_switches_the_robot_off_until_it_is_reset(control
     assert control.reset() == "" and control.set_power(True) == ""
     drive(control, robot, 50)
     assert controller.state == ACTIVE
+    # Its own error is told, in one line.
+    controller.error, controller.text = 7, b"drive 2 is\n hot"
+    drive(control, robot, 2)
+    assert control.fault == "error 7: drive 2 is? hot"
 
 
 def test_a_loss_is_told_even_if_the_controller_is_back_at_once(controller):
@@ -82,14 +87,6 @@ def test_a_loss_is_told_even_if_the_controller_is_back_at_once(controller):
     device.activate()
     device.advance(MS)
     assert controller.state == ACTIVE and device.read().error == ""
-
-
-def test_the_controllers_own_error_is_told(controller):
-    robot = DrivenRobot(udp_devices.UdpRobot("127.0.0.1:9"))
-    control = RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
-    controller.error, controller.text = 7, b"drive 2 is\n hot"
-    drive(control, robot, 2)
-    assert control.fault == "error 7: drive 2 is? hot"
 
 
 def joystick_cycles(operation, count, begin=0):
@@ -135,36 +132,3 @@ def test_a_place_that_jumps_is_followed_with_a_hands_acceleration(controller):
     changes = [abs(b - a) for a, b in pairwise(steps)]
     assert max(changes) < 150.0 * 1e-6 and max(places) < 0.0501
     assert places[-1] == pytest.approx(0.05)
-
-
-@pytest.mark.parametrize(
-    ("spec", "words"),
-    [
-        ("udp:", "write udp:HOST:PORT"),
-        ("udp:127.0.0.1:0", "write udp:HOST:PORT"),
-        ("udp:127.0.0.1:x", "write udp:HOST:PORT"),
-        ("udp:192.0.2.7:9000", "give both ends a key"),
-        ("udp:127.0.0.1:9000:no.key", "openssl rand -hex 32 > no.key"),
-        ("udp:127.0.0.1:9000:open.key", "chmod 600 open.key"),
-        ("udp:127.0.0.1:9000:bad.key", "64 digits"),
-    ],
-)
-def test_a_spec_that_cannot_be_is_one_line_with_its_mend(spec, words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name, mode, text in (("open", 0o640, "00" * 32), ("bad", 0o600, "00" * 31 + "xy")):
-        path = tmp_path / f"{name}.key"
-        path.write_text(text)
-        path.chmod(mode)
-    for opened in (check_robot, open_device):
-        with pytest.raises(ConfigError, match=words) as refused:
-            opened(spec)
-        assert "\n" not in str(refused.value)
-
-
-def test_a_key_is_read_and_its_absence_is_said(tmp_path):
-    path = tmp_path / "arm.key"
-    path.write_text("0f" * 32 + "\n")
-    path.chmod(0o600)
-    UdpLine(f"192.0.2.7:9000:{path}", UdpRole.ROBOT)
-    assert unprotected(f"udp:192.0.2.7:9000:{path}") == unprotected("sim") == ""
-    assert "no key" in unprotected("udp:127.0.0.1:9000")

@@ -1,9 +1,10 @@
-"""The functional test of a joystick in a session."""
+"""The functional test of a joystick in a session, and of a stick that a person moves."""
 
 import pytest
+from joystick_scripts import STICK, Person, edge, play
 
 from kontur_av.clock import NS_PER_MS
-from telepresence.haptics.device.functional_test import FORCE_N, Outcome, TestPart
+from telepresence.haptics.device.functional_test import FORCE_N, Outcome, TestPart, functional_test
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.haptics.device.simulated import FACTS, FAULTS, Faults, Fingers, SimulatedDevice
@@ -74,34 +75,28 @@ def test_a_healthy_joystick_passes_and_leads_no_robot_meanwhile():
     assert (session.handle.state, session.handle.dead_man) == (JoystickState.APPLICATION, True)
 
 
-def test_motors_that_are_too_weak_fail_it():
-    report = Session(FAULTS["weak"]).test()
-    assert (report.outcome, report.part) == (Outcome.FAILED, TestPart.FORCE)
-    assert report.reason.startswith("stiffness x: 11")
+def test_an_axis_that_is_stuck_fails_the_test():
+    session = Session(Faults())
+    session.device.stuck = 1
+    report = session.test()
+    assert (report.outcome, report.part) == (Outcome.FAILED, TestPart.PLACE)
+    assert "axis y does not move" in report.reason
 
 
 @pytest.mark.parametrize(
     ("fault", "part", "words"),
     [
+        ("weak", TestPart.FORCE, "stiffness x: 11"),
         ("friction", TestPart.FRICTION, "Coulomb friction x"),
         ("button", TestPart.BUTTONS, "button "),
     ],
 )
-def test_each_other_part_fails_by_what_it_measures(fault, part, words):
+def test_each_part_fails_by_what_it_measures(fault, part, words):
     report = Session(FAULTS[fault]).test()
     assert (report.outcome, report.part) == (Outcome.FAILED, part)
     assert report.reason.startswith(words)
-    (bad,) = [figure for figure in report.figures if not figure.passed][:1]
+    bad = next(figure for figure in report.figures if not figure.passed)
     assert bad.name in report.reason
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_an_axis_that_is_stuck_fails_it(axis):
-    session = Session(Faults())
-    session.device.stuck = axis
-    report = session.test()
-    assert (report.outcome, report.part) == (Outcome.FAILED, TestPart.PLACE)
-    assert f"axis {'xy'[axis]} does not move" in report.reason
 
 
 def test_without_the_dead_man_button_it_fails_and_never_pushes():
@@ -113,48 +108,44 @@ def test_without_the_dead_man_button_it_fails_and_never_pushes():
     assert {(x_n, y_n) for x_n, y_n, _ in session.pushes} == {(0.0, 0.0)}
 
 
-def pushing(session):
-    session.run(3)
-    assert session.operation.testing and session.pushes[-1][2]
-
-
-def test_it_aborts_with_the_next_cycle_after_the_button_is_let_go():
+@pytest.fixture
+def pushing():
+    """A session whose test pushes the handle."""
     session = Session()
     session.handle.handle_command(JoystickEvent.TEST)
-    pushing(session)
-    session.device.fingers = Fingers(FACTS.leds)
-    session.run(0.002)
-    assert session.pushes[-1][:2] == (0.0, 0.0)
-    report = session.operation.test
+    session.run(3)
+    assert session.operation.testing and session.pushes[-1][2]
+    return session
+
+
+@pytest.mark.rule("S4")
+def test_it_aborts_with_the_next_cycle_after_the_button_is_let_go(pushing):
+    pushing.device.fingers = Fingers(FACTS.leds)
+    pushing.run(0.002)
+    assert pushing.pushes[-1][:2] == (0.0, 0.0)
+    report = pushing.operation.test
     assert (report.outcome, report.reason) == (Outcome.ABORTED, "the dead-man button was let go")
 
 
 @pytest.mark.parametrize(
     "event", [JoystickEvent.HALT, JoystickEvent.STOP, JoystickEvent.START, JoystickEvent.CALIBRATE]
 )
-def test_a_command_aborts_it_at_once(event):
-    session = Session()
-    session.handle.handle_command(JoystickEvent.TEST)
-    pushing(session)
-    assert session.handle.handle_command(event) == ""
-    assert not session.operation.testing
-    session.run(0.001)
-    assert abs(session.pushes[-1][0]) + abs(session.pushes[-1][1]) == 0.0
-    report = session.operation.test
-    assert report.outcome is Outcome.ABORTED
-    assert event.value in report.reason
+def test_a_command_aborts_it_at_once(pushing, event):
+    assert pushing.handle.handle_command(event) == ""
+    assert not pushing.operation.testing
+    pushing.run(0.001)
+    assert pushing.pushes[-1][:2] == (0.0, 0.0)
+    report = pushing.operation.test
+    assert report.outcome is Outcome.ABORTED and event.value in report.reason
 
 
-def test_a_fault_aborts_it():
-    session = Session()
-    session.handle.handle_command(JoystickEvent.TEST)
-    pushing(session)
-    session.handle.handle_exercise(2_000_000_000)
-    session.run(0.02)
-    assert session.handle.state == JoystickState.RECOVERABLE
-    report = session.operation.test
+def test_a_fault_aborts_it(pushing):
+    pushing.handle.handle_exercise(2_000_000_000)
+    pushing.run(0.02)
+    assert pushing.handle.state == JoystickState.RECOVERABLE
+    report = pushing.operation.test
     assert report.outcome is Outcome.ABORTED and "exercise" in report.reason
-    assert session.pushes[-1][:2] == (0.0, 0.0)
+    assert pushing.pushes[-1][:2] == (0.0, 0.0)
 
 
 def test_it_is_refused_in_the_application():
@@ -179,3 +170,43 @@ def test_a_person_at_a_page_does_it():
 
     report = session.test(each=look)
     assert (report.outcome, report.reason) == (Outcome.PASSED, "")
+
+
+@pytest.mark.parametrize(
+    ("ignores", "outcome", "part", "words"),
+    [
+        ((), Outcome.PASSED, TestPart.NONE, ""),
+        (("press and hold",), Outcome.FAILED, TestPart.DEAD_MAN, "was not pressed"),
+        (("press button 1",), Outcome.FAILED, TestPart.BUTTONS, "button 1 pressed and let go: 0"),
+    ],
+)
+def test_a_stick_tests_itself_while_the_dead_man_button_is_held(ignores, outcome, part, words):
+    person = Person(ignores)
+
+    def answer(ms, output):
+        x_m, y_m = edge(ms)[:2]
+        return person(ms, output)._replace(x_m=x_m, y_m=y_m)
+
+    report, wanted = play(functional_test(STICK), answer)
+    assert (report.outcome, report.part) == (outcome, part)
+    assert words in report.reason
+    assert "along its edge" in " ".join(person.prompts) or "was not pressed" in words
+    if "was not pressed" in words:
+        assert 10_000 <= len(wanted) <= 10_010
+
+
+@pytest.mark.parametrize(("after_ms", "figures"), [(0, 0), (500, 4)])
+def test_a_dead_man_button_that_stays_pressed_fails_the_test(after_ms, figures):
+    person = Person()
+    person.dead_man = after_ms == 0
+
+    def answer(ms, output):
+        if person.dead_man:
+            person.ignores = ("let go",)
+        x_m, y_m = edge(ms)[:2]
+        return person(ms, output)._replace(x_m=x_m, y_m=y_m)
+
+    report, wanted = play(functional_test(STICK), answer)
+    assert (report.outcome, report.part) == (Outcome.FAILED, TestPart.DEAD_MAN)
+    assert report.reason == "the dead-man button was not let go"
+    assert len(report.figures) == figures and len(wanted) >= 10_000

@@ -34,23 +34,18 @@ def test_no_sequence_of_events_leaves_the_table(events):
 
 def test_force_only_after_a_calibration_and_a_request():
     # All transitions into the application, followed back to their start.
-    assert {
-        before for (before, _), after in TRANSITIONS.items() if after is JoystickState.APPLICATION
-    } == {JoystickState.CALIBRATED}
+    def before(state):
+        return {first for (first, _), after in TRANSITIONS.items() if after is state}
+
+    assert before(JoystickState.APPLICATION) == {JoystickState.CALIBRATED}
     ways = {way for way, after in TRANSITIONS.items() if after is JoystickState.CALIBRATED}
-    within = {(JoystickState.CALIBRATED, event) for event in JoystickEvent}
-    assert ways - within == {
+    assert ways - {(JoystickState.CALIBRATED, event) for event in JoystickEvent} == {
         (JoystickState.STANDBY, JoystickEvent.CALIBRATION_PASSED),
         (JoystickState.APPLICATION, JoystickEvent.STOP),
         (JoystickState.HALTED, JoystickEvent.RESUME),
     }
     # The halted state is reached only from calibrated states.
-    assert {
-        before for (before, _), after in TRANSITIONS.items() if after is JoystickState.HALTED
-    } == {
-        JoystickState.CALIBRATED,
-        JoystickState.APPLICATION,
-    }
+    assert before(JoystickState.HALTED) == {JoystickState.CALIBRATED, JoystickState.APPLICATION}
 
 
 def test_every_state_except_fatal_can_be_left():
@@ -77,13 +72,8 @@ def test_a_refusal_says_what_is_allowed():
 
 
 def test_the_numbers_are_those_that_the_samples_carry():
-    assert [state.value for state in JoystickState] == [
-        sample.STATE_INIT,
-        sample.STATE_STANDBY,
-        sample.STATE_CALIBRATED,
-        sample.STATE_APPLICATION,
-        sample.STATE_HALTED,
-        sample.STATE_CALIBRATION_ERROR,
-        sample.STATE_RECOVERABLE_ERROR,
-        sample.STATE_FATAL_ERROR,
-    ]
+    names = (
+        "INIT STANDBY CALIBRATED APPLICATION HALTED CALIBRATION_ERROR RECOVERABLE_ERROR FATAL_ERROR"
+    )
+    carried = [getattr(sample, f"STATE_{name}") for name in names.split()]
+    assert list(JoystickState) == carried == [*range(8)]

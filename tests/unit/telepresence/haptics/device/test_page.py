@@ -1,13 +1,16 @@
-"""The joystick in a page's hand: it follows smoothly, yields to force, and stays when released."""
+"""The joystick in a page's hand: smooth, yields to force, passive, and at rest when released."""
 
 from copy import deepcopy
 from math import hypot, inf, nan, pi, sin
+from random import Random
 
 import pytest
+from haptic_pair import HapticPair
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import FACTS, PageDevice, PageHandModel, PageInput
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
@@ -67,13 +70,18 @@ def seat():
     return deepcopy(READY)
 
 
+def pointing(seat, *places):
+    """The page points at each place for a while (s)."""
+    for x, y, seconds in places:
+        seat.wanted = (x, y)
+        seat.run(seconds)
+    return seat
+
+
 @pytest.mark.parametrize("period_ms", [1, 4, 17])
 def test_it_goes_where_the_page_points_at_any_rate_of_events(seat, period_ms):
     seat.period_ms = period_ms
-    seat.wanted = (0.0, 0.0)
-    seat.run(0.1)
-    seat.wanted = (0.6, -0.5)
-    seat.run(1.5)
+    pointing(seat, (0.0, 0.0, 0.1), (0.6, -0.5, 1.5))
     assert seat.place[0] == pytest.approx(0.6 * FACTS.half_width_m, abs=0.002)
     assert seat.place[1] == pytest.approx(-0.5 * FACTS.half_height_m, abs=0.002)
     # A jump of the pointer is no jump of the handle, which the controller's bound relies on.
@@ -83,40 +91,30 @@ def test_it_goes_where_the_page_points_at_any_rate_of_events(seat, period_ms):
 
 def test_steps_of_a_slow_pointer_are_smoothed(seat):
     seat.period_ms = 17
-    seat.wanted = (0.0, 0.0)
-    seat.run(0.1)
+    pointing(seat, (0.0, 0.0, 0.1))
     speeds = []
     for k in range(60):
-        seat.wanted = (0.01 * k, 0.0)
-        seat.run(0.017)
-        speeds += [seat.device.joystick.vx_m_s]
+        pointing(seat, (0.01 * k, 0.0, 0.017))
+        speeds.append(seat.device.joystick.vx_m_s)
     # 1.5 mm in 17 ms are 0.088 m/s.
     assert all(speed == pytest.approx(0.088, rel=0.1) for speed in speeds[20:])
 
 
-def test_the_hand_begins_where_the_handle_is(seat):
+def test_the_hand_begins_where_the_handle_is_and_ends_with_the_workspace(seat):
     before = seat.place
-    seat.wanted = (1.0, -0.9)
-    seat.run(0.5)
+    pointing(seat, (1.0, -0.9, 0.5))
     assert seat.handle.dead_man
     assert seat.place == pytest.approx(before, abs=1e-6)
-    seat.wanted = (0.8, -0.9)
-    seat.run(1.0)
+    pointing(seat, (0.8, -0.9, 1.0))
     assert seat.place[0] - before[0] == pytest.approx(-0.2 * FACTS.half_width_m, abs=0.002)
     assert seat.place[1] == pytest.approx(before[1], abs=1e-4)
-
-
-def test_the_wanted_place_ends_with_the_workspace(seat):
-    seat.wanted = (-1.0, 0.0)
-    seat.run(0.1)
-    seat.wanted = (1.0, 0.0)
-    seat.run(2.0)
+    # The wanted place ends with the workspace.
+    seat = pointing(deepcopy(READY), (-1.0, 0.0, 0.1), (1.0, 0.0, 2.0))
     assert seat.place[0] == pytest.approx(FACTS.half_width_m, abs=0.002)
 
 
 def test_a_force_displaces_the_handle_against_the_muscles(seat):
-    seat.wanted = (0.0, 0.0)
-    seat.run(0.5)
+    pointing(seat, (0.0, 0.0, 0.5))
     free_m = seat.place[0]
     seat.run(1.5, force=(-5.0, 0.0))
     assert seat.place[0] - free_m == pytest.approx(-5.0 / MODEL.muscles.stiffness_n_m, abs=0.001)
@@ -125,20 +123,15 @@ def test_a_force_displaces_the_handle_against_the_muscles(seat):
     assert seat.place[0] < -0.14
 
 
-def moving(seat):
-    seat.wanted = (0.0, 0.0)
-    seat.run(0.5)
-    seat.wanted = (0.9, 0.2)
-    seat.run(0.1, force=(2.0, 0.0))
-    assert seat.device.joystick.vx_m_s > 0.7 and seat.handle.force_limit_n > 0.0
-    seat.wanted = None
-    return seat
-
-
+@pytest.mark.rule("S4")
 @pytest.mark.parametrize("way", ["button", "silence", "halt"])
 def test_a_released_handle_is_braked_and_stays_without_force(seat, way):
-    moving(seat)
     joystick = seat.device.joystick
+    pointing(seat, (0.0, 0.0, 0.5))
+    seat.wanted = (0.9, 0.2)
+    seat.run(0.1, force=(2.0, 0.0))
+    assert joystick.vx_m_s > 0.7 and seat.handle.force_limit_n > 0.0
+    seat.wanted = None
     if way == "button":
         seat.send(nan, inf, dead_man=False)
     elif way == "halt":
@@ -162,8 +155,7 @@ def test_a_released_handle_is_braked_and_stays_without_force(seat, way):
     place = seat.place
     if way != "halt":
         seat.send(0.0, 0.0, dead_man=False)
-        seat.wanted = (-1.0, -1.0)
-        seat.run(0.5)
+        pointing(seat, (-1.0, -1.0, 0.5))
         assert seat.handle.dead_man
         assert seat.place == pytest.approx(place, abs=1e-6)
 
@@ -181,8 +173,7 @@ def test_inputs_that_arrive_late_hold_the_handle_only_for_the_rest_of_their_time
 
 def test_a_page_that_begins_anew_takes_the_handle_once_the_one_before_is_silent(seat):
     seat.sequence = 1000
-    seat.wanted = (0.0, 0.0)
-    seat.run(0.1)
+    pointing(seat, (0.0, 0.0, 0.1))
     seat.sequence = 0
     seat.run(0.09)
     assert seat.device.ignored == 23
@@ -206,32 +197,29 @@ def test_the_hand_takes_the_handle_in_the_application_only():
 
 
 def test_a_change_of_the_state_releases_no_button_and_presses_none(seat):
-    seat.wanted = (0.0, 0.0)
-    seat.run(0.1)
+    pointing(seat, (0.0, 0.0, 0.1))
     for event in (JoystickEvent.HALT, JoystickEvent.START):
         seat.handle.handle_command(event)
         for _ in range(300):
-            seat.run(0.001)
-            assert seat.handle.dead_man
+            assert seat.run(0.001).handle.dead_man
     assert seat.handle.operation.state is JoystickState.APPLICATION
 
 
+@pytest.mark.rule("10")
 @pytest.mark.parametrize(("silent_s", "presses"), [(0.25, True), (0.4, False)])
 def test_after_a_silence_a_button_that_was_held_is_pressed_no_more(seat, silent_s, presses):
-    seat.wanted = (0.0, 0.0)
-    seat.run(0.1)
+    pointing(seat, (0.0, 0.0, 0.1))
     seat.wanted = None
-    seat.run(silent_s)
-    assert not seat.handle.dead_man
-    seat.wanted = (0.0, 0.0)
-    seat.run(0.5)
+    assert not seat.run(silent_s).handle.dead_man
+    pointing(seat, (0.0, 0.0, 0.5))
     assert seat.handle.dead_man is presses
     seat.send(0.0, 0.0, dead_man=False)
-    seat.run(0.01)
-    assert seat.handle.dead_man
+    assert seat.run(0.01).handle.dead_man
 
 
 wild = st.floats() | st.sampled_from([0.0, 1.0, -1.0, 1.0000001, nan, inf, -inf, 1e300])
+
+
 inputs = st.builds(
     PageInput,
     st.booleans(),
@@ -243,12 +231,14 @@ inputs = st.builds(
 )
 
 
-@settings(max_examples=150)
+@pytest.mark.rule("10")
+@settings(max_examples=80)
 @given(st.lists(st.tuples(inputs, st.integers(-(10**9), 10**9), st.integers(0, 40)), max_size=12))
 @example([(PageInput(True, nan, 0.0, 0, 1, 1), 0, 40), (PageInput(False, 1.0, 1.0, 0, 2, 2), 0, 9)])
 def test_no_input_moves_the_handle_without_the_dead_man_button(script):
     seat = deepcopy(READY)
     joystick = seat.device.joystick
+    nobody = not any(one.dead_man for one, _, _ in script)
     for hand, age_ns, cycles in script:
         seat.device.handle_input(hand, age_ns)
         for _ in range(cycles):
@@ -258,8 +248,8 @@ def test_no_input_moves_the_handle_without_the_dead_man_button(script):
             assert seat.handle.dead_man <= may_move
             if not may_move and abs(joystick.motor_x_n) + abs(joystick.motor_y_n) == 0.0:
                 assert hypot(joystick.vx_m_s, joystick.vy_m_s) <= speed
-            if not any(one.dead_man for one, _, _ in script):
-                assert (joystick.x_m, joystick.y_m) == pytest.approx(place, abs=1e-9)
+            if nobody:
+                assert hypot(joystick.x_m - place[0], joystick.y_m - place[1]) <= 1e-9
         assert hypot(joystick.x_m, joystick.y_m) < 1.0 and seat.handle.buttons < 16
     seat.run(0.3)
     place = seat.place
@@ -267,14 +257,137 @@ def test_no_input_moves_the_handle_without_the_dead_man_button(script):
     assert not seat.handle.dead_man and seat.place == pytest.approx(place, abs=1e-5)
 
 
+@settings(max_examples=50)
 @given(inputs.filter(lambda hand: not (-1 <= hand.x <= 1 and -1 <= hand.y <= 1)))
 def test_what_is_out_of_range_does_not_prolong_a_hand(hand):
-    seat = deepcopy(READY)
-    seat.wanted = (0.0, 0.0)
-    seat.run(0.1)
+    seat = pointing(deepcopy(READY), (0.0, 0.0, 0.1))
     seat.wanted = None
     for k in range(100):
         later = hand._replace(sequence=seat.sequence + k, received_ns=seat.handle.now_ns)
         seat.device.handle_input(later)
         seat.run(0.001)
     assert not seat.handle.dead_man
+
+
+def test_a_press_at_the_page_holds_the_axes_where_they_are():
+    device = PageDevice(axes=("z",))
+    device.show_state(JoystickState.APPLICATION)
+    for number, share in enumerate((0.5, 0.5, 0.6), 1):
+        device.handle_input(PageInput(True, 0.0, 0.0, 0, number, device._now_ns, (share,)))
+        for _ in range(60 if number == 2 else 20):
+            device.advance(NS_PER_MS)
+        place = device.read_more()[0].place
+        # The page's first word means where the axis is, whatever it says.
+        assert abs(place) < 1e-4 if number < 3 else place > 1e-4
+
+
+#: Of a session with a robot. Self-test and calibration take 3.1 s.
+BEGUN, TAPS, PRESS, RELEASED = 3_500, 4_500, 6_500, 8_500
+
+
+class Moved:
+    """A page's hand and a robot with a delay; a pointer sends events at one rate."""
+
+    def __init__(self, delay_ms, *, period_ms=4, mediated=False):
+        self.device = PageDevice()
+        self.handle = OperatedHandle(self.device)
+        space = JoystickSide(handle=self.handle, mediated=mediated)
+        self.pair = HapticPair(space, RobotSide(mediated=mediated), delay_ms=delay_ms)
+        self.period_ms, self.robot = period_ms, self.pair.robot
+
+    def cycles(self, count, *, points=range(BEGUN, RELEASED)):
+        """Yield in each cycle, before it runs; the page points in those of `points`."""
+        for cycle in self.pair.cycles(count):
+            now_ns = cycle * NS_PER_MS
+            if (feedback := self.pair.space.link.latest(now_ns)) is not None:
+                self.handle.handle_feedback(feedback)
+            if (wall := self.pair.ground.poll_wall(now_ns)) is not None:
+                self.pair.space.handle_wall(wall)
+            if cycle in points and cycle % self.period_ms == 0:
+                hand = PageInput(True, *wanted(cycle), 0, cycle, now_ns)
+                self.device.handle_input(hand)
+            yield cycle
+
+
+def wanted(cycle):
+    """Free motion and hard taps on the wall, then a press beyond what the muscles can."""
+    t = cycle / 1000
+    if cycle < PRESS:
+        return 0.6 * sin(2 * pi * 0.7 * t), 0.5 * sin(2 * pi * 0.4 * t)
+    return 0.95, 0.1
+
+
+@pytest.mark.parametrize(
+    ("delay_ms", "period_ms", "mediated"), [(0, 17, False), (100, 1, False), (100, 4, True)]
+)
+def test_no_energy_is_made_and_the_press_comes_to_rest(delay_ms, period_ms, mediated):
+    hand = Moved(delay_ms, period_ms=period_ms, mediated=mediated)
+    joystick, robot, sides = hand.device.joystick, hand.robot, (hand.pair.space, hand.pair.ground)
+    ports = [side.controller.port for side in sides]
+    touches, rest = 0, []
+    work_j = flow_j = 0.0
+    for cycle in hand.cycles(RELEASED):
+        if cycle == BEGUN:
+            work_j, flow_j = joystick.work_j, ports[0].out_j - ports[0].in_j
+        touches += robot.contact
+        if cycle >= RELEASED - 500:
+            rest.append((hand.pair.space.force_x_n, robot.force_n))
+    hand.pair.assert_passive()
+    assert touches > 1_000
+    felt, pushed = zip(*rest, strict=True)
+    assert max(pushed) > 3.0 and min(felt) < -2.0
+    assert max(pushed) - min(pushed) < 0.5 and max(felt) - min(felt) < 0.5
+    if not mediated:
+        assert sum(port.out_j for port in ports) <= sum(port.in_j for port in ports) + 1e-6
+        # What the port counts is what the motors did, but for the last cycle.
+        counted_j = ports[0].out_j - ports[0].in_j - flow_j
+        assert joystick.work_j - work_j == pytest.approx(counted_j, abs=0.01)
+
+
+@pytest.mark.rule("S4")
+@pytest.mark.parametrize(
+    ("delay_ms", "way", "released"),
+    [(0, "button", TAPS + 250), (100, "silence", TAPS + 900), (100, "button", RELEASED)],
+)
+def test_the_robot_comes_to_rest_when_the_hand_is_released(delay_ms, way, released):
+    hand = Moved(delay_ms)
+    robot, handle = hand.robot, hand.handle
+    settled = None
+    for cycle in hand.cycles(released + 3_000, points=range(BEGUN, released)):
+        if BEGUN + 2 <= cycle < released:
+            assert handle.dead_man
+        elif cycle == released and way == "button":
+            off = PageInput(False, 0.9, 0.9, 0, cycle, cycle * NS_PER_MS)
+            hand.device.handle_input(off)
+        elif cycle > released + 101:
+            assert not handle.dead_man and handle.force_limit_n == 0.0
+        if cycle == released + 1_500 + 2 * delay_ms:
+            settled = robot.x_m, robot.y_m
+        elif settled is not None:
+            # A pressed wall pushes the tip back a little.
+            assert hypot(robot.x_m - settled[0], robot.y_m - settled[1]) < 0.002
+    assert hypot(robot.vx_m_s, robot.vy_m_s) < 1e-3 and robot.force_n < 0.1
+    assert handle.operation.state is JoystickState.APPLICATION
+
+
+@pytest.mark.rule("10")
+def test_no_input_moves_the_robot_without_the_dead_man_button():
+    hand, random = Moved(10), Random(7)
+    wild = [0.0, 1.0, -1.0, 2.0, 1e300, nan, inf, -inf]
+    old = [PageInput(True, 0.1 * k, 0.0, 0, k, k) for k in range(9)]
+    before = None
+    for cycle in hand.cycles(6_000, points=()):
+        if cycle == BEGUN - 100:
+            for each in (*old, PageInput(False, 0.0, 0.0, 0, 9, 9)):
+                hand.device.handle_input(each)
+        elif cycle >= BEGUN:
+            x, y = random.choice(wild), random.choice(wild)
+            off = PageInput(False, x, y, 15, random.randrange(1 << 32), cycle * NS_PER_MS)
+            stray = PageInput(True, 3.0 * x or 2.0, y, 15, cycle, cycle * NS_PER_MS)
+            late = PageInput(True, 0.5, 0.5, 0, cycle, cycle * NS_PER_MS)
+            hand.device.handle_input(random.choice([off, stray, random.choice(old)]))
+            hand.device.handle_input(late, random.randrange(100, 10_000) * NS_PER_MS)
+            assert not hand.handle.dead_man
+        if cycle == BEGUN + 500:
+            before = hand.robot.x_m, hand.robot.y_m
+    assert (hand.robot.x_m, hand.robot.y_m) == pytest.approx(before, abs=1e-6)

@@ -1,6 +1,7 @@
 """The functional checks pass on a healthy joystick, and each detects its own fault."""
 
 import pytest
+from joystick_scripts import MS, REST, STICK
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.checks import CHECKS, CheckBench
@@ -94,3 +95,19 @@ def test_unexpected_button_presses_are_counted():
     result = checked(["buttons"], during=lean)["buttons"]
     failed = [figure.name for figure in result.figures if not figure.passed]
     assert "other buttons with 1" in failed
+
+
+def test_a_device_that_never_becomes_ready_fails_each_check_after_forty_seconds():
+    """Here nobody lets go of the stick, which would be calibrated again and again."""
+    device = SimulatedDevice()
+    device.facts = STICK
+    device.read = lambda: REST._replace(x_m=0.05)
+    bench = CheckBench(device, ["workspace", "buttons"])
+    assert (bench.done, bench.current) == (False, "workspace")
+    for ms in range(0, 40_001, 20):
+        bench.handle_cycle(ms * MS, MS)
+    assert not bench.results
+    bench.handle_cycle(40_020 * MS, MS)
+    assert [result.name for result in bench.results] == ["workspace", "buttons"]
+    assert all("does not rest at its middle" in result.trouble for result in bench.results)
+    assert bench.done and bench.current == bench.prompt == ""

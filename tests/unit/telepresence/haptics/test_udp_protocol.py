@@ -1,29 +1,31 @@
 """A session by UDP: what is fresh counts, and nothing that was recorded moves anything."""
 
 import pytest
-from udp_controller import MS, MemoryLine, PythonController
+from udp_controller import KEY, MS, MemoryLine, PythonController, connected
 
 from telepresence.haptics.udp_protocol import MOST_UNANSWERED, UdpRole
 
-KEY = bytes(range(32))
+
+@pytest.fixture
+def line():
+    return connected()
 
 
 @pytest.fixture
-def controller():
-    return PythonController(KEY)
-
-
-@pytest.fixture
-def line(controller):
-    line = MemoryLine(UdpRole.ROBOT, controller, key=KEY)
-    assert line.connect() is not None
-    return line
+def controller(line):
+    return line.controller
 
 
 def cycles(line, count):
     for _ in range(count):
         line.send()
         line.receive()
+
+
+def silence(line):
+    line.controller.answers = False
+    cycles(line, MOST_UNANSWERED + 2)
+    line.controller.answers = True
 
 
 def test_a_handshake_gives_the_facts_and_each_cycle_a_reading(line):
@@ -69,12 +71,9 @@ def test_what_was_recorded_neither_counts_nor_moves_anything(line, controller):
     line.session.handle_datagram(old)
     assert line.session.reading.axes[0] == pytest.approx(0.01)
     assert line.session.report().udp_late == 1
-
     # An earlier session's commands at the controller, and its readings here.
     recorded = list(line.sent)
-    controller.answers = False
-    cycles(line, MOST_UNANSWERED + 2)
-    controller.answers = True
+    silence(line)
     cycles(line, 110)
     commands = [one for one in recorded if one[1] == 3]
     assert len(commands) > 5
@@ -103,7 +102,8 @@ def test_readings_that_are_held_back_do_not_keep_a_session_alive(line):
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        ({"key": bytes(32)}, "another key"),
+        # It cannot check the hello either; here it answers all the same.
+        ({"handle": lambda data: [bytes([1, 2, 2, 0]) + bytes(90)]}, "another key"),
         ({"axes": 3}, "3 axes, 2 are due"),
         ({"takes": 2}, "another form"),
         ({"facts": bytes(30)}, "facts that no device has"),
@@ -112,9 +112,6 @@ def test_readings_that_are_held_back_do_not_keep_a_session_alive(line):
 def test_a_controller_that_does_not_fit_is_refused_with_its_reason(change, problem):
     controller = PythonController(KEY)
     for name, value in change.items():
-        if name == "key":
-            # It cannot check the hello either; here it answers all the same.
-            controller.handle = lambda data: [bytes([1, 2, 2, 0]) + bytes(90)]
         setattr(controller, name, value)
     line = MemoryLine(UdpRole.ROBOT, controller, key=KEY)
     assert line.connect() is None
@@ -124,9 +121,7 @@ def test_a_controller_that_does_not_fit_is_refused_with_its_reason(change, probl
 
 
 def test_another_device_at_the_same_address_is_not_taken_over(line, controller):
-    controller.answers = False
-    cycles(line, MOST_UNANSWERED + 2)
-    controller.answers = True
+    silence(line)
     controller.facts = controller.facts[:-4] + b"rest"
     cycles(line, 300)
     assert line.session.silent and "facts have changed" in line.session.problem

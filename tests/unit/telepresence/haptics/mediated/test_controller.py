@@ -6,8 +6,9 @@ from math import cos, hypot, radians, sin, tau
 
 import pytest
 
-from telepresence.haptics.mediated.controller import RendererModel, WallRenderer
-from telepresence.haptics.mediated.wall import Wall, WallMessage
+from telepresence.haptics.mediated.controller import MediatedController, RendererModel, WallRenderer
+from telepresence.haptics.mediated.wall import Wall, WallMessage, pack_wall
+from telepresence.haptics.sample import Feedback
 
 MS = 1_000_000
 WALL = Wall(0.0, 0.06, 1500.0)
@@ -64,10 +65,15 @@ def test_where_the_tank_lacks_a_steeper_spring_has_the_force_of_the_wall():
 
 
 @pytest.mark.parametrize(
-    "after",
-    [None, Wall(0.0, 0.08, 1500.0), Wall(0.0, 0.05, 5000.0), Wall(tau * 3 / 4, 0.0, 200.0)],
+    ("after", "most_n", "series_n_m"),
+    [
+        (None, 0.0, 600.0),
+        (Wall(0.0, 0.08, 1500.0), 0.0, 600.0),
+        (Wall(0.0, 0.05, 5000.0), 12.0, 5000.0 / 6.0),
+        (Wall(tau * 3 / 4, 0.0, 200.0), 0.0, 600.0),
+    ],
 )
-def test_a_change_takes_time_and_gives_no_energy(after):
+def test_a_change_takes_time_and_gives_no_energy(after, most_n, series_n_m):
     renderer = in_contact()
     tank_j = renderer.tank_j
     renderer.handle_wall(WallMessage(2, after))
@@ -76,56 +82,30 @@ def test_a_change_takes_time_and_gives_no_energy(after):
     assert max(abs(b - a) for a, b in pairwise(forces)) <= 0.1 + 1e-9
     # The hand has not moved, so the energy taken from it is what it was.
     assert renderer.tank_j == pytest.approx(tank_j)
-    forces = steps(renderer, [0.07] * 200)
-    expected = {None: 0.0, 0.08: 0.0, 0.05: 12.0, 0.0: 0.0}[after and after.distance_m]
-    assert forces[-1] <= expected
+    force_n = steps(renderer, [0.07] * 200)[-1]
+    assert force_n <= most_n
     # The spring holds no more than the tank.
-    series_n_m = 5000.0 / 6.0 if after and after.distance_m == 0.05 else 600.0
-    assert 0.5 * forces[-1] ** 2 / series_n_m <= tank_j + 1e-9
+    assert 0.5 * force_n**2 / series_n_m <= tank_j + 1e-9
 
 
 def test_a_handle_that_is_torn_out_feels_the_force_fall_within_its_rate():
     assert steps(in_contact(), [0.066] * 3) == pytest.approx([5.0, 4.9, 4.8])
 
 
-def test_an_old_wall_fades_out_and_its_repetition_brings_it_back():
+def test_an_old_wall_and_one_of_a_robot_that_is_not_felt_fade_out():
     renderer = in_contact()
     renderer.handle_wall(WallMessage(2, WALL))
+    # A message that is not newer changes nothing.
+    for stamp_ms in (1, (1 << 24) - 5):
+        renderer.handle_wall(WallMessage(stamp_ms, None))
+    assert renderer.stale == 2
     old_ms = renderer.model.old_ns // MS
     assert steps(renderer, [0.07] * old_ms)[-1] == pytest.approx(6.0)
     assert steps(renderer, [0.07] * 100)[-1] == 0.0
     # After the silence a lower stamp counts: the robot's clock began anew.
     renderer.handle_wall(WallMessage(1, WALL))
     assert steps(renderer, [0.07] * 300)[-1] == pytest.approx(6.0, rel=0.01)
-
-
-def test_a_message_that_is_not_newer_changes_nothing():
-    renderer = in_contact()
-    renderer.handle_wall(WallMessage(1, None))
-    renderer.handle_wall(WallMessage((1 << 24) - 5, None))
-    assert renderer.stale == 2
-    assert steps(renderer, [0.07] * 100)[-1] == pytest.approx(6.0)
-
-
-def test_a_robot_that_is_not_felt_fades_out():
-    assert steps(in_contact(), [0.07] * 100, felt=False)[-1] == 0.0
-
-
-def test_no_motion_in_and_out_of_walls_that_jump_gains_energy():
-    renderer = WallRenderer()
-    given_j = 0.0
-    x_m = 0.05
-    renderer.step(x_m, 0.0, MS)
-    for k in range(20_000):
-        if k % 50 == 0:
-            wall = Wall(0.0, 0.04 + 0.03 * ((k // 50) % 3) / 2, 100.0 + 2000.0 * (k // 100 % 2))
-            renderer.handle_wall(WallMessage(k + 1, wall))
-        force = renderer.force_n[0]
-        step_m = 0.00015 if (k // 200) % 2 else -0.00015
-        x_m += step_m
-        given_j += force * step_m
-        assert given_j <= renderer.model.start_j + 1e-9
-        renderer.step(x_m, 0.0, MS)
+    assert steps(renderer, [0.07] * 100, felt=False)[-1] == 0.0
 
 
 def test_a_wall_that_softens_under_load_waits_for_energy_instead_of_dropping():
@@ -169,6 +149,23 @@ def test_a_wall_that_turns_under_load_turns_the_force_within_its_rate(degrees):
     assert renderer.tank_j == pytest.approx(tank_j)
 
 
+def test_no_motion_in_and_out_of_walls_that_jump_gains_energy():
+    renderer = WallRenderer()
+    given_j = 0.0
+    x_m = 0.05
+    renderer.step(x_m, 0.0, MS)
+    for k in range(20_000):
+        if k % 50 == 0:
+            wall = Wall(0.0, 0.04 + 0.03 * ((k // 50) % 3) / 2, 100.0 + 2000.0 * (k // 100 % 2))
+            renderer.handle_wall(WallMessage(k + 1, wall))
+        force = renderer.force_n[0]
+        step_m = 0.00015 if (k // 200) % 2 else -0.00015
+        x_m += step_m
+        given_j += force * step_m
+        assert given_j <= renderer.model.start_j + 1e-9
+        renderer.step(x_m, 0.0, MS)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_no_motion_among_walls_that_turn_and_jump_gains_energy(seed):
     source = random.Random(seed)
@@ -196,3 +193,60 @@ def test_no_motion_among_walls_that_turn_and_jump_gains_energy(seed):
         # A tank that is empty cuts the force at once, but never turns it.
         size, before = hypot(ax, ay), hypot(fx, fy)
         assert hypot(ax - fx, ay - fy) <= 1.0 + 1e-9 or size < before
+
+
+def feedback(fx_n, *, waiting=False):
+    return Feedback(fx_n, 0.0, 0, True, waiting=waiting)
+
+
+def pressed(controller, *, fx_n=-2.0, waiting=False, ms=400, wall=True):
+    """Press from 50 to 70 mm; return the force at the end."""
+    controller.limit_n = 12.0
+    force = (0.0, 0.0)
+    for k in range(ms):
+        if wall and k % 100 == 0:
+            controller.handle_wall(pack_wall(WallMessage(k + 1, WALL), k))
+        x_m = 0.05 + 0.02 * min(1.0, (k + 1) / 300)
+        force = controller.step(feedback(fx_n, waiting=waiting), x_m, 0.0, MS)
+    return force
+
+
+def test_the_handle_feels_the_wall_and_not_the_delayed_force():
+    controller = MediatedController()
+    force = pressed(controller)
+    # A spring of the robot's, in series with the wall's.
+    assert force[0] == pytest.approx(-600.0 * 0.01, abs=0.2)
+    assert controller.robot_force_n == pytest.approx(controller.renderer.force_n)
+    assert controller.limit_n == 12.0 and controller.garbage == 0
+    # Without a wall it feels damping alone, of the robot's -2 N nothing.
+    assert pressed(MediatedController(), wall=False)[0] == pytest.approx(0.0, abs=0.05)
+
+
+def test_with_the_residual_what_the_wall_leaves_is_felt_too():
+    controller = MediatedController(residual=True)
+    renderer = controller.renderer
+    force = pressed(controller, ms=800)
+    assert controller.robot_force_n[0] == pytest.approx(renderer.force_n[0] - 2.0, abs=0.3)
+    assert force[0] < -6.5
+    # A robot that has just started tells its whole force, wall included, until it tells a wall.
+    controller.handle_restart()
+    for _ in range(400):
+        controller.step(feedback(-2.0), 0.07, 0.0, MS)
+    assert controller.robot_force_n[0] == pytest.approx(renderer.force_n[0], abs=0.1)
+    controller.handle_wall(pack_wall(WallMessage(5000, WALL), 0))
+    for _ in range(400):
+        controller.step(feedback(-2.0), 0.07, 0.0, MS)
+    assert controller.robot_force_n[0] < renderer.force_n[0] - 1.0
+    # A robot that is halted is not felt.
+    for _ in range(300):
+        controller.step(Feedback(0.0, 0.0, 0, False, halted=True), 0.07, 0.0, MS)
+    assert renderer.force_n == (0.0, 0.0)
+
+
+@pytest.mark.rule("7")
+def test_garbage_for_a_wall_is_counted():
+    controller = MediatedController()
+    for data in (b"", bytes(16), pack_wall(WallMessage(1, WALL), 0)[:-1]):
+        controller.handle_wall(data)
+    assert controller.garbage == 3
+    assert pressed(controller, wall=False)[0] == pytest.approx(0.0, abs=0.05)

@@ -1,21 +1,17 @@
-"""A game controller: its events, as the kernel's octets through the library's own reader."""
+"""A game controller's stick: it leads the handle smoothly, its buttons and further axes."""
 
-import os
-import struct
 from itertools import pairwise
 from math import hypot
-from types import SimpleNamespace
 
 import pytest
-from haptic_pair import each_cycle
+from gamepads import AXES, CONTROLLERS, KEYS, STICKS, Pad, settled
+from haptic_pair import HapticPair
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.errors import ConfigError
-from telepresence.haptics.axes import AXIS_NAMES, MoreAxis, check_axes
-from telepresence.haptics.bilateral import JoystickSide, RobotSide
-from telepresence.haptics.device.gamepad import GamepadDevice, feed, find_gamepads, open_gamepad
+from telepresence.haptics.axes import AXIS_NAMES, MoreAxis
+from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, JoystickOperation
 from telepresence.haptics.device.states import JoystickState
@@ -28,48 +24,16 @@ from telepresence.haptics.device.stick import (
     stick_axes,
 )
 from telepresence.haptics.joystick_controller import JoystickControllerModel
-from telepresence.haptics.specs import check_joystick
-
-KEYS = frozenset({0x130, 0x131, 0x133, 0x134, 0x136})
-AXES = {0: Axis(128, 0, 255, 15), 1: Axis(0, -32768, 32767, 128)}
-
-
-class Pad:
-    """A device around a `Stick`, without a kernel device."""
-
-    def __init__(self):
-        self.stick = Stick("pad", AXES, KEYS)
-        self.facts = self.stick.facts
-        self.read, self.set_zero = self.stick.reading, self.stick.handle_zero
-        self.advance = self.stick.advance
-
-    def write_force(self, x_n, y_n):
-        self.force = (x_n, y_n)
-
-    def write_leds(self, mask):
-        pass
-
-    def show_state(self, state):
-        pass
-
-
-def settled(stick):
-    for _ in range(300):
-        stick.advance(NS_PER_MS)
-    return stick.reading()
 
 
 def test_full_travel_maps_to_the_workspace_and_the_flat_middle_to_zero():
     stick = Stick("pad", AXES, KEYS)
     assert settled(stick)[:2] == (0.0, 0.0)
-    stick.handle_event(3, 0, 255)
-    stick.handle_event(3, 1, -32768)
-    reading = settled(stick)
-    assert reading.x_m == pytest.approx(0.1, abs=1e-6)
     # The kernel's y axis points down.
-    assert reading.y_m == pytest.approx(0.08, abs=1e-6)
-    stick.handle_event(3, 0, 140)
-    assert settled(stick).x_m == pytest.approx(0.0, abs=1e-6)
+    for x, y, place in ((255, -32768, (0.1, 0.08)), (140, 0, (0.0, 0.0))):
+        stick.handle_event(3, 0, x)
+        stick.handle_event(3, 1, y)
+        assert settled(stick)[:2] == pytest.approx(place, abs=1e-6)
 
 
 @given(st.lists(st.tuples(st.integers(0, 255), st.integers(1, 120)), min_size=1, max_size=12))
@@ -98,17 +62,17 @@ def test_the_handle_follows_a_jump_of_the_stick_smoothly(jumps):
 @pytest.mark.parametrize("release_ms", [0, 16, 64])
 def test_releasing_the_stick_at_a_wall_keeps_the_observers_positive(release_ms):
     device = Pad()
-    space, ground = JoystickSide(handle=OperatedHandle(device)), RobotSide()
-    for cycle in each_cycle(space, ground, count=3700, delay_ms=10):
+    pair = HapticPair(JoystickSide(handle=OperatedHandle(device)), delay_ms=10)
+    for cycle in pair.cycles(3000):
         if cycle == 690:
             device.stick.handle_event(1, 0x136, 1)
         since = (cycle - 700) % 1500
         share = min(since / 400, 1.0) if since < 1000 else 1 - (since - 1000) / max(release_ms, 1)
         if cycle >= 700:
             device.stick.handle_event(3, 0, round(127.5 + 127.5 * max(share, 0.0)))
-    assert ground.controller.energy_out_uj > 10_000
-    assert space.report().least_uj >= -1 and ground.report().least_uj >= -1
-    assert space.handle.operation.state is JoystickState.APPLICATION
+    assert pair.ground.controller.energy_out_uj > 10_000
+    pair.assert_passive()
+    assert pair.space.handle.operation.state is JoystickState.APPLICATION
 
 
 def test_the_dead_man_button_is_the_left_shoulder_or_the_trigger_or_the_first_button():
@@ -150,20 +114,6 @@ def test_no_event_leads_outside_the_workspace(events, axes):
     reading = settled(stick)
     assert abs(reading.x_m) <= 0.1 and abs(reading.y_m) <= 0.08
     assert 0 <= reading.buttons < 16
-
-
-SIDE = Axis(0, -32768, 32767, 128)
-TRIGGER, HAT = Axis(0, 0, 255), Axis(0, -1, 1)
-STICKS = {0: SIDE, 1: SIDE}
-HATS = {0x10: HAT, 0x11: HAT}
-#: What controllers have: their axes and buttons by code, and the axes that these lead.
-CONTROLLERS = {
-    "pad": (STICKS | HATS | {2: TRIGGER, 3: SIDE, 4: SIDE, 5: TRIGGER}, KEYS, AXIS_NAMES),
-    "old pad": (STICKS | HATS | {2: SIDE, 5: SIDE}, KEYS | {0x138, 0x139}, AXIS_NAMES),
-    "small pad": (STICKS, KEYS | {0x138, 0x139}, ("gripper",)),
-    "joystick": (STICKS | {5: SIDE, 6: SIDE}, frozenset({0x120, 0x121}), ("z", "yaw")),
-    "plain": (STICKS, frozenset({0x120}), ()),
-}
 
 
 def controller(kind, more=AXIS_NAMES):
@@ -240,53 +190,26 @@ def test_whatever_a_controller_has_no_axis_leaves_its_limits(axes, keys, events)
                 assert abs(reading.speed) <= axis.facts.speed * 1.001
 
 
-class Kernel:
-    """An `evdev.InputDevice` of a pad."""
-
-    name = "a pad"
-
-    def __init__(self):
-        axes = {
-            code: SimpleNamespace(value=axis.value, min=axis.least, max=axis.most, flat=axis.flat)
-            for code, axis in CONTROLLERS["pad"][0].items()
-        }
-        self.capabilities = lambda absinfo: {1: list(KEYS), 3: list(axes.items())}
-        self.absinfo = axes.get
-        self.read, self.active_keys = list, lambda: [0x136]
-
-
-def test_the_device_reads_its_further_axes_from_the_kernel():
-    kernel = Kernel()
-    device = GamepadDevice(kernel, ("z", "gripper"))
-    kernel.read = lambda: [SimpleNamespace(type=3, code=4, value=-32768)]
-    device.read()
-    for _ in range(500):
-        device.write_more_forces([3.0, 1.0])
-        device.advance(NS_PER_MS)
-    z, gripper = device.read_more()
-    assert z.place == pytest.approx(0.1, abs=1e-4) and gripper.place == 0.0
-    check_axes("joystick evdev", device.facts.more, ("z", "gripper"))
-
-
-def test_rumble_changes_in_steps_and_stops_at_once():
+def test_rumble_changes_in_steps_keeps_on_and_stops_at_once():
     meter = RumbleMeter(8.0)
-    assert meter.handle_force(0.0, NS_PER_MS) is None
-    assert meter.handle_force(4.0, NS_PER_MS) == round(0.5 * 0xFFFF)
-    assert meter.handle_force(8.0, NS_PER_MS) is None  # not so soon
-    assert meter.handle_force(8.0, 50 * NS_PER_MS) == 0xFFFF
-    assert meter.handle_force(7.9, 50 * NS_PER_MS) is None  # nobody feels that
-    assert meter.handle_force(0.0, NS_PER_MS) == 0
-
-
-def test_a_constant_force_keeps_rumbling_and_a_tiny_one_never_starts():
+    for force_n, after_ms, strength in (
+        (0.0, 1, None),
+        (4.0, 1, round(0.5 * 0xFFFF)),
+        (8.0, 1, None),  # not so soon
+        (8.0, 50, 0xFFFF),
+        (7.9, 50, None),  # nobody feels that
+        (0.0, 1, 0),
+    ):
+        assert meter.handle_force(force_n, after_ms * NS_PER_MS) == strength
     meter = RumbleMeter(8.0)
     set_ms = [ms for ms in range(10_000) if meter.handle_force(6.0, NS_PER_MS) is not None]
     gaps_ms = [later - earlier for earlier, later in pairwise([*set_ms, 10_000])]
     assert set_ms[0] == 0
     assert 400 * NS_PER_MS < max(gaps_ms) * NS_PER_MS < 0.7 * RUMBLE_NS
     assert meter.handle_force(0.0, NS_PER_MS) == 0
-    assert not any(meter.handle_force(0.0, NS_PER_MS) for _ in range(3000))
-    assert not any(meter.handle_force(0.4, NS_PER_MS) for _ in range(3000))
+    # A tiny force never starts it.
+    for force_n in (0.0, 0.4):
+        assert not any(meter.handle_force(force_n, NS_PER_MS) for _ in range(3000))
 
 
 def run(operation, milliseconds, now_ns=0):
@@ -309,64 +232,13 @@ def test_a_stick_at_rest_is_calibrated_and_needs_its_dead_man_button():
     assert operation.force_limit_n == UNFELT_FORCE_LIMIT_N
 
 
-def test_a_stick_that_is_held_is_not_calibrated():
+def test_a_stick_that_is_held_is_calibrated_once_it_is_released():
     operation = JoystickOperation(Pad(), automatic=True)
     operation.device.stick.handle_event(3, 0, 200)
-    run(operation, 500)
+    # It pushes nobody, so the calibration is repeated.
+    now_ns = run(operation, 20_000)
     assert operation.state is JoystickState.CALIBRATION_ERROR
     assert "does not rest at its middle (+" in operation.reason
-    # It pushes nobody, so it is repeated until the stick is released.
-    now_ns = run(operation, 20_000, 500 * NS_PER_MS)
     operation.device.stick.handle_event(3, 0, 128)
     run(operation, 2_000, now_ns)
     assert operation.state is JoystickState.APPLICATION
-
-
-def test_a_missing_controller_is_refused_in_one_line(tmp_path):
-    pytest.importorskip("evdev")
-    assert find_gamepads(tmp_path) == []
-    with pytest.raises(ConfigError, match="no game controller here: plug one in"):
-        open_gamepad(folder=tmp_path)
-    (tmp_path / "event3").write_bytes(b"")
-    assert "cannot be opened" in find_gamepads(tmp_path)[0].problem
-    with pytest.raises(ConfigError, match=r"event3 is no input device .*joystick list"):
-        open_gamepad(str(tmp_path / "event3"))
-    with pytest.raises(ConfigError, match="is no input device"):
-        check_joystick("evdev:/dev/null")
-
-
-@pytest.mark.parametrize("spec", ["", "usb", "sim:tired"])
-def test_an_invalid_spec_is_refused_in_one_line(spec):
-    with pytest.raises(ConfigError, match="joystick"):
-        check_joystick(spec)
-
-
-def test_the_library_reads_the_kernels_octets():
-    evdev = pytest.importorskip("evdev")
-    read_end, write_end = os.pipe2(os.O_NONBLOCK)
-
-    class Events(evdev.eventio.EventIO):
-        """The library's reader on a pipe instead of a device file."""
-
-        fd = read_end
-
-    # struct input_event: a struct timeval, type, code, value.
-    event = struct.Struct("@llHHi")
-    os.write(
-        write_end,
-        event.pack(1, 2, 3, 0, 255)
-        + event.pack(1, 2, 1, 0x131, 1)
-        + event.pack(1, 2, 0, 0, 0)
-        + event.pack(1, 3, 1, 0x136, 1),
-    )
-    stick = Stick("pad", AXES, KEYS)
-    feed(stick, Events())
-    reading = settled(stick)
-    assert (reading.buttons, reading.dead_man, reading.present) == (0b10, True, True)
-    assert reading.x_m > 0.09
-    feed(stick, Events())  # nothing new, and no matter
-    assert stick.present
-    os.close(read_end)
-    feed(stick, Events())
-    assert not stick.present
-    os.close(write_end)

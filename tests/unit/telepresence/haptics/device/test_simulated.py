@@ -1,24 +1,27 @@
 """The simulated joystick as a device: sensors, motors, fingers and what breaks."""
 
-from dataclasses import replace
-
 import pytest
 
-from kontur_av.errors import ConfigError
+from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.axes import AxisReading
 from telepresence.haptics.device.device import KEEPS_FORCE_NS
-from telepresence.haptics.device.simulated import FACTS, FAULTS, Faults, SimulatedDevice
+from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.specs import check_joystick, is_simulated, open_alone, open_device
+from telepresence.haptics.specs import open_device
 
 MS = 1_000_000
 
 
-def push(device, ms, x_n=0.0, y_n=0.0, step_ms=1):
-    for _ in range(0, ms, step_ms):
+def advance(device, milliseconds):
+    for _ in range(milliseconds):
+        device.advance(MS)
+
+
+def push(device, ms, x_n=0.0, y_n=0.0):
+    for _ in range(ms):
         device.write_force(x_n, y_n)
-        device.advance(step_ms * MS)
+        device.advance(MS)
     return device.read()
 
 
@@ -36,35 +39,31 @@ def test_encoders_count_from_the_start_and_from_each_new_middle():
 def test_a_force_lasts_fifty_milliseconds_and_a_long_step_is_cut():
     device = SimulatedDevice()
     device.write_force(3.0, 2.0)
-    for _ in range(KEEPS_FORCE_NS // MS):
-        device.advance(MS)
+    advance(device, KEEPS_FORCE_NS // MS)
     assert (device.joystick.motor_x_n, device.joystick.motor_y_n) == (3.0, 2.0)
-    device.advance(MS)
+    advance(device, 1)
     assert (device.joystick.motor_x_n, device.joystick.motor_y_n) == (0.0, 0.0)
-    # Of a stall, 50 ms are simulated in steps of 1 ms.
-    stalled, stepped = SimulatedDevice(), SimulatedDevice()
-    for one, count, step_ms in ((stalled, 1, 500), (stepped, 50, 1)):
-        one.joystick.vx_m_s = 0.5
-        for _ in range(count):
-            one.advance(step_ms * MS)
-    assert stalled.read() == stepped.read()
-    half, whole = SimulatedDevice(), SimulatedDevice()
-    for one, count, step_ns in ((half, 20, MS // 2), (whole, 4, 5 * MS // 2)):
+
+    def glided(count, step_ns):
+        one = SimulatedDevice()
         one.joystick.vx_m_s = 0.5
         for _ in range(count):
             one.advance(step_ns)
-    assert half.read().x_m == pytest.approx(whole.read().x_m, rel=0.05)
+        return one.read()
+
+    # Of a stall, 50 ms are simulated in steps of 1 ms.
+    assert glided(1, 500 * MS) == glided(50, MS)
+    assert glided(20, MS // 2).x_m == pytest.approx(glided(4, 5 * MS // 2).x_m, rel=0.05)
 
 
 def test_a_closed_device_is_gone_and_dark():
     device = SimulatedDevice(axes=("z",))
     device.write_leds(3)
     device.write_more_forces([2.0])
-    device.write_force(2.0, 0.0)
-    device.advance(MS)
+    push(device, 1, 2.0)
     assert device.read().present and device.leds == 3
     device.close()
-    device.advance(MS)
+    advance(device, 1)
     assert not device.read().present and device.leds == 0
     assert device.joystick.motor_x_n == 0.0
 
@@ -145,17 +144,16 @@ def test_a_force_on_an_axis_moves_it_and_no_other():
         device.write_more_forces([1.0])
 
 
-def test_what_a_specification_opens():
-    assert is_simulated("sim") and is_simulated("sim:weak") and not is_simulated("evdev")
-    with pytest.raises(ConfigError, match=r"the faults are stuck-x, .*unplugged"):
-        open_device("sim:rust")
-    for spec in ("page", "ros2"):
-        with pytest.raises(ConfigError, match=f"--joystick {spec}"):
-            open_alone(spec)
-    hand = Hand()
-    assert open_alone("sim:weak", hand=hand).hand is hand
-    assert [one.name for one in open_alone("sim", axes=("z",)).facts.more] == ["z"]
-    check_joystick("sim", ("z",))
-    with pytest.raises(ConfigError):
-        check_joystick("tests.helpers.user_parts:Nothing")
-    assert replace(Faults()) == Faults(stuck=-1, friction=1.0, motor_gain=1.0, heat_c=0.0)
+@pytest.mark.parametrize("ends", ["silence", "close"])
+def test_motors_that_are_told_nothing_more_fall_silent(ends):
+    device = SimulatedDevice(axes=("z",))
+    device.write_force(0.0, 0.0)
+    device.write_more_forces([5.0])
+    for _ in range(40):
+        device.advance(NS_PER_MS)
+    assert device.read_more()[0].speed > 0.05
+    if ends == "close":
+        device.close()
+    for _ in range(20 if ends == "close" else 150):
+        device.advance(NS_PER_MS)
+    assert device.read_more()[0].speed < 0.03

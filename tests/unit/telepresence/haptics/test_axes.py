@@ -1,0 +1,69 @@
+"""Axes behind x and y: in samples, and in what a setup costs."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kontur_av.errors import ConfigError, ProtocolError
+from pipelines.session.setup.setup_file import TASKBOARD
+from telepresence.haptics.axes import (
+    AXIS_OCTETS,
+    MOST_AXIS_ENERGY_UJ,
+    AxisFacts,
+    check_axes,
+    pack_axes,
+    read_axes,
+)
+from telepresence.haptics.loop import robot_link
+from telepresence.haptics.sample import POSITION_M, SAMPLE_OCTETS
+from telepresence.link.profile import UPLINK
+
+Z = AxisFacts(name="z", half_range=0.1, force_limit=10.0, speed=0.5)
+
+
+values = st.tuples(st.floats(-0.6, 0.6), st.integers(0, MOST_AXIS_ENERGY_UJ), st.booleans())
+
+
+@given(st.lists(values, min_size=1, max_size=5))
+def test_what_is_packed_is_read_back(sent):
+    data = pack_axes(sent, [0] * len(sent), POSITION_M)
+    assert len(data) == AXIS_OCTETS * len(sent)
+    for (value, *rest), (heard, *read) in zip(sent, read_axes(data, POSITION_M), strict=True):
+        assert abs(value - heard) <= 0.5 * POSITION_M + 1e-12
+        assert read == rest
+
+
+def test_a_count_that_is_never_sent_is_refused():
+    with pytest.raises(ProtocolError, match="-32768"):
+        read_axes(b"\x80\x00\x00\x00\x00", POSITION_M)
+
+
+@given(st.binary(max_size=40))
+def test_garbage_is_counted_and_nothing_else(data):
+    link = robot_link(more=2)
+    link.handle_datagram(data, 0)
+    assert link.garbage + link.greetings + link.strays == 1
+
+
+def test_a_robot_with_other_axes_is_refused():
+    with pytest.raises(ConfigError, match="robot arm has the axes x, y, z, but the setup"):
+        check_axes("robot arm", (Z,), ("yaw",))
+
+
+def test_a_setup_says_what_more_axes_cost():
+    with pytest.raises(
+        ConfigError, match=r"17 octets of each frame, 136 kbit/s in place of 96.*39"
+    ):
+        replace(TASKBOARD, axes=3)
+    with pytest.raises(ConfigError, match="take 2, 3 or 6"):
+        replace(TASKBOARD, axes=4)
+    wide = replace(UPLINK, frame_octets=60, pointer_in_vcid=False)
+    setup = replace(TASKBOARD, axes=6, gripper=True, uplink=wide)
+    octets = SAMPLE_OCTETS + 5 * AXIS_OCTETS
+    assert (setup.uplink.insert_octets, setup.downlink.insert_octets) == (octets, octets)
+    assert TASKBOARD.uplink.insert_octets == SAMPLE_OCTETS
+    for change in ({"deadband": "picture"}, {"partner_arm": "shared"}):
+        with pytest.raises(ConfigError, match="x and y only"):
+            replace(setup, **change)

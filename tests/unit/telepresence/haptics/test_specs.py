@@ -1,0 +1,64 @@
+"""Specifications: how a command line names a joystick or a robot, and what it cannot name."""
+
+import sys
+from dataclasses import replace
+
+import pytest
+from places import ROOT
+
+from kontur_av.errors import ConfigError
+from telepresence.haptics.device.simulated import Faults
+from telepresence.haptics.hand import Hand
+from telepresence.haptics.specs import (
+    check_joystick,
+    facts_of,
+    is_simulated,
+    open_alone,
+    open_device,
+    open_robot,
+)
+
+
+def test_what_a_specification_opens():
+    assert is_simulated("sim") and is_simulated("sim:weak") and not is_simulated("evdev")
+    with pytest.raises(ConfigError, match=r"the faults are stuck-x, .*unplugged"):
+        open_device("sim:rust")
+    for spec in ("page", "ros2"):
+        with pytest.raises(ConfigError, match=f"--joystick {spec}"):
+            open_alone(spec)
+    hand = Hand()
+    assert open_alone("sim:weak", hand=hand).hand is hand
+    assert [one.name for one in open_alone("sim", axes=("z",)).facts.more] == ["z"]
+    check_joystick("sim", ("z",))
+    with pytest.raises(ConfigError):
+        check_joystick("tests.helpers.user_parts:Nothing")
+    assert replace(Faults()) == Faults(stuck=-1, friction=1.0, motor_gain=1.0, heat_c=0.0)
+
+
+def test_a_robot_is_named_by_module_and_class(monkeypatch):
+    monkeypatch.chdir(ROOT / "samples")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    assert open_robot("own_robot:Mass").facts.name == "a mass before a wall"
+    assert facts_of("own_robot:Mass").force_limit_n == 25.0
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("nothing_here:Arm", "no module 'nothing_here'"),
+        ("math:Arm", "has no class 'Arm'"),
+        ("math:sqrt", "cannot be made: TypeError"),
+        ("arm", "module:Class"),
+    ],
+)
+def test_a_robot_or_joystick_that_is_not_there_is_one_line(spec, words):
+    for opened in (facts_of, open_device):
+        with pytest.raises(ConfigError, match=words) as refused:
+            opened(spec)
+        assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("spec", ["", "usb", "sim:tired"])
+def test_an_invalid_joystick_is_refused_in_one_line(spec):
+    with pytest.raises(ConfigError, match="joystick"):
+        check_joystick(spec)
