@@ -65,13 +65,9 @@ def test_a_recording_is_started_asked_about_and_stopped():
     assert talk.say(2, RecordRequest(record="stop")).mistake
 
 
-def test_one_session_has_one_recording():
-    talk = Talk(WISH)
-    answer = talk.say(1, start(RecordingWish(file="/tmp/b.mcap")))
+def test_a_second_recording_and_one_that_cannot_begin_are_refused():
+    answer = Talk(WISH).say(1, start(RecordingWish(file="/tmp/b.mcap")))
     assert not answer.ok and answer.mistake and "/tmp/a.mcap" in answer.error
-
-
-def test_what_cannot_begin_is_said_and_nothing_is_recorded():
     talk = Talk()
     talk.error = "no such directory"
     assert talk.say(1, start(WISH)).error == "no such directory"
@@ -92,19 +88,15 @@ def test_a_held_recording_ends_some_time_after_its_terminal():
     assert talk.desk.wish is None
 
 
-def test_its_terminal_may_come_back_after_the_recorder_was_killed():
+def test_its_terminal_may_come_back_and_one_of_the_command_line_needs_none():
     talk = Talk(HELD)
-    assert talk.say(5, start(HELD), NS_PER_S).ok
-    talk.desk.handle_time(100 * NS_PER_S)
-    talk.drain()
+    assert talk.say(5, start(HELD), NS_PER_S).ok, "after the recorder was killed"
+    needs_none = Talk(WISH)
+    for one in (talk, needs_none):
+        one.desk.handle_time(1000 * NS_PER_S)
+        one.drain()
     assert Start not in talk.did and talk.desk.wish == HELD
-
-
-def test_a_recording_of_the_command_line_needs_no_terminal():
-    talk = Talk(WISH)
-    talk.desk.handle_time(1000 * NS_PER_S)
-    talk.drain()
-    assert talk.desk.wish == WISH
+    assert needs_none.desk.wish == WISH
 
 
 def test_garbage_is_refused():

@@ -3,18 +3,20 @@
 from io import BytesIO
 
 import pytest
-from mcap.records import Channel, Message, Schema
+from mcap.records import Message
 from mcap.writer import Writer
 from recordings import FACTS_OF_A_TEST, WALL_NS, Step, write
 
-from kontur_av.sources.recorded_format import FORMAT_KEY
+from pipelines.recording.channels import channels_of
 from pipelines.recording.facts import FACTS
 from pipelines.recording.inventory import ChannelInventory, inventory_lines, take_inventory
 from pipelines.recording.mcap_stream import McapStream
-from pipelines.recording.messages import LOSSES, ChannelLoss, RecorderLosses, pack
+from pipelines.recording.messages import ChannelLoss, RecorderLosses, pack
 from pipelines.recording.scan import Recovery
-from pipelines.recording.schemas import descriptor_set
+from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.table import topology_of
 
+SESSION = topology_of(BUILT_IN["taskboard"])
 WRITTEN = write([Step(100_000_000, count % 2, 0, b"12345") for count in range(20)])
 
 
@@ -32,14 +34,11 @@ def test_a_channel_counts_what_is_missing_and_its_longest_gap():
     channel.handle_message(message(0))
     channel.handle_message(message(2))
     assert channel.missing == 3
-
-
-def test_a_channel_that_does_not_count_misses_nothing_that_is_known():
-    channel = ChannelInventory("/a", "b")
+    # One that does not count misses nothing that is known.
+    uncounted = ChannelInventory("/a", "b")
     for _ in range(3):
-        channel.handle_message(message(0))
-    assert channel.missing is None
-    assert channel.rate_hz == 0.0
+        uncounted.handle_message(message(0))
+    assert (uncounted.missing, uncounted.rate_hz) == (None, 0.0)
 
 
 def test_a_whole_recording():
@@ -83,26 +82,15 @@ def test_torn_and_damaged_recordings_say_how_to_mend_them():
 def test_losses_of_the_recorder_are_the_newest_ones():
     stream = McapStream(library="kontur-av")
     stream.handle_metadata(FACTS, FACTS_OF_A_TEST.items())
-    stream.handle_channel(
-        Schema(id=1, name=LOSSES.full_name, encoding="protobuf", data=descriptor_set(LOSSES)),
-        Channel(
-            id=1,
-            topic="/recorder/losses",
-            message_encoding="protobuf",
-            schema_id=1,
-            metadata={FORMAT_KEY: "1"},
-        ),
-    )
+    (losses,) = (row for row in channels_of(SESSION) if row.topic == "/recorder/losses")
+    stream.handle_channel(*losses.records())
     for dropped in (1, 5):
-        losses = (ChannelLoss(channel="/a", missed=2, dropped=dropped),)
-        value = RecorderLosses(session_ns=0, losses=losses)
-        stream.handle_message(
-            1, pack(value), log_ns=WALL_NS, publish_ns=WALL_NS, sequence=0, now_ns=0
-        )
+        lost = (ChannelLoss(channel="/a", missed=2, dropped=dropped),)
+        data = pack(RecorderLosses(session_ns=0, losses=lost))
+        instants = {"log_ns": WALL_NS, "publish_ns": WALL_NS, "now_ns": 0}
+        stream.handle_message(losses.number, data, sequence=0, **instants)
     stream.handle_end()
-    octets = b""
-    while (piece := stream.poll_transmit(0)) is not None:
-        octets += piece
+    octets = b"".join(iter(lambda: stream.poll_transmit(0), None))
     assert state(octets) == "/a: the recorder missed 2 and dropped 5"
 
 

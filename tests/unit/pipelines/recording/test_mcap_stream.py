@@ -4,11 +4,10 @@ from io import BytesIO
 
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
-from mcap.records import Channel, Chunk, Message, MessageIndex
+from mcap.records import Chunk, Message, MessageIndex
 from mcap.stream_reader import StreamReader, breakup_chunk
-from recordings import FACTS_OF_A_TEST, LIBRARY, WALL_NS, Step, channel, steps, write
+from recordings import FACTS_OF_A_TEST, LIBRARY, WALL_NS, channel, steps, write
 
 from pipelines.recording.facts import FACTS, RecordingFacts, is_sealed
 from pipelines.recording.mcap_stream import CHUNK_NS, CHUNK_OCTETS, McapStream
@@ -73,24 +72,6 @@ def check_indexes(octets, summary):
             assert entries.channel_id == channel_id
 
 
-def test_each_chunk_repeats_the_channels_of_its_messages_and_no_others():
-    script = [Step(CHUNK_NS + 1, number, 0, b"1") for number in (3, 0, 3)]
-    octets = write(script).octets
-    chunks = [
-        record
-        for record in StreamReader(BytesIO(octets), emit_chunks=True).records
-        if isinstance(record, Chunk)
-    ]
-    topics = [[row.topic for row in channels_of(chunk)] for chunk in chunks]
-    # The first one also has those that have no message yet.
-    assert topics[0] == [f"/channel/{number}" for number in range(5)]
-    assert topics[1:] == [["/channel/0"], ["/channel/3"]]
-
-
-def channels_of(chunk):
-    return [record for record in breakup_chunk(chunk) if isinstance(record, Channel)]
-
-
 def started():
     stream = McapStream(library=LIBRARY)
     stream.handle_channel(*channel(0))
@@ -116,21 +97,18 @@ def test_a_chunk_ends_by_time():
     assert stream.poll_timeout() is None
 
 
-@given(st.lists(st.integers(0, CHUNK_OCTETS + 10), max_size=12))
-def test_a_chunk_is_no_larger_than_permitted_unless_one_message_is(lengths):
+def test_a_chunk_is_no_larger_than_permitted_unless_one_message_is():
     stream = McapStream(library=LIBRARY)
     stream.handle_channel(*channel(0))
-    for length in lengths:
+    for length in (CHUNK_OCTETS // 2, CHUNK_OCTETS // 2 + 1, CHUNK_OCTETS + 9, 5, 6):
         say(stream, 0, bytes(length))
     stream.handle_end()
-    octets = b""
-    while (piece := stream.poll_transmit(0)) is not None:
-        octets += piece
-    for record in StreamReader(BytesIO(octets), emit_chunks=True).records:
-        if isinstance(record, Chunk) and record.uncompressed_size > CHUNK_OCTETS:
-            index = [length for length in lengths if length > CHUNK_OCTETS - 2000]
-            assert index
-            assert record.uncompressed_size < max(index) + 2000
+    octets = b"".join(iter(lambda: stream.poll_transmit(0), None))
+    records = StreamReader(BytesIO(octets), emit_chunks=True).records
+    chunks = [record.uncompressed_size for record in records if isinstance(record, Chunk)]
+    assert max(chunks) < CHUNK_OCTETS + 2000
+    assert len([size for size in chunks if size > CHUNK_OCTETS]) == 1
+    assert len(chunks) >= 3
 
 
 def test_messages_are_refused_while_the_disk_does_not_keep_up():

@@ -105,6 +105,16 @@ class Disk:
         self.pump(now_ns)
         return [read(bytes(octets)) for octets in self.files.values() if octets[8:].endswith(MAGIC)]
 
+    def robot(self, number, now_ns, rows=None, **options):
+        """A sample of the robot: 20 cycles."""
+        octets = (block(now_ns) if rows is None else rows).tobytes()
+        self.recorder.handle_sample(SOURCES[ROBOT], octets, stamp(number), now_ns, **options)
+
+    def counts(self, fate):
+        """By channel, how many messages had a fate, if any."""
+        channels = self.recorder.figures(None).channels
+        return {name: getattr(one, fate) for name, one in channels.items() if getattr(one, fate)}
+
 
 def read(octets):
     """By channel: its messages, in the order of the file."""
@@ -119,10 +129,10 @@ def stamp(number, capture_ns=0):
     return CaptureStamp(capture_ns, number, "test")
 
 
-def block(first_ns, *, touch=()):
+def block(first_ns, *, touch=(), noise=None):
     rows = np.zeros(20, ROW)
     rows["time_ns"] = first_ns + np.arange(20) * NS_PER_MS
-    rows["fx_n"] = rows["time_ns"] % 97
+    rows["fx_n"] = rows["time_ns"] % 97 if noise is None else noise.random(20)
     rows["flags"][list(touch)] = CONTACT
     return rows
 
@@ -157,15 +167,13 @@ def test_each_message_has_its_wall_time_and_what_was_in_the_topic():
     disk.pump(now_ns - NS_PER_S)
     rows = block(now_ns - 20 * NS_PER_MS)
     published_ns = now_ns - 3 * NS_PER_MS
-    disk.recorder.handle_sample(
-        SOURCES[ROBOT], rows.tobytes(), stamp(7), now_ns, published_ns=published_ns
-    )
+    disk.robot(7, now_ns, rows, published_ns=published_ns)
     event = RecordedEvent(session_ns=now_ns, number=4, what="link", text="signal lost")
     disk.recorder.handle_event(event, now_ns)
     (file,) = disk.end(now_ns + NS_PER_S)
     (message,) = file["/haptic/up/sent"]
-    assert message.log_time == OFFSET_NS + now_ns - 20 * NS_PER_MS
-    assert message.publish_time == OFFSET_NS + published_ns
+    instants = message.log_time - OFFSET_NS, message.publish_time - OFFSET_NS
+    assert instants == (now_ns - 20 * NS_PER_MS, published_ns)
     assert message.sequence == 7
     assert unpack_haptics(message.data)["fx_n"].tolist() == rows["fx_n"].tolist()
     assert unpack(RecordedEvent, file["/events"][0].data) == event
@@ -173,61 +181,35 @@ def test_each_message_has_its_wall_time_and_what_was_in_the_topic():
 
 
 def test_a_recording_that_joins_begins_with_a_black_key_and_is_right_after_a_wave():
-    units = coded(60)
-    sets = H264.parameter_sets(units[0][0].data)
-    disk = Disk()
-    disk.pump(0)
-    first = 20
-    for number, (unit, size, _) in enumerate(units[first:], first):
-        at_ns = number * NS_PER_S // 30
-        octets = packed(unit, size, sets)
-        disk.recorder.handle_sample(SOURCES[SENT], octets, stamp(number, at_ns), at_ns)
-        disk.pump(at_ns)
+    disk, first, count = Disk(), 20, 60
+    disk.pump(first * NS_PER_S // 30)
+    units = streamed(disk, count, first=first, with_sets=True)
     (file,) = disk.end(3 * NS_PER_S)
-    facts = [unpack(UnitFacts, each.data) for each in file["/uplink_video/sent/facts"]]
-    assert [each.added for each in facts] == [True] + [False] * (60 - first)
-    decoder = H264Decoder()
-    for message in sorted(file["/uplink_video/sent"], key=lambda each: each.log_time):
-        shown = decoder.decode(unpack(RecordedPicture, message.data).data, 0)
-        assert len(shown) == 1
-    room = empty_picture(*units[-1][1])
-    shown[0].copy_to(room)
-    assert np.array_equal(room, units[-1][2])
+    assert_sound(file, first, count)
+    *_, last = shown(file, units[-1][1])
+    assert np.array_equal(last, units[-1][2])
 
 
-def test_a_new_part_begins_with_the_picture_of_the_one_before():
-    units = coded(70)
+def test_the_octets_of_a_new_part_are_as_sent_behind_parameter_sets():
     disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
-    for number, (unit, size, _) in enumerate(units):
-        at_ns = number * NS_PER_S // 30
-        disk.pump(at_ns)
-        disk.recorder.handle_sample(SOURCES[SENT], packed(unit, size), stamp(number, at_ns), at_ns)
-        disk.pump(at_ns)
-    files = disk.end(3 * NS_PER_S)
-    assert len(files) == 2
-    first, second = (file["/uplink_video/sent"] for file in files)
-    assert len(first) == 60 and len(second) == 11
-    decoder = H264Decoder()
-    key, *rest = (unpack(RecordedPicture, each.data).data for each in second)
-    decoder.decode(key, 0)
-    room = empty_picture(*units[60][1])
-    for data, (_, _, right) in zip(rest, units[60:], strict=True):
-        decoder.decode(data, 0)[0].copy_to(room)
-        assert np.abs(room.astype(int) - right).mean() < 1.5
-    # Octets as sent: what stands in front of the first unit is parameter sets.
-    facts = [unpack(UnitFacts, each.data) for each in files[1]["/uplink_video/sent/facts"]]
-    kept = [data[-each.octets :] for data, each in zip(rest, facts[1:], strict=True)]
+    units = streamed(disk, 70)
+    file = disk.end(3 * NS_PER_S)[1]
+    told = zip(file["/uplink_video/sent"], file["/uplink_video/sent/facts"], strict=True)
+    pairs = [(unpack(RecordedPicture, a.data), unpack(UnitFacts, b.data)) for a, b in told]
+    kept = [picture.data[-facts.octets :] for picture, facts in pairs[1:]]
     assert kept == [unit.data for unit, _, _ in units[60:]]
 
 
-def streamed(disk, count, *, makes_key_at=()):
+def streamed(disk, count, *, makes_key_at=(), first=0, with_sets=False):
     """Record a stream and a sample of the robot beside each unit; a part lasts 2 s."""
     units = coded(count)
-    for number, (unit, size, _) in enumerate(units):
+    sets = H264.parameter_sets(units[0][0].data) if with_sets else b""
+    for number, (unit, size, _) in enumerate(units[first:], first):
         at_ns = number * NS_PER_S // 30
+        octets = packed(unit, size, sets)
         disk.pump(at_ns)
-        disk.recorder.handle_sample(SOURCES[SENT], packed(unit, size), stamp(number, at_ns), at_ns)
-        disk.recorder.handle_sample(SOURCES[ROBOT], block(at_ns).tobytes(), stamp(number), at_ns)
+        disk.recorder.handle_sample(SOURCES[SENT], octets, stamp(number, at_ns), at_ns)
+        disk.robot(number, at_ns)
         if number in makes_key_at:
             disk.make_keys()
         disk.pump(at_ns)
@@ -319,66 +301,41 @@ def test_what_waits_for_a_key_picture_on_a_failing_disk_is_counted():
     assert channels["/uplink_video/sent/facts"].dropped == 10
 
 
-def test_a_sample_that_an_earlier_recording_has_read_is_no_loss():
-    # A writer counts while nobody reads, and a topic gives a new reader its newest sample.
-    units, sets = coded(60), b""
-    disk, joined_ns = Disk(), NS_PER_S
-    disk.pump(joined_ns)
-    for number in (12, *range(31, 60)):
-        unit, size, _ = units[number]
-        sets = sets or H264.parameter_sets(units[0][0].data)
-        at_ns = number * NS_PER_S // 30
-        now_ns = max(at_ns, joined_ns)
-        octets = packed(unit, size, sets)
-        disk.recorder.handle_sample(
-            SOURCES[SENT], octets, stamp(number, at_ns), now_ns, published_ns=at_ns
-        )
-    (file,) = disk.end(3 * NS_PER_S)
-    assert_sound(file, 31, 60)
-    assert not any(one.missed for one in disk.recorder.figures(None).channels.values())
-
-
-def test_an_own_key_picture_of_the_stream_is_enough():
-    ((unit, size, _),) = coded(1)
-    disk = Disk()
-    disk.pump(0)
-    disk.recorder.handle_sample(SOURCES[SENT], packed(unit, size), stamp(0), 0)
-    (file,) = disk.end(NS_PER_S)
-    (message,) = file["/uplink_video/sent"]
-    assert unpack(RecordedPicture, message.data).data == unit.data
-
-
-def counts_of(disk, fate):
-    """By channel, how many messages had a fate, if any."""
-    channels = disk.recorder.figures(None).channels
-    return {name: getattr(one, fate) for name, one in channels.items() if getattr(one, fate)}
-
-
 def test_missed_samples_are_counted_by_channel_in_the_file_and_in_the_report():
     disk = Disk()
     disk.pump(0)
     for number in (5, 6, 9, 0, 1, 3):  # its writer was started again
-        disk.recorder.handle_sample(SOURCES[ROBOT], block(0).tobytes(), stamp(number), 0)
+        disk.robot(number, 0)
     (file,) = disk.end(NS_PER_S)
     told = unpack(RecorderLosses, file["/recorder/losses"][-1].data)
-    assert {loss.channel: (loss.missed, loss.dropped) for loss in told.losses} == {
-        "/haptic/up/sent": (3, 0),
-        "/haptic/down/received": (3, 0),
-    }
-    assert counts_of(disk, "missed") == {"/haptic/up/sent": 3, "/haptic/down/received": 3}
+    missed = {"/haptic/up/sent": 3, "/haptic/down/received": 3}
+    assert {loss.channel: loss.missed for loss in told.losses} == missed == disk.counts("missed")
+    assert not any(loss.dropped for loss in told.losses)
+
+
+def test_a_disk_that_stands_still_costs_messages_but_no_memory():
+    disk, noise = Disk(most_waiting_octets=100_000), np.random.default_rng(0)
+    disk.pump(0)
+    for number in range(400):
+        disk.robot(number, number * NS_PER_S, block(number, noise=noise))
+    dropped = disk.counts("dropped")["/haptic/up/sent"]
+    assert 0 < dropped < 400
+    (file,) = disk.end(400 * NS_PER_S)
+    assert len(file["/haptic/up/sent"]) + dropped == 400
+    assert disk.counts("kept")["/haptic/up/sent"] == len(file["/haptic/up/sent"])
 
 
 @pytest.mark.parametrize("chunks_before", [0, 3])
 def test_on_a_full_disk_every_message_is_kept_or_counted_as_dropped(chunks_before):
     disk, handled = Disk(), 0
-    for number in range(2000):
+    for number in range(1000):
         now_ns = number * 20 * NS_PER_MS
-        disk.full = chunks_before * NS_PER_S < now_ns < 12 * NS_PER_S
+        disk.full = chunks_before * NS_PER_S < now_ns < 8 * NS_PER_S
         disk.pump(now_ns)
-        disk.recorder.handle_sample(SOURCES[ROBOT], block(now_ns).tobytes(), stamp(number), now_ns)
+        disk.robot(number, now_ns)
         handled += 1
     assert disk.recorder.fault == ""
-    *_, last = disk.end(40 * NS_PER_S)
+    *_, last = disk.end(20 * NS_PER_S)
     torn = Scan(memoryview(bytes(disk.files[1])))
     found = [each for each in torn.items() if isinstance(each, FoundMessage)]
     kept = sum(each.channel.topic == "/haptic/up/sent" for each in found)
@@ -387,25 +344,8 @@ def test_on_a_full_disk_every_message_is_kept_or_counted_as_dropped(chunks_befor
     assert counted.kept == kept + len(last["/haptic/up/sent"])
     assert counted.kept + counted.dropped == handled
     # The new part begins with the first try after the disk has room.
-    assert len(last["/haptic/up/sent"]) * 20 * NS_PER_MS >= 28 * NS_PER_S - RETRY_NS
+    assert len(last["/haptic/up/sent"]) * 20 * NS_PER_MS >= 12 * NS_PER_S - RETRY_NS
     assert unpack(RecorderLosses, last["/recorder/losses"][0].data).losses
-
-
-def test_a_disk_that_stands_still_costs_messages_but_no_memory():
-    disk = Disk(most_waiting_octets=100_000)
-    disk.pump(0)
-    noise = np.random.default_rng(0)
-    for number in range(400):
-        rows = block(number)
-        rows["fx_n"] = noise.random(20)
-        rows["fy_n"] = noise.random(20)
-        now_ns = number * NS_PER_S
-        disk.recorder.handle_sample(SOURCES[ROBOT], rows.tobytes(), stamp(number), now_ns)
-    dropped = counts_of(disk, "dropped")["/haptic/up/sent"]
-    assert 0 < dropped < 400
-    (file,) = disk.end(400 * NS_PER_S)
-    assert len(file["/haptic/up/sent"]) + dropped == 400
-    assert counts_of(disk, "kept")["/haptic/up/sent"] == len(file["/haptic/up/sent"])
 
 
 def test_a_part_ends_at_its_size_and_says_its_number():
@@ -414,9 +354,7 @@ def test_a_part_ends_at_its_size_and_says_its_number():
     for number in range(600):
         now_ns = number * 20 * NS_PER_MS
         disk.pump(now_ns)
-        rows = block(now_ns)
-        rows["fx_n"] = noise.random(20)
-        disk.recorder.handle_sample(SOURCES[ROBOT], rows.tobytes(), stamp(number), now_ns)
+        disk.robot(number, now_ns, block(now_ns, noise=noise))
     files = disk.end(12 * NS_PER_S)
     assert len(files) > 3
     sequences = [each.sequence for file in files for each in file["/haptic/up/sent"]]
@@ -434,8 +372,7 @@ def test_contacts_are_events():
     disk.pump(0)
     touches = [(), (5, 6, 9), (0,), (), (), (), (3,)]
     for number, touch in enumerate(touches):
-        rows = block(number * 20 * NS_PER_MS, touch=touch)
-        disk.recorder.handle_sample(SOURCES[ROBOT], rows.tobytes(), stamp(number), 0)
+        disk.robot(number, 0, block(number * 20 * NS_PER_MS, touch=touch))
     (file,) = disk.end(NS_PER_S)
     events = [unpack(RecordedEvent, each.data) for each in file["/events"]]
     assert [(each.session_ns // NS_PER_MS, each.text) for each in events] == [
@@ -462,71 +399,61 @@ def test_events_are_in_the_order_of_their_instants(told):
         assert found == sorted(at * NS_PER_MS for at, _ in told)
 
 
-def test_every_channel_that_is_read_exists_and_cameras_are_coded_cheaply():
-    disk = Disk()
+class Camera(nullcontext):
+    """A bus with one topic, which is its reader and the lease of its newest picture, too."""
+
+    def __init__(self):
+        super().__init__(self)
+        self.stamp, self.unread = None, False
+
+    def reader(self, topic, *, depth=1):
+        return self
+
+    def next(self):
+        unread, self.unread = self.unread, False
+        return self if unread else None
+
+    latest = next
+
+    def video(self):
+        return VideoFrame(empty_picture(64, 48), self.stamp)
+
+    def close(self): ...
+
+
+@pytest.mark.parametrize(("cameras", "kept", "lost"), [("one_idle", 10, 0), ("all", 59, 1)])
+def test_cameras_are_coded_cheaply_or_whole_as_the_setup_wants(cameras, kept, lost):
+    whole = cameras == "all"
+    setup = replace(SETUP, recorded_cameras="all") if whole else SETUP
+    disk = Disk(topology_of(setup, recorder=True))
     disk.pump(0)
     source = SOURCES["input/head"]
     assert source.content is Content.CAMERA
-    coder, picture = disk.recorder.coder(source), empty_picture(64, 48)
-    picture[:] = 90
-    for number in range(60):
-        at_ns = number * NS_PER_S // 30
-        if coder.due(at_ns):
-            unit = coder.encode(picture, at_ns)
-            disk.recorder.handle_camera(source, unit, stamp(number, at_ns), at_ns)
+    camera = Camera()
+    reader = CameraReader(camera, source, disk.recorder.coder(source), whole=whole)
+    reader.handle_carried(whole)
+    for number in {*range(60)} - {7}:
+        camera.stamp, camera.unread = stamp(number, number * NS_PER_S // 30), True
+        # One that is idle opens its reader first.
+        for _ in range(2):
+            if (coded := reader.poll(camera.stamp.capture_ns)) is not None:
+                disk.recorder.handle_camera(source, *coded, camera.stamp.capture_ns)
     (file,) = disk.end(3 * NS_PER_S)
     units = [unpack(RecordedPicture, each.data) for each in file["/camera/head"]]
-    assert len(units) == 10
+    assert (len(units), disk.recorder.figures("").lost) == (kept, lost)
     assert H264.parameter_sets(units[0].data)
     assert {unit.frame_id for unit in units} == {"head"}
 
 
-class _Lease(nullcontext):
-    def __init__(self, frame):
-        super().__init__()
-        self.stamp, self.video = frame.stamp, lambda: frame
-
-
-class _Pictures:
-    """A bus with one topic, of which these pictures are unread; each is its own lease."""
-
-    def __init__(self, frames):
-        self._frames = iter(frames)
-
-    def reader(self, topic, *, depth):
-        return self
-
-    def next(self):
-        frame = next(self._frames, None)
-        return frame and _Lease(frame)
-
-
-def test_a_setup_that_wants_all_cameras_gets_each_picture_and_counts_those_that_are_missing():
-    disk = Disk(topology_of(replace(SETUP, recorded_cameras="all"), recorder=True))
-    disk.pump(0)
-    source, picture = SOURCES["input/head"], empty_picture(64, 48)
-    stamps = [stamp(number, number * NS_PER_S // 30) for number in range(60) if number != 7]
-    bus = _Pictures([VideoFrame(picture, each) for each in stamps])
-    reader = CameraReader(bus, source, disk.recorder.coder(source), whole=True)
-    reader.handle_carried(True)
-    while (coded := reader.poll(0)) is not None:
-        disk.recorder.handle_camera(source, *coded, coded[1].capture_ns)
-    (file,) = disk.end(3 * NS_PER_S)
-    assert len(file["/camera/head"]) == 59
-    assert disk.recorder.figures("").lost == 1
-
-
-def test_a_sample_from_before_the_recording_is_left_out():
+def test_a_sample_from_before_the_recording_is_left_out_and_no_loss():
+    # A writer counts while nobody reads, and a topic gives a new reader its newest sample.
     disk, now_ns = Disk(), 100 * NS_PER_S
     disk.pump(now_ns)
     for number, at_ns in ((3, 90 * NS_PER_S), (800, now_ns), (801, now_ns)):
-        octets = block(at_ns).tobytes()
-        disk.recorder.handle_sample(
-            SOURCES[ROBOT], octets, stamp(number, at_ns), now_ns, published_ns=at_ns
-        )
+        disk.robot(number, now_ns, block(at_ns), published_ns=at_ns)
     (file,) = disk.end(now_ns + NS_PER_S)
     assert [each.sequence for each in file["/haptic/up/sent"]] == [800, 801]
-    assert not counts_of(disk, "missed")
+    assert not disk.counts("missed")
 
 
 def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
@@ -560,4 +487,4 @@ def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
     assert only(LinkReceived, "/link/downlink/received").frames == 0
     frames = only(RecordedFrames, "/link/uplink/frames/sent")
     assert list(zip(frames.time_ns, frames.data, strict=True)) == gateway.frames_sent
-    assert counts_of(disk, "kept")["/link/uplink/frames/sent"] == 1
+    assert disk.counts("kept")["/link/uplink/frames/sent"] == 1

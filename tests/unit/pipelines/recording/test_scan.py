@@ -6,14 +6,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, DataEnd, Footer, Metadata
 from mcap.writer import CompressionType, Writer
-from recordings import FACTS_OF_A_TEST, LIBRARY, WALL_NS, Step, scanned, sequences_in, steps, write
+from recordings import FACTS_OF_A_TEST, LIBRARY, WALL_NS, Step, scanned, steps, write
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
-from pipelines.recording.facts import RecordingFacts
-from pipelines.recording.mcap_stream import HEAD, MAGIC
-from pipelines.recording.scan import Scan
+from kontur_av.sources.recorded_format import FORMAT_KEY
+from pipelines.recording.facts import FACTS, MENDED, RecordingFacts, sealed
+from pipelines.recording.inventory import take_inventory
+from pipelines.recording.mcap_stream import CHUNK_NS, HEAD, MAGIC, McapStream, octets_of
+from pipelines.recording.scan import FoundMessage, Recovery, Scan
 
 #: Nine messages in chunks of two.
 SCRIPT = [Step(200_000_000, count % 5, 0, bytes([count]) * 9) for count in range(9)]
@@ -54,35 +58,15 @@ def test_a_file_cut_anywhere_lacks_at_most_its_last_second(script, share, garbag
     assert scan.figures.sound == (octets == written.octets and end)
 
 
-def test_a_cut_at_every_octet_of_the_last_chunk_loses_this_chunk_alone():
+def test_a_cut_within_the_last_chunk_loses_this_chunk_alone():
     written = write(SCRIPT, end=False)
     begin = written.pieces[-1].begin
-    _, kept, _ = scanned(written.octets[:begin])
-    assert len(kept) == 6
-    for cut in range(begin, len(written.octets)):
+    behind = begin + HEAD.unpack_from(written.octets, begin)[1] + HEAD.size
+    for cut in (begin, begin + 1, behind - 1, behind, len(written.octets) - 1):
         scan, found, _ = scanned(written.octets[:cut])
-        chunk = HEAD.unpack_from(written.octets, begin)[1] + HEAD.size
-        if cut < begin + chunk:
-            assert found == kept
-            assert scan.figures.holes == ([(begin, cut)] if cut > begin else [])
-        else:
-            # Of the message indexes behind it, nothing is needed.
-            assert len(found) > len(kept)
-
-
-def test_a_damaged_chunk_costs_no_other_even_if_it_is_the_first():
-    written = write(SCRIPT)
-    chunks = [piece for piece in written.pieces if written.octets[piece.begin] == Opcode.CHUNK]
-    for piece in chunks:
-        for place in (piece.begin, piece.begin + 3, piece.begin + 33):
-            octets = bytearray(written.octets)
-            octets[place] ^= 0x40
-            scan, found, _ = scanned(bytes(octets))
-            lost = sequences_in(written, piece)
-            assert lost
-            assert [row[1] for row in found] == [n for n in range(9) if n not in lost]
-            assert not scan.figures.sound
-            assert scan.figures.unread_octets > 0
+        # Of the message indexes behind it, nothing is needed.
+        assert len(found) == (6 if cut < behind else 8)
+        assert cut >= behind or scan.figures.holes == ([(begin, cut)] if cut > begin else [])
 
 
 def test_an_index_that_becomes_a_message_is_none():
@@ -98,65 +82,136 @@ def test_an_index_that_becomes_a_message_is_none():
         assert scan.figures.sound == (opcode == Opcode.MESSAGE_INDEX)
 
 
-def other_program(*, chunks: bool, compression: CompressionType) -> bytes:
+def other_program(messages, *, library="other", facts=("notes", {"by": "me"}), **options) -> bytes:
+    """A file of another program with these (topic, sequence, log_ns, publish_ns, data)."""
     stream = BytesIO()
-    writer = Writer(stream, 100, compression, use_chunking=chunks)
-    writer.start(profile="ros2", library="other")
-    schema = writer.register_schema("a", "jsonschema", b"{}")
-    names = [writer.register_channel(f"/{n}", "json", schema) for n in range(2)]
-    names.append(writer.register_channel("/2", "json", 0))
-    for count in range(9):
-        writer.add_message(names[count % 3], WALL_NS + count, b"{}", WALL_NS, count)
-    writer.add_metadata("notes", {"by": "me"})
-    writer.add_attachment(1, 2, "a.txt", "text/plain", b"text")
+    writer = Writer(stream, 100, **options)
+    writer.start(profile="ros2", library=library)
+    names = {}
+    for topic, sequence, log_ns, publish_ns, data in messages:
+        if topic not in names:
+            schema = writer.register_schema(topic, "jsonschema", b"{}") if topic != "/2" else 0
+            names[topic] = writer.register_channel(topic, "json", schema)
+        writer.add_message(names[topic], log_ns, data, publish_ns, sequence)
+    writer.add_metadata(*facts)
     writer.finish()
     return stream.getvalue()
 
 
+OTHERS = [(f"/{n % 3}", n, WALL_NS + n, WALL_NS, b"{}") for n in range(9)]
+
+
 @pytest.mark.parametrize("compression", CompressionType)
 @pytest.mark.parametrize("chunks", [True, False])
-def test_a_file_of_another_program_is_read(chunks, compression):
-    octets = other_program(chunks=chunks, compression=compression)
+def test_a_file_of_another_program_is_read_but_not_mended(chunks, compression):
+    octets = other_program(OTHERS, compression=compression, use_chunking=chunks)
     scan, found, (notes,) = scanned(octets)
-    assert [(topic, sequence) for topic, sequence, *_ in found] == [
-        (f"/{count % 3}", count) for count in range(9)
-    ]
+    assert found == OTHERS
     assert notes.metadata == {"by": "me"}
-    assert scan.figures.sound
-    assert scan.header.library == "other"
-    assert not scan.ours
-    assert len(scan.channels) == 3
+    assert (scan.figures.sound, scan.ours, scan.header.library) == (True, False, "other")
+    with pytest.raises(ProtocolError, match=r"written by other, not by kontur-av"):
+        Recovery(memoryview(octets))
 
 
 def test_our_recording_is_whole_when_another_program_has_copied_it_without_chunks():
     _, told, (facts,) = scanned(write(SCRIPT).octets)
-    stream = BytesIO()
-    writer = Writer(stream, use_chunking=False)
-    writer.start(library="other")
-    writer.add_metadata(facts.name, facts.metadata)
-    names = {}
-    for topic, sequence, log_ns, publish_ns, data in told:
-        if topic not in names:
-            names[topic] = writer.register_channel(topic, "protobuf", 0)
-        writer.add_message(names[topic], log_ns, data, publish_ns, sequence)
-    writer.finish()
-    scan, found, _ = scanned(stream.getvalue())
+    copied = other_program(told, facts=(facts.name, facts.metadata), use_chunking=False)
+    scan, found, _ = scanned(copied)
     assert found == told
-    assert scan.ours
+    assert scan.ours and scan.figures.sound
+
+
+@given(steps, st.floats(0.1, 1))
+def test_a_mended_file_has_all_that_could_be_read(script, share):
+    written = write(script)
+    torn = written.octets[: round(share * len(written.octets))]
+    _, found, metadata = scanned(torn)
+    if not found and not metadata:
+        with pytest.raises(ProtocolError, match="nothing in it can be read"):
+            Recovery(memoryview(torn))
+        return
+    recovery = Recovery(memoryview(torn))
+    assert recovery.figures.sound == (torn == written.octets)
+    mended = b"".join(recovery.pieces())
+
+    scan, again, (facts, note) = scanned(mended)
+    assert again == found
     assert scan.figures.sound
+    assert RecordingFacts.of(facts.metadata) == FACTS_OF_A_TEST
+    assert note.name == MENDED
+    assert note.metadata["unread_octets"] == str(recovery.figures.unread_octets)
+    assert Recovery(memoryview(mended)).figures.sound
+
+    reader = make_reader(BytesIO(mended), validate_crcs=True)
+    read = [(channel.topic, message.data) for _, channel, message in reader.iter_messages()]
+    assert sorted(read) == sorted((topic, data) for topic, *_, data in found)
 
 
-def test_an_attachment_without_a_check_is_passed_over_in_a_file_of_another_program():
-    octets = other_program(chunks=True, compression=CompressionType.ZSTD)
-    text = octets.index(b"text", octets.index(b"a.txt") + 20)
-    without = octets[: text + 4] + bytes(4) + octets[text + 8 :]
-    assert without != octets
-    scan, found, _ = scanned(without)
-    assert len(found) == 9
-    assert scan.figures.sound
+@given(st.data(), st.booleans(), st.booleans())
+def test_what_a_user_has_added_is_whole_and_stays(data, checked, torn):
+    """Metadata and attachments, as `mcap add` writes them, with a check or without."""
+    written = write([Step(300_000_000, count % 2, 0, b"1234") for count in range(9)])
+    note = Metadata(name="notes", metadata={"by": "me"})
+    photo = Attachment(name="a.jpg", media_type="image/jpeg", create_time=1, log_time=2, data=b"x")
+    attached = octets_of(photo) if checked else octets_of(photo)[:-4] + bytes(4)
+    ends = [piece.end for piece in written.pieces[1:-2]]
+    places = data.draw(st.permutations(ends))[:2]
+    added, at = b"", 0
+    for place, octets in sorted(zip(places, (octets_of(note), attached), strict=True)):
+        added, at = added + written.octets[at:place] + octets, place
+    # An end without a summary, as after `mcap add` by a program that writes no checks.
+    if not torn:
+        end = [DataEnd(data_section_crc=0)]
+        end.append(Footer(summary_start=0, summary_offset_start=0, summary_crc=0))
+        rest = written.octets[at : written.pieces[-2].begin]
+        added += rest + b"".join(octets_of(one) for one in end) + MAGIC
+    scan = Scan(memoryview(added))
+    found = [item for item in scan.items() if not isinstance(item, FoundMessage)][1:]
+    assert note in found and photo in found
+    assert not scan.figures.holes and scan.figures.sound == (not torn)
+
+    mended = b"".join(Recovery(memoryview(added)).pieces())
+    reader = make_reader(BytesIO(mended), validate_crcs=True)
+    assert [*reader.iter_attachments()] == [photo]
+    assert note in reader.iter_metadata()
 
 
-def test_octets_that_are_no_mcap_file_are_refused():
-    for octets in (b"", MAGIC[:-1], b"RIFF" + bytes(40), b"\x89MCAP1\r\n" + bytes(40)):
-        with pytest.raises(ProtocolError, match="not an MCAP file"):
-            Scan(memoryview(octets))
+def test_channels_without_a_message_stay():
+    written = write([])
+    torn = written.octets[: written.pieces[-1].begin]
+    mended = b"".join(Recovery(memoryview(torn)).pieces())
+    assert len(make_reader(BytesIO(mended)).get_summary().channels) == 5
+
+
+def begun(row, until_ns=0, facts=None) -> bytes:
+    """A recording with one message on this channel, ended or left open."""
+    stream, octets = McapStream(library=LIBRARY), b""
+    if facts:
+        stream.handle_metadata(FACTS, sealed(FACTS, facts))
+    stream.handle_channel(None, row)
+    stream.handle_message(row.id, b"", log_ns=0, publish_ns=0, sequence=0, now_ns=0)
+    if not until_ns:
+        stream.handle_end()
+    while (piece := stream.poll_transmit(until_ns)) is not None:
+        octets += piece
+    return octets
+
+
+def channel_of(topic, version="1"):
+    metadata = {FORMAT_KEY: version}
+    return Channel(id=1, topic=topic, message_encoding="", schema_id=0, metadata=metadata)
+
+
+@pytest.mark.parametrize(("version", "facts"), [("1", {"format": "2"}), ("2", None)])
+def test_a_newer_format_is_refused(version, facts):
+    newer = memoryview(begun(channel_of("/1", version), facts=facts))
+    with pytest.raises(ProtocolError, match=r"it has format 2, .* reads up to format 1"):
+        Recovery(newer)
+    with pytest.raises(ProtocolError, match=r"install a newer one"):
+        take_inventory(newer)
+
+
+def test_another_recording_behind_the_first_is_not_mixed_in():
+    scan, found, _ = scanned(b"".join(begun(channel_of(one), CHUNK_NS) for one in ("/1", "/2")))
+    assert [topic for topic, *_ in found] == ["/1"]
+    assert not scan.figures.sound

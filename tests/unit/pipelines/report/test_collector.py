@@ -1,6 +1,7 @@
 """The collector joins and compares the reports of processes, and adds them over restarts."""
 
-from itertools import permutations, starmap
+from dataclasses import replace
+from itertools import starmap
 
 import numpy as np
 import pytest
@@ -10,9 +11,9 @@ from told import gateway, message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.link.figures import SocketFigures
-from pipelines.media.figures import CaptureFigures
-from pipelines.report.collector import Collector
-from pipelines.report.journeys import STAGES, Skew
+from pipelines.media.figures import CaptureFigures, SelectorFigures
+from pipelines.report.collector import Collector, ProcessFigures
+from pipelines.report.journeys import Skew
 from pipelines.session.figures import (
     LoopFigures,
     OutRow,
@@ -32,6 +33,11 @@ SESSION = topology_of(BUILT_IN["spacejustin"])
 START_NS = 1_000 * NS_PER_S
 
 
+@pytest.fixture
+def collector():
+    return Collector(SESSION)
+
+
 def tell(collector, process, now_ns, *rows, stream="", figures=()):
     told = message(*figures, rows=rows, stream=stream)
     collector.handle_message(process, Message.unpack(told.pack()), now_ns)
@@ -41,67 +47,10 @@ def ms(*values):
     return [START_NS + value * NS_PER_MS for value in values]
 
 
-@pytest.mark.parametrize("order", list(permutations(range(3))))
-def test_stages_are_joined_by_timestamp_in_any_order_of_messages(order):
-    collector = Collector(SESSION)
-    captured, encoded, sent, received, displayed = ms(0, 5, 12, 30, 47)
-    messages = [
-        ("uplink_video_send", TxRow(77, captured, encoded, sent), ""),
-        ("uplink_video_receive", RxRow(77, received), ""),
-        ("space_display", ShownRow(77, captured, displayed), "uplink_video"),
-    ]
-    for index in order:
-        process, row, stream = messages[index]
-        tell(collector, process, displayed, row, stream=stream)
-    figures = collector.streams["uplink_video"]
-    stages = [figures.stages[stage] for stage in STAGES]
-    assert [stage.max for stage in stages] == [value * NS_PER_MS for value in (5, 7, 18, 17)]
-    assert [stage.count for stage in stages] == [1] * 4
-    assert figures.latency.max == 47 * NS_PER_MS
-    assert collector.streams["uplink_voice"].latency.count == 0
-
-
-def test_a_picture_with_a_missing_stage_has_a_latency_but_no_stages():
-    collector = Collector(SESSION)
-    captured, displayed = ms(0, 20)
-    tell(
-        collector,
-        "space_display",
-        displayed,
-        ShownRow(1, captured, displayed),
-        stream="uplink_video",
-    )
-    tell(collector, "uplink_video_receive", displayed, RxRow(2, displayed))
-    figures = collector.streams["uplink_video"]
-    assert figures.latency.count == 1
-    assert all(stage.count == 0 for stage in figures.stages.values())
-
-
-def test_unmatched_stamps_are_forgotten_after_a_while():
-    collector = Collector(SESSION)
-    (sent,) = ms(0)
-    tell(collector, "uplink_video_send", sent, TxRow(5, sent, sent, sent))
-    late = sent + 60 * NS_PER_S
-    tell(collector, "uplink_video_receive", late, RxRow(6, late), RxRow(5, late))
-    tell(collector, "space_display", late, ShownRow(5, sent, late), stream="uplink_video")
-    stages = collector.streams["uplink_video"].stages
-    assert all(stage.count == 0 for stage in stages.values())
-
-
-def test_the_transmitted_capture_time_is_compared_with_the_original_stamp():
-    collector = Collector(SESSION)
-    captured, displayed = ms(0, 20)
-    tell(collector, "uplink_video_send", displayed, TxRow(9, captured, captured, captured))
-    row = ShownRow(9, captured + 40_000, displayed)
-    tell(collector, "space_display", displayed, row, stream="uplink_video")
-    assert collector.streams["uplink_video"].stamp_error.max == 40_000
-
-
 def feel(collector, at_ms, latency_ms):
     """A force that was measured `latency_ms` before it was displayed to the hand."""
     (received,) = ms(at_ms)
-    sent = received - latency_ms * NS_PER_MS
-    tell(collector, "robot", received, SampleSentRow(at_ms, sent))
+    tell(collector, "robot", received, SampleSentRow(at_ms, received - latency_ms * NS_PER_MS))
     tell(collector, "joystick", received, SampleReceivedRow(at_ms, received))
 
 
@@ -111,8 +60,23 @@ def show(collector, stream, at_ms, latency_ms):
     tell(collector, "space_display", displayed, row, stream=stream)
 
 
-def test_the_skew_of_a_late_sense_is_positive():
-    collector = Collector(SESSION)
+def test_a_picture_with_a_missing_stage_has_a_latency_but_no_stages(collector):
+    show(collector, "uplink_video", 20, 20)
+    tell(collector, "uplink_video_receive", START_NS, RxRow(2, START_NS))
+    figures = collector.streams["uplink_video"]
+    assert figures.latency.count == 1
+    assert all(stage.count == 0 for stage in figures.stages.values())
+
+
+def test_the_transmitted_capture_time_is_compared_with_the_original_stamp(collector):
+    captured, displayed = ms(0, 20)
+    tell(collector, "uplink_video_send", displayed, TxRow(9, captured, captured, captured))
+    row = ShownRow(9, captured + 40_000, displayed)
+    tell(collector, "space_display", displayed, row, stream="uplink_video")
+    assert collector.streams["uplink_video"].stamp_error.max == 40_000
+
+
+def test_the_skew_of_a_late_sense_is_positive_and_a_silent_sense_has_none(collector):
     feel(collector, 100, 2)
     show(collector, "uplink_voice", 110, 30)
     show(collector, "uplink_video", 120, 52)
@@ -122,14 +86,11 @@ def test_the_skew_of_a_late_sense_is_positive():
     assert skews["audio_haptic"] == pytest.approx(28, rel=0.01)
     # The voice came before the picture of the same instant.
     assert skews["audio_video"] == pytest.approx(-22, rel=0.01)
-
-
-def test_silent_senses_are_not_compared():
-    collector = Collector(SESSION)
-    feel(collector, 100, 2)
-    show(collector, "uplink_video", 1200, 52)
-    collector.handle_end()
-    assert all(skew.count == 0 for skew in collector.skews.values())
+    silent = Collector(SESSION)
+    feel(silent, 100, 2)
+    show(silent, "uplink_video", 1200, 52)
+    silent.handle_end()
+    assert all(skew.count == 0 for skew in silent.skews.values())
 
 
 @given(st.lists(st.integers(-(10**9), 10**9), min_size=1, max_size=60))
@@ -148,14 +109,12 @@ def test_percentiles_of_a_signed_skew_equal_those_of_its_values(values):
     assert abs(summary.max) == max(abs(value) for value in values) / 1e6
 
 
-def test_the_counts_of_a_restarted_process_are_added():
+def test_the_counts_of_a_restarted_process_are_added(collector):
     def count(slips, strangers, frames):
         link = gateway(transmit=SenderFigures(frames=frames))
-        figures = LoopFigures(slips=slips), SocketFigures(strangers=strangers)
-        figures = *figures, link
+        figures = LoopFigures(slips=slips), SocketFigures(strangers=strangers), link
         tell(collector, "ground_gateway", START_NS, figures=figures)
 
-    collector = Collector(SESSION)
     count(5, {}, 4)
     count(7, {"radio": 2}, 10)
     figures = collector.process("ground_gateway")
@@ -171,36 +130,16 @@ def test_the_counts_of_a_restarted_process_are_added():
     assert figures.total(SamplesReceived).received == 0
 
 
-def test_a_gauge_that_a_new_life_does_not_know_yet_keeps_its_value():
-    collector = Collector(SESSION)
-    first = CaptureFigures(captured_ns=START_NS, source_fault="a pause")
-    tell(collector, "camera_head", START_NS, figures=[first])
-    collector.process("camera_head").handle_end()
-    tell(collector, "camera_head", START_NS, figures=[CaptureFigures(source_fault="a gap")])
-    figures = collector.process("camera_head")
-    assert (figures.capture.captured_ns, figures.capture.source_fault) == (START_NS, "a gap")
-
-
-CAP_BPS = 90_000
-
-
-def test_a_restarted_sender_has_one_rate_over_both_lives():
-    collector = Collector(SESSION)
+def test_a_restarted_sender_has_one_rate_over_both_lives(collector):
     first, second, overtaken = ms(0, 500, 400)
-    tell(
-        collector,
-        "uplink_video_send",
-        second,
-        OutRow(first, 1000, CAP_BPS),
-        OutRow(second, 1000, CAP_BPS),
-    )
+    rows = [OutRow(at, 1000, 90_000) for at in (first, second, overtaken)]
+    tell(collector, "uplink_video_send", second, *rows[:2])
     collector.process("uplink_video_send").handle_end()
-    tell(collector, "uplink_video_send", second, OutRow(overtaken, 1000, CAP_BPS))
+    tell(collector, "uplink_video_send", second, rows[2])
     assert collector.streams["uplink_video"].rate.max_bps() == 24_000
 
 
-def test_a_picture_is_compared_with_the_force_of_its_own_instant():
-    collector = Collector(SESSION)
+def test_a_picture_is_compared_with_the_force_of_its_own_instant(collector):
     # Half a second of force in one report, with a growing latency.
     instants = [(k, START_NS + k * NS_PER_MS) for k in range(500)]
     felt = [(k, sent_ns + (2 + k // 10) * NS_PER_MS) for k, sent_ns in instants]
@@ -209,10 +148,9 @@ def test_a_picture_is_compared_with_the_force_of_its_own_instant():
     show(collector, "uplink_video", 132, 50)
     show(collector, "uplink_video", 462, 50)
     collector.handle_end()
-    skew = collector.skews["video_haptic"]
     # At 132 ms the sample of 118 ms was felt, 13 ms old; at 462 ms that of 418 ms, 43 ms old.
-    summary = skew.summary_ms()
-    assert skew.count == 2
+    summary = collector.skews["video_haptic"].summary_ms()
+    assert summary.count == 2
     assert summary.max == pytest.approx(50 - 13, abs=2.5)
     assert summary.p50 == pytest.approx(50 - 43, abs=2.5)
     rate = collector.haptics["up"].rate
@@ -221,8 +159,7 @@ def test_a_picture_is_compared_with_the_force_of_its_own_instant():
     assert rate.events < 35
 
 
-def test_a_restarted_robot_has_no_latencies_of_its_previous_life():
-    collector = Collector(SESSION)
+def test_a_restarted_robot_has_no_latencies_of_its_previous_life(collector):
     for begun_ms, told_ms in ((0, 3000), (5000, 5500)):
         sent = [(k, at) for k, at in enumerate(ms(*range(begun_ms, told_ms)))]
         # Every tenth sample of the first life is lost. The receiver reports first.
@@ -240,8 +177,7 @@ def test_a_restarted_robot_has_no_latencies_of_its_previous_life():
     assert [skew.p50, skew.max] == pytest.approx([37, 37], rel=0.01)
 
 
-def test_force_without_a_stamp_of_its_sender_is_ignored():
-    collector = Collector(SESSION)
+def test_force_without_a_stamp_of_its_sender_is_ignored(collector):
     feel(collector, 100, 2)
     (lost_ns,) = ms(200)
     tell(collector, "joystick", lost_ns, SampleReceivedRow(200, lost_ns))
@@ -249,3 +185,48 @@ def test_force_without_a_stamp_of_its_sender_is_ignored():
     show(collector, "uplink_video", 310, 50)
     collector.handle_end()
     assert collector.skews["video_haptic"].summary_ms().max == pytest.approx(46)
+
+
+def test_a_process_has_the_time_of_its_messages_and_is_silent_since_its_last_picture():
+    process = ProcessFigures()
+    assert process.silent_ns(START_NS) == 0
+    for now_ns in ms(0, 500, 1000):
+        process.handle_message(message(), now_ns)
+    assert (process.began_ns, process.told_ns) == tuple(ms(0, 1000))
+    # It has captured nothing since it began.
+    assert process.silent_ns() == NS_PER_S
+    captured_ns, now_ns = ms(900, 1500)
+    process.handle_message(message(CaptureFigures(captured_ns=captured_ns)), now_ns)
+    assert (process.capture.captured_ns, process.gives_since_ns) == (captured_ns, captured_ns)
+    assert process.silent_ns() == 600 * NS_PER_MS
+    assert process.silent_ns(captured_ns - 1) == 0
+    # A gauge that a new life does not know yet keeps its value.
+    process.handle_end()
+    process.handle_message(message(CaptureFigures(source_fault="a gap")), now_ns)
+    capture = process.capture
+    assert (capture.captured_ns, capture.source_fault) == (captured_ns, "a gap")
+
+
+def test_an_input_gives_since_its_last_pause_and_a_camera_is_selected_since_its_choice():
+    camera, selector, since = ProcessFigures(), ProcessFigures(), []
+    for captured_ns in ms(0, 500, 2000, 3501, 4000):
+        camera.handle_message(message(CaptureFigures(captured_ns=captured_ns)), captured_ns)
+        since.append((camera.gives_since_ns - START_NS) // NS_PER_MS)
+    # Three reports, 1.5 s, are no pause yet.
+    assert since == [0, 0, 0, 3501, 3501]
+    since.clear()
+    for now_ns, name in zip(ms(0, 500, 1000), ("left", "left", "head"), strict=True):
+        selector.handle_message(message(SelectorFigures(selected=name)), now_ns)
+        since.append(selector.selected_ns)
+    assert since == ms(0, 0, 1000)
+
+
+def test_a_later_message_without_news_keeps_what_was_told():
+    process = ProcessFigures()
+    first = message(scheduler="fifo", last_error="broken")
+    worse = replace(first, scheduler="other", last_error="worse")
+    told = []
+    for one in (first, message(), worse):
+        process.handle_message(one, START_NS)
+        told.append((process.scheduler, process.last_error))
+    assert told == [("fifo", "broken"), ("fifo", "broken"), ("other", "worse")]

@@ -2,13 +2,22 @@
 
 import re
 
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.link.figures import SocketFigures
 from pipelines.report.collector import Collector
-from pipelines.report.link_report import LinkView, build_link_report, summary_lines
-from pipelines.report.model import GatewayReport, LinkReport, from_json, to_json
+from pipelines.report.link_report import (
+    LinkView,
+    build_link_report,
+    ledger_percent,
+    link_figures,
+    summary_lines,
+)
+from pipelines.report.model import LinkReport, from_json, to_json
 from pipelines.session.figures import LoopFigures
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Direction, Segment
@@ -139,25 +148,16 @@ def test_one_end_alone_reports_its_own_half():
     assert "failed: ground_gateway: started again 1 times" in text
 
 
-def test_a_loop_that_left_out_cycles_is_a_warning_with_its_mend():
-    link = Link()
-    link.run(100)
-    assert link.report().warnings == []
-    starved = message(LoopFigures(slips=50, cycles=950), scheduler="fifo")
-    link.collector.handle_message("ground_gateway", starved, link.now_ns)
-    unprivileged = message(LoopFigures(slips=50, cycles=950), scheduler="other")
-    link.collector.handle_message("space_gateway", unprivileged, link.now_ns)
-    report = from_json(to_json(link.report()), LinkReport)
-    assert [(one.what, one.where) for one in report.warnings] == [
-        ("cycles_left_out", "ground_gateway"),
-        ("cycles_left_out", "space_gateway"),
-    ]
-    lines = [line for line in summary_lines(report) if line.startswith("warning: ")]
-    assert "faster machine" in lines[0] and "real-time priority" in lines[1]
-    assert report.failures == [], "a warning does not change the exit code"
+@given(st.dictionaries(st.text(min_size=1, max_size=8), st.integers(0, 10**12), max_size=12))
+def test_the_shares_of_the_ledger_add_up_to_exactly_100_percent(octets):
+    shares, total = ledger_percent(octets), sum(octets.values())
+    assert sum(round(100 * share) for share in shares.values()) == (10_000 if total else 0)
+    assert all(abs(share - 100 * octets[k] / total) < 0.0101 for k, share in shares.items())
 
 
-def test_an_end_that_never_ran_has_a_report():
-    report = Link().report()
-    assert report.gateways["space"] == GatewayReport(sockets=SocketFigures())
-    assert any("never ran" in line for line in summary_lines(report))
+@pytest.mark.parametrize("setup", BUILT_IN.values(), ids=lambda setup: setup.name)
+def test_the_arithmetic_of_a_direction_adds_up_to_its_capacity(setup):
+    for direction, profile in (("uplink", setup.uplink), ("downlink", setup.downlink)):
+        lines = link_figures(Collector(topology_of(setup)), direction).arithmetic
+        assert sum(line.bps for line in lines) == profile.media_bps
+        assert (lines[-1].what, lines[-1].bps > 0) == ("spare", True)

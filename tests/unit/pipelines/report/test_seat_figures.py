@@ -259,11 +259,7 @@ def test_the_supervisors_of_both_ends_are_told_of_every_process_once_a_second(co
         one.name: one for one in msgspec.json.decode(messages["console"], type=list[ProcessState])
     }
     assert found["robot"] == ProcessState(
-        name="robot",
-        state="running",
-        cpu_s=0.5,
-        age_ms=1000.0,
-        loop=LoopFigures(cycles=7, slips=1),
+        name="robot", state="running", cpu_s=0.5, age_ms=1000.0, loop=LoopFigures(cycles=7, slips=1)
     )
     assert (found["stereo"].state, found["stereo"].age_ms) == ("down", 0.0)
     children["robot"].pid = None

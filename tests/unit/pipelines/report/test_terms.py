@@ -116,7 +116,3 @@ def test_propagation_is_taken_at_the_instants_of_sending(tmp_path):
         way.add(instants(0, 0, 1, 500, 0, 0, at_ms=begin_ms), 30 * NS_PER_MS, (0, 1))
         found = way.propagation_ns(setup, setup.uplink, epoch_ns)
         assert found / NS_PER_MS == pytest.approx(expected_ms, abs=1)
-
-
-def test_without_pictures_there_is_no_lead():
-    assert lead_of(DelaySums()) is None

@@ -93,10 +93,7 @@ def test_an_input_without_pictures_is_shown_with_its_fault(launcher):
         launcher.collector.handle_message(process, message(gauges), 9 * NS_PER_S)
     silent = "camera_left: no picture for 3 s (the writer has gone)"
     lines = [(line.plain, str(line.style)) for line in _inputs(launcher, launcher.collector)]
-    assert lines == [
-        (silent, "bold red"),
-        ("camera_right: garbage in the pipe", "yellow"),
-    ]
+    assert lines == [(silent, "bold red"), ("camera_right: garbage in the pipe", "yellow")]
     assert _line(launcher, launcher.collector).endswith(silent)
 
 
@@ -116,18 +113,6 @@ def test_no_name_and_no_number_is_cut_at_any_width(launcher, width):
     assert all(any(f" {name} " in line for line in lines) for name in names)
     assert width < 80 or "1234567890" in capture.get()
     assert width < 120 or all(heading in lines[1] for heading in ("p99 ms", "max 1 s", "age"))
-
-
-def test_the_first_line_names_session_link_radio_and_camera(launcher):
-    assert first_line(launcher, launcher.collector, 118) == (
-        "taskboard-7   10 s   link starting   radio cable   camera –"
-    )
-    assert first_line(launcher, launcher.collector, 35) == "taskboard-7   10 s   link starting"
-
-
-def test_a_dash_is_shown_before_the_first_sample(launcher):
-    (video,) = [line for line in table_of(launcher).splitlines() if "uplink_video" in line]
-    assert video.count("–") == 3
 
 
 def test_a_stop_on_request_is_shown_as_one_and_not_as_silence(launcher):

@@ -2,6 +2,7 @@
 
 import os
 import struct
+from fractions import Fraction
 from itertools import product
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.sources import check_spec, open_video
+from kontur_av.sources.fit import fitted_size
 
 #: Red at the top left, green beside it, blue below it.
 CORNERS = np.full((64, 64, 3), 128, np.uint8)
@@ -48,9 +50,12 @@ def rgb(picture):
     return frame.to_ndarray(format="rgb24", src_colorspace="ITU601", src_color_range="MPEG")
 
 
-def shown(path):
-    picture = empty_picture(64, 64)
-    source = open_video(str(path), name="v", width=64, height=64, fps=25, clock=ManualClock(0))
+def shown(path, size=(64, 64)):
+    picture = np.full_like(empty_picture(*size), 99)
+    width, height = size
+    source = open_video(
+        str(path), name="v", width=width, height=height, fps=25, clock=ManualClock(0)
+    )
     assert source.read(picture, NS_PER_S) is not None
     return picture
 
@@ -73,10 +78,7 @@ def test_colours_are_those_of_the_file(tmp_path, colorspace, full_range):
 ])  # fmt: skip
 def test_a_picture_is_turned_and_mirrored_as_its_matrix_says(tmp_path, a, b, c, d):
     one = 1 << 16
-    write(
-        tmp_path / "c.mp4",
-        matrix=[a * one, b * one, 0, c * one, d * one, 0, 0, 0, 1 << 30],
-    )
+    write(tmp_path / "c.mp4", matrix=[a * one, b * one, 0, c * one, d * one, 0, 0, 0, 1 << 30])
     wanted = np.zeros_like(CORNERS)
     for y, x in product((0, 32), repeat=2):
         right, down = a * (x - 16) + c * (y - 16), b * (x - 16) + d * (y - 16)
@@ -137,6 +139,10 @@ def test_pictures_of_other_strides_are_coded_alike_and_not_written_to():
 
     data = coded(picture)
     (decoded,) = H264Decoder().decode(data, 0)
+    # The stream says the colours that it has.
+    frame = decoded.frame
+    found = frame.colorspace, frame.color_primaries, frame.color_trc, frame.color_range
+    assert found == (6, 6, 6, 1)
     for view in views(picture):
         assert coded(view) == data
         with pytest.raises(ValueError, match="C-contiguous"):
@@ -147,33 +153,24 @@ def test_pictures_of_other_strides_are_coded_alike_and_not_written_to():
         planes(picture.astype(float))
 
 
-def test_the_stream_says_the_colours_that_it_has():
-    picture = empty_picture(1280, 720)
-    picture.fill(100)
-    encoder = H264Encoder(width=1280, height=720, fps=30, cap_bps=2_000_000)
-    unit = encoder.encode(VideoFrame(picture, CaptureStamp(0, 0, "t")))
-    (decoded,) = H264Decoder().decode(unit.data, 0)
-    frame = decoded.frame
-    assert (frame.colorspace, frame.color_primaries, frame.color_trc, frame.color_range) == (
-        6,
-        6,
-        6,
-        1,
-    )
+@pytest.mark.parametrize(
+    ("size", "aspect", "fitted"),
+    [
+        ((1280, 720), 1, (640, 360)),
+        ((480, 640), 1, (360, 480)),
+        ((720, 576), Fraction(16, 15), (640, 480)),
+        ((640, 480), 1, (640, 480)),
+        ((4000, 10), 1, (640, 2)),
+    ],
+)
+def test_the_shape_is_kept(size, aspect, fitted):
+    assert fitted_size(*size, Fraction(aspect), 640, 480) == fitted
 
 
-def test_a_drained_decoder_has_shown_every_picture(tmp_path):
-    codec = av.CodecContext.create("libx264", "w")
-    codec.width, codec.height, codec.pix_fmt = 64, 64, "yuv420p"
-    codec.framerate, codec.options = 25, {"bf": "3", "x264-params": "b-adapt=0:annexb=1"}
-    frames = []
-    for number in range(12):
-        frame = av.VideoFrame.from_ndarray(np.roll(CORNERS, 3 * number, 1), "rgb24")
-        frames.append(frame.reformat(format="yuv420p"))
-        frames[-1].pts = number
-    packets = [packet for frame in [*frames, None] for packet in codec.encode(frame)]
-    decoder = H264Decoder(reordered=True)
-    pictures = [p for packet in packets for p in decoder.decode(bytes(packet), packet.pts)]
-    assert len(pictures) < 12
-    pictures += decoder.drain()
-    assert [picture.timestamp for picture in pictures] == list(range(12))
+def test_letterbox_is_black_and_the_picture_in_the_middle(tmp_path):
+    write(tmp_path / "c.mkv")
+    luma, u, v = planes(shown(tmp_path / "c.mkv", (96, 64)))
+    assert (luma[:, :16] == 16).all() and (luma[:, 80:] == 16).all()
+    for chroma in (u, v):
+        assert (chroma[:, :8] == 128).all() and (chroma[:, 40:] == 128).all()
+    assert luma[:, 17:79].min() > 20

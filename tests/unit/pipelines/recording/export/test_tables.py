@@ -143,22 +143,14 @@ def test_channels_whose_names_fall_together_are_all_exported(tmp_path, written):
     names = {"/link/uplink/sent": "/a-b", "/link/uplink/received": "/a_b"}
     for channel in part.inventory.channels:
         channel.topic = names.get(channel.topic, channel.topic)
-    messages = [
-        message._replace(topic=names[message.topic])
-        for message in part.messages(0)
-        if message.topic in names
-    ]
     export = CsvExport(tmp_path / "csv", recording)
-    collector = TableCollector(recording.begin_ns)
     with Outputs(overwrite=False) as outputs:
         export.begin(outputs)
-        for message in messages:
-            export.handle_message(message)
-            collector.handle_message(message)
+        for message in part.messages(0):
+            if message.topic in names:
+                export.handle_message(message._replace(topic=names[message.topic]))
         export.end()
-    assert {"a_b", "a_b_2"} == {*collector.tables()}
-    lengths = [len((tmp_path / f"csv/{name}.csv").read_text()) for name in ("a_b", "a_b_2")]
-    assert min(lengths) > 1000
+    assert all((tmp_path / f"csv/{name}.csv").stat().st_size > 1000 for name in ("a_b", "a_b_2"))
 
 
 class Messages:
@@ -181,13 +173,13 @@ def settled_s(instants_s):
 WRONG_S = [0.0, 1400.0, 8600.0, 2**63 / S, 2**64 / S]
 
 
-@given(st.dictionaries(st.integers(1, 9), st.sampled_from(WRONG_S)))
+@given(st.dictionaries(st.sampled_from(range(10, 100, 10)), st.sampled_from(WRONG_S)))
 def test_single_instants_far_from_all_others_are_moved(wrong):
     right = [5000 + 0.01 * number for number in range(100)]
-    instants_s = [wrong.get(number / 10, at_s) for number, at_s in enumerate(right)]
+    instants_s = [wrong.get(number, at_s) for number, at_s in enumerate(right)]
     found_s, moved = settled_s(instants_s)
     assert found_s == pytest.approx(right, abs=1)
-    assert moved == [number / 10 in wrong for number in range(100)]
+    assert moved == [number in wrong for number in range(100)]
 
 
 @pytest.mark.parametrize("place", [0, -1])
@@ -195,8 +187,7 @@ def test_single_instants_far_from_all_others_are_moved(wrong):
 def test_the_first_and_the_last_instant_may_be_wrong(place, wrong_s):
     instants_s = [5000 + 0.01 * number for number in range(20)]
     instants_s[place] = wrong_s
-    found_s, _ = settled_s(instants_s)
-    assert found_s == pytest.approx([5000] * 20, abs=1)
+    assert settled_s(instants_s)[0] == pytest.approx([5000] * 20, abs=1)
 
 
 @given(st.lists(st.floats(0, 5000), min_size=1, max_size=99), st.integers(0, 20))

@@ -3,7 +3,6 @@
 import pytest
 
 from pipelines.bench.link import parse_cyclictest
-from pipelines.cli import main
 
 
 def test_the_output_of_cyclictest_is_parsed():
@@ -20,18 +19,3 @@ def test_the_output_of_cyclictest_is_parsed():
     }
     with pytest.raises(ValueError, match="no histogram"):
         parse_cyclictest("permission denied")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--seconds", "0"], "--seconds 0"),
-        (["--setup", "nowhere"], "nowhere"),
-        (["--report", "/nowhere/at/all.json"], "--report"),
-    ],
-)
-def test_mistakes_are_one_line(options, message, capsys):
-    assert main(["bench", "link", *options]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1

@@ -4,7 +4,6 @@ import pytest
 from partial_report import partial_report
 
 from pipelines.bench.latency import judge
-from pipelines.cli import main
 from pipelines.report.charts import lead_chart
 from pipelines.report.terms import TERMS
 
@@ -69,23 +68,3 @@ def test_a_bar_is_as_long_as_its_terms_and_terms_below_0_are_left_out():
     assert "85.0" in [text.get_text() for text in axes.texts]
     assert axes.get_xlim()[1] > 100
     assert "ms" in axes.get_xlabel()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--seconds", "0"], "--seconds 0"),
-        (["--live-seconds", "0.5"], "--live-seconds 0.5"),
-        (["--setup", "nowhere"], "nowhere"),
-        (["--radio", "nowhere"], "nowhere"),
-        (["--base-port", "80"], "base port 80"),
-        (["--report", "/nowhere/at/all.json"], "--report"),
-        (["--plot", "lead.jpg"], "--plot"),
-        (["--no-live", "--live-seconds", "3"], "--live-seconds"),
-    ],
-)
-def test_mistakes_are_one_line(options, message, capsys):
-    assert main(["bench", "latency", *options]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1

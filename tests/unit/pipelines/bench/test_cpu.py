@@ -1,0 +1,100 @@
+"""`kontur-av bench cpu`: figures, pairs of runs, and the refused options of every bench."""
+
+import json
+
+import pytest
+from places import ROOT
+
+from pipelines.bench import cpu
+from pipelines.bench.cpu import CpuResult, CpuRun, headlines, read_run
+from pipelines.cli import main
+
+
+def report(cpu_s, count=9):
+    latency = {"p50": 40.0, "p99": 60.0, "count": count}
+    streams = {"uplink_video": {"latency_ms": latency}}
+    return json.dumps({"seconds": 10.0, "cpu": {"total_s": cpu_s}, "streams": streams})
+
+
+def test_a_run_is_read_from_the_report_of_its_session():
+    assert read_run(report(12.0)) == CpuRun(cpu_s_per_s=1.2, video_p50_ms=40.0, video_p99_ms=60.0)
+    assert read_run(report(12.0, count=0)).video_p99_ms is None
+    with pytest.raises(KeyError, match="streams"):
+        read_run(b'{"seconds": 1.0}')
+
+
+def test_ratios_are_computed_for_each_pair():
+    def runs(*values):
+        return tuple(read_run(report(10 * value)) for value in values)
+
+    result = CpuResult("spacejustin", 10.0, runs(1.0, 0.8, 0.9), runs(1.25, 1.0, 1.0))
+    assert result.ratios == pytest.approx([0.8, 0.8, 0.9])
+    found = {(one.what, one.who): one.value for one in headlines(result)}
+    assert found["CPU time, this tree over the other", "pairs"] == pytest.approx(0.8)
+    assert found["CPU of a session second, all processes", "other tree"] == pytest.approx(1.0)
+    alone = headlines(CpuResult("spacejustin", 10.0, runs(1.0)))
+    assert [one.who for one in alone] == [""] * 3
+
+
+def test_two_trees_take_turns(tmp_path, monkeypatch, capsys):
+    other = tmp_path / "other"
+    (other / "pipelines").mkdir(parents=True)
+    (other / "pipelines" / "cli.py").touch()
+    asked = []
+
+    def live_report(words, *, seconds, tree=None):
+        asked.append(tree)
+        return report(10.0 if tree == other else 8.0)
+
+    monkeypatch.setattr(cpu, "live_report", live_report)
+    written = tmp_path / "cpu.json"
+    words = ["bench", "cpu", "--against", str(other), "--runs", "2", "--report", str(written)]
+    assert main(words) == 0
+    assert asked == [ROOT, other, ROOT, other]
+    assert "0.800 (0.800 to 0.800)" in capsys.readouterr().out
+    figures = json.loads(written.read_text())
+    assert [one["cpu_s_per_s"] for one in figures["against"]] == [1.0, 1.0]
+
+
+#: Options of a bench that contradict or cannot be, and what the refusal names.
+REFUSED = [
+    ("cpu --runs 0", "--runs 0"),
+    ("cpu --seconds 1", "--seconds 1"),
+    ("cpu --against /nowhere", "--against /nowhere"),
+    ("latency --seconds 0", "--seconds 0"),
+    ("latency --live-seconds 0.5", "--live-seconds 0.5"),
+    ("latency --radio nowhere", "nowhere"),
+    ("latency --base-port 80", "base port 80"),
+    ("latency --plot lead.jpg", "--plot"),
+    ("latency --no-live --live-seconds 3", "--live-seconds"),
+    ("link --seconds 0", "--seconds 0"),
+    ("sync --video a.mp4", ""),
+    ("sync --video a.mp4 --audio a.mp4 --seconds 5", "give one of them"),
+    ("sync --video a.mp4 --audio a.mp4 --offset-ms haptics=3", "--offset-ms"),
+    ("sync --video a.mp4 --audio a.mp4 --offset-ms video=soon", "--offset-ms"),
+    ("sync --video a.mp4 --audio a.mp4 --roi 1,2,3", "--roi"),
+    ("sync --offset-ms video=3", "--offset-ms"),
+    ("sync --seconds 1", "--seconds"),
+    ("sync --plot a.jpg", "--plot"),
+    ("video --seconds 0", "--seconds 0"),
+    ("video --seconds 9999", "--seconds 9999"),
+    ("video --cap-kbps 5", "--cap-kbps 5"),
+    ("video --cap-kbps 100", "--channel-kbps 88"),
+    ("video --clip nowhere.mp4", "nowhere.mp4"),
+    ("video --size 64x48", "--size 64x48"),
+    ("video --plot latency.jpg", "--plot"),
+    (f"video --clip {__file__} {__file__}", "there is another clip of this name"),
+    *((f"{bench} --setup nowhere", "nowhere") for bench in ("cpu", "latency", "link")),
+    *(
+        (f"{one} --report /nowhere/a.json", "--report")
+        for one in ("cpu", "latency", "link", "video")
+    ),
+]
+
+
+@pytest.mark.parametrize(("words", "named"), REFUSED, ids=[words for words, _ in REFUSED])
+def test_mistakes_are_one_line(words, named, capsys):
+    assert main(["bench", *words.split()]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("kontur-av: ") and named in error
+    assert error.count("\n") == 1
