@@ -85,13 +85,10 @@ class Mission:
     def __init__(self, source=None, settings=None):
         self.battery = source or Battery()
         self.table = application_of(self.battery, 0x140)
-        self.dictionary = with_components(
-            built_in_dictionary(), [Component("tests:Battery", self.table)]
-        )
-        self.ends = {
-            segment: TmtcEnd(segment, self.dictionary, now_ns=0, first_count=1, life=1)
-            for segment in Segment
-        }
+        known = built_in_dictionary()
+        self.dictionary = with_components(known, [Component("tests:Battery", self.table)])
+        life = {"now_ns": 0, "first_count": 1, "life": 1}
+        self.ends = {one: TmtcEnd(one, self.dictionary, **life) for one in Segment}
         self.now_ns, self.taken, self.number = 0, True, 0
         self.told = []
         self.packets = []
@@ -99,10 +96,8 @@ class Mission:
 
     def restart(self, settings):
         """Its process begins a new life."""
-        client = f"battery {self.now_ns}"
-        self.desk = ComponentDesk(
-            self.battery, self.table, now_ns=self.now_ns, client=client, settings=settings
-        )
+        life = {"now_ns": self.now_ns, "client": f"battery {self.now_ns}"}
+        self.desk = ComponentDesk(self.battery, self.table, settings=settings, **life)
 
     def ask(self, verb, name="", *arguments, application="battery", **more):
         """A telecommand from space; return its end once it is there."""
@@ -110,11 +105,8 @@ class Mission:
         request = SendCommand("test", self.number, application, verb, name, arguments, **more)
         self.ends[Segment.SPACE].handle_request(request, self.now_ns)
         self.run(2)
-        found = [
-            one
-            for one in self.told
-            if getattr(one, "client", "") == "test" and one.id == self.number and one.done
-        ]
+        mine = (one for one in self.told if getattr(one, "client", "") == "test")
+        found = [one for one in mine if one.id == self.number and one.done]
         return found[-1] if found else None
 
     def ends_event(self, application, event):
@@ -133,16 +125,14 @@ class Mission:
     def step(self):
         now_ns = self.now_ns
         self.desk.handle_time(now_ns)
-        while (request := self.desk.poll_transmit(now_ns)) is not None:
-            if not self.taken:
-                break
+        while (request := self.desk.poll_transmit(now_ns)) is not None and self.taken:
             self.ends[Segment.GROUND].handle_request(request, now_ns)
             self.desk.handle_sent(request, now_ns)
         for segment, end in self.ends.items():
-            while (octets := end.poll_transmit(now_ns)) is not None:
+            for octets in iter(lambda end=end: end.poll_transmit(now_ns), None):
                 self.packets.append(octets)
                 self.ends[segment.peer].handle_packet(octets, now_ns)
-            while (news := end.next_event()) is not None:
+            for news in iter(end.next_event, None):
                 self.told.append(news)
                 if segment is Segment.GROUND:
                     self.desk.handle_news(news, now_ns)

@@ -45,6 +45,11 @@ def new_bridge():
     return Bridge(TOPOLOGY, "test", wall_offset_ns=NS_PER_S, life=1)
 
 
+@pytest.fixture
+def bridge():
+    return new_bridge()
+
+
 def joined(bridge, *topics, now_ns=0, commands=True):
     """A client that has subscribed these channels, each by its channel's number."""
     number = bridge.handle_opened(commands=commands)
@@ -59,7 +64,7 @@ def taken(bridge, number):
     """Texts as tables, and messages of channels as (topic, log time, data)."""
     topics = {channel: topic for topic, channel in CHANNELS.items()}
     found = []
-    while (message := bridge.poll_transmit(number)) is not None:
+    for message in iter(lambda: bridge.poll_transmit(number), None):
         if isinstance(message, str):
             found.append(json.loads(message))
         else:
@@ -78,10 +83,8 @@ def units(count):
         stamp = CaptureStamp(number * NS_PER_S // 30, number, "test")
         unit = encoder.encode(VideoFrame(picture, stamp))
         width, height = encoder.unit_size
-        yield (
-            CodedUnit(data=unit.data, key=unit.keyframe, dated=True, width=width, height=height),
-            stamp,
-        )
+        size = {"width": width, "height": height}
+        yield CodedUnit(data=unit.data, key=unit.keyframe, dated=True, **size), stamp
 
 
 def show(bridge, unit, stamp, *, keys=True):
@@ -93,6 +96,10 @@ def show(bridge, unit, stamp, *, keys=True):
     bridge.handle_time(now_ns)
 
 
+def hevc(data, **fields):
+    return CodedUnit(data=data, codec="h265", width=160, height=128, **fields)
+
+
 def pictures(messages):
     decoder, shown = H264Decoder(), 0
     for _, _, data in messages:
@@ -100,8 +107,7 @@ def pictures(messages):
     return shown
 
 
-def test_who_joins_late_begins_with_a_key_picture_of_which_others_hear_nothing():
-    bridge = new_bridge()
+def test_who_joins_late_begins_with_a_key_picture_of_which_others_hear_nothing(bridge):
     first, late = joined(bridge, VIDEO), None
     of_first, of_late = [], []
     for unit, stamp in units(40):
@@ -114,16 +120,11 @@ def test_who_joins_late_begins_with_a_key_picture_of_which_others_hear_nothing()
     facts = [unpack(UnitFacts, data) for topic, _, data in of_late if topic.endswith("facts")]
     of_late = [one for one in of_late if one[0] == VIDEO]
     assert len(of_late) == pictures(of_late) == 21
-    assert [one.added for one in sorted(facts, key=lambda one: not one.added)] == [
-        True,
-        *[False] * 20,
-    ]
-    assert [one[1] for one in of_late[2:]] == [one[1] for one in of_first[21:]]
+    assert sorted(one.added for one in facts) == [False] * 20 + [True]
     assert of_late[2:] == of_first[21:]
 
 
-def test_after_a_refused_unit_of_hevc_clients_begin_again_with_the_next_key_picture():
-    bridge = new_bridge()
+def test_after_a_refused_unit_of_hevc_clients_begin_again_with_the_next_key_picture(bridge):
     reader = joined(bridge, VIDEO)
     coder = H265Encoder(width=160, height=128, fps=30, cap_bps=200_000, refresh_s=60)
     picture = empty_picture(160, 128)
@@ -132,15 +133,8 @@ def test_after_a_refused_unit_of_hevc_clients_begin_again_with_the_next_key_pict
     for number in range(30):
         stamp = CaptureStamp(number * NS_PER_S // 30, number, "test")
         unit = coder.encode(VideoFrame(picture, stamp), Coding(keyframe=number == 20))
-        sent = CodedUnit(
-            data=unit.data,
-            key=unit.keyframe,
-            refused=number in (10, 11),
-            codec="h265",
-            width=160,
-            height=128,
-        )
-        show(bridge, sent, stamp)
+        refused = number in (10, 11)
+        show(bridge, hevc(unit.data, key=unit.keyframe, refused=refused), stamp)
         for _, _, data in taken(bridge, reader):
             shown += len(decoder.decode(unpack(RecordedPicture, data).data, number))
     assert shown == 20
@@ -184,11 +178,8 @@ def test_a_client_that_joins_hevc_is_seen_as_a_new_reader_until_it_has_a_key_pic
         now_ns = number * NS_PER_S // 30
         if number in (5, 15):
             joined(bridge, VIDEO, now_ns=now_ns)
-        unit = CodedUnit(
-            data=b"\0\0\1\x02\x01x", key=number in (0, 10, 20), codec="h265", width=160, height=128
-        )
-        stamp = CaptureStamp(now_ns, number, "test")
-        bus.published.append(Sample(unit.pack(), stamp))
+        unit = hevc(b"\0\0\1\x02\x01x", key=number in (0, 10, 20))
+        bus.published.append(Sample(unit.pack(), CaptureStamp(now_ns, number, "test")))
         topics.read(now_ns)
         readers.append(bus.readers[SENT])
     assert readers == [1] * 5 + [2] * 5 + [1] * 5 + [2] * 5 + [1] * 10
@@ -196,8 +187,7 @@ def test_a_client_that_joins_hevc_is_seen_as_a_new_reader_until_it_has_a_key_pic
     assert not +bus.readers
 
 
-def test_who_reads_nothing_loses_the_oldest_and_begins_anew():
-    bridge = new_bridge()
+def test_who_reads_nothing_loses_the_oldest_and_begins_anew(bridge):
     slow, fast = joined(bridge, VIDEO), joined(bridge, VIDEO)
     of_fast, of_slow = [], []
     for unit, stamp in units(150):
@@ -217,25 +207,18 @@ def test_who_reads_nothing_loses_the_oldest_and_begins_anew():
     assert figures.kept + figures.dropped == 2 * 150 + 1 and figures.dropped > 55
 
 
-def test_figures_and_events_come_whole_to_who_joins_late():
-    bridge = new_bridge()
+def test_figures_and_events_come_whole_to_who_joins_late(bridge):
     event = Event(number=1, at_us=3, what="link", text="signal")
     bridge.handle_told(SessionEvents(at_us=5, events=[event], figures={"a": 1, "b": "x"}), 0)
     number = joined(bridge)
     bridge.handle_text(number, '{"op":"subscribeParameterUpdates","parameterNames":[]}', 0)
     bridge.handle_told(SessionEvents(at_us=6, events=[], figures={"a": 2, "b": "x"}), 0)
-    assert taken(bridge, number) == [
-        {"op": "parameterValues", "parameters": [{"name": "figures.a", "value": 2}]}
-    ]
+    changed = [{"name": "figures.a", "value": 2}]
+    assert taken(bridge, number) == [{"op": "parameterValues", "parameters": changed}]
     bridge.handle_text(number, '{"op":"getParameters","parameterNames":["setup.name"],"id":"q"}', 0)
-    assert taken(bridge, number) == [
-        {
-            "op": "parameterValues",
-            "id": "q",
-            "parameters": [{"name": "setup.name", "value": "spacejustin"}],
-        }
-    ]
-    subscriptions = [{"id": 1, "channelId": CHANNELS[one]} for one in ("/log",)]
+    named = [{"name": "setup.name", "value": "spacejustin"}]
+    assert taken(bridge, number) == [{"op": "parameterValues", "id": "q", "parameters": named}]
+    subscriptions = [{"id": 1, "channelId": CHANNELS["/log"]}]
     bridge.handle_text(number, json.dumps({"op": "subscribe", "subscriptions": subscriptions}), 0)
     assert len(taken(bridge, number)) == 1
 
@@ -244,8 +227,7 @@ def call(service, text, number=9):
     return struct.pack("<BIII", 2, service, number, 4) + b"json" + text.encode()
 
 
-def test_a_service_is_a_telecommand_that_who_only_watches_may_not_send():
-    bridge = new_bridge()
+def test_a_service_is_a_telecommand_that_who_only_watches_may_not_send(bridge):
     watcher, number = joined(bridge, commands=False), joined(bridge)
     bridge.handle_octets(watcher, call(1, '{"camera": "head"}'), 0)
     assert taken(bridge, watcher)[0]["op"] == "serviceCallFailure"
@@ -257,9 +239,8 @@ def test_a_service_is_a_telecommand_that_who_only_watches_may_not_send():
     segment, command = bridge.services.poll_transmit(0)
     assert (segment, command.application, command.name) == (Segment.SPACE, "camera", "select")
     assert command.arguments == ("head",)
-    update = CommandUpdate(
-        command.client, command.id, "camera", "completed", done=True, ok=True, verified=True
-    )
+    ended = {"done": True, "ok": True, "verified": True}
+    update = CommandUpdate(command.client, command.id, "camera", "completed", **ended)
     bridge.services.handle_update(segment, update)
     bridge.handle_time(0)
     answer = bridge.poll_transmit(number)
@@ -270,16 +251,14 @@ def test_a_service_is_a_telecommand_that_who_only_watches_may_not_send():
 def test_garbage_is_refused(garbage):
     bridge = new_bridge()
     number = joined(bridge)
-    if isinstance(garbage, bytes):
-        with pytest.raises(ProtocolError):
+    with pytest.raises(ProtocolError):
+        if isinstance(garbage, bytes):
             bridge.handle_octets(number, b"\x01" + garbage, 0)
-    else:
-        with pytest.raises(ProtocolError):
+        else:
             bridge.handle_text(number, garbage, 0)
 
 
-def test_who_asks_without_reading_is_closed():
-    bridge = new_bridge()
+def test_who_asks_without_reading_is_closed(bridge):
     number = joined(bridge)
     with pytest.raises(ProtocolError):
         for _ in range(100):

@@ -4,14 +4,8 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
-from pipelines.media.following import (
-    AGAIN_NS,
-    CHOICE_OCTETS,
-    CameraFollower,
-    Choice,
-    pack_confirmed,
-    unpack_confirmed,
-)
+from pipelines.media import following
+from pipelines.media.following import AGAIN_NS, CameraFollower, Choice
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValues
@@ -25,124 +19,123 @@ CAMERAS = BUILT_IN["spacejustin"].cameras
 SUPERSEDED = "a later request came"
 
 
-def choice_at(now_ns, selected=""):
-    return CameraChoice(CAMERAS, Probe(), now_ns=now_ns, selected=selected)
+class Selection:
+    """A choice of cameras and the sender that follows it."""
+
+    def __init__(self, selected="", now_ns=0, follower=None):
+        self.choice = CameraChoice(CAMERAS, Probe(), now_ns=now_ns, selected=selected)
+        self.follower = follower or CameraFollower()
+
+    def tell(self, now_ns):
+        """The sender hears the choice; True if it is to follow another camera."""
+        return self.follower.handle_choice(self.choice.poll_choice(now_ns))
+
+    def confirm(self, now_ns):
+        self.choice.handle_confirmed(self.follower.poll_confirmed(now_ns))
+
+    def ask(self, camera, token, now_ns):
+        asked = FunctionAsked("camera", token, "select", (camera,))
+        return self.choice.handle_asked(asked, now_ns)
+
+    def answers(self):
+        """By token: why it was refused, or ""."""
+        requests = iter(self.choice.next_event, None)
+        return {one.token: one.refusal for one in requests if isinstance(one, FunctionDone)}
 
 
-def told(choice, follower, now_ns):
-    """The sender hears the choice; True if it is to follow another camera."""
-    return follower.handle_choice(choice.poll_choice(now_ns))
+@pytest.fixture
+def one():
+    return Selection()
 
 
-def confirm(choice, follower, now_ns):
-    choice.handle_confirmed(follower.poll_confirmed(now_ns))
-
-
-def answered(choice):
-    """By token: why it was refused, or ""."""
-    found = {}
-    while (request := choice.next_event()) is not None:
-        if isinstance(request, FunctionDone):
-            found[request.token] = request.refusal
-    return found
-
-
-def ask(choice, camera, token, now_ns):
-    return choice.handle_asked(FunctionAsked("camera", token, "select", (camera,)), now_ns)
-
-
-def test_the_completion_waits_until_the_sender_has_left_the_camera():
-    choice, follower = choice_at(0), CameraFollower()
-    assert told(choice, follower, 0)
-    confirm(choice, follower, 1)
+def test_the_completion_waits_until_the_sender_has_left_the_camera(one):
+    choice, follower = one.choice, one.follower
+    assert one.tell(0)
+    one.confirm(1)
     assert choice.next_event() == SetValues("camera", {"camera": "stereo"})
-    assert ask(choice, "static", 1, 10)
+    assert one.ask("static", 1, 10)
     assert choice.next_event() is None
-    assert told(choice, follower, 10)
+    assert one.tell(10)
     assert follower.camera == "static"
     assert follower.leaving and follower.poll_confirmed(11) is None
     assert not follower.handle_sender(idle=False)
     # Another telecommand for the same camera is not completed earlier.
-    assert not ask(choice, "static", 2, 20)
+    assert not one.ask("static", 2, 20)
     assert choice.next_event() is None
     assert follower.handle_sender(idle=True)
-    confirm(choice, follower, 30)
+    one.confirm(30)
     assert choice.next_event() == SetValues("camera", {"camera": "static"})
-    assert answered(choice) == {1: "", 2: ""}
+    assert one.answers() == {1: "", 2: ""}
     # The camera is already selected.
-    assert not ask(choice, "static", 3, 40)
-    assert answered(choice) == {3: ""}
-    assert not ask(choice, "nowhere", 4, 50)
-    assert answered(choice) == {4: f"unknown camera nowhere: choose one of {', '.join(CAMERAS)}"}
+    assert not one.ask("static", 3, 40)
+    assert one.answers() == {3: ""}
+    assert not one.ask("nowhere", 4, 50)
+    assert one.answers() == {4: f"unknown camera nowhere: choose one of {', '.join(CAMERAS)}"}
 
 
-def test_a_later_request_ends_an_earlier_one():
-    choice, follower = choice_at(0), CameraFollower()
-    told(choice, follower, 0)
+def test_a_later_request_ends_an_earlier_one(one):
+    choice, follower = one.choice, one.follower
+    one.tell(0)
     first = follower.poll_confirmed(0)
-    ask(choice, "static", 1, 10)
-    ask(choice, "head", 2, 11)
-    assert answered(choice) == {1: SUPERSEDED}
+    one.ask("static", 1, 10)
+    one.ask("head", 2, 11)
+    assert one.answers() == {1: SUPERSEDED}
     # An old confirmation completes nothing new.
     choice.handle_confirmed(first)
-    assert answered(choice) == {}
-    told(choice, follower, 12)
+    assert one.answers() == {}
+    one.tell(12)
     follower.handle_sender(idle=True)
-    confirm(choice, follower, 13)
-    assert answered(choice) == {2: ""}
+    one.confirm(13)
+    assert one.answers() == {2: ""}
     # A task on the ground does so, too.
-    ask(choice, "static", 3, 20)
+    one.ask("static", 3, 20)
     assert choice.select("stereo", 21)
-    assert answered(choice) == {3: SUPERSEDED}
+    assert one.answers() == {3: SUPERSEDED}
     assert not choice.select("stereo", 22)
     assert not choice.select("nowhere", 23)
 
 
-def test_a_restarted_selector_waits_for_its_own_number():
-    before, follower = choice_at(0), CameraFollower()
-    told(before, follower, 0)
-    old = follower.poll_confirmed(0)
+def test_a_restarted_selector_waits_for_its_own_number(one):
+    one.tell(0)
+    old = one.follower.poll_confirmed(0)
     # It was killed after it kept the choice and before it published it.
-    after = choice_at(1000, "static")
-    after.handle_confirmed(old)
-    ask(after, "static", 5, 1002)
-    assert answered(after) == {}
-    told(after, follower, 1002)
-    assert follower.leaving
-    follower.handle_sender(idle=True)
-    confirm(after, follower, 1003)
-    assert answered(after) == {5: ""}
+    after = Selection("static", 1000, one.follower)
+    after.choice.handle_confirmed(old)
+    after.ask("static", 5, 1002)
+    assert after.answers() == {}
+    after.tell(1002)
+    assert after.follower.leaving
+    after.follower.handle_sender(idle=True)
+    after.confirm(1003)
+    assert after.answers() == {5: ""}
 
 
-def test_a_restarted_sender_confirms_the_first_choice_that_it_receives():
-    choice = choice_at(0)
-    ask(choice, "static", 1, 10)
-    successor = CameraFollower()
-    assert successor.poll_confirmed(10) is None
-    assert told(choice, successor, 15)
-    confirm(choice, successor, 20)
-    assert answered(choice) == {1: ""}
+def test_a_restarted_sender_confirms_the_first_choice_that_it_receives(one):
+    one.ask("static", 1, 10)
+    assert one.follower.poll_confirmed(10) is None
+    assert one.tell(15)
+    one.confirm(20)
+    assert one.answers() == {1: ""}
 
 
-def test_choice_and_confirmation_are_told_again_after_a_while_and_at_once_if_new():
-    choice, follower = choice_at(0), CameraFollower()
+def test_choice_and_confirmation_are_told_again_after_a_while_and_at_once_if_new(one):
+    choice, follower = one.choice, one.follower
     assert choice.poll_timeout() == 0
-    assert told(choice, follower, 0)
+    assert one.tell(0)
     assert choice.poll_choice(AGAIN_NS - 1) is None
     assert choice.poll_timeout() == AGAIN_NS
     assert choice.poll_choice(AGAIN_NS) == Choice(0, "stereo")
     assert follower.poll_confirmed(7) == 0
     assert follower.poll_confirmed(7 + AGAIN_NS - 1) is None
     assert follower.poll_confirmed(7 + AGAIN_NS) == 0
-    ask(choice, "static", 1, AGAIN_NS + 1)
+    one.ask("static", 1, AGAIN_NS + 1)
     assert choice.poll_timeout() == 0
     assert choice.poll_choice(AGAIN_NS + 1) == Choice(AGAIN_NS + 1, "static")
 
 
-def test_functions_of_other_applications_are_left_alone():
-    choice = choice_at(0)
-    assert not choice.handle_asked(FunctionAsked("tasks", 1, "select", (1,)), 0)
-    assert choice.next_event() is None
+def test_functions_of_other_applications_are_left_alone(one):
+    assert not one.choice.handle_asked(FunctionAsked("tasks", 1, "select", (1,)), 0)
+    assert one.choice.next_event() is None
 
 
 def test_the_dictionary_of_a_session_knows_its_cameras():
@@ -168,5 +161,5 @@ def test_pictures_of_all_cameras_are_numbered_without_a_gap():
 def test_choices_and_confirmations_survive_packing():
     choice = Choice(1 << 60, "c" * 64)
     assert Choice.unpack(choice.pack()) == choice
-    assert len(choice.pack()) <= CHOICE_OCTETS
-    assert unpack_confirmed(pack_confirmed(1 << 60)) == 1 << 60
+    assert len(choice.pack()) <= following.CHOICE_OCTETS
+    assert following.unpack_confirmed(following.pack_confirmed(1 << 60)) == 1 << 60

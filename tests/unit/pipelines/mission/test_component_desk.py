@@ -7,25 +7,27 @@ from pipelines.mission.tmtc_messages import Reported
 from telepresence.tmtc.telemetry_source import FunctionCall, TelemetryReading
 
 
+@pytest.fixture
+def mission():
+    return Mission()
+
+
 def reported(mission, kind):
     return [one for one in mission.told if isinstance(one, Reported) and one.kind == kind]
 
 
-def test_values_come_as_housekeeping_and_when_they_are_asked_for():
-    mission = Mission()
+def test_values_come_as_housekeeping_and_when_they_are_asked_for(mission):
     mission.battery.values = {"voltage": 12.25, "limit": 20}
     mission.run(2)
-    (report, *_) = [
-        one for one in reported(mission, "housekeeping") if one.application == "battery"
-    ]
+    reports = reported(mission, "housekeeping")
+    (report, *_) = [one for one in reports if one.application == "battery"]
     assert report.values == {"voltage": 12.25, "limit": 20}
     assert mission.ask("parameters", "", "voltage").ok
     assert reported(mission, "parameters")[-1].values == {"voltage": 12.25}
     assert not mission.ask("parameters", "", "target").ok  # it never had a value
 
 
-def test_a_function_is_carried_out_with_its_arguments_by_name_and_may_refuse():
-    mission = Mission()
+def test_a_function_is_carried_out_with_its_arguments_by_name_and_may_refuse(mission):
     assert mission.ask("call", "recharge", 12.5).ok
     assert mission.battery.calls == [("recharge", {"target": 12.5})]
     mission.battery.answer = "no charger"
@@ -34,8 +36,7 @@ def test_a_function_is_carried_out_with_its_arguments_by_name_and_may_refuse():
     assert mission.figures().faults == 0
 
 
-def test_what_a_function_raises_is_its_refusal_and_ends_nothing():
-    mission = Mission()
+def test_what_a_function_raises_is_its_refusal_and_ends_nothing(mission):
     mission.battery.answer = OSError("no such port\nat all")
     assert mission.ask("call", "recharge", 12.5).reason == "OSError: no such port"
     figures = mission.figures()
@@ -44,25 +45,17 @@ def test_what_a_function_raises_is_its_refusal_and_ends_nothing():
     assert mission.ask("call", "recharge", 12.5).ok
 
 
-@pytest.mark.parametrize(
-    ("value", "reason"),
-    [
-        (11.0, "target is 11: give at least 11.1 and at most 14.4"),
-        (float("nan"), "target is nan: give at least 11.1 and at most 14.4"),
-        (float("inf"), "target is inf: give at least 11.1 and at most 14.4"),
-    ],
-)
-def test_an_argument_outside_of_its_range_is_refused_at_acceptance(value, reason):
-    mission = Mission()
-    assert mission.ask("call", "recharge", value).reason == reason
+def test_an_argument_outside_of_its_range_is_refused_at_acceptance(mission):
+    for value in (11.0, float("nan"), float("inf")):
+        line = f"target is {value:g}: give at least 11.1 and at most 14.4"
+        assert mission.ask("call", "recharge", value).reason == line
     assert mission.battery.calls == []
     # The limits themselves are within, although no single-precision number is exactly 11.1.
     assert mission.ask("call", "recharge", 11.1).ok
     assert mission.ask("call", "recharge", 14.4).ok
 
 
-def test_what_a_telecommand_has_set_outlives_the_process():
-    mission = Mission()
+def test_what_a_telecommand_has_set_outlives_the_process(mission):
     assert mission.ask("set", values={"limit": 30}).ok
     assert mission.battery.settings == [("limit", 30)]
     refused = mission.ask("set", values={"limit": 41})
@@ -74,8 +67,7 @@ def test_what_a_telecommand_has_set_outlives_the_process():
     assert reported(mission, "parameters")[-1].values == {"limit": 30}
 
 
-def test_its_own_events_and_those_of_its_limits_are_reported_and_kept_for_the_report():
-    mission = Mission()
+def test_its_own_events_and_those_of_its_limits_are_reported_and_kept_for_the_report(mission):
     mission.battery.raised = ["opened"]
     mission.run(1)
     mission.battery.values = {"voltage": 11.0}
@@ -86,20 +78,16 @@ def test_its_own_events_and_those_of_its_limits_are_reported_and_kept_for_the_re
     assert [one.what for one in mission.figures().events] == ["opened", "low: voltage 11 V"]
 
 
-def test_a_value_at_its_limit_raises_no_second_event_before_it_has_come_back():
-    mission = Mission()
-    for voltage_v in (11.0, 11.0, 11.15, 11.0, 11.15, 11.0, 11.0):
-        mission.battery.values = {"voltage": voltage_v}
-        mission.run(1)
-    assert [one[1] for one in mission.battery.heard] == ["low"]
-    for voltage_v in (12.0, 12.0, 11.0, 11.0):
-        mission.battery.values = {"voltage": voltage_v}
-        mission.run(1)
-    assert [one[1] for one in mission.battery.heard] == ["low", "low"]
+def test_a_value_at_its_limit_raises_no_second_event_before_it_has_come_back(mission):
+    below = (11.0, 11.0, 11.15, 11.0, 11.15, 11.0, 11.0)
+    for voltages_v, events in ((below, ["low"]), ((12.0, 12.0, 11.0, 11.0), ["low", "low"])):
+        for voltage_v in voltages_v:
+            mission.battery.values = {"voltage": voltage_v}
+            mission.run(1)
+        assert [one[1] for one in mission.battery.heard] == events
 
 
-def test_an_action_follows_an_event_also_of_another_application():
-    mission = Mission()
+def test_an_action_follows_an_event_also_of_another_application(mission):
     mission.battery.follows = recharges
     mission.battery.raised = ["opened"]
     mission.run(1)
@@ -123,8 +111,7 @@ def test_an_action_follows_an_event_also_of_another_application():
         lambda event: 7,
     ],
 )
-def test_an_exception_after_an_event_is_counted_told_and_ends_nothing(follows):
-    mission = Mission()
+def test_an_exception_after_an_event_is_counted_told_and_ends_nothing(mission, follows):
     mission.battery.follows = follows
     mission.battery.raised = ["opened"]
     mission.run(1)
@@ -134,23 +121,20 @@ def test_an_exception_after_an_event_is_counted_told_and_ends_nothing(follows):
     assert mission.ask("call", "recharge", 12.5).ok
 
 
-def test_neither_events_nor_actions_storm():
-    mission = Mission()
+def test_neither_events_nor_actions_storm(mission):
     mission.battery.follows = lambda event: [FunctionCall("battery", "recharge", (12.0,))] * 20
     mission.battery.read = lambda: TelemetryReading({"voltage": 12.0}, ["opened"] * 100)
     mission.run(20)
     figures = mission.figures()
-    opened = [one for one in mission.told if isinstance(one, Reported) and one.kind == "event"]
     # Eight at once, then one a second.
-    assert 8 < len(opened) / 2 <= 8 + 21
+    assert 8 < len(reported(mission, "event")) / 2 <= 8 + 21
     assert 8 < figures.actions <= 8 + 21
     assert figures.events_dropped > 500 and figures.actions_dropped > 100
     # Telecommands of others still come through.
     assert mission.ask("ping").ok
 
 
-def test_what_no_table_has_and_unfit_values_are_faults_and_the_rest_is_told():
-    mission = Mission()
+def test_what_no_table_has_and_unfit_values_are_faults_and_the_rest_is_told(mission):
     mission.battery.values = {"voltage": 12.5, "limit": None, "amps": 3.0}
     mission.battery.raised = ["exploded"]
     mission.run(1)
@@ -159,8 +143,7 @@ def test_what_no_table_has_and_unfit_values_are_faults_and_the_rest_is_told():
     assert "exploded" in str([one.what for one in mission.figures().events])
 
 
-def test_a_component_that_says_nothing_is_reported_no_more():
-    mission = Mission()
+def test_a_component_that_says_nothing_is_reported_no_more(mission):
     mission.run(3)
     assert mission.ask("report", "report_1").ok is False  # limit has no value
     mission.battery.values = {"voltage": 12.0, "limit": 1}
@@ -175,8 +158,7 @@ def test_a_component_that_says_nothing_is_reported_no_more():
     assert "no value yet" in mission.ask("parameters", "", "voltage").reason
 
 
-def test_events_wait_for_an_end_that_is_started_again_and_a_late_action_is_given_up():
-    mission = Mission()
+def test_events_wait_for_an_end_that_is_started_again_and_a_late_action_is_given_up(mission):
     mission.run(1)
     mission.taken = False
     mission.battery.raised = ["opened"]

@@ -38,9 +38,9 @@ class Ground:
 
     def look(self, seconds=1, **changes):
         """The launcher tells all states once a second, with changes of some."""
-        news = []
         for name, change in changes.items():
             self.states[name] = ProcessState(name=name, **({"state": "running"} | change))
+        news = []
         for _ in range(seconds):
             self.now_ns += S
             self.supervisor.handle_told(list(self.states.values()), self.now_ns)
@@ -48,11 +48,10 @@ class Ground:
         return news
 
     def work(self):
-        news = []
-        while (done := self.supervisor.next_event()) is not None:
+        for done in iter(self.supervisor.next_event, None):
             self.end.handle_request(done, self.now_ns)
-        while self.end.poll_transmit(self.now_ns) is not None:
-            pass
+        list(iter(lambda: self.end.poll_transmit(self.now_ns), None))
+        news = []
         for one in iter(self.end.next_event, None):
             news.append(one)
             if isinstance(one, FunctionAsked):
@@ -61,13 +60,19 @@ class Ground:
         self.orders += iter(self.supervisor.poll_transmit, None)
         return news
 
-    def command(self, function, process):
+    def ask(self, verb, name, *arguments):
         self.number += 1
-        request = SendCommand(
-            "test", self.number, "ground_supervisor", "call", function, (process,)
-        )
+        request = SendCommand("test", self.number, "ground_supervisor", verb, name, arguments)
         self.end.handle_request(request, self.now_ns)
         return self.work()
+
+
+@pytest.fixture
+def ground():
+    """After its first look."""
+    found = Ground()
+    found.look()
+    return found
 
 
 def events(news):
@@ -78,38 +83,26 @@ def ends(news):
     return [(one.id, one.ok) for one in news if isinstance(one, CommandUpdate) and one.done]
 
 
-def test_a_stop_is_completed_once_the_process_has_stopped_and_a_start_once_it_runs():
-    ground = Ground()
-    ground.look()
-    assert ends(ground.command("stop", "camera_head")) == []
+def test_a_stop_is_completed_once_the_process_has_stopped_and_a_start_once_it_runs(ground):
+    assert ends(ground.ask("call", "stop", "camera_head")) == []
     assert ground.orders == [ProcessOrder("camera_head", run=False)]
     assert ends(ground.look()) == []
     news = ground.look(camera_head={"state": "stopped"})
     assert (events(news), ends(news)) == (["camera_head_changed"], [(1, True)])
-    assert ends(ground.command("start", "camera_head")) == []
+    assert ends(ground.ask("call", "start", "camera_head")) == []
     assert ground.orders[1:] == [ProcessOrder("camera_head", run=True)]
     assert ends(ground.look(camera_head={})) == [(2, True)]
 
 
-def test_a_later_order_for_a_process_ends_the_earlier_one():
-    ground = Ground()
-    ground.look()
-    ground.command("stop", "camera_head")
-    assert ends(ground.command("start", "camera_head")) == [(1, False)]
+def test_a_later_order_for_a_process_ends_the_earlier_one(ground):
+    ground.ask("call", "stop", "camera_head")
+    assert ends(ground.ask("call", "start", "camera_head")) == [(1, False)]
 
 
-@pytest.mark.parametrize("process", ["robot", "selector", "ground_gateway", "page_ground", "x"])
-def test_what_the_safety_rules_need_cannot_be_stopped(process):
-    ground = Ground()
-    ground.look()
-    assert ends(ground.command("stop", process)) == [(1, False)]
-    assert ground.orders == []
-
-
-def test_what_this_session_does_not_have_is_neither_stopped_nor_started():
-    ground = Ground()
-    ground.look()
-    assert ends(ground.command("stop", "leds")) == [(1, False)]
+def test_neither_what_the_safety_rules_need_nor_what_is_not_there_can_be_stopped(ground):
+    names = ("robot", "selector", "ground_gateway", "page_ground", "x", "leds")
+    for number, process in enumerate(names, 1):
+        assert ends(ground.ask("call", "stop", process)) == [(number, False)]
     assert ground.orders == []
 
 
@@ -121,9 +114,7 @@ def test_every_other_process_of_an_end_may_be_stopped():
     assert more == KEPT | {"owner_desk"}
 
 
-def test_an_end_that_nobody_asked_for_is_off_nominal():
-    ground = Ground()
-    ground.look()
+def test_an_end_that_nobody_asked_for_is_off_nominal(ground):
     news = ground.look(leds={"state": "running", "restarts": 1}, stereo={"restarts": 1})
     assert events(news) == ["leds_changed", "leds_off_nominal", "stereo_off_nominal"]
 
@@ -131,9 +122,8 @@ def test_an_end_that_nobody_asked_for_is_off_nominal():
 @pytest.mark.parametrize(
     "ill", [{"age_ms": 3_100.0}, {"loop": LoopFigures(cycles=900, slips=100)}, {"cpu_s": 9.0}]
 )
-def test_a_silent_a_slipping_and_a_busy_process_are_off_nominal_once_it_lasts(ill):
-    ground = Ground()
-    ground.look(5)
+def test_a_silent_a_slipping_and_a_busy_process_are_off_nominal_once_it_lasts(ground, ill):
+    ground.look(4)
     found = []
     for second in range(1, 6):
         state = dict(ill)
@@ -145,20 +135,14 @@ def test_a_silent_a_slipping_and_a_busy_process_are_off_nominal_once_it_lasts(il
     assert found == ["robot_off_nominal"]
 
 
-def test_housekeeping_has_the_figures_of_every_process_of_the_end():
-    ground = Ground()
+def test_housekeeping_has_the_figures_of_every_process_of_the_end(ground):
     loop = LoopFigures(cycles=9_990, slips=10)
     for number in (1, 2):
-        request = SendCommand(
-            "test", number, "ground_supervisor", "housekeeping_on", f"processes_{number}"
-        )
-        ground.end.handle_request(request, ground.now_ns)
-    ground.work()
+        ground.ask("housekeeping_on", f"processes_{number}")
     news = ground.look(11, robot={"restarts": 2, "cpu_s": 1.5, "age_ms": 400.0, "loop": loop})
     values = {}
     for one in news:
-        if isinstance(one, Reported) and one.kind == "housekeeping":
-            values |= one.values
+        values |= one.values if getattr(one, "kind", "") == "housekeeping" else {}
     rows = [row for row in TOPOLOGY.supervised if row.segment is Segment.GROUND]
     assert {f"{row.name}_state" for row in rows} <= set(values)
     robot = {name: value for name, value in values.items() if name.startswith("robot_")}
@@ -184,10 +168,9 @@ def test_both_machines_of_a_session_have_the_same_tables():
 
 
 def test_cameras_of_any_name_have_parameters_of_their_own():
-    setup = BUILT_IN["taskboard"]
-    setup = replace(
-        setup, cameras=("a b", "a-b"), sources={"a b": "scene:static", "a-b": "scene:static"}
-    )
+    names = ("a b", "a-b")
+    sources = dict.fromkeys(names, "scene:static")
+    setup = replace(BUILT_IN["taskboard"], cameras=names, sources=sources)
     dictionary = session_dictionary(built_in_dictionary(), topology_of(setup))
     table = dictionary.application("ground_supervisor")
     assert table.parameter("camera_a_b_state") != table.parameter("camera_a_b__state")

@@ -40,13 +40,45 @@ class Space:
         return self.news()
 
     def news(self):
-        while self.end.poll_transmit(self.now_ns) is not None:
-            pass
+        list(iter(lambda: self.end.poll_transmit(self.now_ns), None))
         return list(iter(self.end.next_event, None))
+
+    def ask(self, application, verb, name, *arguments):
+        request = SendCommand("test", 1, application, verb, name, arguments)
+        self.end.handle_request(request, self.now_ns)
+        return self.news()
+
+
+@pytest.fixture
+def space():
+    return Space()
+
+
+@pytest.fixture
+def ground():
+    return Space(Segment.GROUND)
+
+
+@pytest.fixture
+def robot(ground):
+    return RobotSource(ground.end, first_number=7)
+
+
+def reports(news):
+    return [one for one in news if isinstance(one, Reported) and one.kind == "event"]
 
 
 def events(news):
-    return [one.name for one in news if isinstance(one, Reported) and one.kind == "event"]
+    return [one.name for one in reports(news)]
+
+
+def ended(news):
+    return [one for one in news if isinstance(one, CommandUpdate) and one.done]
+
+
+def measured(report):
+    """Values that are numbers."""
+    return {name: value for name, value in report.values.items() if value == value}
 
 
 def requests(space, news):
@@ -54,8 +86,7 @@ def requests(space, news):
     return [unpack_request(space.desk.handle_asked(one, 0)) for one in asked]
 
 
-def test_a_hot_joystick_is_halted_by_a_rule_of_the_dictionary():
-    space = Space()
+def test_a_hot_joystick_is_halted_by_a_rule_of_the_dictionary(space):
     assert requests(space, space.status(temperature_c=85.0)) == []
     news = space.status(temperature_c=85.0)
     assert events(news) == ["too_hot"]
@@ -67,38 +98,33 @@ def test_a_hot_joystick_is_halted_by_a_rule_of_the_dictionary():
     assert (events(news), requests(space, news)) == (["cooled"], [])
 
 
-def test_a_joystick_without_a_thermometer_is_reported_and_never_hot():
-    space = Space()
+def test_a_joystick_without_a_thermometer_is_reported_and_never_hot(space):
     heard = [*space.status(temperature_c=None), *space.status(temperature_c=None)]
-    reports = [one for one in heard if isinstance(one, Reported)]
-    assert {one.kind for one in reports} == {"housekeeping"}
-    assert reports[0].values["temperature"] != reports[0].values["temperature"]
+    told = [one for one in heard if isinstance(one, Reported)]
+    assert {one.kind for one in told} == {"housekeeping"}
+    assert "temperature" in told[0].values and "temperature" not in measured(told[0])
 
 
-def test_a_halt_is_an_event_and_its_telecommand_is_verified_with_the_joysticks_own_words():
-    space = Space()
+def test_a_halt_is_an_event_and_its_telecommand_is_verified_with_the_joysticks_own_words(space):
     space.status()
-    space.end.handle_request(SendCommand("test", 1, "joystick", "call", "resume"), space.now_ns)
-    (request,) = requests(space, space.news())
+    (request,) = requests(space, space.ask("joystick", "call", "resume"))
     assert request.number == 101
     news = space.status(commanded=request.number, command_refusal="resume: not in this state")
-    (done,) = [one for one in news if isinstance(one, CommandUpdate) and one.done]
+    (done,) = ended(news)
     assert (done.ok, done.reason) == (False, "resume: not in this state")
     assert events(space.status(JoystickState.HALTED)) == ["state_changed", "off_nominal"]
     assert events(space.status(JoystickState.CALIBRATED)) == ["state_changed"]
 
 
-def test_a_function_that_nobody_carries_out_fails():
-    space = Space()
-    space.end.handle_request(SendCommand("test", 1, "joystick", "call", "test"), 0)
-    assert [one.function for one in space.news() if isinstance(one, FunctionAsked)] == ["test"]
+def test_a_function_that_nobody_carries_out_fails(space):
+    news = space.ask("joystick", "call", "test")
+    assert [one.function for one in news if isinstance(one, FunctionAsked)] == ["test"]
     space.now_ns = 11 * S
-    (done,) = [one for one in space.news() if isinstance(one, CommandUpdate) and one.done]
+    (done,) = ended(space.news())
     assert (done.ok, done.verified, done.reason) == (False, True, "nobody carried it out")
 
 
-def test_a_functional_test_is_an_application_and_its_end_an_event():
-    space = Space()
+def test_a_functional_test_is_an_application_and_its_end_an_event(space):
     calibrated = JoystickState.CALIBRATED
     space.status(calibrated, test="aborted", test_part="force", test_number=1)
     running = space.status(calibrated, test="running", test_number=2)
@@ -108,18 +134,16 @@ def test_a_functional_test_is_an_application_and_its_end_an_event():
     assert values["application"] == "joystick test"
     failed = {"test": "failed", "test_part": "place", "test_number": 2}
     news = space.status(calibrated, **failed)
-    (event,) = [one for one in news if isinstance(one, Reported) and one.kind == "event"]
+    (event,) = reports(news)
     assert (event.name, event.values) == ("test_failed", {"test": "failed", "test_part": "place"})
     assert events(space.status(calibrated, **failed)) == []
     assert events(space.status(calibrated, test="passed", test_number=3)) == ["test_passed"]
     assert values["application"] == "none"
 
 
-def test_signal_and_force_are_watched():
-    space = Space(Segment.GROUND)
+def test_signal_and_force_are_watched(ground, robot):
+    space, heard = ground, []
     gateway = GatewaySource(space.end, "ground_gateway")
-    robot = RobotSource(space.end, first_number=0)
-    heard = []
     for signal in (False, True, True, False):
         gateway.handle_values({**LINK, "signal": signal}, space.now_ns)
         heard += events(space.news())
@@ -131,8 +155,7 @@ def test_signal_and_force_are_watched():
     assert events(space.news()) == ["force_too_high"]
 
 
-def test_what_the_functional_test_measured_is_an_event():
-    space = Space()
+def test_what_the_functional_test_measured_is_an_event(space):
     space.status(test="running", test_number=1)
     figures = {"left end": 99.5, "stiffness x": None, "Coulomb friction y": 0.5}
     pressed = {f"button {number} pressed and let go": float(number != 2) for number in range(1, 5)}
@@ -140,9 +163,8 @@ def test_what_the_functional_test_measured_is_an_event():
     news = space.status(**failed, test_figures=figures | pressed)
     assert events(news) == ["test_failed", "test_measured"]
     report = next(one for one in news if getattr(one, "name", "") == "test_measured")
-    found = {name: value for name, value in report.values.items() if value == value}
     wanted = {"test_left_end": 99.5, "test_Coulomb_friction_y": 0.5, "test_buttons": 3.0}
-    assert found == pytest.approx(wanted)
+    assert measured(report) == pytest.approx(wanted)
 
 
 def test_the_dictionary_has_a_parameter_of_each_measure_of_the_functional_test():
@@ -168,50 +190,39 @@ def robot_status(**changes):
     return RobotStatus(life=1, x_m=0.0, y_m=0.0, **{**known, **changes})
 
 
-def test_joints_are_housekeeping_and_those_that_are_not_there_have_no_number():
-    space = Space(Segment.GROUND)
-    robot = RobotSource(space.end, first_number=7)
-    space.end.handle_request(SendCommand("test", 1, "robot", "housekeeping_on", "joints"), 0)
-    space.news()
+def test_joints_are_housekeeping_and_those_that_are_not_there_have_no_number(ground, robot):
+    space = ground
+    space.ask("robot", "housekeeping_on", "joints")
     space.now_ns += 11 * S
     robot.handle_status(robot_status(joints=((0.05, 1.5), (-0.1, -0.5))), space.now_ns)
     # Reports that are known at one instant go out one after the other.
     space.now_ns += S
     (report,) = [one for one in space.news() if getattr(one, "name", "") == "joints"]
-    found = {name: value for name, value in report.values.items() if value == value}
     wanted = {"joint_1_angle": 0.05, "joint_1_torque": 1.5}
     wanted |= {"joint_2_angle": -0.1, "joint_2_torque": -0.5}
-    assert found == pytest.approx(wanted)
+    assert measured(report) == pytest.approx(wanted)
     assert len(report.values) == 2 * MOST_JOINTS
 
 
 def test_the_dictionary_has_the_modes_of_the_robot():
-    (mode,) = [
-        one for one in built_in_dictionary().application("robot").parameters if one.name == "mode"
-    ]
+    mode = built_in_dictionary().application("robot").parameter("mode")
     assert mode.choices == tuple(one.value for one in ControlMode)
 
 
-def test_the_robot_answers_its_functions_and_a_fault_is_an_event():
-    space = Space(Segment.GROUND)
-    robot = RobotSource(space.end, first_number=7)
+def test_the_robot_answers_its_functions_and_a_fault_is_an_event(ground, robot):
+    space = ground
     assert robot.handle_asked(FunctionAsked("tasks", 1, "power_on")) is None
-    space.end.handle_request(
-        SendCommand("test", 1, "robot", "call", "set_mode", arguments=("position",)), space.now_ns
-    )
-    (asked,) = [one for one in space.news() if isinstance(one, FunctionAsked)]
+    news = space.ask("robot", "call", "set_mode", "position")
+    (asked,) = [one for one in news if isinstance(one, FunctionAsked)]
     command = robot.handle_asked(asked)
     assert (command.function, command.mode) == ("set_mode", "position")
     robot.handle_status(robot_status(commanded=command.number - 1), space.now_ns)
-    assert not [one for one in space.news() if isinstance(one, CommandUpdate) and one.done]
+    assert not ended(space.news())
     answer = robot_status(commanded=command.number, command_refusal="it is on")
     robot.handle_status(answer, space.now_ns)
-    (done,) = [one for one in space.news() if isinstance(one, CommandUpdate) and one.done]
+    (done,) = ended(space.news())
     assert (done.ok, done.reason) == (False, "it is on")
-    heard = []
     for _ in range(2):
-        fault = robot_status(powered=False, error="force", faults=1)
-        robot.handle_status(fault, space.now_ns)
-        heard += space.news()
-    (event,) = [one for one in heard if isinstance(one, Reported) and one.kind == "event"]
+        robot.handle_status(robot_status(powered=False, error="force", faults=1), space.now_ns)
+    (event,) = reports(space.news())
     assert (event.name, event.values) == ("error", {"error": "force"})

@@ -1,6 +1,7 @@
 """Messages of ROS 2, octet by octet."""
 
 import struct
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -24,17 +25,15 @@ def test_a_text_and_a_picture_octet_by_octet():
     picture = MESSAGES.image(np.arange(3, dtype=np.uint8), "head", 5_000_000_007)
     assert picture == HEAD + stamp + name + kind + b"\x03\0\0\0\0\1\2"
     unit = MESSAGES.video(b"\0\0\1\x65", "up", 5_000_000_007)
-    assert (
-        unit == HEAD + stamp + b"\x03\0\0\0up\0\0" + b"\x04\0\0\0\0\0\1\x65" + b"\x05\0\0\0h264\0"
-    )
+    data = b"\x04\0\0\0\0\0\1\x65\x05\0\0\0h264\0"
+    assert unit == HEAD + stamp + b"\x03\0\0\0up\0\0" + data
 
 
 def test_hashes_are_those_that_ros_2_has():
     # From the messages' own files in ROS 2 Jazzy.
-    assert MESSAGES.type_hash(TEXT)[:14] == "RIHS01_df668c7"
-    assert MESSAGES.type_hash(IMAGE)[:14] == "RIHS01_1564077"
-    assert MESSAGES.type_hash(JOY)[:14] == "RIHS01_0d356c7"
-    assert MESSAGES.type_hash(POSE)[:14] == "RIHS01_10f3786"
+    known = {TEXT: "df668c7", IMAGE: "1564077", JOY: "0d356c7", POSE: "10f3786"}
+    for kind, begin in known.items():
+        assert MESSAGES.type_hash(kind)[:14] == f"RIHS01_{begin}"
 
 
 def rows():
@@ -74,13 +73,8 @@ JOY_OCTETS = MESSAGES.joy(rows(), "handle", {"x": 0.1, "y": 0.08})
 )
 def test_garbage_of_strangers_is_refused_or_read(octets):
     for read in (MESSAGES.read_joy, MESSAGES.read_velocity):
-        try:
+        with suppress(ProtocolError):
             read(octets)
-        except ProtocolError:
-            continue
-
-
-def test_a_message_that_is_too_long_is_not_read():
     with pytest.raises(ProtocolError, match="too long"):
         MESSAGES.read_joy(JOY_OCTETS + bytes(5000))
 

@@ -24,90 +24,71 @@ def reports(tmp_path):
         path = tmp_path / f"day{day}.json"
         write_report(path, partial_report(told))
         os.utime(path, (1.8e9 + day * DAY_S,) * 2)
-        paths.append(path)
+        paths.append(str(path))
     return paths
 
 
-def test_sessions_events_and_trends_are_kept(tmp_path, reports, capsys):
-    base = tmp_path / "all.sqlite"
+@pytest.fixture
+def archive(capsys, tmp_path):
+    """archive(words): exit code, lines of output, and what is said of mistakes."""
+
+    def run(*words, base=tmp_path / "all.sqlite"):
+        code = main(["archive", str(base), *words])
+        told = capsys.readouterr()
+        return code, told.out.splitlines(), told.err
+
+    return run
+
+
+def test_sessions_events_and_trends_are_kept(tmp_path, reports, archive):
     # Not in their order, and one of them twice.
-    assert main(["archive", str(base), "add", *map(str, reversed(reports))]) == 0
-    assert main(["archive", str(base), "add", str(reports[0])]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == f"{reports[0]}: already there"
-    assert main(["archive", str(base), "list"]) == 0
-    listed = capsys.readouterr().out.splitlines()
+    assert archive("add", *reversed(reports))[0] == 0
+    assert archive("add", reports[0])[:2] == (0, [f"{reports[0]}: already there"])
+    _, listed, _ = archive("list")
     assert [line.split()[1] for line in listed] == ["day0:", "day1:", "day2:"]
     assert listed[0].endswith("spacejustin, 10 s, failures: 1")
-    assert main(["archive", str(base), "events"]) == 0
-    assert "trainer: los: 1, in 1 of the sessions" in capsys.readouterr().out
+    assert "trainer: los: 1, in 1 of the sessions" in str(archive("events"))
     plot = tmp_path / "trend.png"
-    words = ["archive", str(base), "trend", "seconds", "cpu.*", "--plot", str(plot)]
-    assert main(words) == 0
-    rows = capsys.readouterr().out.splitlines()
-    assert rows[0] == "seconds"
+    code, rows, _ = archive("trend", "seconds", "cpu.*", "--plot", str(plot))
+    assert (code, rows[0]) == (0, "seconds")
     assert [row.rsplit(" ", 1)[1] for row in rows[1:4]] == ["10", "20", "15"]
     assert plot.read_bytes().startswith(b"\x89PNG")
+    code, _, error = archive("trend", "nonsense")
+    assert code == 2 and "no figure nonsense" in error
+    assert archive("trend")[0] == 2
     # Other programs read it, too.
-    with sqlite3.connect(base) as other:
+    with sqlite3.connect(tmp_path / "all.sqlite") as other:
         (most,) = other.execute("select max(value) from figure where key = 'seconds'").fetchone()
     assert most == 20.0
 
 
-def test_one_bad_report_keeps_none(tmp_path, reports):
-    base = tmp_path / "all.sqlite"
+def test_one_bad_report_keeps_none(tmp_path, reports, archive):
     bad = tmp_path / "bad.json"
     bad.write_text('{"setup": 3}')
-    assert main(["archive", str(base), "add", str(reports[0]), str(bad)]) == 2
-    assert main(["archive", str(base), "list"]) == 0
-    with sqlite3.connect(base) as other:
+    assert archive("add", reports[0], str(bad))[0] == 2
+    assert archive("list")[:2] == (0, [])
+    with sqlite3.connect(tmp_path / "all.sqlite") as other:
         assert other.execute("select count(*) from session").fetchone() == (0,)
 
 
-@pytest.mark.parametrize(
-    ("name", "octets", "words"),
-    [
-        ("text.sqlite", b"no database at all, but long enough to look like one" * 40, "no archive"),
-        ("none.sqlite", None, "no such file"),
-        ("far/away.sqlite", None, "no such file"),
-    ],
-)
-def test_what_is_no_archive_is_refused(tmp_path, name, octets, words, capsys):
-    path = tmp_path / name
-    if octets is not None:
-        path.write_bytes(octets)
-    assert main(["archive", str(path), "list"]) == 2
-    assert words in capsys.readouterr().err
-
-
-def test_another_programs_database_is_left_alone(tmp_path, reports, capsys):
-    path = tmp_path / "other.sqlite"
-    with sqlite3.connect(path) as other:
+def test_what_is_no_archive_is_refused_in_one_line_and_left_alone(tmp_path, reports, archive):
+    text, foreign = tmp_path / "text.sqlite", tmp_path / "other.sqlite"
+    text.write_bytes(b"no database at all, but long enough to look like one" * 40)
+    with sqlite3.connect(foreign) as other:
         other.execute("create table mine (x)")
-    assert main(["archive", str(path), "add", str(reports[0])]) == 2
-    assert "another program's database" in capsys.readouterr().err
-    with sqlite3.connect(path) as other:
+    for words, base, says in (
+        (["list"], text, "no archive"),
+        (["list"], tmp_path / "none.sqlite", "no such file"),
+        (["list"], tmp_path / "far" / "away.sqlite", "no such file"),
+        (["add", reports[0]], tmp_path / "none" / "all.sqlite", "no archive"),
+        (["add", reports[0]], foreign, "another program's database"),
+    ):
+        code, _, error = archive(*words, base=base)
+        assert code == 2 and says in error
+    with sqlite3.connect(foreign) as other:
         assert other.execute("select name from sqlite_master").fetchall() == [("mine",)]
-
-
-def test_an_archive_that_is_damaged_is_said_in_one_line(tmp_path, reports, capsys):
     base = tmp_path / "all.sqlite"
-    assert main(["archive", str(base), "add", str(reports[0])]) == 0
-    octets = bytearray(base.read_bytes())
-    octets[4096:] = bytes(len(octets) - 4096)
-    base.write_bytes(octets)
-    assert main(["archive", str(base), "add", str(reports[1])]) == 2
-    assert str(base) in capsys.readouterr().err
-
-
-def test_an_unknown_figure_is_named(tmp_path, reports, capsys):
-    base = tmp_path / "all.sqlite"
-    assert main(["archive", str(base), "add", str(reports[0])]) == 0
-    assert main(["archive", str(base), "trend", "nonsense"]) == 2
-    assert "no figure nonsense" in capsys.readouterr().err
-    assert main(["archive", str(base), "trend"]) == 2
-
-
-def test_a_closed_folder_is_said_in_one_line(tmp_path, reports, capsys):
-    base = tmp_path / "none" / "all.sqlite"
-    assert main(["archive", str(base), "add", str(reports[0])]) == 2
-    assert "no archive" in capsys.readouterr().err
+    assert archive("add", reports[0])[0] == 0
+    base.write_bytes(base.read_bytes()[:4096].ljust(base.stat().st_size, b"\0"))
+    code, _, error = archive("add", reports[1])
+    assert code == 2 and str(base) in error

@@ -1,7 +1,5 @@
 """K2ACI: octets written out by hand after RFC 8949; once and in order over a path that loses."""
 
-from itertools import pairwise
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -170,21 +168,6 @@ def test_a_message_arrives_and_its_sender_hears_so():
     assert (space.poll_timeout(), space.waiting) == (None, ())
 
 
-def test_a_lost_message_is_repeated_ever_more_slowly_and_at_once_with_the_signal():
-    space, sent_ms = end(), []
-    space.send(START, 0)
-    while len(sent_ms) < 7:
-        now_ns = space.poll_timeout()
-        assert len(sent(space, now_ns)) == 1
-        sent_ms.append(now_ns // MS)
-    assert [b - a for a, b in pairwise(sent_ms)] == [500, 1000, 2000, 4000, 4000, 4000]
-    space.handle_contact(16_000 * MS)
-    assert space.poll_timeout() == 16_000 * MS
-    sent(space, 16_000 * MS)
-    assert space.poll_timeout() == 16_500 * MS
-    assert (space.sent, space.repeated) == (8, 7)
-
-
 def test_a_repetition_is_acknowledged_again_and_handed_out_once():
     ground, space = end(), end()
     space.send(START, 0)
@@ -195,17 +178,6 @@ def test_a_repetition_is_acknowledged_again_and_handed_out_once():
     pass_on(ground, space, 600 * MS)
     assert [type(event) for event in events(space)] == [Delivered]
     assert space.unexpected == 1
-
-
-def test_a_restarted_receiver_takes_up_where_the_sender_is():
-    space, before, after = end(), end(), end(2)
-    for text in "abc":
-        space.send(chat(text), 0)
-        pass_on(space, before)
-        pass_on(before, space)
-    space.send(chat("d"), 0)
-    pass_on(space, after)
-    assert events(after) == [Arrived(1, 3, chat("d"))]
 
 
 def test_waiting_messages_and_answers_are_bounded():
@@ -234,15 +206,11 @@ def test_what_comes_too_early_waits_for_what_the_sender_still_repeats():
     assert (numbers(ground), ground.duplicates) == ([7], 1)
     ground.handle_message(numbered(3), 0)
     assert ground.duplicates == 2
-
-
-def test_a_number_64_or_more_ahead_is_out_of_reach():
-    ground = end()
-    for number in (0, 65):
-        ground.handle_message(numbered(number), 0)
+    # A number 64 or more ahead is out of reach.
+    ground.handle_message(numbered(8 + 64), 0)
     assert ground.unexpected == 1
-    ground.handle_message(numbered(64), 0)
-    assert (ground.unexpected, numbers(ground)) == (1, [0])
+    ground.handle_message(numbered(8 + 63), 0)
+    assert (ground.unexpected, numbers(ground)) == (1, [])
 
 
 def test_each_message_handed_out_is_acknowledged_with_its_life():

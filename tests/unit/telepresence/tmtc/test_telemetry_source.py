@@ -110,13 +110,6 @@ def test_what_a_spec_names_must_be_a_component():
     assert names == [*(one.name for one in known.applications), "battery"]
 
 
-def test_a_dictionary_has_each_name_once():
-    table = application_of(Battery(), 0x140)
-    two = [Component("a", table), Component("b", replace(table, apid=0x141))]
-    with pytest.raises(ConfigError, match="another application has this name"):
-        with_components(Dictionary(applications=()), two)
-
-
 def test_a_component_has_numbers_limits_and_defaults():
     table = application_of(Battery(), 0x140)
     assert (table.apid, table.end, table.fresh_s) == (0x140, "ground", 5.0)

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -85,12 +86,11 @@ def test_the_same_arguments_give_the_same_picture():
         assert hashlib.sha256(seen(view, state, 7)).digest() == first
 
 
-@pytest.mark.parametrize("size", [(64, 48), (320, 240), (848, 480), (480, 640), (1280, 720)])
+@pytest.mark.parametrize("size", [(64, 48), (480, 640), (1280, 720)])
 def test_every_view_draws_any_size_and_stylus_position(size):
-    for view in VIEWS:
-        for x, y in ((0.0, 0.0), (WALL_X_M, 0.05), (-0.15, -0.1), (0.15, 0.1), (3.0, -3.0)):
-            picture = seen(view, WorldState(NS_PER_S, x, y), 3, size)
-            assert picture[: size[1]].std() > 10
+    for view, (x, y) in product(VIEWS, ((0.0, 0.0), (-0.15, -0.1), (0.15, 0.1), (3.0, -3.0))):
+        picture = seen(view, WorldState(NS_PER_S, x, y), 3, size)
+        assert picture[: size[1]].std() > 10
 
 
 def test_the_counter_is_burned_in():

@@ -132,8 +132,3 @@ def test_two_contacts_in_a_row_are_two_clicks():
     assert change[50 * 48 : 52 * 48].max() > 5000
     assert change[120 * 48 : 130 * 48].max() < 100
     assert change[130 * 48 : 132 * 48].max() > 5000
-
-
-def test_speech_samples_are_small():
-    for name in ("speech_ground.flac", "speech_cabin.flac"):
-        assert (media_folder() / name).stat().st_size < 150_000

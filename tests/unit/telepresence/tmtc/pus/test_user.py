@@ -169,15 +169,6 @@ def test_what_is_not_verified_is_repeated_and_given_up_after_30_s(stage, reason)
     assert (user.sent, user.repeated) == (10, 9)
 
 
-def test_a_new_contact_repeats_at_once_what_is_open():
-    user = make_user()
-    user.ping("oven", now_ns=0)
-    sent(user)
-    user.handle_contact(100 * MS)
-    assert user.poll_timeout() == 100 * MS
-    assert len(sent(user, 100 * MS)) == 1
-
-
 def test_patience_is_at_least_the_timeout_and_below_a_minute():
     for timeout_ns, patience_ns in ((1, 60 * S - 1), (5, 5)):
         make_user(timeout_ns=timeout_ns, patience_ns=patience_ns)

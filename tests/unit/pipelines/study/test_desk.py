@@ -26,6 +26,11 @@ PLAN = StudyPlan(
 )
 
 
+@pytest.fixture
+def person():
+    return Person()
+
+
 class Person:
     """At the page of a desk, on virtual time; follows the target."""
 
@@ -60,8 +65,7 @@ class Person:
                 self.device.handle_input(hand)
             self.now_ns += 10 * NS_PER_MS
             self.desk.handle_time(self.now_ns)
-            while (result := self.desk.next_result()) is not None:
-                found.append(result)
+            found += iter(self.desk.next_result, None)
         return found
 
     def begin(self):
@@ -70,10 +74,15 @@ class Person:
         self.hold(10, until=StudyPhase.TRIAL)
 
 
-def test_a_person_goes_through_all_trials_and_the_next_one_follows():
-    person = Person()
+def test_a_person_goes_through_all_trials_and_the_next_one_follows(person):
     assert person.desk.phase is StudyPhase.CONSENT and PLAN.consent in person.shown.words
-    person.begin()
+    old = person.shown.screen
+    person.press()
+    # A press of an older screen does nothing.
+    person.desk.handle_press(StudyPress(old), person.now_ns)
+    assert person.desk.phase is StudyPhase.READ
+    person.press()
+    person.hold(10, until=StudyPhase.TRIAL)
     results = person.hold(30, until=StudyPhase.BREAK)
     assert person.desk.phase is StudyPhase.BREAK and 19.9 < person.shown.wait_s <= 20.0
     person.press()
@@ -81,9 +90,8 @@ def test_a_person_goes_through_all_trials_and_the_next_one_follows():
     person.now_ns += 20 * NS_PER_S
     person.begin()
     results += person.hold(30, until=StudyPhase.DONE)
-    assert [(one.participant, one.trial, one.attempts) for one in results] == [
-        (1, number, 1) for number in (1, 2, 3, 4)
-    ]
+    found = [(one.participant, one.trial, one.attempts) for one in results]
+    assert found == [(1, number, 1) for number in (1, 2, 3, 4)]
     assert all(one.rms_error_m < 0.02 and one.seconds is None for one in results)
     assert {one.damping_n_s_m for one in results if one.force_max_n > 0.0} == {8.0}
     assert person.shown.main == "Next person"
@@ -91,8 +99,7 @@ def test_a_person_goes_through_all_trials_and_the_next_one_follows():
     assert person.desk.phase is StudyPhase.CONSENT and "participant 2" in person.shown.words[1]
 
 
-def test_who_lets_go_begins_the_trial_again_and_it_is_counted():
-    person = Person()
+def test_who_lets_go_begins_the_trial_again_and_it_is_counted(person):
     person.begin()
     person.hold(0.5)
     person.device.handle_input(PageInput(False, 0.0, 0.0))
@@ -113,14 +120,6 @@ def test_a_page_that_says_nothing_and_a_busy_computer_end_an_attempt():
             person.now_ns += silence_ns
             person.desk.handle_time(person.now_ns)
         assert person.desk.phase is StudyPhase.START, silence_ns
-
-
-def test_a_press_of_an_older_screen_does_nothing():
-    person = Person()
-    old = person.shown.screen
-    person.press()
-    person.desk.handle_press(StudyPress(old), person.now_ns)
-    assert person.desk.phase is StudyPhase.READ
 
 
 def test_an_interrupted_study_goes_on_or_leaves_that_person_out():
@@ -148,8 +147,7 @@ def test_a_handle_that_is_stiff_and_heavy_pushes_back_with_what_it_says():
     assert person.device.joystick.virtual_kg == first.inertia_kg
 
 
-def test_trials_are_on_the_disk_at_once_and_a_torn_line_is_none(tmp_path):
-    person = Person()
+def test_trials_are_on_the_disk_at_once_and_a_torn_line_is_none(person, tmp_path):
     person.begin()
     results = person.hold(30, until=StudyPhase.BREAK)
     with StudyFolder(tmp_path, PLAN) as folder:
@@ -172,18 +170,13 @@ def test_trials_are_on_the_disk_at_once_and_a_torn_line_is_none(tmp_path):
         StudyFolder(tmp_path, replace(PLAN, seed=9))
 
 
-def test_tables_hold_every_trial_with_none_as_nan(tmp_path):
+def test_tables_hold_every_trial_with_none_as_nan(person, tmp_path):
     loadmat = pytest.importorskip("scipy.io").loadmat
-    person = Person()
     person.begin()
     results = person.hold(30, until=StudyPhase.BREAK)
     paths = write_tables(tmp_path, results, study_report(PLAN, results))
-    assert [path.name for path in paths] == [
-        "trials.csv",
-        "effects.csv",
-        "study.mat",
-        "report.html",
-    ]
+    names = ["trials.csv", "effects.csv", "study.mat", "report.html"]
+    assert [path.name for path in paths] == names
     rows = (tmp_path / "trials.csv").read_text().splitlines()
     assert rows[0].startswith("participant,trial,place,stiffness_n_m") and len(rows) == 3
     trials = loadmat(tmp_path / "study.mat", simplify_cells=True)["trials"]

@@ -1,4 +1,4 @@
-"""Telecommands from words, and what `kontur-av tc` says."""
+"""Telecommands from words, what `kontur-av tc` says, and K2ACI from plain fields."""
 
 import pytest
 from pus_ends import oven
@@ -10,9 +10,12 @@ from pipelines.mission.tmtc_messages import (
     Reported,
     SendCommand,
     command_from_words,
+    k2aci_message,
+    plain_fields,
     report_words,
     update_words,
 )
+from telepresence.tmtc.k2aci import Chat, ChatRole, StartTask, TaskSelected
 
 OVEN = oven().application("oven")
 
@@ -79,11 +82,29 @@ def test_a_report_has_units():
 
 
 def test_the_command_lists_what_there_is_and_refuses_the_rest(capsys):
-    assert main(["tc"]) == 0
-    assert "joystick (space)" in capsys.readouterr().out
-    assert main(["tc", "joystick"]) == 0
-    assert "halt" in capsys.readouterr().out.splitlines()
-    assert main(["tc", "--xtce"]) == 0
-    assert "SpaceSystem" in capsys.readouterr().out
+    known = {"": "joystick (space)", "joystick": "\nhalt\n", "--xtce": "SpaceSystem"}
+    for words, text in known.items():
+        assert main(["tc", *words.split()]) == 0
+        assert text in capsys.readouterr().out
     assert main(["tc", "joystik"]) == 2
     assert "choose one of joystick" in capsys.readouterr().err
+
+
+def test_a_message_of_k2aci_is_the_same_after_its_way_through_plain_fields():
+    for message in (
+        TaskSelected(task="aiming", run=3, start_um=(-45_000, 10), text="Aim."),
+        StartTask(task="aiming", run=3),
+        Chat(sender=ChatRole.SUPERVISOR, text="Well done."),
+    ):
+        assert k2aci_message(type(message).__name__, plain_fields(message)) == message
+
+
+def test_other_fields_of_k2aci_are_refused_with_their_mend():
+    for kind, fields, says in (
+        ("Dance", {}, r"K2ACI 'Dance' is unknown: choose one of TaskSelected, StartTask"),
+        ("StartTask", {"task": "a", "run": 1, "who": "x"}, "has no who: it has task, run"),
+        ("StartTask", {"task": "a"}, "StartTask: .*run"),
+        ("StartTask", {"task": "a", "run": "one"}, "StartTask: .*int"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            k2aci_message(kind, fields)

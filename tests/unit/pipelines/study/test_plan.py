@@ -18,14 +18,13 @@ def plan_of(**changes):
     return StudyPlan(handle=handle, **(given | changes))
 
 
-@pytest.mark.parametrize("count", range(2, 17))
-def test_each_condition_stands_equally_often_at_each_place_and_behind_each_other(count):
-    square = latin_square(count)
-    twice = count % 2 + 1
-    places = Counter((place, one) for row in square for place, one in enumerate(row))
-    assert set(places.values()) == {twice} and len(places) == count * count
-    follow = Counter(pair for row in square for pair in pairwise(row))
-    assert set(follow.values()) == {twice} and len(follow) == count * (count - 1)
+def test_each_condition_stands_equally_often_at_each_place_and_behind_each_other():
+    for count in range(2, 17):
+        square, twice = latin_square(count), count % 2 + 1
+        places = Counter((place, one) for row in square for place, one in enumerate(row))
+        assert set(places.values()) == {twice} and len(places) == count * count
+        follow = Counter(pair for row in square for pair in pairwise(row))
+        assert set(follow.values()) == {twice} and len(follow) == count * (count - 1)
 
 
 def test_the_participants_of_a_plan_meet_every_handle_in_balanced_orders():
@@ -48,11 +47,7 @@ def test_the_participants_of_a_plan_meet_every_handle_in_balanced_orders():
         ({"consent": " "}, 'consent is "": write what a participant agrees to'),
         ({"aiming": ()}, "write [[aiming]] or [[tracking]]"),
         ({"trials": 0}, "trials is 0: give 1 to 50"),
-        (
-            {"levels": {"stiffness_n_m": (0.0, 300.0)}},
-            "handle.stiffness_n_m is 300: still needs 15.0 N, and a hand at the page pulls 6: "
-            "take 120",
-        ),
+        ({"levels": {"stiffness_n_m": (0.0, 300.0)}}, "a hand at the page pulls 6: take 120"),
         ({"levels": {"damping_n_s_m": (0.0, 90.0)}}, "handle.damping_n_s_m is 90: give 0 to 60"),
         ({"levels": {"inertia_kg": (1.0, 1.0)}}, "handle.inertia_kg is [1.0, 1.0]: give different"),
         ({"levels": {}}, "handle has 1 combinations of levels: give 2 to 16"),

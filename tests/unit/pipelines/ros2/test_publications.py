@@ -6,12 +6,8 @@ from kontur_av.errors import ProtocolError
 from pipelines.ros2.publications import Attachment, Endpoint, Node, RosQuality, gid_of
 
 STRING = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-CHATTER = Endpoint(
-    topic="/robot/chatter",
-    type="std_msgs/msg/String",
-    type_hash=STRING,
-    quality=RosQuality.SENSOR,
-)
+TYPE = {"type": "std_msgs/msg/String", "type_hash": STRING}
+CHATTER = Endpoint(topic="/robot/chatter", quality=RosQuality.SENSOR, **TYPE)
 NODE = Node(domain=7, zenoh_id="a1b2", namespace="/ns", name="talker")
 
 
@@ -20,11 +16,9 @@ def test_key_expressions_are_those_of_rmw_zenoh():
     topic = f"%robot%chatter/std_msgs::msg::dds_::String_/{STRING}"
     assert NODE.key(CHATTER) == f"7/robot/chatter/std_msgs::msg::dds_::String_/{STRING}"
     assert NODE.token() == f"@ros2_lv/7/a1b2/0/0/NN/{names}"
-    quality = "2::,5:,:,:,,"
-    assert NODE.publisher_token(3, CHATTER) == f"@ros2_lv/7/a1b2/0/3/MP/{names}/{topic}/{quality}"
-    assert NODE.subscription_token(4, CHATTER) == (
-        f"@ros2_lv/7/a1b2/0/4/MS/{names}/{topic}/{quality}"
-    )
+    end = f"{names}/{topic}/2::,5:,:,:,,"
+    assert NODE.publisher_token(3, CHATTER) == f"@ros2_lv/7/a1b2/0/3/MP/{end}"
+    assert NODE.subscription_token(4, CHATTER) == f"@ros2_lv/7/a1b2/0/4/MS/{end}"
     assert NODE.subscribers(CHATTER) == "@ros2_lv/7/*/*/*/MS/*/*/*/%robot%chatter/**"
     assert (RosQuality.LATCHED.value, RosQuality.RELIABLE.value) == (":1:,1:,:,:,,", "::,10:,:,:,,")
 

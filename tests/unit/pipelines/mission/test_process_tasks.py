@@ -1,6 +1,6 @@
 """Each run of a task has its own recording, whatever was recorded before."""
 
-import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -35,37 +35,46 @@ class Recorder:
         pass
 
 
+class AtOnce:
+    """In the place of the queue to the thread: what is put into it is done."""
+
+    def put(self, work):
+        if work is not None:
+            work()
+
+    def get(self):
+        """The thread ends."""
+
+
 @pytest.fixture
 def recorder(monkeypatch):
     found = Recorder()
-    monkeypatch.setattr(process_tasks, "RecorderLink", lambda session: found.link(session))
+    monkeypatch.setattr(process_tasks, "RecorderLink", found.link)
+    monkeypatch.setattr(process_tasks, "queue", SimpleNamespace(Queue=AtOnce))
+    no_time = SimpleNamespace(sleep=lambda _: None, monotonic=lambda: 0.0)
+    monkeypatch.setattr(process_tasks, "time", no_time)
     return found
 
 
-def do(files, run):
-    for on in (True, False):
-        files.record(on=on, task="line", run=run)
-        deadline_s = time.monotonic() + 10
-        while files.recording is not on:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.001)
+def do(*runs):
+    files = RunFiles("s", "/runs")
+    for run in runs:
+        for on in (True, False):
+            files.record(on=on, task="line", run=run)
+            assert files.recording is on
+    files.close()
+    return files
 
 
 def test_each_run_has_a_file_also_after_one_that_an_earlier_life_left_open(recorder):
-    recorder.file = "/runs/run-001-line.mcap"
-    recorder.deaf = 2
-    files = RunFiles("s", "/runs")
-    do(files, 2)
-    do(files, 3)
-    files.close()
+    recorder.file, recorder.deaf = "/runs/run-001-line.mcap", 2
+    files = do(2, 3)
     assert recorder.files == ["/runs/run-002-line.mcap", "/runs/run-003-line.mcap"]
     assert recorder.file == "" and files.unrecorded == 0
 
 
 def test_the_recording_of_somebody_else_goes_on_and_is_named(recorder):
     recorder.file = "/home/me/all.mcap"
-    files = RunFiles("s", "/runs")
-    do(files, 1)
-    files.close()
+    files = do(1)
     assert recorder.file == "/home/me/all.mcap"
     assert (files.unrecorded, files.why) == (1, "recorded already, to /home/me/all.mcap")
