@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.__main__ import main
 from benchmarks.voice.gstreamer import laid_out
 from benchmarks.voice.network import BURST_PACKETS, Network
 from benchmarks.voice.speech import lags, speech_track
@@ -25,18 +24,12 @@ def test_loss_share_and_burst_length_are_as_configured():
     assert Network(loss=0.0).lost(1000, spared=0) == frozenset()
 
 
-@pytest.fixture(scope="module")
-def track():
-    return speech_track(1)
-
-
 def test_a_lag_is_found_although_the_speakers_repeat_themselves():
-    track = speech_track(40)
-    for late in (-700, 0, 9_000):
-        # The second round is the louder one.
-        heard = np.roll(track.samples, late) // 2
-        heard[len(heard) // 2 :] *= 2
-        assert set(lags(track, heard)[2:-2]) == {late}
+    # The second round is the louder one.
+    track = speech_track(26)
+    heard = np.roll(track.samples, 9_000) // 2
+    heard[len(heard) // 2 :] *= 2
+    assert set(lags(track, heard)[2:-2]) == {9_000}
 
 
 def test_the_sound_of_a_peer_is_laid_out_as_a_sound_card_plays_it():
@@ -58,12 +51,3 @@ def test_the_sound_of_a_peer_is_laid_out_as_a_sound_card_plays_it():
     sound, places = laid_out(arrivals(0, 960 + 1921, 1920 + 1921))
     assert np.array_equal(sound, np.concatenate([block, np.zeros(1921, np.int16), block, block]))
     assert places == [(0, 0), (10, 2881), (20, 3841)]
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [["--seconds", "0"], ["--jitter-ms", "21"], ["--delay-ms", "-1"], ["--plot", "x.jpg"]],
-)
-def test_impossible_options_are_refused(wrong, capsys):
-    assert main(["voice", *wrong]) == 2
-    assert wrong[0] in capsys.readouterr().err

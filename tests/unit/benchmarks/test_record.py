@@ -1,14 +1,51 @@
-"""`benchmarks record --compare`: a recording counted again, and compared with its report."""
+"""What `benchmarks record` makes of torn files and of reports."""
 
 import json
+from dataclasses import replace
 
 import pytest
+from recordings import WALL_NS, Step, write
 from synthetic_recording import LINK_CYCLES, LINK_NS, MS, PUBLISHED_NS, write_recording
 
 from benchmarks.__main__ import main
 from benchmarks.json_reader import JsonReader
 from benchmarks.record.agreement import compare
+from benchmarks.record.figures import Kill, RecordResult, cut, headlines, kill_of, scan_part
 from benchmarks.record.recount import recount
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+
+SCRIPT = [Step(100 * NS_PER_MS, 0, 0, b"x" * 900) for _ in range(30)]
+
+
+def test_a_cut_loses_less_than_a_second_and_nothing_before():
+    whole = write(SCRIPT)
+    cuts = cut(whole.octets, 0)
+    assert cuts.octets == cuts.cuts
+    assert cuts.damaged == 0
+    assert 0 < cuts.lost_s < 1
+
+
+def test_a_kill_is_measured_from_the_last_message_that_can_be_read():
+    whole = write(SCRIPT, end=False)
+    torn = scan_part(memoryview(whole.octets + b"\x06torn"))
+    assert torn.first_ns is not None and torn.last_ns is not None
+    told = [one for one in whole.told if one.log_ns - WALL_NS <= torn.last_ns]
+    assert len(told) == torn.messages < len(whole.told)
+    kill = kill_of(3 * NS_PER_S, torn, None)
+    assert kill.lost_s == (3 * NS_PER_S - torn.last_ns) / NS_PER_S
+    assert not kill.damaged and kill.gap_s is None
+
+
+def test_a_longer_loss_or_damage_is_a_failure():
+    good = Kill(lost_s=0.4, gap_s=0.9, damaged=False, missing=0)
+    for bad in ({}, {"lost_s": 1.01}, {"damaged": True}):
+        result = RecordResult(
+            setup="spacejustin", seconds=5, kills=(good, replace(good, **bad)), cuts=None,
+            without=(), recorded=(),
+        )  # fmt: skip
+        assert result.sound is not bool(bad)
+        assert any(one.met is False for one in headlines(result)) is bool(bad)
+
 
 SECONDS = 3.0
 
@@ -27,18 +64,17 @@ def latency(ms):
     return {"p50": ms, "p95": ms, "count": 1}
 
 
-def stream_report(counted, name, **more):
+def stream_report(counted, name):
     octets = counted.octets[f"/{name}/sent"]
     return {
         "frames_sent": counted.units[f"/{name}/sent"],
         "frames_displayed": len(counted.latencies_ms[f"/{name}/received"]),
         "payload_bps_mean": octets * 8 / SECONDS,
         "latency_ms": latency((LINK_NS + PUBLISHED_NS) / MS),
-        **more,
     }
 
 
-def report_of(counted, written):
+def report_of(counted):
     """What the report of this session would say."""
     links = {
         name: {
@@ -49,20 +85,16 @@ def report_of(counted, written):
         }
         for name, sent in counted.newest_sent.items()
     }
-    size = {"coded_size": [320, 240]}
+    haptic = {"sent": 3000, "latency_ms": latency(LINK_CYCLES)}
+    streams = {name: stream_report(counted, name) for name in ("uplink_video", "uplink_voice")}
+    streams["uplink_video"]["coded_size"] = [320, 240]
+    kept = {topic: {"kept": count} for topic, count in counted.messages.items()}
     return {
         "seconds": SECONDS,
-        "streams": {
-            "uplink_video": stream_report(counted, "uplink_video", **size),
-            "uplink_voice": stream_report(counted, "uplink_voice"),
-        },
-        "haptic": {
-            key: {"sent": 3000, "latency_ms": latency(LINK_CYCLES)} for key in ("up", "down")
-        },
+        "streams": streams,
+        "haptic": {"up": haptic, "down": dict(haptic)},
         "link": links,
-        "recorder": {
-            "channels": {topic: {"kept": count} for topic, count in counted.messages.items()}
-        },
+        "recorder": {"channels": kept},
     }
 
 
@@ -70,13 +102,13 @@ def test_a_recording_agrees_with_the_report_of_its_session(counted, written):
     assert counted.units["/uplink_video/sent"] == len(written.units["uplink_video"])
     assert counted.messages.total() == sum(map(len, written.told.values()))
     assert counted.samples_sent("up") == (3000, 0)
-    found = compare(counted, JsonReader(report_of(counted, written)))
+    found = compare(counted, JsonReader(report_of(counted)))
     assert [one.what for one in found if not one.agrees] == []
     assert {"ms", "bit/s", ""} == {one.unit for one in found}
 
 
-def test_what_differs_is_found(counted, written):
-    report = report_of(counted, written)
+def test_what_differs_is_found(counted):
+    report = report_of(counted)
     report["streams"]["uplink_video"]["frames_sent"] += 2
     report["streams"]["uplink_voice"]["latency_ms"] = latency(LINK_NS / MS)
     report["haptic"]["up"]["sent"] += 300
@@ -98,7 +130,7 @@ def test_what_differs_is_found(counted, written):
 
 def test_the_command_compares_files_or_refuses_them_in_one_line(written, counted, tmp_path, capsys):
     report, words = tmp_path / "a.json", ("record", "--compare")
-    report.write_text(json.dumps(report_of(counted, written)))
+    report.write_text(json.dumps(report_of(counted)))
     assert main([*words, str(written.paths[0]), str(report)]) == 0
     assert " 0 differ" in capsys.readouterr().out
     torn, other = tmp_path / "torn.mcap", tmp_path / "other.json"

@@ -44,18 +44,15 @@ def test_every_bench_is_in_the_plan_and_every_command_is_one(length):
         assert words[0] != "sweep" or (ROOT / words[1]).is_file()
 
 
-def test_live_benches_run_at_least_three_times():
-    for one in measurements("quick"):
-        virtual = one.name in ("haptics", "sync", "passes", "tasks")
-        assert one.runs == (1 if virtual else LIVE_RUNS)
+def test_live_benches_run_at_least_three_times_and_take_turns():
+    virtual = ("haptics", "sync", "passes", "tasks")
+    runs = {one.name: one.runs for one in measurements("quick")}
+    assert runs == {name: 1 if name in virtual else LIVE_RUNS for name in runs}
     assert LIVE_RUNS >= 3
-
-
-def test_runs_of_two_benches_take_turns():
     plan = measurements("quick", "latency,haptics,cpu")
-    order = [(one.name, number) for one, number in in_turn(plan)]
-    assert order[:4] == [("latency", 1), ("cpu", 1), ("haptics", 1), ("latency", 2)]
-    assert order[4:] == [("cpu", 2), ("latency", 3), ("cpu", 3)]
+    order = [f"{one.name} {number}" for one, number in in_turn(plan)]
+    assert order[:4] == ["latency 1", "cpu 1", "haptics 1", "latency 2"]
+    assert order[4:] == ["cpu 2", "latency 3", "cpu 3"]
 
 
 def test_a_record_is_read_as_it_was_written(tmp_path):
@@ -79,37 +76,55 @@ def test_the_page_shows_median_spread_command_machine_and_a_miss():
     assert row in text
 
 
-def test_each_group_has_a_table_and_a_missing_figure_has_a_dash():
+def test_groups_dashes_failures_and_another_machine_are_on_the_page():
     headlines = (
         Headline(group="a|b", what="one", unit="", value=3.0),
         Headline(group="other", what="two", unit="µs", value=None),
     )
-    text = page([replace(RECORD, headlines=headlines)], folder="x")
+    failed = replace(RECORD, headlines=headlines, failure="a claim does not hold")
+    other = replace(failed, number=2, machine=replace(MACHINE, cpu="Other CPU"), failure="")
+    text = page([failed, other], folder="x")
     assert "| a\\|b | median |\n|---|--:|\n| one | 3 |" in text
     assert "| two, µs | – |" in text
-
-
-def test_a_failed_run_and_another_machine_are_on_the_page():
-    failed = replace(RECORD, failure="a claim does not hold")
-    other = replace(RECORD, number=2, machine=replace(MACHINE, cpu="Other CPU"))
-    text = page([failed, other], folder="x")
     assert "**Run 1 failed: a claim does not hold**" in text
     assert "Other CPU" in text
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--only", "nothing"], "--only nothing"),
-        (["--quick", "--full"], "--full"),
-        (["--write", "/nowhere/at/all.md"], "--write"),
-        (["--out", "/proc/nowhere"], "--out"),
-    ],
-)
-def test_mistakes_are_one_line(options, message, capsys):
-    assert main(["all", *options]) == 2
+#: Options that cannot be, and what the refusal names.
+REFUSED = [
+    ("all --only nothing", "--only nothing"),
+    ("all --quick --full", "--full"),
+    ("all --write /nowhere/at/all.md", "--write"),
+    ("all --out /proc/nowhere", "--out"),
+    ("haptics --cell delay=5000", "delay"),
+    ("haptics --random 0", "--random"),
+    ("haptics --jobs 0", "--jobs"),
+    ("haptics --traces /no/such/place", "/no/such/place"),
+    ("haptics --controller no.such:Controller", "no.such"),
+    ("video --seconds 0", "--seconds 0"),
+    ("video --seconds 9999", "--seconds 9999"),
+    ("video --lead-s -1", "--lead-s -1"),
+    ("video --cap-kbps 5", "--cap-kbps 5"),
+    ("video --cap-kbps 100", "--channel-kbps 88"),
+    ("video --clip nowhere.mp4", "nowhere.mp4"),
+    ("video --only nobody", "--only nobody"),
+    ("video --size 64x48", "--size 64x48"),
+    ("video --report /nowhere/at/all.json", "--report"),
+    ("video --plot latency.jpg", "--plot"),
+    (f"video --clip {__file__} {__file__}", "there is another clip of this name"),
+    (f"video --crops {__file__}/crops", "--crops"),
+    ("voice --seconds 0", "--seconds"),
+    ("voice --jitter-ms 21", "--jitter-ms"),
+    ("voice --delay-ms -1", "--delay-ms"),
+    ("voice --plot x.jpg", "--plot"),
+]
+
+
+@pytest.mark.parametrize(("words", "named"), REFUSED, ids=[words for words, _ in REFUSED])
+def test_mistakes_are_one_line(words, named, capsys):
+    assert main(words.split()) == 2
     error = capsys.readouterr().err
-    assert message in error
+    assert named in error
     assert error.count("\n") == 1
 
 

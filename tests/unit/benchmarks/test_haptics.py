@@ -5,7 +5,6 @@ from itertools import accumulate, pairwise
 import pytest
 from places import ROOT
 
-from benchmarks.__main__ import main
 from benchmarks.haptics.cell import BAND_NAMES, Cell, kept_cells, random_cells, read_cell
 from benchmarks.haptics.channel import SampleChannel
 from benchmarks.haptics.hands import HANDS, HeldHand
@@ -71,44 +70,31 @@ def test_a_cell_is_read_and_a_wrong_one_is_refused():
             read_cell(text)
 
 
-def test_the_small_grid_reaches_the_limits_of_the_claims():
-    grid = kept_cells("small.txt")
+def test_the_small_grid_reaches_the_limits_of_the_claims_and_the_traces_have_every_hand():
+    grid, traces = kept_cells("small.txt"), kept_cells("traces.txt")
     assert len(set(grid)) == len(grid) == 69
-    for name, least, most in (
-        ("delay", 0, 1000),
-        ("jitter", 0, 50),
-        ("loss", 0, 30),
-        ("blackout", 0, 5),
-    ):
+    assert len({cell.name for cell in traces}) == 20
+    limits = {"delay": (0, 1000), "jitter": (0, 50), "loss": (0, 30), "blackout": (0, 5)}
+    for name, ends in limits.items():
         values = {getattr(cell, name) for cell in grid}
-        assert (min(values), max(values)) == (least, most)
+        assert (min(values), max(values)) == ends
     assert max(cell.wall for cell in grid) == 5000
-    assert {cell.hand for cell in grid} == set(HANDS)
+    assert {cell.hand for cell in grid} == {cell.hand for cell in traces} == set(HANDS)
+    page = (ROOT / "docs" / "haptic-traces.md").read_text(encoding="utf-8")
+    assert all(f"`{cell.name}`" in page for cell in traces)
 
 
 def test_random_cells_follow_from_the_seed_and_meet_every_value():
     cells = list(random_cells(300, seed=3))
-    assert cells == list(random_cells(300, seed=3))
-    assert cells != list(random_cells(300, seed=4))
+    assert cells == list(random_cells(300, seed=3)) != list(random_cells(300, seed=4))
     assert len({cell.setting for cell in cells}) == 300
     assert all(read_cell(cell.name) == cell for cell in cells)
-    for name, values in (
-        ("hand", set(HANDS)),
-        ("restart", {"none", "joystick", "robot", "both"}),
-        ("at", {"contact", "free"}),
-        ("band", set(BAND_NAMES[:-1])),
-    ):
-        assert {getattr(cell, name) for cell in cells} == values
+    met = {name: {getattr(cell, name) for cell in cells} for name in ("hand", "restart", "at")}
+    restarts = {"none", "joystick", "robot", "both"}
+    assert met == {"hand": set(HANDS), "restart": restarts, "at": {"contact", "free"}}
+    assert {cell.band for cell in cells} == set(BAND_NAMES[:-1])
     angles = [cell.angle for cell in cells]
     assert min(angles) < -150 < 150 < max(angles)
-
-
-def test_the_public_traces_are_twenty_with_every_hand():
-    cells = kept_cells("traces.txt")
-    assert len({cell.name for cell in cells}) == 20
-    assert {cell.hand for cell in cells} == set(HANDS)
-    page = (ROOT / "docs" / "haptic-traces.md").read_text(encoding="utf-8")
-    assert all(f"`{cell.name}`" in page for cell in cells)
 
 
 def test_taps_touch_four_times_a_second_where_other_hands_move_freely():
@@ -161,15 +147,3 @@ def test_a_hand_that_lets_go_leaves_the_handle_and_takes_it_where_it_is():
     assert hand.dead_man
     assert abs(fx) < 1.0
     assert abs(fy) < 1.0
-
-
-def test_a_wrong_option_is_refused_in_one_line(capsys):
-    for options in (
-        ["--cell", "delay=5000"],
-        ["--random", "0"],
-        ["--jobs", "0"],
-        ["--traces", "/no/such/place"],
-        ["--controller", "no.such:Controller"],
-    ):
-        assert main(["haptics", *options]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
