@@ -13,6 +13,13 @@ from telepresence.world.ground_views import camera_of
 
 SETUP = replace(BUILT_IN["spacejustin"], region="stylus")
 CORNERS = ((100, 100), (500, 100), (500, 380), (100, 380))
+OWN = {"static": "v4l2:/dev/video0"}
+
+
+def tip_at(x_m=0.0, y_m=0.0, **changes):
+    tip = tip_region(replace(SETUP, **changes))
+    tip.handle_tip(x_m, y_m, 0)
+    return tip
 
 
 def centre(region):
@@ -21,46 +28,34 @@ def centre(region):
 
 @pytest.mark.parametrize(("camera", "scene"), [("stereo", "left"), ("static", "static")])
 def test_the_region_is_around_the_tip_where_the_world_draws_it(camera, scene):
-    tip = tip_region(SETUP)
-    tip.handle_tip(0.04, -0.02, 0)
-    region = tip.region(camera, 0)
+    region = tip_at(0.04, -0.02).region(camera, 0)
     assert (region.width, region.height) == (96, 96)
     (drawn,) = camera_of(scene, 640, 480).project(np.array([(0.04, -0.02, 0.0)]))
     assert centre(region) == pytest.approx(drawn, abs=1)
 
 
 def test_a_camera_of_the_users_own_is_calibrated_by_the_corners():
-    setup = replace(
-        SETUP, sources={"static": "v4l2:/dev/video0"}, region_points={"static": CORNERS}
-    )
-    tip = tip_region(setup)
-    tip.handle_tip(0.0, 0.0, 0)
-    assert centre(tip.region("static", 0)) == (300, 240)
     # What the setup says of a camera wins over what the world knows.
-    tip = tip_region(replace(SETUP, region_points={"static": CORNERS}))
-    tip.handle_tip(0.0, 0.0, 0)
-    assert centre(tip.region("static", 0)) == (300, 240)
+    for sources in (OWN, {}):
+        tip = tip_at(sources=sources, region_points={"static": CORNERS})
+        assert centre(tip.region("static", 0)) == (300, 240)
 
 
 def test_without_a_fresh_tip_or_a_calibration_there_is_no_region():
-    tip = tip_region(replace(SETUP, sources={"static": "v4l2:/dev/video0"}))
-    assert tip.region("stereo", 0) is None
-    tip.handle_tip(0.0, 0.0, 0)
+    assert tip_region(BUILT_IN["spacejustin"]) is None
+    assert tip_region(SETUP).region("stereo", 0) is None
+    tip = tip_at(sources=OWN)
     assert tip.region("stereo", 200 * NS_PER_MS) is not None
     assert tip.region("stereo", 201 * NS_PER_MS) is None
     assert tip.region("static", 0) is None
     assert tip.region(None, 0) is None
     # The halves of the stereo picture would no longer show the same place.
-    tip = tip_region(replace(SETUP, sources={"right": "v4l2:/dev/video0"}))
-    tip.handle_tip(0.0, 0.0, 0)
+    tip = tip_at(sources={"right": "v4l2:/dev/video0"})
     assert tip.region("stereo", 0) is None
     assert tip.region("head", 0) is not None
 
 
-def test_a_setup_without_it_has_none():
-    assert tip_region(BUILT_IN["spacejustin"]) is None
-
-
+@pytest.mark.rule("6")
 @pytest.mark.parametrize(
     ("wrong", "mend"),
     [
@@ -69,10 +64,7 @@ def test_a_setup_without_it_has_none():
         ({"region_points": {"wrist": CORNERS}}, "region_points of wrist: .* no such camera"),
         ({"region_points": {"static": CORNERS[:3]}}, "of static: 3 points: give the board's four"),
         ({"region_points": {"static": CORNERS[::-1]}}, "of static: .* must go clockwise"),
-        (
-            {"cameras": ("static",), "sources": {"static": "v4l2:/dev/video0"}},
-            "name the board's corners in region_points",
-        ),
+        ({"cameras": ("static",), "sources": OWN}, "name the board's corners in region_points"),
     ],
 )
 def test_a_region_that_cannot_work_is_refused(wrong, mend):

@@ -1,17 +1,23 @@
-"""What a display draws: each picture at once, a stale one again and again; and what it keeps."""
+"""What a display draws and keeps, and what the detectors at the operator report."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.media import CaptureStamp, Quality
-from kontur_av.streams.staleness import State
-from pipelines.media.figures import DisplayFigures
+from kontur_av.detect import Click, Light
+from kontur_av.media import CaptureStamp, empty_picture
 from pipelines.media.process_display import _write
-from pipelines.media.showing import Showing, SnapshotSchedule
+from pipelines.media.showing import (
+    Recall,
+    Showing,
+    SnapshotSchedule,
+    Watching,
+    tell_click,
+    tell_light,
+)
+from pipelines.session.figures import ClickRow, LightRow
 from pipelines.session.probe import Probe
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
@@ -28,12 +34,7 @@ class Display:
         self.showing = Showing(SETUP, [VIDEO, VOICE], Probe())
         self.drawn = []
 
-    def show(
-        self,
-        stream,
-        capture_ms,
-        now_ms,
-    ):
+    def show(self, stream, capture_ms, now_ms):
         self.run(now_ms - 1)
         stamp = CaptureStamp(capture_ms * NS_PER_MS, 0, "x", rtp_timestamp=1)
         self.showing.handle_shown(stream.name, stamp, now_ms * NS_PER_MS)
@@ -58,26 +59,22 @@ def display():
     return Display()
 
 
-def test_fresh_pictures_are_drawn_once_and_unmarked(display):
+def test_fresh_pictures_are_drawn_once_and_unmarked_and_late_ones_are_marked(display):
     for now_ms in range(100, 1000, 50):
         display.show(VIDEO, now_ms - 60, now_ms)
     assert display.drawn == [(now_ms, None) for now_ms in range(100, 1000, 50)]
+    late = Display()
+    late.show(VIDEO, 0, STALE_MS + 50)
+    assert late.drawn == [(STALE_MS + 50, STALE_MS + 50)]
 
 
 def test_a_picture_that_goes_stale_is_marked_with_its_age_ten_times_a_second(display):
     display.show(VIDEO, 0, 20)
     display.run(STALE_MS + 350)
-    assert display.drawn == [
-        (20, None),
-        *((STALE_MS + late, STALE_MS + late) for late in (0, 100, 200, 300)),
-    ]
+    aged = [(STALE_MS + late, STALE_MS + late) for late in (0, 100, 200, 300)]
+    assert display.drawn == [(20, None), *aged]
     display.show(VIDEO, STALE_MS + 300, STALE_MS + 360)
     assert display.drawn[-1] == (STALE_MS + 360, None)
-
-
-def test_a_picture_that_comes_too_late_is_marked_at_once(display):
-    display.show(VIDEO, 0, STALE_MS + 50)
-    assert display.drawn == [(STALE_MS + 50, STALE_MS + 50)]
 
 
 def test_sound_draws_nothing_and_makes_no_picture_fresh(display):
@@ -90,7 +87,7 @@ def test_sound_draws_nothing_and_makes_no_picture_fresh(display):
     assert display.drawn[-1] == (10_000 + STALE_MS, STALE_MS)
 
 
-SPACEJUSTIN = topology_of(BUILT_IN["spacejustin"])
+SPACEJUSTIN = topology_of(SETUP)
 #: When the session began.
 START_NS = 7 * NS_PER_S // 2
 
@@ -99,36 +96,30 @@ def schedule_at(session_ns):
     return SnapshotSchedule(SPACEJUSTIN, started_ns=START_NS, now_ns=START_NS + session_ns)
 
 
-def instants(end_ns):
+def instants(end_s):
     """When snapshots are due in a session, each since its start."""
     schedule = schedule_at(0)
-    while (due_ns := schedule.poll_timeout()) < START_NS + end_ns:
+    while (due_ns := schedule.poll_timeout()) < START_NS + end_s * NS_PER_S:
         schedule.handle_time(due_ns)
         yield due_ns - START_NS
 
 
-def taken(schedule, now_ns):
-    schedule.handle_time(now_ns)
-    return list(iter(schedule.next_event, None))
-
-
-def test_the_first_snapshot_comes_after_a_second_and_a_day_has_some_dozens():
-    first = list(instants(20 * NS_PER_S))
+def test_snapshots_are_many_at_first_and_some_dozens_a_day_in_any_life_of_the_process():
+    first, day = list(instants(20)), list(instants(86_400))
     assert first[0] == NS_PER_S
-    assert len(first) >= 5
-    day = list(instants(86_400 * NS_PER_S))
-    assert len(day) <= 50
+    assert len(first) >= 5 and len(day) <= 50
     assert len({due_ns // NS_PER_S for due_ns in day}) == len(day)
-
-
-def test_a_restarted_process_continues_the_schedule():
-    whole = list(instants(600 * NS_PER_S))
-    for before, after in pairwise(whole):
+    # A restarted process continues the schedule.
+    for before, after in pairwise(instants(600)):
         for session_ns in (before, after - 1):
             assert schedule_at(session_ns).poll_timeout() == START_NS + after
 
 
-def test_displays_and_the_merge_with_its_halves_are_kept():
+def test_displays_and_the_merge_with_its_halves_are_kept_and_missed_ones_not_caught_up():
+    def taken(schedule, now_ns):
+        schedule.handle_time(now_ns)
+        return list(iter(schedule.next_event, None))
+
     schedule = schedule_at(0)
     assert taken(schedule, START_NS + NS_PER_S - 1) == []
     assert taken(schedule, START_NS + NS_PER_S) == [
@@ -136,11 +127,6 @@ def test_displays_and_the_merge_with_its_halves_are_kept():
         ("ground-downlink_video-0001s", "displayed/downlink_video", False),
         ("ground-stereo-0001s", "camera/stereo", True),
     ]
-    assert taken(schedule, START_NS + NS_PER_S) == []
-
-
-def test_snapshots_that_were_missed_are_not_caught_up():
-    schedule = schedule_at(0)
     late_ns = START_NS + 60 * NS_PER_S
     assert len(taken(schedule, late_ns)) == 3
     assert schedule.poll_timeout() > late_ns
@@ -154,24 +140,55 @@ def test_a_failed_write_is_no_snapshot(tmp_path):
     assert _write(tmp_path / "missing", "space-0001s", picture, halves=False) == [False]
 
 
-def test_concealed_sound_does_not_reduce_the_age_and_is_not_counted():
+LATE_NS = 60 * NS_PER_MS
+
+
+@pytest.mark.rule("5")
+def test_a_light_has_the_capture_times_of_its_picture_and_of_the_one_before():
     probe = Probe()
-    showing = Showing(SETUP, [VIDEO, VOICE], probe)
-    showing.tell(0)
-    assert all(told.age_ns is None for told in probe.message.figures.values())
-    for number in range(100):
-        now_ns = 20 * number * NS_PER_MS
-        captured = CaptureStamp(now_ns - 40 * NS_PER_MS, number, "test", rtp_timestamp=number)
-        for stream, quality in (
-            (VOICE, Quality.FRESH if number < 10 else Quality.CONCEALED),
-            (VIDEO, Quality.FRESH if number < 50 else Quality.DAMAGED),
-        ):
-            showing.handle_shown(stream.name, replace(captured, quality=quality), now_ns)
-    showing.tell(2 * NS_PER_S)
-    voice = probe.message.figures[DisplayFigures, VOICE.name]
-    assert (voice.frames_displayed, voice.stale_episodes) == (10, 1)
-    stale_from_ms = 180 - 40 + 20 + SETUP.stale_after_ns(VOICE) // NS_PER_MS
-    assert (voice.stale_ns, voice.state) == ((2000 - stale_from_ms) * NS_PER_MS, State.STALE)
-    video = probe.message.figures[DisplayFigures, VIDEO.name]
-    assert (video.damaged_ns, video.age_ns) == (1000 * NS_PER_MS, 60 * NS_PER_MS)
-    assert video.state is State.DAMAGED
+    watching = Watching(probe)
+    for number in range(8):
+        picture = empty_picture(320, 240)
+        picture[:240], picture[240:] = 60, 128
+        if number >= 4:
+            picture[100:110, 150:160] = 220
+        stamp = CaptureStamp(40 * number * NS_PER_MS, number, "uplink_video")
+        watching.handle_picture("uplink_video", picture, stamp, stamp.capture_ns + LATE_NS)
+    *instants_ns, strength = probe.series(LightRow, "uplink_video").values
+    assert instants_ns == [160 * NS_PER_MS + LATE_NS, 160 * NS_PER_MS, 40 * NS_PER_MS]
+    assert strength > 0
+
+
+@pytest.mark.parametrize(("played", "at_ms"), [(960, 510), (936, 518)])
+def test_a_click_has_the_capture_time_of_its_own_sample_also_in_a_shortened_voice(played, at_ms):
+    """played: samples that are heard of each block of 960."""
+    probe = Probe()
+    watching = Watching(probe)
+    line = np.zeros(51 * played)
+    k = np.arange(900) / 48_000
+    begin = at_ms // 20 * played + round(at_ms % 20 / 1000 * 48_000 * played / 960)
+    line[begin : begin + 900] = 9000 * np.exp(-k / 0.004) * np.sin(2 * np.pi * 2500 * k)
+    for number in range(50):
+        block = line[number * played : (number + 1) * played].astype(np.int16)
+        stamp = CaptureStamp(20 * number * NS_PER_MS, number, "uplink_voice")
+        now_ns = number * played * NS_PER_S // 48_000 + LATE_NS
+        watching.handle_sound("uplink_voice", block, stamp, now_ns)
+    instant_ns, capture_ns, slack_ns, _ = probe.series(ClickRow, "uplink_voice").values
+    assert abs(capture_ns - at_ms * NS_PER_MS) < 0.25 * NS_PER_MS
+    assert slack_ns == 0
+    if played == 960:
+        assert instant_ns - capture_ns == LATE_NS
+
+
+def test_what_is_found_is_dated_by_its_picture_or_block_or_not_reported():
+    probe, recall = Probe(), Recall(depth=2)
+    for timestamp in (1, 2, 3):
+        recall.add(timestamp, timestamp * NS_PER_MS)
+    tell_light(probe, "uplink_video", Light(9, 2, 1, 0.5, 0.5, 100.0), recall.captured_ns)
+    assert not probe.series(LightRow, "uplink_video").values
+    tell_light(probe, "uplink_video", Light(9, 3, 2, 0.5, 0.5, 100.0), recall.captured_ns)
+    assert list(probe.series(LightRow, "uplink_video").values) == [9, 3 * NS_PER_MS, NS_PER_MS, 100]
+    # A click in a shortened block is dated by its place in the whole one.
+    half = {"offset_ns": 5 * NS_PER_MS, "length_ns": 10 * NS_PER_MS}
+    tell_click(probe, "uplink_voice", Click(500, 7, strength=900.0, **half), {7: 100 * NS_PER_MS})
+    assert list(probe.series(ClickRow, "uplink_voice").values) == [500, 110 * NS_PER_MS, 0, 900]

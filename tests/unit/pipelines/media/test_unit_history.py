@@ -1,8 +1,8 @@
 """Whoever joins a stream in the middle decodes exactly what the live decoder has."""
 
-import cv2
 import numpy as np
 import pytest
+from common import psnr_db
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.h26x import H264Decoder, H264Encoder
@@ -16,6 +16,7 @@ WIDTH, HEIGHT, FPS = 128, 96, 30
 #: A wave begins every 30 pictures, and renews all of the picture with the 6 that follow.
 PERIOD, WAVE = 30, 6
 PIXELS = WIDTH * HEIGHT
+COUNT = 151
 
 
 def moving(number):
@@ -29,12 +30,12 @@ def moving(number):
 
 @pytest.fixture(scope="module")
 def stream():
-    """200 units, and what the live decoder has after each."""
+    """COUNT units, and what the live decoder has after each."""
     encoder = H264Encoder(
         width=WIDTH, height=HEIGHT, fps=FPS, cap_bps=60_000, coded_size=(WIDTH, HEIGHT), refresh_s=1
     )
     decoder, found = H264Decoder(), []
-    for number in range(200):
+    for number in range(COUNT):
         unit = encoder.encode(VideoFrame(moving(number), CaptureStamp(number, number, "x")))
         (picture,) = decoder.decode(unit.data, number)
         coded = CodedUnit(data=unit.data, key=unit.keyframe, width=WIDTH, height=HEIGHT)
@@ -43,159 +44,156 @@ def stream():
     return found
 
 
-def give(history, stream, numbers, **changes):
-    for number in numbers:
-        unit = stream[number][0]
-        if changes:
-            unit = CodedUnit(data=unit.data, key=unit.key, width=WIDTH, height=HEIGHT, **changes)
-        quality = Quality.DAMAGED if changes.get("damaged") else Quality.FRESH
-        stamp = CaptureStamp(number * NS_PER_S // FPS, number, "x", quality, number * 3000)
-        history.handle_unit(unit, stamp, number * NS_PER_S // FPS)
+class Joined:
+    """The history of a stream, and what a decoder that begins now has."""
+
+    def __init__(self, stream, **options):
+        self.stream = stream
+        self.history = UnitHistory(**{"pictures": False} | options)
+
+    def give(self, *numbers, **changes):
+        """Give units: (first, beyond the last), or one number."""
+        for number in range(*numbers) if len(numbers) == 2 else numbers:
+            coded = self.stream[number][0]
+            if changes:
+                coded = CodedUnit(
+                    data=coded.data, key=coded.key, width=WIDTH, height=HEIGHT, **changes
+                )
+            quality = Quality.DAMAGED if changes.get("damaged") else Quality.FRESH
+            now_ns = number * NS_PER_S // FPS
+            stamp = CaptureStamp(now_ns, number, "x", quality, number * 3000)
+            self.history.handle_unit(coded, stamp, now_ns)
+
+    def sequences(self):
+        replay = self.history.replay()
+        return None if replay is None else [unit.sequence for unit in replay]
+
+    def picture(self):
+        decoder, shown = H264Decoder(), []
+        for number, unit in enumerate(self.history.replay()):
+            shown += decoder.decode(unit.data, number)
+        assert (decoder.counts.frames_corrupt, decoder.counts.decoder_restarts) == (0, 0)
+        return shown[-1].to_i420()
+
+    def assert_exact(self, last):
+        np.testing.assert_array_equal(self.picture(), self.stream[last][1])
+
+    def assert_alike(self, last):
+        assert psnr_db(self.picture(), self.stream[last][1]) > 45
 
 
-def joined(history):
-    """What a decoder that begins now has."""
-    decoder, shown = H264Decoder(), []
-    for number, unit in enumerate(history.replay()):
-        shown += decoder.decode(unit.data, number)
-    assert (decoder.counts.frames_corrupt, decoder.counts.decoder_restarts) == (0, 0)
-    return shown[-1].to_i420()
-
-
-def psnr_db(one, other):
-    error = np.mean((one.astype(float) - other.astype(float)) ** 2)
-    return 99 if error == 0 else 10 * np.log10(255**2 / error)
-
-
-@pytest.mark.parametrize("last", [0, 1, 29, 34, 61, 199])
+@pytest.mark.parametrize("last", [0, 1, 29, 34, 61, COUNT - 1])
 def test_since_a_key_picture(stream, last):
-    history = UnitHistory(pictures=False)
-    give(history, stream, range(last + 1))
-    assert len(history.replay()) == last + 1
-    np.testing.assert_array_equal(joined(history), stream[last][1])
+    joined = Joined(stream)
+    joined.give(0, last + 1)
+    assert len(joined.sequences()) == last + 1
+    joined.assert_exact(last)
 
 
-@pytest.mark.parametrize("last", [70, 89, 95, 150, 199])
+@pytest.mark.parametrize("last", [70, 89, 95, COUNT - 1])
 def test_since_a_wave_when_the_key_picture_is_long_ago(stream, last):
-    history = UnitHistory(pictures=False, most_pixels=50 * PIXELS)
-    give(history, stream, range(last + 1))
-    replay = history.replay()
+    joined = Joined(stream, most_pixels=50 * PIXELS)
+    joined.give(0, last + 1)
+    replay = joined.history.replay()
     assert len(replay) <= 25 + PERIOD + WAVE + 2
     assert (replay[0].key, replay[1].key) == (True, False)
-    np.testing.assert_array_equal(joined(history), stream[last][1])
+    joined.assert_exact(last)
 
 
 def test_after_a_gap_a_page_waits_for_a_whole_wave(stream):
-    history = UnitHistory(pictures=False)
-    give(history, stream, range(20))
-    give(history, stream, range(35, 60 + WAVE))
-    assert history.replay() is None
-    give(history, stream, [60 + WAVE])
-    np.testing.assert_array_equal(joined(history), stream[60 + WAVE][1])
-    give(history, stream, range(61 + WAVE, 80))
-    np.testing.assert_array_equal(joined(history), stream[79][1])
+    joined = Joined(stream)
+    joined.give(0, 20)
+    joined.give(35, 60 + WAVE)
+    assert joined.sequences() is None
+    joined.give(60 + WAVE)
+    joined.assert_exact(60 + WAVE)
+    joined.give(61 + WAVE, 80)
+    joined.assert_exact(79)
 
 
-def test_a_wave_with_a_damaged_or_refused_unit_is_no_beginning(stream):
-    for fault in ({"damaged": True}, {"refused": True}):
-        history = UnitHistory(pictures=False)
-        give(history, stream, range(20, 33))
-        give(history, stream, [33], **fault)
-        give(history, stream, range(34, 60))
-        assert history.replay() is None
-        give(history, stream, range(60, 70))
-        np.testing.assert_array_equal(joined(history), stream[69][1])
+@pytest.mark.parametrize("fault", ["damaged", "refused"])
+def test_a_wave_with_a_damaged_or_refused_unit_is_no_beginning(stream, fault):
+    joined = Joined(stream)
+    joined.give(20, 33)
+    joined.give(33, **{fault: True})
+    joined.give(34, 60)
+    assert joined.sequences() is None
+    joined.give(60, 70)
+    joined.assert_exact(69)
 
 
 def test_what_our_decoder_refused_is_withheld(stream):
-    history = UnitHistory(pictures=False)
-    give(history, stream, range(3))
-    give(history, stream, [3], refused=True)
-    give(history, stream, [4])
-    assert [unit.sequence for unit in history.replay()] == [0, 1, 2, 4]
+    joined = Joined(stream)
+    joined.give(0, 3)
+    joined.give(3, refused=True)
+    joined.give(4)
+    assert joined.sequences() == [0, 1, 2, 4]
 
 
 @pytest.mark.parametrize("behind", [0, 1, 5])
 def test_after_a_restart_a_decoded_picture_is_a_beginning(stream, behind):
     """behind: units that came while the picture was coded."""
     sets = b"\0\0\0\1" + stream[0][0].data.split(b"\0\0\0\1\x65")[0].lstrip(b"\0\1")
-    history = UnitHistory(pictures=True)
-    give(history, stream, [40], parameter_sets=sets)
-    assert history.needs_picture and history.replay() is None
-    give(history, stream, range(41, 45 + behind))
-    assert not history.handle_picture(key_of(stream[43][1]), 5)
-    assert history.handle_picture(key_of(stream[44][1]), 44 * 3000)
-    assert not history.needs_picture
-    assert len(history.replay()) == 1 + behind
-    for last in (50, 58):
-        give(history, stream, range(history.replay()[-1].sequence + 1, last + 1))
-        assert psnr_db(joined(history), stream[last][1]) > 45
-    give(history, stream, range(59, 60 + WAVE + 1))
-    np.testing.assert_array_equal(joined(history), stream[60 + WAVE][1])
+    joined = Joined(stream, pictures=True)
+    joined.give(40, parameter_sets=sets)
+    assert joined.history.needs_picture and joined.sequences() is None
+    joined.give(41, 45 + behind)
+    assert not joined.history.handle_picture(key_of(stream[43][1]), 5)
+    assert joined.history.handle_picture(key_of(stream[44][1]), 44 * 3000)
+    assert not joined.history.needs_picture
+    assert len(joined.sequences()) == 1 + behind
+    for first, last in ((45 + behind, 50), (51, 58)):
+        joined.give(first, last + 1)
+        joined.assert_alike(last)
+    joined.give(59, 60 + WAVE + 1)
+    joined.assert_exact(60 + WAVE)
 
 
-def test_without_parameter_sets_no_picture_helps(stream):
-    history = UnitHistory(pictures=True)
-    give(history, stream, range(40, 50))
-    assert not history.needs_picture
+def test_a_picture_helps_with_parameter_sets_and_where_the_replay_is_long(stream):
+    unknown = Joined(stream, pictures=True)
+    unknown.give(40, 50)
+    assert not unknown.history.needs_picture
+    long = Joined(stream, pictures=True, most_pixels=10 * PIXELS)
+    long.give(0, 10)
+    assert not long.history.needs_picture
+    long.give(10, 20)
+    assert long.history.needs_picture and long.sequences() is None
+    assert long.history.handle_picture(key_of(stream[17][1]), 17 * 3000)
+    assert long.sequences() == [17, 18, 19]
+    long.assert_alike(19)
 
 
-def test_a_long_replay_is_exchanged_for_a_picture(stream):
-    history = UnitHistory(pictures=True, most_pixels=10 * PIXELS)
-    give(history, stream, range(10))
-    assert not history.needs_picture
-    give(history, stream, range(10, 20))
-    assert history.needs_picture and history.replay() is None
-    assert history.handle_picture(key_of(stream[17][1]), 17 * 3000)
-    assert [unit.sequence for unit in history.replay()] == [17, 18, 19]
-    assert psnr_db(joined(history), stream[19][1]) > 45
-
-
-def test_a_stream_that_never_begins_is_not_kept(stream):
+@pytest.mark.rule("4")
+@pytest.mark.parametrize(("octets", "kept"), [(1000, 64), (1 << 17, 32)])
+def test_of_a_stream_that_never_begins_64_units_and_4_mib_are_kept(stream, octets, kept):
     history = UnitHistory(pictures=True)
     sets = H264.parameter_sets(stream[0][0].data)
-    unit = CodedUnit(data=bytes(1000), key=False, width=WIDTH, height=HEIGHT, parameter_sets=sets)
-    for number in range(500):
+    unit = CodedUnit(data=bytes(octets), key=False, width=WIDTH, height=HEIGHT, parameter_sets=sets)
+    for number in range(200):
         stamp = CaptureStamp(number, number + 1, "x", rtp_timestamp=number)
         assert history.handle_unit(unit, stamp, number * NS_PER_S // FPS) is not None
         assert history.replay() is None
     key = key_of(stream[0][1])
-    assert not history.handle_picture(key, 500 - 65)
-    assert history.handle_picture(key, 500 - 64)
-    assert len(history.replay()) == 64
+    assert not history.handle_picture(key, 200 - kept - 1)
+    assert history.handle_picture(key, 200 - kept)
+    assert len(history.replay()) == kept
 
 
-def test_a_stream_of_large_units_that_never_begins_keeps_4_mib_of_them(stream):
-    history = UnitHistory(pictures=True)
-    sets = H264.parameter_sets(stream[0][0].data)
-    unit = CodedUnit(
-        data=bytes(1 << 17), key=False, width=WIDTH, height=HEIGHT, parameter_sets=sets
-    )
-    for number in range(100):
-        stamp = CaptureStamp(number, number + 1, "x", rtp_timestamp=number)
-        history.handle_unit(unit, stamp, number * NS_PER_S // FPS)
-    key = key_of(stream[0][1])
-    assert not history.handle_picture(key, 100 - 33)
-    assert history.handle_picture(key, 100 - 32)
-
-
-def test_what_was_filmed_begins_a_stream_of_which_nothing_is_known(stream):
-    history = UnitHistory(pictures=False, filmed=True)
-    give(history, stream, range(40, 45), parameter_sets=H264.parameter_sets(stream[0][0].data))
-    assert history.replay() is None and history.needs_filmed
-    assert not history.handle_filmed(key_of(moving(43)), 30)
-    assert history.handle_filmed(key_of(moving(43)), 43)
-    give(history, stream, range(45, 50))
+def test_what_was_filmed_begins_a_stream_of_which_nothing_is_known_and_no_other(stream):
+    joined = Joined(stream, filmed=True)
+    joined.give(40, 45, parameter_sets=H264.parameter_sets(stream[0][0].data))
+    assert joined.sequences() is None and joined.history.needs_filmed
+    assert not joined.history.handle_filmed(key_of(moving(43)), 30)
+    assert joined.history.handle_filmed(key_of(moving(43)), 43)
+    joined.give(45, 50)
     # It only resembles the stream, as the coder's faults are missing, until the next wave is over.
-    assert cv2.PSNR(joined(history), stream[49][1]) > 25
-    give(history, stream, range(50, 60 + WAVE + 1))
-    assert np.array_equal(joined(history), stream[60 + WAVE][1])
-    assert not history.needs_filmed
-
-
-def test_what_was_filmed_replaces_no_beginning_that_is_exact(stream):
-    history = UnitHistory(pictures=False, filmed=True, most_pixels=10 * PIXELS)
-    give(history, stream, range(25))
-    assert not history.needs_filmed and not history.needs_picture
-    assert not history.handle_filmed(key_of(moving(24)), 24)
-    assert np.array_equal(joined(history), stream[24][1])
+    assert psnr_db(joined.picture(), stream[49][1]) > 25
+    joined.give(50, 60 + WAVE + 1)
+    joined.assert_exact(60 + WAVE)
+    assert not joined.history.needs_filmed
+    # It replaces no beginning that is exact.
+    exact = Joined(stream, filmed=True, most_pixels=10 * PIXELS)
+    exact.give(0, 25)
+    assert not exact.history.needs_filmed and not exact.history.needs_picture
+    assert not exact.history.handle_filmed(key_of(moving(24)), 24)
+    exact.assert_exact(24)

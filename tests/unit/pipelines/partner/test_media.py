@@ -15,7 +15,7 @@ from kontur_av.rtp.wire import is_rtcp
 from pipelines.partner.description import wanted_line
 from pipelines.partner.media import PictureCame, RtcMedia, SoundCame
 
-DELAY_NS = 15 * NS_PER_MS
+DELAY_NS, STEP_NS = 15 * NS_PER_MS, 2 * NS_PER_MS
 #: The receiver's clock is ahead of the sender's by this; sender reports tell Unix time.
 AHEAD_NS = 500 * NS_PER_S
 BPS = {"audio": 32_000, "video": 1_500_000}
@@ -71,7 +71,7 @@ class Pair:
         ]
 
     def run(self, begin_ns, end_ns):
-        for now_ns in range(begin_ns, end_ns, NS_PER_MS):
+        for now_ns in range(begin_ns, end_ns, STEP_NS):
             self._step(self.sender, now_ns, 0, 0)
             self._step(self.receiver, now_ns + AHEAD_NS, 1, AHEAD_NS)
             while (event := self.receiver.next_event()) is not None:
