@@ -6,11 +6,9 @@ import pytest
 from battery import Battery
 
 from kontur_av.errors import ConfigError
-from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.packets import MAX_REPORT_OCTETS
 from telepresence.tmtc.telemetry_source import (
-    Component,
     TelemetryEvent,
     TelemetryFunction,
     TelemetryParameter,

@@ -10,7 +10,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import empty_picture
 from kontur_av.sources import check_spec, open_audio, open_video
 from telepresence.world import DEFAULT_SCENES, WorldState, audio_scenes, video_scenes
-from telepresence.world.scenes import media_folder, read_speech
+from telepresence.world.scenes import read_speech
 
 
 def test_every_default_input_has_its_scene():
