@@ -13,8 +13,9 @@ from telepresence.tmtc.pus.xtce import dictionary_xtce
 
 def decoded(dictionary: Dictionary, stream: bytes, directory: Path) -> list[Any]:
     """What the decoder finds in a stream of packets, by the XTCE of `dictionary`."""
-    xtce = pytest.importorskip("space_packet_parser.xtce.definitions")
-    generators = pytest.importorskip("space_packet_parser.generators.ccsds")
+    why = "space_packet_parser: pip install 'kontur-av[full]'"
+    xtce = pytest.importorskip("space_packet_parser.xtce.definitions", reason=why)
+    generators = pytest.importorskip("space_packet_parser.generators.ccsds", reason=why)
     document = directory / "dictionary.xml"
     document.write_text(dictionary_xtce(dictionary), encoding="utf-8")
     definition = xtce.XtcePacketDefinition.from_xtce(document)

@@ -9,12 +9,13 @@ from random import Random
 from types import SimpleNamespace
 
 import pytest
+from common import first_seed, repeats
 from file_pair import GROUND, SPACE, FileEnd
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.files.entity import DONE
 
-cfdppy = pytest.importorskip("cfdppy")
+cfdppy = pytest.importorskip("cfdppy", reason="cfdp-py: pip install 'kontur-av[full]'")
 pytestmark = pytest.mark.filterwarnings("ignore:base is deprecated")
 
 from cfdppy.exceptions import (  # noqa: E402
@@ -44,6 +45,7 @@ from spacepackets.util import ByteFieldU16  # noqa: E402
 
 OCTETS = Random(1).randbytes(30_000)
 STEP_NS = 20 * NS_PER_MS
+LOSSES = [(0, 0.0), *((first_seed() + number, 0.1) for number in range(repeats(2)))]
 
 
 class User(CfdpUserBase):
@@ -149,8 +151,7 @@ def run(
     return now_ns
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("loss", [0.0, 0.1])
+@pytest.mark.parametrize(("seed", "loss"), LOSSES)
 def test_our_sender_and_the_handler_of_others(tmp_path, monkeypatch, seed, loss) -> None:
     end = FileEnd(GROUND, SPACE, segment_octets=400)
     peer = Peer(tmp_path, ChecksumType.CRC_32)
@@ -163,8 +164,7 @@ def test_our_sender_and_the_handler_of_others(tmp_path, monkeypatch, seed, loss)
     assert (tmp_path / name).read_bytes() == OCTETS
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("loss", [0.0, 0.1])
+@pytest.mark.parametrize(("seed", "loss"), LOSSES)
 @pytest.mark.parametrize("checksum", [ChecksumType.CRC_32, ChecksumType.MODULAR])
 def test_the_sender_of_others_and_our_receiver(tmp_path, monkeypatch, seed, loss, checksum) -> None:
     end = FileEnd(GROUND, SPACE)
@@ -178,30 +178,26 @@ def test_the_sender_of_others_and_our_receiver(tmp_path, monkeypatch, seed, loss
     assert finished.condition_code == 0
 
 
-def test_a_cancelled_file_ends_at_the_handler_of_others(tmp_path, monkeypatch) -> None:
+@pytest.mark.parametrize("ours", [True, False])
+def test_a_file_that_is_cancelled_here_ends_at_the_handler_of_others(
+    tmp_path, monkeypatch, ours
+) -> None:
     end = FileEnd(GROUND, SPACE, segment_octets=400)
     peer = Peer(tmp_path, ChecksumType.CRC_32)
-    end.files["cut.bin"] = OCTETS
     monkeypatch.chdir(tmp_path)
-    transfer = end.put("cut.bin")
+    if ours:
+        end.files["cut.bin"] = OCTETS
+        transfer = end.put("cut.bin")
+    else:
+        (tmp_path / "sent.bin").write_bytes(OCTETS)
+        peer.put(tmp_path / "sent.bin", "given.bin")
     now_ns = run(end, peer, monkeypatch, 1, 0.5, 0.0)
-    end.entity.cancel(transfer.number, now_ns)
+    if ours:
+        end.entity.cancel(transfer.number, now_ns)
+    else:
+        (receiver,) = end.entity._receivers.values()
+        receiver.cancel(now_ns)
     run(end, peer, monkeypatch, 1, 20, 0.0, now_ns)
     (finished,) = peer.user.finished
     assert finished.condition_code == ConditionCode.CANCEL_REQUEST_RECEIVED
-    assert not end.entity.open
-
-
-def test_the_sender_of_others_ends_when_our_receiver_cancels(tmp_path, monkeypatch) -> None:
-    end = FileEnd(GROUND, SPACE)
-    peer = Peer(tmp_path, ChecksumType.CRC_32)
-    source = tmp_path / "sent.bin"
-    source.write_bytes(OCTETS)
-    peer.put(source, "given.bin")
-    now_ns = run(end, peer, monkeypatch, 1, 0.5, 0.0)
-    (receiver,) = end.entity._receivers.values()
-    receiver.cancel(now_ns)
-    run(end, peer, monkeypatch, 1, 20, 0.0, now_ns)
-    assert not end.entity.open and not end.files
-    (finished,) = peer.user.finished
-    assert finished.condition_code == ConditionCode.CANCEL_REQUEST_RECEIVED
+    assert not end.entity.open and "given.bin" not in end.files

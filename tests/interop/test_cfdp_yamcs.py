@@ -7,16 +7,16 @@ import socket
 import time
 from random import Random
 
+from common import PATIENCE_S, eventually
 from file_pair import GROUND, SPACE, FileEnd
-from janus_room import free_port
-from running_session import PATIENCE_S, eventually, free_pair
+from running_session import free_pair, tcp_port
 from yamcs import Yamcs
 
 from telepresence.files.entity import DONE, FAILED
 from telepresence.files.pdus import ChecksumType
 from telepresence.link.frame import MAX_PACKET_OCTETS
 
-OCTETS = Random(1).randbytes(12_000)
+OCTETS = Random(1).randbytes(6_000)
 LOSS = 0.15
 
 SERVER = """\
@@ -78,9 +78,9 @@ pdu as binary from cfdp_out
 
 def run(end, udp, address, ended, seed):
     """Carry PDUs between our entity and YAMCS until all has ended; return how many were lost."""
-    random, lost, deadline_s = Random(seed), 0, time.monotonic() + PATIENCE_S
+    random, lost, deadline_s = Random(seed), 0, time.monotonic() + 3 * PATIENCE_S
     while not ended():
-        assert time.monotonic() < deadline_s, "a file did not come"
+        assert time.monotonic() < deadline_s, f"a file did not come; seed {seed}"
         now_ns = time.monotonic_ns()
         end.entity.handle_link(heard=True, waiting_octets=0, now_ns=now_ns)
         while True:
@@ -102,7 +102,7 @@ def run(end, udp, address, ended, seed):
 
 
 def test_files_go_both_ways_while_pdus_are_lost(tmp_path):
-    http, into = free_port(), free_pair()
+    http, into = tcp_port(), free_pair()
     out = into + 1
     for directory in ("etc", "up", "down"):
         (tmp_path / directory).mkdir()
@@ -116,7 +116,7 @@ def test_files_go_both_ways_while_pdus_are_lost(tmp_path):
     with Yamcs(tmp_path, http) as yamcs, socket.socket(type=socket.SOCK_DGRAM) as udp:
         udp.bind(("127.0.0.1", out))
         udp.setblocking(False)
-        eventually(yamcs.is_there, "the start of YAMCS")
+        eventually(yamcs.is_there, "the start of YAMCS", 3 * PATIENCE_S)
         end = FileEnd(
             GROUND, SPACE, time.monotonic_ns(), checksum=ChecksumType.MODULAR, repeat_ns=500_000_000
         )

@@ -1,20 +1,17 @@
 """Media files of others: our sources show and sound what FFmpeg does, at the same instants."""
 
 import json
-import shutil
 import subprocess
 
 import numpy as np
 import pytest
+from programs import needs
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
 from kontur_av.media import empty_picture
 from kontur_av.sources import open_audio, open_video
 
-pytestmark = [
-    pytest.mark.interop,
-    pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg: apt-get install ffmpeg"),
-]
+pytestmark = pytest.mark.interop
 
 SIZE = 64, 48
 PICTURES = ["-f", "lavfi", "-i", "testsrc2=s=320x240:r=25:d=0.6"]
@@ -28,8 +25,6 @@ VIDEO = {
     "grey.mkv": ["-pix_fmt", "gray16le", "-c:v", "ffv1"],
     "one_bit.nut": ["-pix_fmt", "monow", "-c:v", "rawvideo"],
     "palette.gif": [],
-    "rgb565.nut": ["-pix_fmt", "rgb565le", "-c:v", "rawvideo"],
-    "yuyv.avi": ["-pix_fmt", "yuyv422", "-c:v", "rawvideo"],
     "b_pictures.avi": ["-c:v", "mpeg4", "-bf", "2"],
     "fragments.mp4": [*X264, "-movflags", "frag_keyframe+empty_moov", "-g", "5"],
     "no_edit_list.mp4": [*X264, "-bf", "2", "-movflags", "negative_cts_offsets"],
@@ -39,20 +34,18 @@ VIDEO = {
 TWO_TRACKS = ["-filter_complex", "asplit[a][b];[b]volume=0.2[c]", "-map", "[a]", "-map", "[c]"]
 AUDIO = {
     "second.mkv": [*TWO_TRACKS, "-disposition:a:0", "0", "-disposition:a:1", "default"],
-    "u8.wav": ["-c:a", "pcm_u8"],
-    "float64.wav": ["-c:a", "pcm_f64le"],
     "law.wav": ["-c:a", "pcm_mulaw"],
     "extensible.wav": ["-c:a", "pcm_s24le", "-ac", "2"],
     "surround.wav": ["-filter:a", "pan=5.1|FC=c0", "-c:a", "pcm_s16le"],
     "rf64.wav": ["-rf64", "always"],
-    "wave64.w64": [],
     "lossless.flac": [],
 }
 
 
 def ffmpeg(*options):
+    needs("ffmpeg")
     command = ["ffmpeg", "-v", "error", "-y", *options]
-    return subprocess.run(command, capture_output=True, check=True, timeout=60).stdout
+    return subprocess.run(command, capture_output=True, check=True, timeout=300).stdout
 
 
 @pytest.mark.parametrize("name", VIDEO)
@@ -63,7 +56,7 @@ def test_pictures_are_those_of_ffmpeg(tmp_path, name):
     raw = ffmpeg("-i", path, "-vf", f"{fit},format=yuv420p", "-f", "rawvideo", "-")
     wanted = np.frombuffer(raw, np.uint8).reshape(-1, SIZE[1] * 3 // 2, SIZE[0]).astype(int)
     probe = ["ffprobe", "-v", "quiet", "-show_entries", "frame=pts_time", "-of", "json", path]
-    frames = json.loads(subprocess.check_output(probe, timeout=60))["frames"]
+    frames = json.loads(subprocess.check_output(probe, timeout=300))["frames"]
     clock, into, found = ManualClock(0), empty_picture(*SIZE), []
     source = open_video(path, name="v", width=SIZE[0], height=SIZE[1], fps=25, clock=clock)
     while len(found) < len(wanted):

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from janus_room import free_port
-from running_session import PATIENCE_S, eventually
+from common import PATIENCE_S, eventually
+from running_session import tcp_port
 
 pytestmark = pytest.mark.interop
 
@@ -27,7 +27,9 @@ def bindings():
     try:
         subprocess.run([PYTHON, "-c", NEEDS], check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError):
-        pytest.skip("apt-get install python3-gi gir1.2-gst-plugins-bad-1.0 gstreamer1.0-nice")
+        pytest.skip(
+            "python3-gi: apt-get install python3-gi gir1.2-gst-plugins-bad-1.0 gstreamer1.0-nice"
+        )
 
 
 @pytest.fixture
@@ -51,10 +53,11 @@ def test_it_watches_publishes_and_stalls_alone(start, tmp_path):
     serve = start(
         "serve",
         *(sys.executable, "-m", "pipelines.cli", "rtc", "serve"),
-        *("--http", str(free_port())),
+        *("--http", str(tcp_port())),
         *("--token", token, "--video", "scene:left", "--size", "320x240", "--fps", "15"),
         *("--audio", "scene:ground_voice"),
         *("--report", "report.json", "--save", "seen.mkv", "--save-voice", "heard.mka"),
+        *("--raw", "raw.y4m"),
     )
     told = tmp_path / "serve.txt"
     found = eventually(lambda: re.search(r"whep (\S+)/whep/(\S+)", told.read_text()), "the server")
@@ -68,12 +71,12 @@ def test_it_watches_publishes_and_stalls_alone(start, tmp_path):
         counts = re.findall(rf"{what} (\d+)", (tmp_path / f"{viewer}.txt").read_text())
         return int(counts[-1]) if counts else 0
 
-    eventually(lambda: count("pictures") >= 30, "30 of our pictures in GStreamer")
-    eventually(lambda: count("sounds") >= 30, "our voice in GStreamer")
+    eventually(lambda: count("pictures") >= 20, "20 of our pictures in GStreamer")
+    eventually(lambda: count("sounds") >= 20, "our voice in GStreamer")
     # A viewer that stalls holds up nobody, and sees the present when it goes on.
     stalls.send_signal(signal.SIGSTOP)
     seen, others = count("pictures"), count("pictures", "other")
-    eventually(lambda: count("pictures", "other") > others + 20, "the other's pictures")
+    eventually(lambda: count("pictures", "other") > others + 10, "the other's pictures")
     assert count("pictures") == seen
     stalls.send_signal(signal.SIGCONT)
     eventually(lambda: count("pictures") > seen + 10, "pictures after the stall")
@@ -85,5 +88,8 @@ def test_it_watches_publishes_and_stalls_alone(start, tmp_path):
     assert report["pictures"]["decoded"] > 0
     assert report["voice"]["decoded"] > 0
     assert report["failed"] == []
+    # Each picture that was decoded is in the file, to the last.
+    raw = (tmp_path / "raw.y4m").read_bytes()
+    assert raw.count(b"FRAME\n") == report["pictures"]["decoded"]
     # Sound waits in the file's buffer until the end.
     assert (tmp_path / "heard.mka").stat().st_size > 1000

@@ -1,29 +1,19 @@
 """`send` and `receive` with GStreamer and FFmpeg, over real sockets, with real codecs."""
 
-import contextlib
 import json
-import socket
-import time
+import re
+import signal
 import wave
 from fractions import Fraction
 
 import av
 import numpy as np
 import pytest
-from aiortc.rtp import RtcpPacket, RtcpRrPacket, RtcpSdesPacket
-from media_commands import (
-    finish,
-    free_ports,
-    needs,
-    needs_ffmpeg,
-    ours,
-    started,
-    wait_for_file,
-    wait_for_line,
-)
-from rtp_packets import PromptSender
+from common import psnr_db
+from media_commands import finish, ours, started, wait_for_file, wait_for_line
+from programs import needs, needs_elements
+from running_session import free_pair
 
-from kontur_av.media import VIDEO_CODECS, CaptureStamp
 from kontur_av.rtp.sdp import StreamDescription, write_sdp
 
 pytestmark = pytest.mark.interop
@@ -40,26 +30,18 @@ def scene(number: int) -> np.ndarray:
     return picture
 
 
-def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
-    error = np.mean((one[:HEIGHT].astype(float) - other[:HEIGHT].astype(float)) ** 2)
-    return 10 * np.log10(255**2 / max(error, 1e-9))
-
-
 def assert_is_the_film(path) -> None:
-    """Assert that each picture in the raw file is one of the film, the last ones in order.
+    """Assert that the raw file's pictures are those of the film, the last ones in order.
 
     Pictures may be missing or repeated, because the player follows the clock of a busy machine.
-    Where the film begins anew, a few are coarse.
+    Where the film begins anew, they are coarse for a while.
     """
-    pictures = np.fromfile(path, np.uint8).reshape(-1, HEIGHT * 3 // 2, WIDTH)
-    film = [scene(number) for number in range(60)]
-    shown, best = [], []
-    for picture in pictures[-10:]:
-        quality = [psnr_db(picture, candidate) for candidate in film]
-        best.append(max(quality))
-        shown.append(int(np.argmax(quality)))
-    assert np.median(best) > 28, best
-    steps = np.diff(shown) % 60
+    pictures = np.fromfile(path, np.uint8).reshape(-1, HEIGHT * 3 // 2, WIDTH)[-30:, :HEIGHT]
+    film = [scene(number)[:HEIGHT] for number in range(60)]
+    quality = np.array([[psnr_db(picture, one) for one in film] for picture in pictures])
+    best, shown = quality.max(axis=1), quality.argmax(axis=1)
+    assert np.median(np.sort(best)[-10:]) > 28, best
+    steps = np.diff(shown[-10:]) % 60
     assert max(steps) < 30 and sum(steps) > 0, shown
 
 
@@ -87,33 +69,21 @@ def tone(tmp_path_factory):
     return path
 
 
-def send_film(film, port, sdp, seconds=6, codec="h264"):
+def send_film(film, port, sdp, codec):
     return ours(
-        *("send", "--video", film, "--to", f"127.0.0.1:{port}", "--cap-kbps", 400),
-        *(
-            "--size",
-            f"{WIDTH}x{HEIGHT}",
-            "--fps",
-            FPS,
-            "--seconds",
-            seconds,
-            "--sdp",
-            sdp,
-            "--codec",
-            codec,
-        ),
+        *("send", "--video", film, "--to", f"127.0.0.1:{port}", "--cap-kbps", 400, "--sdp", sdp),
+        *("--size", f"{WIDTH}x{HEIGHT}", "--fps", FPS, "--seconds", 60, "--codec", codec),
     )
 
 
-@pytest.mark.parametrize("codec", VIDEO_CODECS)
-def test_gstreamer_shows_what_we_send(film, tmp_path, codec):
-    needs("sdpdemux", f"rtp{codec}depay", f"{codec}parse", f"avdec_{codec}")
-    port, sdp, raw = free_ports(), tmp_path / "x.sdp", tmp_path / "x.yuv"
-    with send_film(film, port, sdp, codec=codec):
+def test_gstreamer_shows_the_h264_that_we_send(film, tmp_path):
+    needs_elements("sdpdemux", "rtph264depay", "h264parse", "avdec_h264")
+    port, sdp, raw = free_pair(), tmp_path / "x.sdp", tmp_path / "x.yuv"
+    with send_film(film, port, sdp, "h264"):
         wait_for_file(sdp)
         pipeline = (
-            f"filesrc location={sdp} ! sdpdemux latency=50 ! rtp{codec}depay ! {codec}parse ! "
-            f"avdec_{codec} ! videoconvert ! video/x-raw,format=I420 ! identity eos-after=45 ! "
+            f"filesrc location={sdp} ! sdpdemux latency=50 ! rtph264depay ! h264parse ! "
+            f"avdec_h264 ! videoconvert ! video/x-raw,format=I420 ! identity eos-after=45 ! "
             f"filesink location={raw}"
         )
         with started("gst-launch-1.0", "-q", *pipeline.split()) as player:
@@ -121,11 +91,10 @@ def test_gstreamer_shows_what_we_send(film, tmp_path, codec):
     assert_is_the_film(raw)
 
 
-@pytest.mark.parametrize("codec", VIDEO_CODECS)
-def test_ffmpeg_shows_what_we_send(film, tmp_path, codec):
-    needs_ffmpeg()
-    port, sdp, raw = free_ports(), tmp_path / "x.sdp", tmp_path / "x.yuv"
-    with send_film(film, port, sdp, codec=codec):
+def test_ffmpeg_shows_the_h265_that_we_send(film, tmp_path):
+    needs("ffmpeg")
+    port, sdp, raw = free_pair(), tmp_path / "x.sdp", tmp_path / "x.yuv"
+    with send_film(film, port, sdp, "h265"):
         wait_for_file(sdp)
         with started(
             *("ffmpeg", "-v", "error", "-protocol_whitelist", "file,udp,rtp", "-i", sdp),
@@ -136,11 +105,11 @@ def test_ffmpeg_shows_what_we_send(film, tmp_path, codec):
 
 
 def test_gstreamer_plays_the_voice_we_send(tone, tmp_path):
-    needs("sdpdemux", "rtpopusdepay", "opusdec")
-    port, sdp, raw = free_ports(), tmp_path / "a.sdp", tmp_path / "a.raw"
+    needs_elements("sdpdemux", "rtpopusdepay", "opusdec")
+    port, sdp, raw = free_pair(), tmp_path / "a.sdp", tmp_path / "a.raw"
     with ours(
         *("send", "--audio", tone, "--to", f"127.0.0.1:{port}", "--cap-kbps", 64),
-        *("--seconds", 5, "--sdp", sdp),
+        *("--seconds", 60, "--sdp", sdp),
     ):
         wait_for_file(sdp)
         pipeline = (
@@ -165,15 +134,14 @@ def receive(tmp_path, port, kind, **description):
     return ours("receive", "--sdp", sdp, "--report", report, "--save", tmp_path / "r.mkv"), report
 
 
-@pytest.mark.parametrize("codec", VIDEO_CODECS)
-@pytest.mark.parametrize("aggregate", ["none", "zero-latency"])
-def test_we_play_what_gstreamer_sends(tmp_path, aggregate, codec):
-    needs(f"x{codec[1:]}enc", f"rtp{codec}pay", "rtpbin")
-    port = free_ports()
+@pytest.mark.parametrize(("codec", "aggregate"), [("h264", "none"), ("h265", "zero-latency")])
+def test_we_play_what_gstreamer_sends(tmp_path, codec, aggregate):
+    needs_elements(f"x{codec[1:]}enc", f"rtp{codec}pay", "rtpbin")
+    port = free_pair()
     process, report_file = receive(tmp_path, port, "video", codec=codec)
     # rtpbin sends reports, so the latency is known.
     pipeline = (
-        "rtpbin name=r videotestsrc is-live=true num-buffers=75 pattern=ball ! "
+        "rtpbin name=r videotestsrc is-live=true num-buffers=60 pattern=ball ! "
         f"video/x-raw,width={WIDTH},height={HEIGHT},framerate={FPS}/1 ! "
         f"x{codec[1:]}enc tune=zerolatency bitrate=300 key-int-max=30 ! "
         f"rtp{codec}pay pt=96 aggregate-mode={aggregate} ! r.send_rtp_sink_0 "
@@ -186,7 +154,7 @@ def test_we_play_what_gstreamer_sends(tmp_path, aggregate, codec):
         with started("gst-launch-1.0", "-q", *pipeline.split()):
             finish(receiver)
     report = json.loads(report_file.read_text())
-    assert report["frames_decoded"] >= 74
+    assert report["frames_decoded"] >= 59
     assert (report["rtp_lost"], report["frames_damaged"], report["frames_corrupt"]) == (0, 0, 0)
     assert report["size"] == [WIDTH, HEIGHT]
     assert report["rtcp_reports"] >= 1
@@ -195,8 +163,8 @@ def test_we_play_what_gstreamer_sends(tmp_path, aggregate, codec):
 
 
 def test_we_play_the_opus_that_gstreamer_sends(tmp_path):
-    needs("opusenc", "rtpopuspay")
-    port = free_ports()
+    needs_elements("opusenc", "rtpopuspay")
+    port = free_pair()
     process, report_file = receive(tmp_path, port, "audio")
     pipeline = (
         "audiotestsrc is-live=true num-buffers=100 samplesperbuffer=960 ! "
@@ -218,75 +186,23 @@ def test_we_play_the_opus_that_gstreamer_sends(tmp_path):
         assert heard >= 0.9 * report["frames_decoded"] * 960 > 0
 
 
-def test_who_sends_a_voice_gets_reports_on_it(tmp_path):
-    port = free_ports()
-    process, _ = receive(tmp_path, port, "audio", feedback=True)
-    sender = PromptSender(
-        payload_type=96,
-        clock_rate_hz=48_000,
-        ssrc=9,
-        first_sequence=65_500,
-        timestamp_offset=0,
-        cname="voice",
-    )
-    answers = []
-    with process as receiver, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        wait_for_line(receiver, "waiting")
-        for number in range(150):
-            now_ns = time.monotonic_ns()
-            stamp = CaptureStamp(now_ns, number, "voice")
-            for packet in sender.audio_packets(b"\xf8\xff\xfe", stamp).packets:
-                udp.sendto(packet, ("127.0.0.1", port))
-            if (report := sender.poll_report(now_ns)) is not None:
-                udp.sendto(report, ("127.0.0.1", port + 1))
-            with contextlib.suppress(BlockingIOError):
-                answers.append(udp.recv(1500, socket.MSG_DONTWAIT))
-            time.sleep(0.02)
-        udp.sendto(sender.goodbye(time.monotonic_ns()), ("127.0.0.1", port + 1))
-        finish(receiver)
-    assert len(answers) >= 2
-    for answer in answers:
-        about, who = RtcpPacket.parse(answer)
-        assert isinstance(about, RtcpRrPacket) and isinstance(who, RtcpSdesPacket)
-    (block,) = RtcpPacket.parse(answers[-1])[0].reports
-    assert block.ssrc == 9 and block.highest_sequence > 65_536 and block.packets_lost == 0
-    assert block.lsr
-
-
 def test_we_play_what_ffmpeg_sends_by_its_own_sdp(tmp_path):
-    needs_ffmpeg()
-    port, sdp, report_file = free_ports(), tmp_path / "f.sdp", tmp_path / "f.json"
+    needs("ffmpeg")
+    port, sdp, report_file = free_pair(), tmp_path / "f.sdp", tmp_path / "f.json"
     # With a global header, SPS and PPS are only in the SDP.
     with started(
         *("ffmpeg", "-v", "error", "-re", "-f", "lavfi"),
-        *("-i", f"testsrc=size={WIDTH}x{HEIGHT}:rate={FPS}", "-t", 8, "-pix_fmt", "yuv420p"),
+        *("-i", f"testsrc=size={WIDTH}x{HEIGHT}:rate={FPS}", "-t", 600, "-pix_fmt", "yuv420p"),
         *("-c:v", "libx264", "-tune", "zerolatency", "-g", 15, "-flags", "+global_header"),
         *("-f", "rtp", "-sdp_file", sdp, f"rtp://127.0.0.1:{port}"),
     ) as player:
         wait_for_file(sdp)
         with ours("receive", "--sdp", sdp, "--report", report_file) as receiver:
+            lines = (line for line in receiver.stdout if "decoded" in line)
+            next(line for line in lines if int(re.search(r"(\d+) decoded", line)[1]) >= 45)
+            # It says goodbye.
+            player.send_signal(signal.SIGINT)
             finish(receiver)
-        finish(player)
     report = json.loads(report_file.read_text())
     assert report["frames_decoded"] >= 45
     assert (report["rtp_lost"], report["frames_corrupt"]) == (0, 0)
-
-
-def test_our_own_two_ends_lose_nothing_and_keep_the_cap(film, tmp_path):
-    port = free_ports()
-    process, report_file = receive(tmp_path, port, "video")
-    sent_file = tmp_path / "s.json"
-    with process as receiver:
-        wait_for_line(receiver, "waiting")
-        with ours(
-            *("send", "--video", film, "--to", f"127.0.0.1:{port}", "--cap-kbps", 120),
-            *("--size", f"{WIDTH}x{HEIGHT}", "--seconds", 3, "--report", sent_file),
-        ) as sender:
-            finish(sender)
-        finish(receiver)
-    sent, received = json.loads(sent_file.read_text()), json.loads(report_file.read_text())
-    assert received["rtp_packets"] == sent["rtp_packets_sent"]
-    assert received["rtp_lost"] == 0
-    assert received["frames_decoded"] == sent["frames_sent"] >= 60
-    assert sent["payload_bps_max_1s"] <= 120_000
-    assert received["latency_ms"]["p50"] > 0

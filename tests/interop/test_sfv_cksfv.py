@@ -1,23 +1,25 @@
 """Lists of checksums: Debian's cksfv verifies ours, and we verify its."""
 
-import shutil
 import subprocess
 
 import pytest
+from programs import needs
 
 from pipelines.upkeep.desk import DiskStore
 from telepresence.upkeep.file_store import StoredFile
 from telepresence.upkeep.manifest import SFV, fault_of, write_copy
 
-pytestmark = [
-    pytest.mark.interop,
-    pytest.mark.skipif(shutil.which("cksfv") is None, reason="cksfv is not installed"),
-]
+pytestmark = pytest.mark.interop
 FILES = {
     "run": StoredFile(b"#!/bin/sh\n", executable=True),
     "lib/with a space.so": StoredFile(bytes(range(256)) * 99),
     "empty": StoredFile(b""),
 }
+
+
+@pytest.fixture(autouse=True)
+def cksfv():
+    needs("cksfv")
 
 
 def verified(folder):

@@ -1,19 +1,16 @@
 """Graphviz draws the graph of `kontur-av topology --dot`."""
 
 import re
-import shutil
 import subprocess
 
 import pytest
+from programs import needs
 
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology.tables import dot
 from pipelines.table import topology_of
 
-pytestmark = [
-    pytest.mark.interop,
-    pytest.mark.skipif(shutil.which("dot") is None, reason="dot: apt-get install graphviz"),
-]
+pytestmark = pytest.mark.interop
 
 
 def corners(plain, name):
@@ -24,6 +21,7 @@ def corners(plain, name):
 
 @pytest.mark.parametrize("setup", BUILT_IN.values(), ids=lambda setup: setup.name)
 def test_the_ground_is_left_of_its_gateway_and_space_right_of_its_own(setup):
+    needs("dot")
     session = topology_of(setup, snapshots=True, pages=True)
     done = subprocess.run(
         ["dot", "-Tplain"], input=dot(session), capture_output=True, text=True, timeout=60

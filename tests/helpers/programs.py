@@ -1,0 +1,34 @@
+"""Programs by other makers: a test that lacks one is skipped, and says how to get it."""
+
+import shutil
+import subprocess
+
+import pytest
+
+_PLUGINS = "gstreamer1.0-plugins-{base,good,bad,ugly} gstreamer1.0-libav"
+#: Where another name is needed than the program's: packages of Debian.
+_PACKAGES = {
+    "chromedriver": "chromium-driver",
+    "cvlc": "vlc-bin vlc-plugin-base vlc-plugin-access-extra",
+    "dot": "graphviz",
+    "gst-launch-1.0": "gstreamer1.0-tools",
+    "ip": "iproute2",
+    "node": "nodejs",
+    "octave-cli": "octave",
+    "turnserver": "coturn",
+}
+
+
+def needs(*names: str) -> None:
+    """Skip the test unless all these programs are there."""
+    for name in names:
+        if shutil.which(name) is None:
+            pytest.skip(f"{name}: apt-get install {_PACKAGES.get(name, name)}")
+
+
+def needs_elements(*elements: str) -> None:
+    """Skip the test unless GStreamer has all these elements."""
+    needs("gst-launch-1.0")
+    for element in elements:
+        if subprocess.run(["gst-inspect-1.0", "--exists", element], check=False).returncode:
+            pytest.skip(f"gst-launch-1.0 without {element}: apt-get install {_PLUGINS}")
