@@ -73,7 +73,8 @@ def receiver(name: str, port: int, sdp, raw) -> list[object]:
         ]
     caps = "application/x-rtp,media=video,clock-rate=90000,encoding-name=H264,payload=96"
     pipeline = (
-        f"udpsrc port={port} buffer-size=1000000 caps={caps} ! rtph264depay ! avdec_h264 ! videoscale ! videoconvert ! "
+        f"udpsrc port={port} buffer-size=1000000 caps={caps} ! "
+        "rtph264depay ! avdec_h264 ! videoscale ! videoconvert ! "
         f"video/x-raw,format=I420,width={WIDTH},height={HEIGHT} ! identity eos-after={RECEIVED} ! "
         f"filesink location={raw}"
     )
