@@ -1,4 +1,4 @@
-"""The documents link to each other and name existing files; the README is one page."""
+"""The documents link to each other and name existing files."""
 
 import re
 
@@ -7,21 +7,13 @@ from places import ROOT
 
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))
-README_WORDS, README_LINES = 1500, 200
 MOST_STEPS = 15
-
-
-def test_the_readme_is_one_page():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert len(text.split()) <= README_WORDS
-    assert len(text.splitlines()) <= README_LINES
 
 
 def test_the_python_of_the_readme_is_that_of_the_sample():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```", readme, re.M | re.S)
     lines = [line.strip() for block in blocks for line in block.splitlines() if line]
-    assert len(lines) <= 20
     samples = ("send_numpy", "receive_numpy", "join_session")
     texts = [(ROOT / "samples" / f"{name}.py").read_text(encoding="utf-8") for name in samples]
     # What is called must be called so in the samples; arguments may differ.
